@@ -1,0 +1,39 @@
+"""Heartbeat producer (CiA 301, 7.2.8.3.2.2), object 1017h."""
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+    from .object_dictionary import Value
+
+
+class HeartbeatProducer:
+    """Sends the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
+
+    __slots__ = ("_device", "due_us")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.due_us = codes.NEVER_US
+        device.od.writers[0x1017] = self._write_period
+
+    def reset(self) -> None:
+        """Start anew from the present 1017h, after a boot-up."""
+        self._restart(self._device.od.integer(0x1017))
+
+    def expire(self, now_us: int) -> None:
+        """Send one heartbeat; late calls do not shift the ones that follow."""
+        period_us = 1000 * self._device.od.integer(0x1017)
+        self._device.send(0x700 + self._device.node_id, bytes((self._device.nmt.state,)))
+        self.due_us += period_us
+        if self.due_us <= now_us:
+            # The process slept over one or more periods: go on from now, without a burst.
+            self.due_us = now_us + period_us
+
+    def _write_period(self, _sub: int, value: "Value") -> int:
+        self._restart(value)  # type: ignore[arg-type]
+        return 0
+
+    def _restart(self, period_ms: int) -> None:
+        self.due_us = self._device.now_us + 1000 * period_ms if period_ms else codes.NEVER_US

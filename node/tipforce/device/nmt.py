@@ -1,0 +1,56 @@
+"""NMT slave (CiA 301, 7.2.8): the state, and what a master's command does to it."""
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+    from .object_dictionary import Value
+
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+_STATE_AFTER = {
+    START: codes.OPERATIONAL,
+    STOP: codes.STOPPED,
+    ENTER_PRE_OPERATIONAL: codes.PRE_OPERATIONAL,
+}
+SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
+
+
+class Nmt:
+    """Holds ``state``; the device asks it what is allowed now."""
+
+    __slots__ = ("_device", "state")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.state = codes.INITIALISING
+        device.od.writers[0x1F80] = self._write_startup
+
+    def boot(self) -> None:
+        """Send the boot-up message and leave INITIALISING (7.2.8.3.3), as 1F80h says."""
+        self._device.send(0x700 + self._device.node_id, b"\0")
+        self.enter(codes.PRE_OPERATIONAL)
+        if not self._device.od.integer(0x1F80) & SELF_START_OFF:
+            self.enter(codes.OPERATIONAL)
+
+    def receive(self, data: bytes) -> None:
+        """Act on an NMT command frame; one for another node, or of another shape, is ignored."""
+        if len(data) != 2 or data[1] not in (0, self._device.node_id):
+            return
+        command = data[0]
+        if command in _STATE_AFTER:
+            self.enter(_STATE_AFTER[command])
+        elif command == RESET_NODE:
+            self._device.reset(True)
+        elif command == RESET_COMMUNICATION:
+            self._device.reset(False)
+
+    def enter(self, state: int) -> None:
+        """Change the state and tell the services that depend on it."""
+        if state != self.state:
+            self.state = state
+            self._device.state_changed()
+
+    def _write_startup(self, _sub: int, value: "Value") -> int:
+        # Only bit 2 concerns a slave; bit 0 would make this device the NMT master, which it is not.
+        return 0 if value in (0, SELF_START_OFF) else codes.INVALID_VALUE

@@ -1,0 +1,189 @@
+"""The object dictionary at run time: entries, their values, and the hooks by which services own their objects."""
+
+import struct
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    Value = int | float | str | bytes
+    Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
+
+# Flags of an entry.
+TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED = 1, 2, 4, 8, 16
+
+SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}
+_RANGES = {
+    "B": (0, 0xFF),
+    "b": (-0x80, 0x7F),
+    "H": (0, 0xFFFF),
+    "h": (-0x8000, 0x7FFF),
+    "I": (0, 0xFFFFFFFF),
+    "i": (-0x80000000, 0x7FFFFFFF),
+}
+REAL32_MAX = 3.4028234663852886e38
+
+
+def encode(kind: str, value: "Value") -> bytes:
+    """The bytes of ``value`` on the wire, little-endian; ``kind`` is struct's letter, "s" a string, "D" bytes.
+
+    Integers are held to their type's range here, because MicroPython's struct wraps where CPython's raises;
+    a float beyond REAL32 becomes an infinity of its sign.
+    """
+    if kind == "D":
+        return value  # type: ignore[return-value]
+    if kind == "s":
+        return value.encode()  # type: ignore[union-attr]
+    if kind == "f":
+        if value > REAL32_MAX:  # type: ignore[operator]
+            value = float("inf")
+        elif value < -REAL32_MAX:  # type: ignore[operator]
+            value = float("-inf")
+    else:
+        low, high = _RANGES[kind]
+        value = min(max(value, low), high)
+    return struct.pack("<" + kind, value)
+
+
+def decode(kind: str, data: bytes) -> "Value":
+    """The value of ``data``, whose length the caller has checked."""
+    if kind == "D":
+        return bytes(data)
+    if kind == "s":
+        return bytes(data).decode()
+    value: "Value" = struct.unpack("<" + kind, data)[0]
+    return value
+
+
+class ObjectDictionary:
+    """Entries by index and sub-index, with their values.
+
+    A service that owns an object registers hooks for its index: ``readers[index](sub)`` gives the value in place
+    of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept, and an accepted value is
+    stored. ``sizes[index]`` is the one length that a DOMAIN or string object takes.
+    """
+
+    __slots__ = ("_entries", "node_id", "readers", "sizes", "values", "writers")
+
+    def __init__(self, node_id: int) -> None:
+        self.node_id = node_id
+        self._entries: "dict[int, dict[int, Entry]]" = {}
+        self.values: "dict[int, Value]" = {}
+        self.readers: "dict[int, Callable[[int], Value]]" = {}
+        self.writers: "dict[int, Callable[[int, Value], int]]" = {}
+        self.sizes: "dict[int, int]" = {}
+
+    def add(self, index: int, sub: int, entry: "Entry") -> None:
+        """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
+        self._entries.setdefault(index, {})[sub] = entry
+        self.values[index << 8 | sub] = self.default(index, sub)
+
+    def find(self, index: int, sub: int) -> "Entry | int":
+        """The entry, or the abort code that says why there is none."""
+        subs = self._entries.get(index)
+        if subs is None:
+            return codes.NO_OBJECT
+        return subs.get(sub, codes.NO_SUB)
+
+    def subs(self, index: int) -> "list[int]":
+        """The sub-indices of an object in order; empty when there is no such object."""
+        return sorted(self._entries.get(index, ()))
+
+    def indices(self, first: int, last: int) -> "list[int]":
+        """The indices from ``first`` to ``last`` inclusive that exist, in order."""
+        return sorted(i for i in self._entries if first <= i <= last)
+
+    def default(self, index: int, sub: int) -> "Value":
+        """The default, with the node-id added where the entry says so."""
+        entry = self._entries[index][sub]
+        if entry[2] & ADD_NODE_ID:
+            return entry[3] + self.node_id  # type: ignore[operator]
+        return entry[3]
+
+    def restore_defaults(self, first: int, last: int) -> None:
+        """Every value of the objects ``first`` to ``last`` back to its default."""
+        for index in self.indices(first, last):
+            for sub in self._entries[index]:
+                self.values[index << 8 | sub] = self.default(index, sub)
+
+    def get(self, index: int, sub: int = 0) -> "Value":
+        """The present value of an entry that exists."""
+        reader = self.readers.get(index)
+        if reader is not None and (sub or index << 8 | 1 not in self.values):
+            return reader(sub)
+        return self.values[index << 8 | sub]
+
+    def integer(self, index: int, sub: int = 0) -> int:
+        """The stored value of an integer entry."""
+        return self.values[index << 8 | sub]  # type: ignore[return-value]
+
+    def upload(self, index: int, sub: int) -> "bytes | int":
+        """What an SDO upload reads: the bytes, or an abort code."""
+        entry = self.find(index, sub)
+        if isinstance(entry, int):
+            return entry
+        if entry[1] == "wo":
+            return codes.WRITE_ONLY
+        return encode(entry[0], self.get(index, sub))
+
+    def writable(self, index: int, sub: int, size: "int | None") -> int:
+        """Abort code of a write of ``size`` bytes that is about to start, 0 if it may; None is an unknown size."""
+        entry = self.find(index, sub)
+        if isinstance(entry, int):
+            return entry
+        if entry[1] in ("ro", "const"):
+            return codes.READ_ONLY
+        expected = self.expected_size(index, sub)
+        if size is None or expected is None or size == expected:
+            return 0
+        return codes.TOO_LONG if size > expected else codes.TOO_SHORT
+
+    def expected_size(self, index: int, sub: int) -> "int | None":
+        """The only length that a write may have, None where any will do. The entry must exist."""
+        size = SIZES.get(self._entries[index][sub][0])
+        return self.sizes.get(index) if size is None else size
+
+    def download(self, index: int, sub: int, data: bytes) -> int:
+        """What an SDO download or an RPDO writes: 0 when taken, otherwise the abort code, and nothing has changed."""
+        abort = self.writable(index, sub, len(data))
+        if abort:
+            return abort
+        entry = self._entries[index][sub]
+        try:
+            value = decode(entry[0], data)
+        except UnicodeError:
+            return codes.INVALID_VALUE
+        abort = check(entry, value)
+        if abort:
+            return abort
+        writer = self.writers.get(index)
+        if writer is not None:
+            abort = writer(sub, value)
+            if abort:
+                return abort
+        self.values[index << 8 | sub] = value
+        return 0
+
+    def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":
+        """(index, sub, type) of each setting among the objects ``first`` to ``last``: what storing keeps."""
+        for index in self.indices(first, last):
+            subs = self._entries[index]
+            for sub in sorted(subs):
+                kind, access, flags = subs[sub][:3]
+                if access == "rw" and not flags & NOT_STORED:
+                    yield index, sub, kind
+
+
+def check(entry: "Entry", value: "Value") -> int:
+    """Abort code of a value outside the entry's limits, 0 if it is inside."""
+    kind, _access, flags, _default, low, high = entry
+    # inf - inf and nan - nan are both nan: one test for every value that is not finite.
+    if kind == "f" and not flags & ANY_FLOAT and value - value != 0.0:  # type: ignore[operator]
+        return codes.INVALID_VALUE
+    if high is not None and value > high:  # type: ignore[operator]
+        return codes.TOO_HIGH
+    if low is not None and value < low:  # type: ignore[operator]
+        return codes.TOO_LOW
+    return 0

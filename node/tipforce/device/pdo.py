@@ -1,0 +1,151 @@
+"""What TPDOs and RPDOs share (CiA 301, 7.5.2.33 to 7.5.2.38): two parameter objects and the rules for writing them."""
+
+import struct
+
+from . import codes
+from .object_dictionary import SIZES
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .object_dictionary import ObjectDictionary, Value
+
+INVALID, NO_RTR = 0x80000000, 0x40000000  # bits 31 and 30 of a COB-ID
+_OTHER_BITS = 0x3FFFF800  # bit 29 (29-bit identifier, not offered) and the bits of such an identifier
+MAX_MAPPED, MAX_BYTES = 8, 8
+_DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: placeholders in an RPDO
+
+
+def restricted(can_id: int) -> bool:
+    """True for an identifier that no PDO may have (7.3.5, table 41)."""
+    return (
+        can_id <= 0x7F
+        or 0x101 <= can_id <= 0x180
+        or 0x581 <= can_id <= 0x5FF
+        or 0x601 <= can_id <= 0x67F
+        or 0x6E0 <= can_id <= 0x6FF
+        or can_id >= 0x701
+    )
+
+
+class Pdo:
+    """One PDO: its number, its parameter objects, and what they say, compiled for speed.
+
+    ``direction`` is the entry flag that a mapped object needs. ``changed()`` is called after each accepted write.
+    ``valid`` is bit 31 of the COB-ID; ``active`` says that there is also something to send or to receive.
+    """
+
+    __slots__ = (
+        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "mapping", "packing",
+        "transmission", "valid",
+    )  # fmt: skip
+
+    def __init__(
+        self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"
+    ) -> None:
+        self._od = od
+        self._changed = changed
+        self.communication = communication
+        self.mapping = mapping
+        self.direction = direction
+        self.valid = self.active = False
+        self.can_id = 0
+        self.transmission = 255
+        self.packing = "<"
+        self.length = 0
+        self.keys: "list[tuple[int, int]]" = []
+        od.writers[communication] = self._write_communication
+        od.writers[mapping] = self._write_mapping
+
+    def load(self) -> None:
+        """Compile the parameter objects as they stand; a mapping that cannot be used leaves the PDO silent."""
+        cob_id = self._od.integer(self.communication, 1)
+        self.can_id = cob_id & codes.STANDARD_MASK
+        self.transmission = self._od.integer(self.communication, 2)
+        count = self._od.integer(self.mapping, 0)
+        words = [self._od.integer(self.mapping, sub) for sub in range(1, count + 1)]
+        usable = self._compile(words) == 0 and self.length > 0
+        self.valid = not cob_id & INVALID
+        self.active = self.valid and usable and not restricted(self.can_id)
+
+    def parameter(self, sub: int) -> int:
+        """A communication parameter, 0 where this PDO has no such sub-index."""
+        if isinstance(self._od.find(self.communication, sub), int):
+            return 0
+        return self._od.integer(self.communication, sub)
+
+    def _compile(self, words: "list[int]") -> int:
+        """Take a mapping; the abort code of one that is refused, and then nothing has changed."""
+        packing, keys = "<", []
+        for word in words:
+            letter = self._letter(word)
+            if isinstance(letter, int):
+                return letter
+            packing += letter
+            keys.append((word >> 16, word >> 8 & 0xFF))
+        length = struct.calcsize(packing)
+        if length > MAX_BYTES:
+            return codes.PDO_LENGTH
+        self.packing, self.keys, self.length = packing, keys, length
+        return 0
+
+    def _letter(self, word: int) -> "str | int":
+        """struct's letter of a mapped entry, or the abort code of one that cannot be mapped here."""
+        index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        from_wire = self.direction != 1
+        if from_wire and index in _DUMMY_LETTERS and not sub:
+            letter = _DUMMY_LETTERS[index]
+        else:
+            entry = self._od.find(index, sub)
+            if isinstance(entry, int):
+                return entry
+            if not entry[2] & self.direction:
+                return codes.NOT_MAPPABLE
+            letter = entry[0]
+        return letter if SIZES[letter] * 8 == bits else codes.NOT_MAPPABLE
+
+    def _write_communication(self, sub: int, value: "Value") -> int:
+        number: int = value  # type: ignore[assignment]
+        if sub == 1:
+            abort = self._check_cob_id(number)
+        elif sub == 2:
+            # 241-251 are reserved; 252 and 253 (sent on RTR) are refused because no TPDO answers to an RTR.
+            abort = codes.INVALID_VALUE if 240 < number < 254 else 0
+        elif sub in (3, 6) and self.valid:
+            abort = codes.DEVICE_STATE
+        else:
+            abort = 0
+        if not abort:
+            self._store_and_reload(self.communication, sub, number)
+        return abort
+
+    def _check_cob_id(self, cob_id: int) -> int:
+        can_id = cob_id & codes.STANDARD_MASK
+        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & NO_RTR):
+            return codes.INVALID_VALUE
+        if cob_id & INVALID:
+            return 0
+        # An existing PDO keeps its identifier; it must be made invalid first (7.5.2.35).
+        if restricted(can_id) or (self.valid and can_id != self.can_id):
+            return codes.INVALID_VALUE
+        return 0
+
+    def _write_mapping(self, sub: int, value: "Value") -> int:
+        word: int = value  # type: ignore[assignment]
+        if self.valid or (sub and self._od.integer(self.mapping, 0)):
+            # 7.5.2.36: make the PDO invalid, set sub-index 0 to 0, write the entries, set sub-index 0.
+            return codes.DEVICE_STATE
+        if sub:
+            letter = self._letter(word) if word else "B"
+            abort = letter if isinstance(letter, int) else 0
+        else:
+            abort = self._compile([self._od.integer(self.mapping, k) for k in range(1, word + 1)])
+        if not abort:
+            self._store_and_reload(self.mapping, sub, word)
+        return abort
+
+    def _store_and_reload(self, index: int, sub: int, value: int) -> None:
+        self._od.values[index << 8 | sub] = value
+        self.load()
+        self._changed()

@@ -1,0 +1,129 @@
+"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h.
+
+What a group holds is one byte string: CRC-32, then records of index, sub-index, length and data. Where it is kept is
+the caller's affair: ``save(group, data) -> bool`` and ``load(group) -> bytes | None`` are handed in.
+"""
+
+import binascii
+import struct
+
+from . import codes
+from .object_dictionary import check, decode, encode
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .node import Device
+    from .object_dictionary import ObjectDictionary, Value
+
+    Group = tuple[str, Callable[[], bytes], Callable[[bytes | None], None]]
+
+SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
+ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds its own from 4
+_HEAD = "<HBH"
+_RESTORED = b""  # what is kept after a restore: nothing, so the defaults hold after the next reset
+
+
+class Storage:
+    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is refused with 06060000h."""
+
+    __slots__ = ("_device", "_groups", "_load", "_save", "damaged")
+
+    def __init__(
+        self,
+        device: "Device",
+        save: "Callable[[str, bytes], bool] | None",
+        load: "Callable[[str], bytes | None] | None",
+    ) -> None:
+        self._device = device
+        self._save = save
+        self._load = load
+        self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
+        self._groups: "dict[int, Group]" = {}
+        self.add_range(COMMUNICATION, "communication", 0x1000, 0x1FFF)
+        self.add_range(APPLICATION, "application", 0x6000, 0x9FFF)
+        for index, writer in ((0x1010, self._write_store), (0x1011, self._write_restore)):
+            device.od.writers[index] = writer
+            device.od.readers[index] = lambda _sub: 1  # bit 0: stores on command, never by itself
+
+    def add_range(self, sub: int, name: str, first: int, last: int) -> None:
+        """A group of every setting among the objects ``first`` to ``last`` that differs from its default."""
+        od = self._device.od
+        self._groups[sub] = (
+            name,
+            lambda: pack_settings(od, first, last),
+            lambda data: unpack_settings(od, first, last, data),
+        )
+
+    def add_group(
+        self, sub: int, name: str, dump: "Callable[[], bytes]", restore: "Callable[[bytes | None], None]"
+    ) -> None:
+        """A group that the application serialises itself; ``restore(None)`` asks for its defaults."""
+        self._groups[sub] = (name, dump, restore)
+
+    def restore(self, subs: "list[int] | None" = None) -> None:
+        """Bring the groups (all, or those named) to what is stored, or to their defaults; done on each reset."""
+        self.damaged = []
+        for sub in sorted(self._groups):
+            if subs is None or sub in subs:
+                name, _dump, restore = self._groups[sub]
+                restore(self._read(name))
+
+    def _read(self, name: str) -> "bytes | None":
+        blob = self._load(name) if self._load is not None else None
+        if not blob:
+            return None
+        if len(blob) < 4 or struct.unpack("<I", blob[:4])[0] != binascii.crc32(blob[4:]) & 0xFFFFFFFF:
+            self.damaged.append(name)
+            return None
+        return blob[4:]
+
+    def _write_store(self, sub: int, value: "Value") -> int:
+        if value != SAVE:
+            return codes.NOT_TRANSFERRED
+        return self._each(sub, lambda dump: _with_crc(dump()))
+
+    def _write_restore(self, sub: int, value: "Value") -> int:
+        if value != LOAD:
+            return codes.NOT_TRANSFERRED
+        return self._each(sub, lambda _dump: _RESTORED)
+
+    def _each(self, sub: int, content: "Callable[[Callable[[], bytes]], bytes]") -> int:
+        if self._save is None:
+            return codes.HARDWARE
+        for number in sorted(self._groups):
+            if sub in (ALL, number):
+                name, dump, _restore = self._groups[number]
+                if not self._save(name, content(dump)):
+                    return codes.HARDWARE
+        return 0
+
+
+def _with_crc(data: bytes) -> bytes:
+    return struct.pack("<I", binascii.crc32(data) & 0xFFFFFFFF) + data
+
+
+def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
+    """The settings that differ from their defaults, as records."""
+    records = []
+    for index, sub, kind in od.stored_entries(first, last):
+        value = od.values[index << 8 | sub]
+        if value != od.default(index, sub):
+            data = encode(kind, value)
+            records.append(struct.pack(_HEAD, index, sub, len(data)) + data)
+    return b"".join(records)
+
+
+def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes | None") -> None:
+    """Defaults, then the records of ``data`` over them. A record that no longer fits the dictionary is passed over."""
+    od.restore_defaults(first, last)
+    offset, size = 0, struct.calcsize(_HEAD)
+    while data and offset + size <= len(data):
+        index, sub, length = struct.unpack(_HEAD, data[offset : offset + size])
+        offset += size + length
+        if first <= index <= last and not od.writable(index, sub, length):
+            entry = od.find(index, sub)
+            value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+            if not check(entry, value):  # type: ignore[arg-type]
+                od.values[index << 8 | sub] = value

@@ -1,0 +1,48 @@
+"""SYNC consumer (CiA 301, 7.2.5), objects 1005h, 1007h and 1019h."""
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+    from .object_dictionary import Value
+
+_PRODUCER = 0x40000000  # 1005h bit 30
+
+
+class SyncConsumer:
+    """On each SYNC the application latches one sample, then the synchronous PDOs go out."""
+
+    __slots__ = ("_device", "cob_id")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.cob_id = 0x80
+        device.od.writers[0x1005] = self._write_cob_id
+        device.od.writers[0x1019] = self._write_overflow
+
+    def reset(self) -> None:
+        """Take 1005h as it stands."""
+        self.cob_id = self._device.od.integer(0x1005) & codes.STANDARD_MASK
+
+    def receive(self, data: bytes) -> None:
+        """Act on a SYNC frame: no data, or one byte with the counter when 1019h is set; others are ignored."""
+        if len(data) != (1 if self._device.od.integer(0x1019) else 0):
+            return
+        device = self._device
+        if device.application is not None:
+            device.application.on_sync(device.now_us)
+        if device.nmt.state == codes.OPERATIONAL:
+            device.rpdos.on_sync()
+            device.tpdos.on_sync(data[0] if data else 0)
+
+    def _write_cob_id(self, _sub: int, value: "Value") -> int:
+        if value & ~codes.STANDARD_MASK or not value:  # type: ignore[operator]
+            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered.
+            return codes.INVALID_VALUE
+        self.cob_id = value  # type: ignore[assignment]
+        self._device.routes_changed()
+        return 0
+
+    def _write_overflow(self, _sub: int, value: "Value") -> int:
+        return codes.INVALID_VALUE if value == 1 else 0

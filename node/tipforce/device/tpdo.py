@@ -1,0 +1,131 @@
+"""Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, on an event, or when the event timer runs out."""
+
+import struct
+
+from . import codes
+from .object_dictionary import TPDO, encode
+from .pdo import Pdo
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+
+_SYNCHRONOUS = 240  # the highest transmission type that follows SYNC
+
+
+class TransmitPdo(Pdo):
+    """One TPDO with its counters and due times."""
+
+    __slots__ = ("_getters", "due_us", "event_us", "free_us", "inhibit_us", "pending", "sync_start", "syncs")
+
+    def load(self) -> None:
+        """Compile the parameters, resolve where each mapped value comes from, and start the counters anew."""
+        Pdo.load(self)
+        self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in self.keys]
+        self.inhibit_us = 100 * self.parameter(3)
+        self.event_us = 1000 * self.parameter(5)
+        self.sync_start = self.parameter(6)
+        self.syncs = 0
+        self.pending = False
+        self.free_us = 0
+        self.due_us = codes.NEVER_US
+
+    def pack(self) -> bytes:
+        """The data of this PDO now: one call, one sample, so that no PDO is ever torn."""
+        stored = self._od.values
+        values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
+        if "f" in self.packing:
+            return b"".join([encode(k, v) for k, v in zip(self.packing[1:], values)])  # noqa: B905
+        return struct.pack(self.packing, *values)
+
+    def on_sync(self, counter: int) -> bool:
+        """Count a SYNC; True when this PDO is due on it."""
+        if self.transmission == 0:
+            due, self.pending = self.pending, False
+            return due
+        if self.sync_start:
+            if self.syncs == 0 and counter != self.sync_start:
+                return False
+            # The SYNC that carries the start value counts as the first (7.5.2.37), and the PDO goes out with it.
+            due = self.syncs % self.transmission == 0
+            self.syncs = self.syncs % self.transmission + 1
+            return due
+        self.syncs += 1
+        if self.syncs < self.transmission:
+            return False
+        self.syncs = 0
+        return True
+
+
+class TransmitPdos:
+    """All TPDOs of a device. ``due_us`` is when the next event-driven one may have to go out."""
+
+    __slots__ = ("_device", "_pdos", "due_us")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.due_us = codes.NEVER_US
+        self._pdos = [
+            TransmitPdo(device.od, index, index + 0x200, TPDO, self._changed)
+            for index in device.od.indices(0x1800, 0x19FF)
+        ]
+
+    def reset(self) -> None:
+        """Take the parameter objects as they stand, after a boot-up."""
+        for pdo in self._pdos:
+            pdo.load()
+        self._changed()
+
+    def enabled(self, number: int) -> bool:
+        """True when TPDO ``number``, counted from 1, is sent at present."""
+        return self._pdos[number - 1].active
+
+    def on_sync(self, counter: int) -> None:
+        """Send every synchronous TPDO that is due on this SYNC."""
+        for pdo in self._pdos:
+            if pdo.active and pdo.transmission <= _SYNCHRONOUS and pdo.on_sync(counter):
+                self._device.send(pdo.can_id, pdo.pack())
+
+    def request(self, number: int) -> None:
+        """An event of the application: send TPDO ``number`` as its type and inhibit time allow."""
+        pdo = self._pdos[number - 1]
+        pdo.pending = True
+        if pdo.transmission > _SYNCHRONOUS and self._active(pdo):
+            pdo.due_us = max(self._device.now_us, pdo.free_us)
+            self._reschedule()
+
+    def started(self) -> None:
+        """The device became operational: every event-driven TPDO says its first values at once."""
+        for pdo in self._pdos:
+            if pdo.transmission > _SYNCHRONOUS:
+                pdo.due_us = self._device.now_us
+        self._reschedule()
+
+    def stopped(self) -> None:
+        """The device is not operational any more: nothing is due."""
+        self.due_us = codes.NEVER_US
+
+    def expire(self, now_us: int) -> None:
+        """Send the event-driven TPDOs that are due."""
+        if self._device.application is not None:
+            self._device.application.refresh(now_us)
+        for pdo in self._pdos:
+            if pdo.due_us <= now_us and self._active(pdo):
+                self._device.send(pdo.can_id, pdo.pack())
+                pdo.pending = False
+                pdo.free_us = now_us + pdo.inhibit_us
+                pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
+        self._reschedule()
+
+    def _active(self, pdo: TransmitPdo) -> bool:
+        return pdo.active and self._device.nmt.state == codes.OPERATIONAL
+
+    def _changed(self) -> None:
+        for pdo in self._pdos:
+            if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
+                pdo.due_us = self._device.now_us + pdo.event_us
+        self._reschedule()
+
+    def _reschedule(self) -> None:
+        due = [pdo.due_us for pdo in self._pdos if self._active(pdo) and pdo.transmission > _SYNCHRONOUS]
+        self.due_us = min(due) if due else codes.NEVER_US

@@ -1,0 +1,163 @@
+"""The fingertip as the application of a CANopen device: latch a sample, answer for the live objects (CiA 404)."""
+
+from tipforce.device import codes
+from tipforce.device.node import Application, Device
+from tipforce.dictionary import table
+from tipforce.sensor import scalar
+
+from .calibration import CALIBRATION_GROUP, Calibration
+from .channels import Channels
+from .sample import NO_TARE, Sample
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tipforce.device.object_dictionary import ObjectDictionary, Value
+
+    from .source import Reading, Source
+
+REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
+NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
+FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
+
+
+class Fingertip(Application):
+    """Everything between a gauge source and the object dictionary of one node."""
+
+    def __init__(self, device: Device, n: int, source: "Source") -> None:
+        self.device = device
+        self.n = n
+        self.source = source
+        self.calibration = Calibration(device.od, n)
+        self.channels = Channels(device.od, n, self)
+        self._tare = NO_TARE
+        self._tared_us = 0
+        self._counter = 0
+        self._read_us = 0
+        self._equal = [0] * n
+        self.sample = Sample(None, self.channels.scaling, None)
+        device.application = self
+        device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
+        self._own_live_objects(device.od)
+
+    def _own_live_objects(self, od: "ObjectDictionary") -> None:
+        readers: "tuple[tuple[int, Callable[[int], Value]], ...]" = (
+            (0x1002, lambda _sub: self.sample.status() | self.sample.faults << 16),
+            (0x2107, self._read_uncertainty),
+            (0x2111, self._read_tare),
+            (0x2120, lambda _sub: self.sample.status()),
+            (0x2121, lambda _sub: self.sample.counter),
+            (0x2122, lambda _sub: self._read_temperature()),
+            (0x2123, lambda _sub: self._read_magnitude_uncertainty()),
+            (0x2124, lambda _sub: self.sample.faults),
+        )
+        for index, reader in readers:
+            od.readers[index] = reader
+        od.writers[0x2130] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
+        od.writers[0x6139] = self._write_autotare
+
+    # --- the device calls these -----------------------------------------------------------------------------
+
+    def on_reset(self, now_us: int) -> None:
+        """Parameters are restored: forget tare and samples, take the scaling as it stands."""
+        self.channels.load()
+        self._tare = NO_TARE
+        self._read_us = now_us
+        self._equal = [0] * self.n
+        self.sample = Sample(None, self.channels.scaling, self.calibration.active)
+
+    def on_sync(self, now_us: int) -> None:
+        """Latch the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
+        reading = self.source.read(now_us)
+        faults = self._watch(reading, now_us)
+        stale = reading is None
+        if stale:
+            reading = self.sample.reading
+        else:
+            self._counter = (self._counter + 1) & 0xFF
+        was_present = self.sample.present()
+        self.sample = Sample(
+            reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
+            self._counter, now_us,
+        )  # fmt: skip
+
+    def refresh(self, now_us: int) -> None:
+        """A live value is read with no SYNC about: latch a sample if the last one is old."""
+        if now_us - self.sample.latched_us >= REFRESH_US:
+            self.on_sync(now_us)
+
+    def _watch(self, reading: "Reading | None", now_us: int) -> int:
+        """The front-end faults that show in the readings themselves, joined to those the source reports."""
+        if reading is None:
+            silent = now_us - self._read_us > NO_DATA_US
+            return 1 << table.FAULT_NO_DATA if silent else 0
+        self._read_us = now_us
+        faults: int = reading.faults
+        before = self.sample.reading
+        for k in range(self.n):
+            same = before is not None and before.counts[k] == reading.counts[k]
+            self._equal[k] = self._equal[k] + 1 if same else 0
+            if self._equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
+                faults |= 1 << table.FAULT_FROZEN
+        return faults
+
+    # --- commands -------------------------------------------------------------------------------------------
+
+    def command(self, value: int) -> int:
+        """2130h: 1 tare, 2 clear tare, 3 zero gauges. Returns the abort code of one that cannot be done now."""
+        if value == table.COMMAND_TARE:
+            return self.tare()
+        if value == table.COMMAND_CLEAR_TARE:
+            self._tare = NO_TARE
+        elif value == table.COMMAND_ZERO:
+            return self.zero(range(self.n))
+        return 0
+
+    def tare(self) -> int:
+        """Take the present force as zero; refused while the force is unknown."""
+        if self.sample.unknown() & scalar.UNKNOWN_FORCE:
+            return codes.DEVICE_STATE
+        F, t = self.sample.force(), self._tare
+        self._tare = (F[0] + t[0], F[1] + t[1], F[2] + t[2])
+        self._tared_us = self.device.now_us
+        return 0
+
+    def zero(self, gauges: "range | list[int]") -> int:
+        """Make gauges (from 0) read zero now, by x124h; refused while contact is present or a reading is unknown."""
+        sample = self.sample
+        if sample.status() & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
+            return codes.DEVICE_STATE
+        if any(sample.overloads[k] for k in gauges):
+            return codes.DEVICE_STATE
+        for k in gauges:
+            self.channels.shift_offset(k, -sample.microstrains[k])
+        return 0
+
+    # --- objects --------------------------------------------------------------------------------------------
+
+    def _read_uncertainty(self, sub: int) -> float:
+        u_P, u_phi, u_theta = self.sample.uncertainty()
+        unknown = self.sample.unknown()
+        if sub == 1:
+            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else u_P
+        if sub == 2:
+            return scalar.NAN if unknown & scalar.UNKNOWN_PHI else u_phi * scalar.DEGREES
+        return scalar.NAN if unknown & scalar.UNKNOWN_THETA else u_theta * scalar.DEGREES
+
+    def _read_magnitude_uncertainty(self) -> int:
+        u_P = self._read_uncertainty(1)
+        return min(round(1000.0 * u_P), table.UNKNOWN_U16 - 1) if u_P >= 0.0 else table.UNKNOWN_U16
+
+    def _read_temperature(self) -> int:
+        reading = self.sample.reading
+        known = reading is not None and not self.sample.unknown() & scalar.UNKNOWN_GAUGES
+        return reading.temperature if known and reading is not None else table.UNKNOWN_I16
+
+    def _read_tare(self, sub: int) -> "Value":
+        if sub < 4:
+            return self._tare[sub - 1]
+        return 0 if self._tare == NO_TARE else (self.device.now_us - self._tared_us) // 1000000
+
+    def _write_autotare(self, _sub: int, value: "Value") -> int:
+        return self.tare() if value == table.SIGNATURE_TARA else codes.NOT_TRANSFERRED

@@ -1,0 +1,192 @@
+"""The calibration a node holds: one staged record that SDO writes fill, one active record that a commit replaces.
+
+OBJECTS.md, manufacturer area: 2100h-2106h, 2110h, 2140h, 2141h.
+"""
+
+import binascii
+import struct
+
+from tipforce.device import codes
+from tipforce.dictionary import table
+
+from .condition import condition_number
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.device.object_dictionary import ObjectDictionary, Value
+
+    Covariance = tuple[float, float, float, float, float, float]
+
+CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
+_STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
+_CONDITION_LIMIT = 0x210501
+
+
+def crc32(data: bytes) -> int:
+    """CRC-32 (IEEE 802.3, as zlib computes it)."""
+    return binascii.crc32(data) & 0xFFFFFFFF
+
+
+class Active:
+    """One calibration, unpacked: ``C`` is three rows in N per strain, ``covariance_F`` is C Sigma C^T in N^2."""
+
+    __slots__ = ("C", "covariance_F", "limits", "noise", "offsets", "pull", "record")
+
+    def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
+        self.record = record
+        self.C = [values[row * n : row * n + n] for row in range(3)]
+        self.offsets = values[3 * n : 4 * n]
+        after_facts = 4 * n + 4
+        triangle = n * (n + 1) // 2
+        self.noise = values[after_facts : after_facts + triangle]
+        _radius, theta_min, theta_max, on, off, sense = values[after_facts + triangle :]
+        self.limits = (on, off, theta_min, theta_max)
+        self.pull = bool(sense)
+        self.covariance_F = _propagate(self.C, self.noise, n)
+
+    def force(self, strains: "list[float]") -> "tuple[float, float, float]":
+        """F1, F2, F3 in newtons before any tare, from gauge strain (not microstrain): F = C (V - offset)."""
+        V = [s - o for s, o in zip(strains, self.offsets)]  # noqa: B905
+        F = [sum([c * v for c, v in zip(row, V)]) for row in self.C]  # noqa: B905
+        return F[0], F[1], F[2]
+
+
+def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
+    """Upper triangle of C Sigma C^T, Sigma given as its own upper triangle by rows."""
+    full = [[0.0] * n for _ in range(n)]
+    k = 0
+    for i in range(n):
+        for j in range(i, n):
+            full[i][j] = full[j][i] = noise[k]
+            k += 1
+
+    def product(a: "list[float]", b: "list[float]") -> float:
+        return sum([a[i] * full[i][j] * b[j] for i in range(n) for j in range(n)])
+
+    c1, c2, c3 = C
+    return product(c1, c1), product(c1, c2), product(c1, c3), product(c2, c2), product(c2, c3), product(c3, c3)
+
+
+class Calibration:
+    """Staged and active record of one node, and the objects that show them."""
+
+    __slots__ = ("_generation", "_keys", "_letters", "_locked", "_n", "_od", "active", "packing")
+
+    def __init__(self, od: "ObjectDictionary", n: int) -> None:
+        self._od = od
+        self._n = n
+        self.active: "Active | None" = None
+        self._generation = 0
+        self._locked = False
+        self._keys: "list[int]" = []
+        letters = "<"
+        staged = [row for row in table.objects(n) if any(entry[6] & table.STAGED for entry in row[4])]
+        for index, _code, _name, _slug, entries in staged:
+            for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
+                if flags & table.STAGED:
+                    letters += kind * count
+                    self._keys += [index << 8 | sub for sub in range(first, first + count)]
+            od.writers[index] = self._write_staged
+        self.packing = letters
+        od.sizes[0x2141] = struct.calcsize(letters)
+        od.readers[0x2102] = lambda sub: self._condition() if sub == 5 else od.values[0x210200 | sub]
+        od.readers[0x2103] = self._read_check
+        od.readers[0x2105] = self._read_guard
+        od.readers[0x2140] = lambda _sub: self.active_record()
+        od.readers[0x2141] = lambda _sub: self.staged_record()
+        od.writers[0x2104] = self._write_commit
+        od.writers[0x2105] = self._write_guard
+        od.writers[0x2141] = self._write_record
+
+    def staged_record(self) -> bytes:
+        """The staged record as one byte string (2141h)."""
+        return struct.pack(self.packing, *[self._od.values[key] for key in self._keys])
+
+    def active_record(self) -> bytes:
+        """The active record (2140h); zeros on a node that was never calibrated."""
+        return bytes(struct.calcsize(self.packing)) if self.active is None else self.active.record
+
+    # --- storage --------------------------------------------------------------------------------------------
+
+    def dump(self) -> bytes:
+        """What 1010h:4 stores: the active record (nothing if there is none), the condition limit, the generation."""
+        tail = struct.pack(_STORED_TAIL, self._od.values[_CONDITION_LIMIT], self._generation)
+        return tail + (b"" if self.active is None else self.active.record)
+
+    def restore(self, data: "bytes | None") -> None:
+        """Take what was stored; None, or a record of another length, leaves the node uncalibrated."""
+        self.active = None
+        self._generation = 0
+        self._od.values[_CONDITION_LIMIT] = self._od.default(0x2105, 1)
+        tail = struct.calcsize(_STORED_TAIL)
+        if data is not None and len(data) in (tail, tail + struct.calcsize(self.packing)):
+            self._od.values[_CONDITION_LIMIT], self._generation = struct.unpack(_STORED_TAIL, data[:tail])
+            if len(data) > tail:
+                self.active = self._unpack(data[tail:])
+        self._stage(self.active_record())
+
+    def _unpack(self, record: bytes) -> Active:
+        return Active(record, list(struct.unpack(self.packing, record)), self._n)
+
+    def _stage(self, record: bytes) -> None:
+        for key, value in zip(self._keys, struct.unpack(self.packing, record)):  # noqa: B905
+            self._od.values[key] = value
+
+    # --- objects --------------------------------------------------------------------------------------------
+
+    def _condition(self) -> float:
+        n = self._n
+        values = self._od.values
+        rows: "list[list[float]]" = [[values[0x210001 + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
+        return condition_number(rows)
+
+    def _read_check(self, sub: int) -> "Value":
+        if sub == 2:
+            return crc32(self.staged_record())
+        if sub == 3:
+            return 0 if self.active is None else crc32(self.active.record)
+        return self._generation if sub == 4 else self._od.values[0x210300 | sub]
+
+    def _read_guard(self, sub: int) -> "Value":
+        return int(self._locked) if sub == 2 else self._od.values[0x210500 | sub]
+
+    def _write_staged(self, _sub: int, _value: "Value") -> int:
+        return codes.DEVICE_STATE if self._locked else 0
+
+    def _write_record(self, _sub: int, value: "Value") -> int:
+        if self._locked:
+            return codes.DEVICE_STATE
+        fields = struct.unpack(self.packing, value)  # type: ignore[arg-type]
+        if fields[-1] > 1:
+            return codes.INVALID_VALUE  # 2110h:6 load sense, the one field with limits of its own
+        self._stage(value)  # type: ignore[arg-type]
+        return 0
+
+    def _write_guard(self, sub: int, value: "Value") -> int:
+        if sub == 3:
+            if value != table.SIGNATURE_OPEN:
+                return codes.NOT_TRANSFERRED
+            self._locked = False
+        elif self._locked and not (sub == 2 and value == 1):
+            return codes.DEVICE_STATE
+        elif sub == 2:
+            self._locked = bool(value)
+        return 0
+
+    def _write_commit(self, _sub: int, value: "Value") -> int:
+        """2104h: activate the staged record, or refuse and change nothing."""
+        if value != table.SIGNATURE_COMMIT:
+            return codes.NOT_TRANSFERRED
+        if self._locked:
+            return codes.DEVICE_STATE
+        record = self.staged_record()
+        if self._od.values[0x210301] != crc32(record):
+            return codes.INCOMPATIBLE
+        candidate = struct.unpack(self.packing, record)
+        if any(field - field != 0 for field in candidate):
+            return codes.INVALID_VALUE
+        if not self._condition() <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
+            return codes.TOO_HIGH
+        self.active = self._unpack(record)
+        self._generation = (self._generation + 1) & 0xFFFFFFFF
+        return 0

@@ -1,0 +1,179 @@
+"""The channel objects of CiA 404 (6xxxh, 7xxxh, 9xxxh): one value each, in three forms."""
+
+from math import sqrt
+
+from tipforce.device import codes
+from tipforce.dictionary import table
+from tipforce.sensor import scalar
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tipforce.device.object_dictionary import ObjectDictionary, Value
+
+    from .application import Fingertip
+    from .calibration import Active
+
+MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
+NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
+_FORMS = ((0x7000, MAX_I16, table.UNKNOWN_I16), (0x9000, MAX_I32, table.UNKNOWN_I32))
+_SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
+_FIELD_SETTINGS = (0x120, 0x122)  # in counts, so the integer forms have no decimal digits
+
+
+class Channels:
+    """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge."""
+
+    def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
+        self._od = od
+        self._n = n
+        self._fingertip = fingertip
+        self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
+        self.scaling: "list[tuple[float, float]]" = []
+        od.readers[0x6130] = self._exact
+        od.readers[0x6150] = self._status
+        od.readers[0x6100] = lambda sub: self._counts(sub, scalar.NAN)
+        for base, highest, unknown in _FORMS:
+            self._own_form(base, highest, unknown)
+        for offset in (0x120, 0x121, 0x122, 0x123, 0x124):
+            od.writers[0x6000 + offset] = self._scaling_writer(0x6000 + offset)
+        od.writers[0x6114] = self._write_period
+        od.writers[0x6125] = self._write_autozero
+        od.writers[0x61A0] = lambda _sub, value: codes.INVALID_VALUE if value else 0
+        self.load()
+
+    def _own_form(self, base: int, highest: int, unknown: int) -> None:
+        """The integer objects of one form: views of the REAL32 values."""
+        readers, writers = self._od.readers, self._od.writers
+        readers[base + 0x100] = lambda sub: self._counts(sub, unknown)
+        readers[base + 0x130] = lambda sub: self._integer(sub, highest, unknown)
+        for offset in _SETTINGS:
+            readers[base + offset] = self._setting_reader(offset, highest)
+            writers[base + offset] = self._setting_writer(offset)
+
+    # --- live values ----------------------------------------------------------------------------------------
+
+    def _counts(self, sub: int, unknown: "int | float") -> "int | float":
+        """x100h: what the converter gave last, saturated or not; unknown once it is stale."""
+        reading = self._fingertip.sample.reading
+        if reading is None or self._fingertip.sample.stale:
+            return unknown
+        counts: "tuple[int, ...]" = reading.counts
+        return counts[sub - 1]
+
+    def _exact(self, sub: int) -> float:
+        """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
+        sample, n = self._fingertip.sample, self._n
+        unknown = sample.unknown()
+        if sub <= n:
+            hidden = unknown & scalar.UNKNOWN_GAUGES or sample.overloads[sub - 1]
+            return scalar.NAN if hidden else sample.microstrains[sub - 1]
+        if sub <= n + 3:
+            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]
+        if sub == n + 4:
+            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.contact()[0]
+        if sub == n + 5:
+            return scalar.NAN if unknown & scalar.UNKNOWN_PHI else sample.contact()[1] * scalar.DEGREES
+        return scalar.NAN if unknown & scalar.UNKNOWN_THETA else sample.contact()[2] * scalar.DEGREES
+
+    def _overload(self, sub: int) -> int:
+        """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""
+        sample = self._fingertip.sample
+        live = sub <= self._n and not sample.unknown() & scalar.UNKNOWN_GAUGES
+        return sample.overloads[sub - 1] if live else 0
+
+    def _integer(self, sub: int, highest: int, unknown: int) -> int:
+        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range."""
+        value = self._exact(sub)
+        if value == value:  # noqa: PLR0124 (false for NaN alone)
+            return self._to_integer(value, self._per_unit[sub - 1], highest)
+        over = self._overload(sub)
+        return highest * over if over else unknown
+
+    def _to_integer(self, value: float, per_unit: float, highest: int) -> int:
+        scaled = value * per_unit
+        if scaled >= highest:
+            return highest
+        return -highest if scaled <= -highest else round(scaled)
+
+    def _status(self, sub: int) -> int:
+        """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
+        value = self._exact(sub)
+        if value == value:  # noqa: PLR0124
+            scaled = value * self._per_unit[sub - 1]
+            over = (scaled > MAX_I16) - (scaled < -MAX_I16)
+            return (0, OVERLOAD_HIGH, OVERLOAD_LOW)[over]
+        return (NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW)[self._overload(sub)]
+
+    # --- settings -------------------------------------------------------------------------------------------
+
+    def load(self) -> None:
+        """Work the scaling out anew from 6120h-6124h and hand the sample period to the source."""
+        values, gains = self._od.values, []
+        for sub in range(1, self._n + 1):
+            f1, p1, f2, p2, offset = [values[index << 8 | sub] for index in range(0x6120, 0x6125)]
+            gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
+            gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
+        self.scaling = gains
+        self._fingertip.source.period_us = values[0x611401]  # type: ignore[assignment]
+
+    def noise_counts(self, gauge: int, active: "Active | None") -> float:
+        """Standard deviation of a gauge's noise in counts as the calibration states it; 0 when unknown."""
+        if active is None:
+            return 0.0
+        diagonal = gauge * self._n - gauge * (gauge - 1) // 2
+        variance = active.noise[diagonal]
+        return sqrt(variance) / abs(self.scaling[gauge][0] * 1e-6) if variance > 0.0 else 0.0
+
+    def shift_offset(self, gauge: int, microstrain: float) -> None:
+        """Add to the offset x124h of a gauge (from 0)."""
+        key = 0x612401 + gauge
+        self._od.values[key] += microstrain  # type: ignore[operator]
+        self.load()
+
+    def _scaling_writer(self, index: int) -> "Callable[[int, Value], int]":
+        def write(sub: int, value: "Value") -> int:
+            before = self._od.values[index << 8 | sub]
+            self._od.values[index << 8 | sub] = value
+            if self._od.values[0x612000 | sub] == self._od.values[0x612200 | sub]:
+                # Two scaling points at one field value make no line.
+                self._od.values[index << 8 | sub] = before
+                return codes.INVALID_VALUE
+            self.load()
+            return 0
+
+        return write
+
+    def _setting_reader(self, offset: int, highest: int) -> "Callable[[int], Value]":
+        def read(sub: int) -> int:
+            value: float = self._od.values[0x6000 + offset << 8 | sub]  # type: ignore[assignment]
+            return self._to_integer(value, self._setting_scale(offset, sub), highest)
+
+        return read
+
+    def _setting_writer(self, offset: int) -> "Callable[[int, Value], int]":
+        def write(sub: int, value: "Value") -> int:
+            real = float(value) / self._setting_scale(offset, sub)
+            writer = self._od.writers.get(0x6000 + offset)
+            abort = writer(sub, real) if writer is not None else 0
+            if not abort:
+                self._od.values[0x6000 + offset << 8 | sub] = real
+            return abort
+
+        return write
+
+    def _setting_scale(self, offset: int, sub: int) -> float:
+        return 1.0 if offset in _FIELD_SETTINGS else self._per_unit[sub - 1]
+
+    def _write_period(self, _sub: int, value: "Value") -> int:
+        # One converter serves all gauges: the period of one channel is that of all.
+        for sub in range(1, self._n + 7):
+            self._od.values[0x611400 | sub] = value
+        self._fingertip.source.period_us = value  # type: ignore[assignment]
+        return 0
+
+    def _write_autozero(self, sub: int, value: "Value") -> int:
+        if value != table.SIGNATURE_ZERO:
+            return codes.NOT_TRANSFERRED
+        return self._fingertip.zero([sub - 1])

@@ -1,0 +1,51 @@
+"""Condition number of a calibration matrix without numpy: the node itself refuses a bad one."""
+
+from math import sqrt
+
+_SWEEPS = 30
+_CONVERGED = 1e-15
+
+
+def condition_number(rows: "list[list[float]]") -> float:
+    """The 2-norm condition number of a matrix given as its (few) rows of equal length; infinite when singular.
+
+    One-sided Jacobi: rows are rotated against each other until all are orthogonal; their lengths are then the
+    singular values, each with full relative accuracy. NaN where an element is not finite.
+    """
+    largest = 0.0
+    for row in rows:
+        for value in row:
+            if value - value != 0.0:
+                return float("nan")
+            largest = max(largest, abs(value))
+    if largest == 0.0:
+        return float("inf")
+    work = [[value / largest for value in row] for row in rows]
+    for _ in range(_SWEEPS):
+        if not _sweep(work):
+            break
+    lengths = [sqrt(_dot(row, row)) for row in work]
+    return max(lengths) / min(lengths) if min(lengths) > 0.0 else float("inf")
+
+
+def _sweep(work: "list[list[float]]") -> bool:
+    """Rotate each pair of rows once; False when all pairs were orthogonal already."""
+    turned = False
+    for i in range(len(work)):
+        for k in range(i + 1, len(work)):
+            a, b = work[i], work[k]
+            aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
+            if abs(ab) <= _CONVERGED * sqrt(aa * bb):
+                continue
+            turned = True
+            zeta = (bb - aa) / (2.0 * ab)
+            t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
+            c = 1.0 / sqrt(1.0 + t * t)
+            s = c * t
+            work[i] = [c * x - s * y for x, y in zip(a, b)]  # noqa: B905 (MicroPython's zip has no strict=)
+            work[k] = [s * x + c * y for x, y in zip(a, b)]  # noqa: B905
+    return turned
+
+
+def _dot(a: "list[float]", b: "list[float]") -> float:
+    return sum([x * y for x, y in zip(a, b)])  # noqa: B905

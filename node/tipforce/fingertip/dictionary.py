@@ -1,0 +1,43 @@
+"""The table of ``tipforce.dictionary`` as the object dictionary of a running device."""
+
+from tipforce.device import object_dictionary as od_flags
+from tipforce.device.object_dictionary import ObjectDictionary
+from tipforce.dictionary import table
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.device.object_dictionary import Value
+
+
+def build(n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"") -> ObjectDictionary:
+    """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out."""
+    od = ObjectDictionary(node_id)
+    for index, _code, _name, _slug, entries in table.objects(n, simulated):
+        if index in (0x1021, 0x1022) and not eds:
+            continue
+        for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
+            for k in range(count):
+                value: "Value" = default[k] if isinstance(default, tuple) else default
+                if kind == "D":
+                    value = b""
+                od.add(index, first + k, (kind, access, _flags(flags), value, low, high))
+    if eds:
+        od.readers[0x1021] = lambda _sub: eds
+    od.readers[0x1018] = lambda sub: serial if sub == 4 else od.values[0x101800 | sub]
+    return od
+
+
+def _flags(flags: int) -> int:
+    """The table's flags in the words of the device core."""
+    found = 0
+    for ours, theirs in (
+        (table.TPDO, od_flags.TPDO),
+        (table.RPDO, od_flags.RPDO),
+        (table.ADD_NODE_ID, od_flags.ADD_NODE_ID),
+        (table.STAGED, od_flags.ANY_FLOAT | od_flags.NOT_STORED),
+        (table.VIEW, od_flags.NOT_STORED),
+        (table.NOT_STORED, od_flags.NOT_STORED),
+    ):
+        if flags & ours:
+            found |= theirs
+    return found

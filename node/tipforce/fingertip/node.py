@@ -1,0 +1,37 @@
+"""A fingertip node, put together: dictionary, CANopen device, application, gauge source."""
+
+from tipforce.device.node import Device
+
+from .application import Fingertip
+from .dictionary import build
+from .simulated import SimulatedSource, own_simulation_objects
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .source import Source
+
+
+def fingertip_node(
+    node_id: int,
+    source: "Source",
+    n: int = 3,
+    serial: int = 0,
+    save: "Callable[[str, bytes], bool] | None" = None,
+    load: "Callable[[str], bytes | None] | None" = None,
+    eds: bytes = b"",
+) -> Device:
+    """A device with node-id 1..127 that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
+
+    Objects 2200h and 2201h exist when the source is a simulated one. ``save`` and ``load`` keep parameter groups;
+    without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
+    """
+    if not 1 <= node_id <= 127:
+        raise ValueError("node-id: %r, allowed 1 to 127" % node_id)
+    simulated = isinstance(source, SimulatedSource)
+    device = Device(build(n, node_id, simulated, serial, eds), save, load)
+    Fingertip(device, n, source)
+    if isinstance(source, SimulatedSource):
+        own_simulation_objects(device, source)
+    return device

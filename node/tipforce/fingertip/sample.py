@@ -1,0 +1,126 @@
+"""One latched sample: from counts to strain, force, contact and uncertainty, each computed when first asked for."""
+
+from tipforce.device.codes import NEVER_US
+from tipforce.dictionary import table
+from tipforce.sensor import scalar
+
+from .source import COUNT_MAX, COUNT_MIN
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .calibration import Active
+    from .source import Reading
+
+NAN = float("nan")
+NO_TARE = (0.0, 0.0, 0.0)
+_MICRO = 1e-6
+
+
+class Sample:
+    """A reading with the calibration, the scaling and the tare that hold for it.
+
+    ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the sample
+    before, for the hysteresis of contact. A sample without a reading has no values, only a status.
+    """
+
+    __slots__ = (
+        "_contact", "_force", "_status", "_uncertainty", "_was_present", "active", "counter", "faults", "latched_us",
+        "microstrains", "overloads", "reading", "stale", "tare",
+    )  # fmt: skip
+
+    def __init__(
+        self,
+        reading: "Reading | None",
+        scaling: "list[tuple[float, float]]",
+        active: "Active | None",
+        tare: "tuple[float, float, float]" = NO_TARE,
+        was_present: bool = False,
+        faults: int = 0,
+        stale: bool = False,
+        counter: int = 0,
+        latched_us: int = -NEVER_US,
+    ) -> None:
+        self.reading = reading
+        self.active = active
+        self.tare = tare
+        self.stale = stale
+        self.counter = counter
+        self.latched_us = latched_us
+        self._was_present = was_present
+        self._force: "tuple[float, float, float] | None" = None
+        self._contact: "tuple[float, float, float, float] | None" = None
+        self._uncertainty: "tuple[float, float, float] | None" = None
+        self._status = -1
+        self.overloads: "list[int]" = []
+        self.microstrains: "list[float]" = []
+        if reading is not None:
+            self.overloads = [(c >= COUNT_MAX) - (c <= COUNT_MIN) for c in reading.counts]
+            self.microstrains = [g * c + b for c, (g, b) in zip(reading.counts, scaling)]  # noqa: B905
+            for k in range(len(self.overloads)):
+                if self.overloads[k]:
+                    faults |= 1 << k
+        self.faults = faults
+
+    def status(self) -> int:
+        """The status byte 2120h of this sample."""
+        if self._status < 0:
+            self._status = self._find_status()
+        return self._status
+
+    def present(self) -> bool:
+        """Contact present, for the hysteresis of the next sample: as it was before where this one cannot tell."""
+        if self.stale or self._status < 0:
+            return self._was_present
+        return bool(self._status & scalar.CONTACT_PRESENT)
+
+    def unknown(self) -> int:
+        """What the status makes unknown, in the bits of ``sensor.scalar``."""
+        return scalar.unknown(self.status())
+
+    def force(self) -> "tuple[float, float, float]":
+        """F1, F2, F3 in newtons, tare taken off; NaN while the status leaves them unknown or there is no reading."""
+        if self._force is None:
+            if self.active is None or self.reading is None:
+                self._force = (NAN, NAN, NAN)
+            else:
+                f1, f2, f3 = self.active.force([_MICRO * m for m in self.microstrains])
+                t1, t2, t3 = self.tare
+                self._force = (f1 - t1, f2 - t2, f3 - t3)
+        return self._force
+
+    def contact(self) -> "tuple[float, float, float, float]":
+        """P newtons, phi and theta radians, and by how much the line of action misses the tip."""
+        if self._contact is None:
+            f1, f2, f3 = self.force()
+            self._contact = scalar.contact(f1, f2, f3, self.active is not None and self.active.pull)
+        return self._contact
+
+    def uncertainty(self) -> "tuple[float, float, float]":
+        """Standard uncertainties of P (N), phi and theta (radians) from gauge noise; NaN without calibration."""
+        if self._uncertainty is None:
+            if self.active is None:
+                self._uncertainty = (NAN, NAN, NAN)
+            else:
+                f1, f2, f3 = self.force()
+                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.active.covariance_F, self.active.pull)
+        return self._uncertainty
+
+    def _find_status(self) -> int:
+        bits = 0
+        if self.active is not None:
+            bits |= scalar.CALIBRATED
+        if any(self.overloads):
+            bits |= scalar.SATURATED
+        if self.stale or self.reading is None:
+            bits |= scalar.STALE
+        if self.faults >> table.FAULT_NO_DATA:
+            bits |= scalar.FRONT_END_FAULT
+        if scalar.unknown(bits) & scalar.UNKNOWN_FORCE or self.active is None:
+            return bits
+        P, _phi, theta, miss = self.contact()
+        u_P, _u_phi, u_theta = self.uncertainty()
+        u_miss = 0.0
+        if miss > 0.0:
+            f1, f2, f3 = self.force()
+            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.active.covariance_F)
+        return bits | scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
