@@ -6,20 +6,19 @@ import errno
 import logging
 import select
 import socket
-import struct
 import time
 from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol
+from typing import TYPE_CHECKING, Protocol
 
-import can
-
-from tipforce.device.codes import EXTENDED_FLAG
 from tipforce.device.node import Device
+from tipforce.socketcan import CAN_FRAME, raw_can_id
+
+if TYPE_CHECKING:
+    import can
 
 Frame = tuple[int, bytes]
 
 _LOG = logging.getLogger(__name__)
-_CAN_FRAME = struct.Struct("=IB3x8s")  # struct can_frame of linux/can.h
 _IDLE_S = 0.2  # the longest wait: how soon a loop sees that it is asked to stop
 _FULL_QUEUE_WAIT_S = 0.05
 
@@ -77,13 +76,13 @@ class SocketCanPort:
         ready, _, _ = select.select([self._socket], [], [], timeout_s)
         if not ready:
             return None
-        can_id, length, data = _CAN_FRAME.unpack(self._socket.recv(_CAN_FRAME.size))
+        can_id, length, data = CAN_FRAME.unpack(self._socket.recv(CAN_FRAME.size))
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames; a full transmit queue is waited for shortly, then the frame is given up and logged."""
         for can_id, data in frames:
-            self._send(_CAN_FRAME.pack(can_id, len(data), data))
+            self._send(CAN_FRAME.pack(can_id, len(data), data))
 
     def _send(self, frame: bytes) -> None:
         for attempt in (1, 2):
@@ -110,6 +109,8 @@ class PythonCanPort:
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next classic frame, or None."""
+        import can  # python-can is slow to import and not needed where SocketCanPort serves
+
         try:
             message = self._bus.recv(timeout_s)
         except can.CanError as error:
@@ -122,18 +123,10 @@ class PythonCanPort:
 
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames; one that the bus refuses is given up and logged."""
+        import can
+
         for can_id, data in frames:
             try:
                 self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
             except can.CanError as error:
                 _LOG.warning("a frame was not sent: %s", error)
-
-
-def raw_can_id(message: can.Message) -> int:
-    """The can_id of SocketCAN, flags included, of a python-can message."""
-    return (
-        message.arbitration_id
-        | (EXTENDED_FLAG if message.is_extended_id else 0)
-        | (0x40000000 if message.is_remote_frame else 0)
-        | (0x20000000 if message.is_error_frame else 0)
-    )

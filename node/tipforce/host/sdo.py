@@ -1,0 +1,95 @@
+"""The one SDO path of the host: thread-safe, with time-outs and retries that the caller sets, and errors that explain.
+
+The transfer itself is the ``canopen`` package's; it is not thread-safe and gives up after one try, so both are added.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from typing import TypeVar
+
+import can
+import canopen
+from canopen.sdo.client import SdoClient
+from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
+
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.types import Value
+from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
+
+T = TypeVar("T", bound=Value)
+R = TypeVar("R")
+
+DEFAULT_TIMEOUT_S = 0.5
+DEFAULT_RETRIES = 2
+
+
+class SdoChannel:
+    """SDO transfers with one node; any number of threads may use it.
+
+    ``timeout_s`` bounds the wait for each answer, ``retries`` is how often a transfer is begun again after the
+    first try went unanswered. An abort by the node is an answer: it is never retried.
+    """
+
+    def __init__(
+        self,
+        network: canopen.Network,
+        node_id: int,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES,
+    ) -> None:
+        self.node_id = node_id
+        self.retries = retries
+        self._lock = threading.Lock()
+        # An empty dictionary: with one, the client would cut answers to the length it expects.
+        self._client = SdoClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
+        self._client.RESPONSE_TIMEOUT = timeout_s
+        self._client.network = network
+        network.subscribe(0x580 + node_id, self._client.on_response)
+
+    @property
+    def timeout_s(self) -> float:
+        """The wait for each answer in seconds."""
+        return self._client.RESPONSE_TIMEOUT
+
+    def read(self, entry: Entry[T]) -> T:
+        """The value of an entry. Raises NoResponseError or SdoAbortError, InputError for a length that is not the type's."""
+        return entry.decode(self.upload(entry.index, entry.sub))
+
+    def write(self, entry: Entry[T], value: T) -> None:
+        """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
+        self.download(entry.index, entry.sub, entry.encode(value))
+
+    def upload(self, index: int, sub: int) -> bytes:
+        """The bytes of an entry (an SDO upload)."""
+        return self._try(lambda: bytes(self._client.upload(index, sub)), f"read of 0x{index:04X}:{sub:02X}")
+
+    def download(self, index: int, sub: int, data: bytes) -> None:
+        """Write bytes to an entry (an SDO download)."""
+        # An empty string or more than four bytes cannot go expedited; canopen itself decides on more than four.
+        segmented = not data
+        self._try(lambda: self._client.download(index, sub, data, segmented), f"write of 0x{index:04X}:{sub:02X}")
+
+    def _try(self, transfer: Callable[[], R], what: str) -> R:
+        place = f"node {self.node_id} (0x{self.node_id:02X}), {what}"
+        with self._lock:
+            for attempt in range(self.retries + 1):
+                try:
+                    return transfer()
+                except SdoAbortedError as error:
+                    raise SdoAbortError(f"{place}: {_meaning(error)}", error.code) from None
+                except SdoCommunicationError:
+                    if attempt == self.retries:
+                        break
+                except can.CanError as error:
+                    raise EnvironmentLackError(f"{place}: the bus refused the frame: {error}") from None
+        raise NoResponseError(
+            f"{place}: no response after {self.retries + 1} tries of {self.timeout_s:g} s; "
+            "is the node powered, on this bus, at this bit rate, and is its node-id right? `tipforce scan` lists nodes"
+        )
+
+
+def _meaning(error: SdoAbortedError) -> str:
+    text = SdoAbortedError.CODES.get(error.code, "abort code without a standard meaning")
+    return f"abort 0x{error.code:08X}, {text}"

@@ -1,0 +1,77 @@
+"""Where the gauges sit: the points of Table 1, the cases of Table 3, their mirrors, and custom sets."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from tipforce.errors import InputError
+
+POINTS = ("L", "R", "T", "U", "K_H", "S_H", "K_V", "S_V")
+"""Gauge points in the order of Table 1; L, R, K_H, S_H on the horizontal beam, the others on the vertical.
+
+L and R are the outer ends, T and U the fixture end, K and S the two inner corners of the joint; L, T and K
+lie at negative x, R, U and S at positive x.
+"""
+
+VERTICAL_POINTS = frozenset({"T", "U", "K_V", "S_V"})
+MIN_GAUGES, MAX_GAUGES = 3, 8
+
+MIRROR = {"L": "R", "R": "L", "T": "U", "U": "T", "K_H": "S_H", "S_H": "K_H", "K_V": "S_V", "S_V": "K_V"}
+"""The point on the other side of the y-axis."""
+
+LAYOUTS = {
+    "I": ("K_H", "S_H", "U"),
+    "II": ("L", "S_H", "U"),
+    "III": ("L", "R", "U"),
+    "I'": ("S_H", "K_H", "T"),
+    "II'": ("R", "K_H", "T"),
+    "III'": ("R", "L", "T"),
+}
+"""Named layouts: the cases of Table 3 (SG1, SG2, SG3 in this order), and with a prime their mirrors."""
+
+CUSTOM_LAYOUT_CODE = 255
+_CODES: dict[tuple[str, ...], int] = {LAYOUTS["I"]: 1, LAYOUTS["II"]: 2, LAYOUTS["III"]: 3}
+
+Layout = str | Sequence[str]
+"""A name of LAYOUTS, or the gauge points themselves in the order of the gauges."""
+
+
+def layout(name_or_points: Layout) -> tuple[str, ...]:
+    """Return the gauge points of a layout, SG1 first.
+
+    name_or_points: a key of LAYOUTS, or 3 to 8 different members of POINTS. Raises InputError for an unknown
+    name or point, a point given twice, or fewer than 3 or more than 8 points.
+    """
+    if isinstance(name_or_points, str):
+        if name_or_points not in LAYOUTS:
+            raise InputError(
+                f"layout {name_or_points!r} is not known: allowed are {', '.join(LAYOUTS)} or a list of points"
+            )
+        return LAYOUTS[name_or_points]
+    points = tuple(name_or_points)
+    for point in points:
+        if point not in POINTS:
+            raise InputError(f"gauge point {point!r} is not known: allowed are {', '.join(POINTS)}")
+    if not MIN_GAUGES <= len(points) <= MAX_GAUGES:
+        raise InputError(f"a layout of {len(points)} gauge points: allowed are {MIN_GAUGES} to {MAX_GAUGES}")
+    twice = sorted({point for point in points if points.count(point) > 1})
+    if twice:
+        raise InputError(f"gauge point {', '.join(twice)} is given more than once: each point is allowed once")
+    return points
+
+
+def mirror(name_or_points: Layout) -> tuple[str, ...]:
+    """Return the layout mirrored at the y-axis, gauge by gauge.
+
+    A mirrored gauge reads for (F1, F2, F3) what the original reads for (F1, -F2, -F3): tension stays positive
+    and the condition number stays the same. Raises InputError as layout() does.
+    """
+    return tuple(MIRROR[point] for point in layout(name_or_points))
+
+
+def layout_code(name_or_points: Layout) -> int:
+    """Return 1, 2, 3 for the cases I, II, III of Table 3 with SG1 to SG3 in its order, else 255 (custom).
+
+    Raises InputError as layout() does.
+    """
+    return _CODES.get(layout(name_or_points), CUSTOM_LAYOUT_CODE)

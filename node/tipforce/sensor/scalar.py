@@ -1,0 +1,252 @@
+"""One sample: force -> contact, its uncertainty and its status, for a microcontroller.
+
+Needs the math module only and keeps to what MicroPython has. contact.py holds the same formulas for arrays,
+and the tests hold both together. Forces in newtons, angles in radians unless a name says degrees. Nothing
+here raises for bad numbers: NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 =
+P cos(phi): equation (16) of the paper.
+"""
+
+from math import asin, atan2, frexp, ldexp, pi, sqrt
+
+NAN = float("nan")
+TWO_PI = 2.0 * pi
+DEGREES = 180.0 / pi
+
+# The status byte. Bits 0, 4, 5, 6 come from status_bits(); the others are known to whoever reads the gauges.
+CONTACT_PRESENT = 0x01
+CALIBRATED = 0x02
+SATURATED = 0x04
+STALE = 0x08
+THETA_UNRESOLVED = 0x10
+MISSES_TIP = 0x20
+OUTSIDE_PAD = 0x40
+FRONT_END_FAULT = 0x80
+
+# What a status byte makes unknown.
+UNKNOWN_FORCE = 0x01  # F1, F2, F3 and P
+UNKNOWN_PHI = 0x02
+UNKNOWN_THETA = 0x04
+UNKNOWN_GAUGES = 0x08
+
+MISS_COVERAGE_FACTOR = 3.0  # standard uncertainties by which |F2| must exceed P before the load misses the tip
+MISS_FLOOR = 1e-6  # times P: rounding of single-precision coefficients, which no noise covariance knows
+THETA_RESOLVED_DEG = 30.0  # largest standard uncertainty with which theta still counts as resolved
+SMALLEST_STEP = 1e-30  # noise over load below which an angle counts as exactly known
+SMALLEST_COSINE = 1e-15  # sqrt(SMALLEST_STEP): keeps slopes, and their squares in single precision, finite
+PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a contact off the edge of the pad
+
+
+def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
+    """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons.
+
+    pull: True where the load pulls at the surface (a rope), False where it pushes (a contact): it selects one
+    of the two points where the line of action cuts the tip. phi and theta lie in (-pi, pi]. miss is how far
+    |F2| exceeds hypot(F1, F3); where it is positive the line of action passes the tip, the contact is taken
+    as tangential and P = (hypot + |F2|) / 2. No load: P = 0, phi and theta NaN. F1 = F3 = 0: phi and theta
+    NaN. Loads from 1e-300 to 1e300 N keep full precision; a P beyond the largest float is infinite.
+    """
+    if (F1 - F1) + (F2 - F2) + (F3 - F3) != 0.0:  # true for NaN and infinity only
+        return NAN, NAN, NAN, NAN
+    a1, a2, a3 = abs(F1), abs(F2), abs(F3)
+    exponent = frexp(max(a1, a2, a3))[1]
+    a1, a2, a3 = ldexp(a1, -exponent), ldexp(a2, -exponent), ldexp(a3, -exponent)
+    large, small = (a1, a3) if a1 > a3 else (a3, a1)
+    # One factor less than the exponent: the largest floats would overflow in 2 ** exponent.
+    unit = ldexp(1.0, exponent - 1)
+    hypotenuse = sqrt(large * large + small * small)
+    # P^2 - F2^2 in factors: no digit is lost where small is tiny, half of the digits at most elsewhere.
+    cosine_squared = (large - a2) * (large + a2) + small * small
+    if cosine_squared >= 0.0:
+        P, miss, cosine = 2.0 * hypotenuse * unit, 0.0, sqrt(cosine_squared)
+    else:
+        excess = -cosine_squared / (a2 + hypotenuse)
+        P, miss, cosine = (2.0 * hypotenuse + excess) * unit, 2.0 * excess * unit, 0.0
+    if F1 == 0.0 and F3 == 0.0:
+        return P, NAN, NAN, miss
+    # Adding zero turns -0.0 into 0.0, which keeps atan2 away from -pi.
+    phi = atan2(F1 + 0.0, F3)
+    if phi <= -pi:
+        phi = pi
+    theta = phi - atan2(ldexp(F2, -exponent), cosine if pull else -cosine)
+    if theta > pi:
+        theta -= TWO_PI
+    elif theta <= -pi:
+        theta += TWO_PI
+    return P, phi, theta, miss
+
+
+def uncertainty(
+    F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float], pull: bool
+) -> tuple[float, float, float]:
+    """Return the standard uncertainties (u_P, u_phi, u_theta) in newtons, radians, radians.
+
+    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, but
+    for the angle between force and surface normal, where 1 / |cos(delta)| gives way to finite_slope(): near a
+    tangential contact the first order grows without bound, while the real spread of theta stays near SNR **
+    -0.5. No load, or F1 = F3 = 0: u_P for the worst direction, the angles NaN. NaN or infinity in: all NaN.
+    """
+    state = _prepare(F1, F2, F3, cov)
+    if state is None:
+        return NAN, NAN, NAN
+    f1, f2, f3, hypotenuse, cosine, K, exponent, half = state
+    if hypotenuse == 0.0:
+        return _times_power(_worst_deviation(K), half), NAN, NAN
+    n1, n3 = f1 / hypotenuse, f3 / hypotenuse
+    u_P = _deviation(K, n1, 0.0, n3)
+    P = max(hypotenuse, 0.5 * (hypotenuse + abs(f2)))
+    x = max(-1.0, min(1.0, f2 / hypotenuse))
+    # Gradients of phi and of F2 / P, times P.
+    g1, g3 = -x * n1, -x * n3
+    step = _times_power(_deviation(K, g1, 1.0, g3) / P, half - exponent)
+    slope = finite_slope(abs(x), cosine / hypotenuse, step)
+    if not pull:
+        slope = -slope
+    u_phi = _deviation(K, n3, 0.0, -n1) / P
+    u_theta = _deviation(K, n3 - slope * g1, -slope, -n1 - slope * g3) / P
+    return (
+        _times_power(u_P, half),
+        _times_power(u_phi, half - exponent),
+        _times_power(u_theta, half - exponent),
+    )
+
+
+def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]) -> float:
+    """Return the standard uncertainty of |F2| - hypot(F1, F3) in newtons; cov as in uncertainty().
+
+    Needed only where contact() returns a miss above zero. F1 = F3 = 0: the largest value that any direction
+    and correlation can give. NaN or infinity in: NaN.
+    """
+    state = _prepare(F1, F2, F3, cov)
+    if state is None:
+        return NAN
+    f1, f2, f3, hypotenuse, _, K, _, half = state
+    if hypotenuse == 0.0:
+        return _times_power(_worst_deviation(K) + sqrt(max(0.0, K[3])), half)
+    sign = -1.0 if f2 < 0.0 else 1.0
+    return _times_power(_deviation(K, -f1 / hypotenuse, sign, -f3 / hypotenuse), half)
+
+
+def finite_slope(x: float, cosine: float, step: float) -> float:
+    """Return the slope of asin at x over one standard uncertainty: root mean square of the two chords.
+
+    x = |F2| / P in [0, 1], cosine = sqrt(1 - x^2) handed in because it is known better than x tells, step =
+    standard uncertainty of x. Far from x = 1 it is 1 / cosine; at x = 1 the outward chord is zero and it is
+    about step ** -0.5.
+    """
+    if step < SMALLEST_STEP:
+        return 1.0 / max(cosine, SMALLEST_COSINE)
+    inward = _arc(x, cosine, -min(step, 1.0 + x))
+    outward = _arc(x, cosine, min(step, cosine * cosine / (1.0 + x)))
+    return sqrt(0.5 * (inward * inward + outward * outward)) / step
+
+
+def status_bits(
+    P: float,
+    u_P: float,
+    u_theta: float,
+    miss: float,
+    u_miss: float,
+    theta: float,
+    limits: tuple[float, float, float, float],
+    was_present: bool,
+) -> int:
+    """Return the bits CONTACT_PRESENT, THETA_UNRESOLVED, MISSES_TIP and OUTSIDE_PAD of one sample.
+
+    P, theta, miss from contact(), u_P, u_theta from uncertainty(), u_miss from miss_uncertainty(). limits:
+    (contact-on N, contact-off N, theta minimum, theta maximum in degrees) with contact-off <= contact-on and
+    minimum <= maximum; the pad may run across 180 degrees (150 to 210). was_present: the sample before had
+    CONTACT_PRESENT. NaN is never a contact; a NaN in theta or in any uncertainty leaves theta unresolved.
+    OUTSIDE_PAD is judged only where theta is known: with a contact, theta resolved, the tip not missed.
+    """
+    on, off, theta_min_deg, theta_max_deg = limits
+    bits = 0
+    if P >= (off if was_present else on):
+        bits = CONTACT_PRESENT
+    resolved = P >= off and u_P >= 0.0 and u_theta * DEGREES <= THETA_RESOLVED_DEG and abs(theta) <= pi
+    if not resolved:
+        bits |= THETA_UNRESOLVED
+    if miss > MISS_COVERAGE_FACTOR * u_miss + MISS_FLOOR * P:
+        bits |= MISSES_TIP
+    if bits == CONTACT_PRESENT:
+        past_start_deg = (theta * DEGREES - theta_min_deg + PAD_SLACK_DEG) % 360.0
+        if past_start_deg > theta_max_deg - theta_min_deg + 2.0 * PAD_SLACK_DEG:
+            bits |= OUTSIDE_PAD
+    return bits
+
+
+def unknown(status: int, rank_left_is_3: bool = False) -> int:
+    """Return what a status byte makes unknown, as bits UNKNOWN_FORCE, _PHI, _THETA and _GAUGES.
+
+    rank_left_is_3: with more than three gauges, those that are not saturated still determine all three
+    forces, and the node used only them: SATURATED then takes nothing away.
+    """
+    bits = 0
+    if status & (STALE | FRONT_END_FAULT):
+        bits = UNKNOWN_GAUGES | UNKNOWN_FORCE | UNKNOWN_PHI | UNKNOWN_THETA
+    if not status & CALIBRATED or (status & SATURATED and not rank_left_is_3):
+        bits |= UNKNOWN_FORCE | UNKNOWN_PHI | UNKNOWN_THETA
+    if not status & CONTACT_PRESENT:
+        bits |= UNKNOWN_PHI | UNKNOWN_THETA
+    if status & (THETA_UNRESOLVED | MISSES_TIP):
+        bits |= UNKNOWN_THETA
+    return bits
+
+
+def _prepare(
+    F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
+) -> tuple[float, float, float, float, float, tuple[float, float, float, float, float, float], int, int] | None:
+    """(f1, f2, f3, hypotenuse, cosine, K, exponent, half), scaled by powers of two; None for NaN.
+
+    F = f 2^exponent, cov = K 2^(2 half): neither squares of forces nor covariances over- or underflow.
+    """
+    check = (F1 - F1) + (F2 - F2) + (F3 - F3)
+    for value in cov:
+        check += value - value
+    if check != 0.0:
+        return None
+    exponent = frexp(max(abs(F1), abs(F2), abs(F3)))[1]
+    f1, f2, f3 = ldexp(F1, -exponent), ldexp(F2, -exponent), ldexp(F3, -exponent)
+    a1, a2, a3 = abs(f1), abs(f2), abs(f3)
+    large, small = (a1, a3) if a1 > a3 else (a3, a1)
+    hypotenuse = sqrt(large * large + small * small)
+    cosine = sqrt(max(0.0, (large - a2) * (large + a2) + small * small))
+    half = (frexp(max(cov[0], cov[3], cov[5], 0.0))[1] + 1) // 2
+    k11, k12, k13, k22, k23, k33 = cov
+    down = -2 * half
+    K = (
+        ldexp(k11, down),
+        ldexp(k12, down),
+        ldexp(k13, down),
+        ldexp(k22, down),
+        ldexp(k23, down),
+        ldexp(k33, down),
+    )
+    return f1, f2, f3, hypotenuse, cosine, K, exponent, half
+
+
+def _deviation(K: tuple[float, float, float, float, float, float], g1: float, g2: float, g3: float) -> float:
+    """sqrt(g K g), the larger of it and zero: rounding may make an exactly known combination negative."""
+    k11, k12, k13, k22, k23, k33 = K
+    variance = g1 * (k11 * g1 + 2.0 * (k12 * g2 + k13 * g3)) + g2 * (k22 * g2 + 2.0 * k23 * g3) + g3 * k33 * g3
+    return sqrt(max(0.0, variance))
+
+
+def _worst_deviation(K: tuple[float, float, float, float, float, float]) -> float:
+    """Largest standard deviation of (F1, F3) along any direction of their plane."""
+    k11, _, k13, _, _, k33 = K
+    difference = 0.5 * (k11 - k33)
+    return sqrt(max(0.0, 0.5 * (k11 + k33) + sqrt(difference * difference + k13 * k13)))
+
+
+def _arc(x: float, cosine: float, step: float) -> float:
+    """|asin(x + step) - asin(x)| from the chord between two points of the unit circle: no cancellation."""
+    other = sqrt(max(0.0, cosine * cosine - step * (2.0 * x + step)))
+    total = cosine + other
+    ratio = (2.0 * x + step) / total if total > 0.0 else 0.0
+    return 2.0 * asin(min(1.0, 0.5 * abs(step) * sqrt(1.0 + ratio * ratio)))
+
+
+def _times_power(value: float, exponent: int) -> float:
+    """value 2^exponent in two steps: infinity or zero where one step would raise."""
+    first = exponent // 2
+    return value * ldexp(1.0, first) * ldexp(1.0, exponent - first)

@@ -1,0 +1,194 @@
+"""The status byte: each bit, the hysteresis, what each bit makes unknown."""
+
+from __future__ import annotations
+
+from math import inf, nan, pi, radians
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.errors import InputError
+from tipforce.sensor import scalar
+from tipforce.sensor.contact import Limits, contacts, miss_uncertainties, standard_uncertainties, status
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.scalar import (
+    CALIBRATED,
+    CONTACT_PRESENT,
+    FRONT_END_FAULT,
+    MISSES_TIP,
+    OUTSIDE_PAD,
+    SATURATED,
+    STALE,
+    THETA_UNRESOLVED,
+    UNKNOWN_FORCE,
+    UNKNOWN_GAUGES,
+    UNKNOWN_PHI,
+    UNKNOWN_THETA,
+    status_bits,
+    unknown,
+)
+
+LIMITS = Limits(0.2, 0.1, 0.0, 180.0)
+ANGLES = UNKNOWN_PHI | UNKNOWN_THETA
+GOOD = CONTACT_PRESENT | CALIBRATED
+
+
+def bits(
+    P: float = 1.0,
+    u_P: float = 0.01,
+    u_theta: float = 0.01,
+    miss: float = 0.0,
+    u_miss: float = 0.01,
+    theta: float = 1.0,
+    was_present: bool = False,
+    limits: Limits = LIMITS,
+) -> int:
+    return status_bits(P, u_P, u_theta, miss, u_miss, theta, limits, was_present)
+
+
+def test_a_clear_contact_sets_its_bit_alone() -> None:
+    assert bits() == CONTACT_PRESENT
+
+
+@pytest.mark.parametrize(
+    ("P", "was_present", "present"),
+    [(0.2, False, True), (0.199, False, False), (0.1, True, True), (0.0999, True, False), (nan, True, False)],
+)
+def test_hysteresis(P: float, was_present: bool, present: bool) -> None:
+    assert bool(bits(P=P, was_present=was_present) & CONTACT_PRESENT) is present
+
+
+def test_theta_is_unresolved_by_its_uncertainty_or_a_small_load() -> None:
+    assert not bits(u_theta=radians(29.9)) & THETA_UNRESOLVED
+    for found in (bits(u_theta=radians(30.1)), bits(u_theta=nan), bits(u_theta=inf), bits(u_P=nan)):
+        assert found == CONTACT_PRESENT | THETA_UNRESOLVED
+    assert bits(P=0.09) == THETA_UNRESOLVED
+    assert bits(theta=nan) & THETA_UNRESOLVED
+    assert bits(P=nan, theta=nan, miss=nan) == THETA_UNRESOLVED
+
+
+def test_a_load_misses_the_tip_only_beyond_its_uncertainty() -> None:
+    assert not bits(miss=0.0299) & MISSES_TIP
+    assert bits(miss=0.0301) == CONTACT_PRESENT | MISSES_TIP
+    # A tangential load without any noise may miss by rounding.
+    assert not bits(miss=1e-15, u_miss=0.0) & MISSES_TIP
+    assert bits(miss=1e-5, u_miss=0.0) & MISSES_TIP
+
+
+@pytest.mark.parametrize(
+    ("theta_deg", "pad", "outside"),
+    [
+        (0.0, (0.0, 180.0), False),
+        (-1e-9, (0.0, 180.0), False),
+        (180.0, (0.0, 180.0), False),
+        (-0.01, (0.0, 180.0), True),
+        (-90.0, (0.0, 180.0), True),
+        (29.0, (30.0, 150.0), True),
+        (151.0, (30.0, 150.0), True),
+        (-170.0, (150.0, 210.0), False),
+        (-140.0, (150.0, 210.0), True),
+        (-100.0, (-120.0, 30.0), False),
+        (100.0, (-180.0, 180.0), False),
+        (-179.9, (0.0, 360.0), False),
+    ],
+)
+def test_pad(theta_deg: float, pad: tuple[float, float], outside: bool) -> None:
+    found = bits(theta=radians(theta_deg), limits=Limits(0.2, 0.1, *pad))
+    assert found == CONTACT_PRESENT | (OUTSIDE_PAD if outside else 0)
+
+
+def test_the_pad_is_judged_only_where_theta_is_known() -> None:
+    assert bits(theta=-1.0) & OUTSIDE_PAD
+    for found in (bits(theta=-1.0, P=0.15), bits(theta=-1.0, u_theta=1.0), bits(theta=-1.0, miss=1.0)):
+        assert not found & OUTSIDE_PAD
+
+
+@pytest.mark.parametrize(
+    ("status_byte", "expected"),
+    [
+        (GOOD, 0),
+        (GOOD | OUTSIDE_PAD, 0),
+        (GOOD | THETA_UNRESOLVED, UNKNOWN_THETA),
+        (GOOD | MISSES_TIP, UNKNOWN_THETA),
+        (CALIBRATED, ANGLES),
+        (CONTACT_PRESENT, UNKNOWN_FORCE | ANGLES),
+        (GOOD | SATURATED, UNKNOWN_FORCE | ANGLES),
+        (GOOD | STALE, UNKNOWN_FORCE | ANGLES | UNKNOWN_GAUGES),
+        (GOOD | FRONT_END_FAULT, UNKNOWN_FORCE | ANGLES | UNKNOWN_GAUGES),
+        (0, UNKNOWN_FORCE | ANGLES),
+    ],
+)
+def test_what_a_status_makes_unknown(status_byte: int, expected: int) -> None:
+    assert unknown(status_byte) == expected
+
+
+def test_saturation_takes_nothing_where_the_other_gauges_suffice() -> None:
+    assert unknown(GOOD | SATURATED, rank_left_is_3=True) == 0
+    assert unknown(CONTACT_PRESENT | SATURATED, rank_left_is_3=True) == UNKNOWN_FORCE | ANGLES
+
+
+def test_bits_are_the_positions_of_the_status_byte() -> None:
+    names = (
+        CONTACT_PRESENT, CALIBRATED, SATURATED, STALE, THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD, FRONT_END_FAULT,
+    )  # fmt: skip
+    assert names == tuple(1 << bit for bit in range(8))
+
+
+LOAD = st.sampled_from([0.0, 0.05, 0.0999999, 0.1, 0.15, 0.1999999, 0.2, 0.5, nan])
+
+
+@settings(max_examples=100, derandomize=True, deadline=None)
+@given(st.lists(st.tuples(LOAD, st.floats(-pi, pi), st.floats(-2.0, 2.0)), max_size=30), st.booleans())
+def test_arrays_repeat_the_scalar_sample_by_sample(loads: list[tuple[float, float, float]], start: bool) -> None:
+    F = np.array([(P * np.sin(phi), P * x, P * np.cos(phi)) for P, phi, x in loads]).reshape(-1, 3)
+    covariance = 1e-4 * np.eye(3)
+    found, u = contacts(F, pull=False), standard_uncertainties(F, covariance, pull=False)
+    u_miss = miss_uncertainties(F, covariance)
+    present, expected = start, []
+    for k in range(len(F)):
+        one = status_bits(
+            float(found.P_newtons[k]),
+            float(u[k, 0]),
+            float(u[k, 2]),
+            float(found.miss_newtons[k]),
+            float(u_miss[k]),
+            float(found.theta_rad[k]),
+            LIMITS,
+            present,
+        )
+        present = bool(one & CONTACT_PRESENT)
+        expected.append(one)
+    assert status(found, u, u_miss, LIMITS, start).tolist() == expected
+
+
+def test_a_tangential_contact_in_noise_is_seldom_called_a_miss() -> None:
+    rng, s = np.random.default_rng(10), 0.01
+    F = force_vector(1.0, 0.4, 0.4 - pi / 2) + s * rng.normal(size=(20_000, 3))
+    covariance = s * s * np.eye(3)
+    found = contacts(F, pull=False)
+    u, u_miss = standard_uncertainties(F, covariance, pull=False), miss_uncertainties(F, covariance)
+    misses = status(found, u, u_miss, LIMITS) & MISSES_TIP != 0
+    assert 0.4 < np.mean(found.miss_newtons > 0) < 0.6
+    assert np.mean(misses) < 0.003  # one tail beyond 3 standard deviations: 0.00135
+    far = contacts(F + np.array([0.0, 0.1, 0.0]), pull=False)
+    assert np.mean(status(far, u, u_miss, LIMITS) & MISSES_TIP != 0) > 0.99
+
+
+def test_errors() -> None:
+    found = contacts(np.ones((4, 3)), pull=True)
+    for limits, name in (
+        (Limits(0.1, 0.2, 0.0, 180.0), "contact_off_newtons = 0.2"),
+        (Limits(nan, 0.2, 0.0, 180.0), "contact_off_newtons"),
+        (Limits(0.2, 0.1, 180.0, 0.0), "theta_min_deg = 180.0"),
+    ):
+        with pytest.raises(InputError, match=name):
+            status(found, np.ones(3), 0.0, limits)
+    for u, u_miss in ((np.ones((3, 3)), 0.0), (np.ones(3), np.ones(3))):
+        with pytest.raises(InputError, match="allowed are"):
+            status(found, u, u_miss, LIMITS)
+    with pytest.raises(InputError, match="allowed are"):
+        status(contacts(np.ones(3), pull=True), np.ones(3), 0.0, LIMITS)
+    assert status(found, np.full(3, 0.1), 0.0, LIMITS).dtype == np.uint8
+    assert scalar.MISS_COVERAGE_FACTOR == 3.0

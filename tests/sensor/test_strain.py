@@ -1,0 +1,186 @@
+"""Table 1 against the paper's equations (2) to (15), and the numbers that follow from it."""
+
+from __future__ import annotations
+
+import itertools
+from math import cos, pi, sin, sqrt
+
+import numpy as np
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.layouts import LAYOUTS, POINTS, mirror
+from tipforce.sensor.strain import (
+    calibration_matrix,
+    condition_number,
+    noise_gain,
+    row_equilibrated_condition_number,
+    strain_matrix,
+    stress_coefficients,
+    thin_limit_matrix,
+)
+
+PRINTED_MATRICES = (
+    ((0.673, 0.594, -0.019), (-0.280, 0.238, 0.002), (-0.379, 0.317, 0.997)),
+    ((-0.909, 0.373, -0.021), (0.377, 0.349, 0.003), (0.513, 0.471, 1.102)),
+    ((-0.658, -0.813, -0.023), (0.608, -0.755, -0.011), (0.825, -1.016, 1.093)),
+)
+ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
+"""All dimensions different, so that no symbol can stand in for another."""
+
+
+def stresses_by_equations(geometry: Geometry, P: float, phi: float, theta: float) -> dict[str, float]:
+    """Equations (2) to (15) one by one: unit width, the paper's signs."""
+    a, d, r, h1, h2 = geometry.a_m, geometry.d_m, geometry.r_m, geometry.h1_m, geometry.h2_m
+    Px, Py = P * cos(phi), P * sin(phi)
+    Mx, My = Px * r * sin(theta), -Py * r * cos(theta)
+    x = {
+        "L": -3 * Mx / (2 * h1**2) - Px / (2 * h1),
+        "K_H": 3 * Mx / h1**2 - Px / (2 * h1),
+        "T": 6 / h2**2 * -Px * (d + r * sin(theta) + h1 / 2),
+        "K_V": 6 / h2**2 * -Px * (r * sin(theta) + h1 / 2),
+    }
+    x |= {"R": -x["L"], "S_H": -x["K_H"], "U": -x["T"], "S_V": -x["K_V"]}
+    y = {
+        "L": -3 * Py * a / (2 * h1**2) - 3 * My / (2 * h1**2),
+        "K_H": 3 * Py * a / (2 * h1**2) + 3 * My / h1**2,
+        "T": -6 / h2**2 * My - Py / h2,
+        "K_V": -6 / h2**2 * My - Py / h2,
+        "R": -3 * Py * a / (2 * h1**2) + 3 * My / (2 * h1**2),
+        "S_H": 3 * Py * a / (2 * h1**2) - 3 * My / h1**2,
+        "U": 6 / h2**2 * My - Py / h2,
+        "S_V": 6 / h2**2 * My - Py / h2,
+    }
+    return {point: x[point] + y[point] for point in POINTS}
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+def test_table_1_is_equations_2_to_15(geometry: Geometry) -> None:
+    rng = np.random.default_rng(1)
+    for _ in range(50):
+        P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
+        expected = stresses_by_equations(geometry, P, phi, theta)
+        F = force_vector(P, phi, theta)
+        for point, coefficients in stress_coefficients(geometry).items():
+            scale = P * max(abs(g) for g in coefficients)
+            assert float(np.dot(coefficients, F)) == pytest.approx(expected[point], abs=1e-12 * scale), point
+
+
+def test_tension_is_positive_on_every_gauge() -> None:
+    rows = dict(zip(POINTS, strain_matrix(FABRICATED, POINTS), strict=True))
+    straight_up = force_vector(1.0, pi / 2, pi / 2)  # a rope pulls the tip away from the fixture
+    uniform = 1.0 / (FABRICATED.h2_m * FABRICATED.width_m * FABRICATED.youngs_modulus_pascals)
+    for point in ("T", "U", "K_V", "S_V"):
+        assert rows[point] @ straight_up == pytest.approx(uniform)
+    # The ends of the horizontal beam are lifted: its lower face opens at the joint and closes at the ends.
+    assert all(rows[point] @ straight_up > 0.0 for point in ("K_H", "S_H"))
+    assert all(rows[point] @ straight_up < 0.0 for point in ("L", "R"))
+    # Pulled towards +x at the top, the body bends over to +x: the side at negative x opens.
+    sideways = force_vector(1.0, 0.0, pi / 2)
+    assert all(rows[point] @ sideways > 0.0 for point in ("T", "K_V"))
+    assert all(rows[point] @ sideways < 0.0 for point in ("U", "S_V"))
+    # Without a moment about the centre, +x stretches the right half of the horizontal beam.
+    through_centre = force_vector(1.0, 0.0, 0.0)
+    assert all(rows[point] @ through_centre > 0.0 for point in ("R", "S_H"))
+    assert all(rows[point] @ through_centre < 0.0 for point in ("L", "K_H"))
+
+
+def test_fixture_gauges_balance_the_moment_of_the_load() -> None:
+    G, rng = ODD, np.random.default_rng(2)
+    T, U = strain_matrix(G, POINTS)[[2, 3]]
+    section_modulus = G.width_m * G.h2_m**2 / 6
+    for _ in range(20):
+        P, phi, theta = rng.uniform(0.1, 10), rng.uniform(-pi, pi), rng.uniform(0, pi)
+        F = force_vector(P, phi, theta)
+        lever_x, lever_y = G.r_m * cos(theta), G.d_m + G.h1_m / 2 + G.r_m * sin(theta)
+        moment = P * cos(phi) * lever_y - P * sin(phi) * lever_x
+        half_difference = 0.5 * (T - U) @ F
+        assert half_difference * G.youngs_modulus_pascals * section_modulus == pytest.approx(moment, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("case", "fabricated", "thin"), [("I", 2.510, 2.555), ("II", 2.610, 2.626), ("III", 2.711, 2.693)]
+)
+def test_condition_numbers_of_the_cases(case: str, fabricated: float, thin: float) -> None:
+    for name in (case, case + "'"):
+        A = strain_matrix(FABRICATED, name)
+        assert condition_number(A) == pytest.approx(fabricated, abs=5e-4)
+        assert condition_number(calibration_matrix(FABRICATED, name)) == pytest.approx(condition_number(A))
+        assert condition_number(thin_limit_matrix(name)) == pytest.approx(thin, abs=5e-4)
+        limit = strain_matrix(FABRICATED.thin(1e-9), name)
+        assert condition_number(limit) == pytest.approx(condition_number(thin_limit_matrix(name)), rel=1e-6)
+
+
+def test_thin_limit_is_the_scaled_strain_matrix() -> None:
+    G = FABRICATED.thin(1e-9)
+    unit = 1.5 * G.a_m / (G.h1_m**2 * G.width_m * G.youngs_modulus_pascals)
+    np.testing.assert_allclose(strain_matrix(G, POINTS) / unit, thin_limit_matrix(POINTS), atol=1e-6)
+
+
+def test_levels_of_all_triples() -> None:
+    levels = sorted(
+        (round(condition_number(strain_matrix(FABRICATED, triple)), 3), triple)
+        for triple in itertools.combinations(POINTS, 3)
+    )
+    assert [level for level, _ in levels[:9]] == [2.510, 2.510, 2.610, 2.610, 2.622, 2.622, 2.711, 2.711, 3.618]
+    assert {triple for _, triple in levels[4:6]} == {("L", "T", "S_H"), ("R", "U", "K_H")}
+    tie = condition_number(thin_limit_matrix(("L", "S_H", "T")))
+    assert tie == pytest.approx(condition_number(thin_limit_matrix("II")))
+
+
+def test_mirror_keeps_condition_number_and_sign() -> None:
+    flip = np.diag([1.0, -1.0, -1.0])
+    for triple in [*LAYOUTS.values(), *itertools.combinations(POINTS, 3)]:
+        A, B = strain_matrix(FABRICATED, triple), strain_matrix(FABRICATED, mirror(triple))
+        np.testing.assert_allclose(B, A @ flip, rtol=1e-14)
+
+
+def test_ranking_depends_on_the_figure_of_merit() -> None:
+    cases = ("I", "II", "III")
+    unit_rows = [row_equilibrated_condition_number(strain_matrix(FABRICATED, case)) for case in cases]
+    gains = [noise_gain(calibration_matrix(FABRICATED, case)) for case in cases]
+    assert unit_rows == sorted(unit_rows, reverse=True)
+    assert gains == sorted(gains)
+    C = calibration_matrix(FABRICATED, "I")
+    assert gains[0] == pytest.approx(sqrt(np.trace(C @ C.T)))
+
+
+def test_printed_matrices() -> None:
+    found = [condition_number(matrix) for matrix in PRINTED_MATRICES]
+    assert found == pytest.approx([3.52, 3.53, 3.34], abs=5e-3)
+
+
+def test_largest_strain_at_4_4_newtons() -> None:
+    phi, theta = np.meshgrid(np.radians(np.arange(-180, 181)), np.radians(np.arange(0, 181)))
+    strain = strain_matrix(FABRICATED, POINTS) @ force_vector(4.4, phi, theta).reshape(-1, 3).T
+    assert np.abs(strain).max() == pytest.approx(900e-6, rel=0.03)
+
+
+def test_calibration_matrix_inverts_for_any_number_of_gauges() -> None:
+    for n in range(3, 9):
+        gauges = ("K_H", "S_H", "U", "L", "R", "T", "K_V", "S_V")[:n]
+        C = calibration_matrix(FABRICATED, gauges)
+        assert C.shape == (3, n)
+        np.testing.assert_allclose(C @ strain_matrix(FABRICATED, gauges), np.eye(3), atol=1e-12)
+
+
+def test_figures_of_singular_matrices_are_infinite() -> None:
+    assert condition_number(np.zeros((3, 3))) == float("inf")
+    assert row_equilibrated_condition_number([[1, 0, 0], [0, 1, 0], [0, 0, 0]]) == float("inf")
+
+
+def test_errors_name_what_is_wrong() -> None:
+    with pytest.raises(InputError, match=r"L, R, K_H have rank 2"):
+        calibration_matrix(FABRICATED.thin(1e-19), ("L", "R", "K_H"))
+    with pytest.raises(InputError, match="too thin"):
+        strain_matrix(FABRICATED.thin(1e-200), "I")
+
+
+def test_thin_beam_ratio_equalises_the_stresses() -> None:
+    assert pytest.approx(1.633, abs=5e-4) == THIN_BEAM_RATIO
+    thin = thin_limit_matrix(("K_H", "S_H", "T", "U"))
+    phi, theta = np.meshgrid(np.radians(np.arange(-180, 181)), np.radians(np.arange(0, 181)))
+    largest = np.abs(thin @ force_vector(1.0, phi, theta).reshape(-1, 3).T).max(axis=1)
+    assert largest == pytest.approx([3.0] * 4, rel=1e-3)

@@ -1,0 +1,191 @@
+"""Standard uncertainties against derivatives, Monte Carlo, and the scalar formula against the array one."""
+
+from __future__ import annotations
+
+from math import inf, isnan, nan, pi, sqrt
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.errors import InputError
+from tipforce.sensor import scalar
+from tipforce.sensor.contact import contacts, miss_uncertainties, standard_uncertainties
+from tipforce.sensor.forces import force_vector
+
+FloatArray = npt.NDArray[np.float64]
+UPPER = np.triu_indices(3)
+
+
+def upper(covariance: FloatArray) -> tuple[float, float, float, float, float, float]:
+    k11, k12, k13, k22, k23, k33 = (float(value) for value in covariance[UPPER])
+    return k11, k12, k13, k22, k23, k33
+
+
+def wrapped(angle_rad: FloatArray) -> FloatArray:
+    return np.remainder(angle_rad + pi, 2 * pi) - pi
+
+
+def random_covariance(rng: np.random.Generator) -> FloatArray:
+    root: FloatArray = rng.normal(size=(3, 3))
+    return root @ root.T
+
+
+@pytest.mark.parametrize("pull", [True, False])
+def test_first_order_is_the_derivative(pull: bool) -> None:
+    rng, h = np.random.default_rng(5), 1e-6
+    for _ in range(50):
+        theta, delta = rng.uniform(-pi, pi), rng.uniform(-1.2, 1.2)
+        F = force_vector(1.7, theta + delta + (0.0 if pull else pi), theta)
+        above, below = contacts(F + h * np.eye(3), pull=pull), contacts(F - h * np.eye(3), pull=pull)
+        J = np.array(
+            [
+                (above.P_newtons - below.P_newtons) / (2 * h),
+                wrapped(above.phi_rad - below.phi_rad) / (2 * h),
+                wrapped(above.theta_rad - below.theta_rad) / (2 * h),
+            ]
+        )
+        covariance = 1e-18 * random_covariance(rng)
+        expected = np.sqrt(np.diag(J @ covariance @ J.T))
+        np.testing.assert_allclose(standard_uncertainties(F, covariance, pull=pull), expected, rtol=1e-6)
+
+
+@pytest.mark.parametrize("delta_deg", [0, 45, 60])
+def test_isotropic_noise_has_the_closed_form(delta_deg: float) -> None:
+    P, s, delta = 3.0, 1e-6, np.radians(delta_deg)
+    F = force_vector(P, 1.0, 1.0 - delta)
+    expected = [s, s / P, sqrt(2) * s / (P * np.cos(delta))]
+    # phi and delta share the noise of F1 and F3: their sum of squares is exact only for isotropic noise.
+    np.testing.assert_allclose(standard_uncertainties(F, s * s * np.eye(3), pull=True), expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize("pull", [True, False])
+@pytest.mark.parametrize("delta_deg", [-60, -30, 0, 20, 45, 60])
+def test_monte_carlo_at_snr_100(delta_deg: float, pull: bool) -> None:
+    rng = np.random.default_rng(6)
+    theta = 1.1
+    F = force_vector(1.0, theta + np.radians(delta_deg) + (0.0 if pull else pi), theta)
+    covariance = random_covariance(rng)
+    covariance *= 1e-4 / np.trace(covariance) * 3
+    noisy = contacts(rng.multivariate_normal(F, covariance, 40_000), pull=pull)
+    true = contacts(F, pull=pull)
+    spread = [
+        np.std(noisy.P_newtons),
+        np.std(wrapped(noisy.phi_rad - true.phi_rad)),
+        np.std(wrapped(noisy.theta_rad - true.theta_rad)),
+    ]
+    np.testing.assert_allclose(standard_uncertainties(F, covariance, pull=pull), spread, rtol=0.03)
+
+
+@pytest.mark.parametrize("snr", [100, 1000])
+@pytest.mark.parametrize("delta_deg", [90, -90, 89, 86, 84, 80])
+def test_near_tangency_the_spread_of_theta_is_predicted(snr: float, delta_deg: float) -> None:
+    rng, theta = np.random.default_rng(7), 1.1
+    F = force_vector(1.0, theta + np.radians(delta_deg), theta)
+    covariance = np.eye(3) / snr**2
+    noisy_F = F + rng.normal(size=(40_000, 3)) / snr
+    error = wrapped(contacts(noisy_F, pull=True).theta_rad - theta)
+    u_theta = standard_uncertainties(F, covariance, pull=True)[2]
+    assert 0.75 < u_theta / np.std(error) < 1.6
+    assert 0.85 < u_theta / sqrt(np.mean(error**2)) < 1.2
+    # What a receiver can use: intervals from each noisy reading's own uncertainty still cover the truth.
+    own = standard_uncertainties(noisy_F, covariance, pull=True)[:, 2]
+    assert np.mean(np.abs(error) < 1.96 * own) > 0.86
+
+
+def test_at_tangency_the_uncertainty_falls_with_the_square_root_of_the_noise() -> None:
+    F = np.array([0.6, 1.0, 0.8])
+    for snr in (1e2, 1e4, 1e8, 1e12):
+        u_theta = standard_uncertainties(F, np.eye(3) / snr**2, pull=False)[2]
+        assert 1.0 < u_theta * sqrt(snr) < 1.3
+
+
+def test_magnitude_is_biased_by_half_the_variance() -> None:
+    rng, s = np.random.default_rng(8), 0.05
+    noisy = np.array([0.6, 0.1, 0.8]) + s * rng.normal(size=(400_000, 3))
+    assert np.mean(contacts(noisy, pull=True).P_newtons) - 1.0 == pytest.approx(s * s / 2, rel=0.2)
+
+
+def test_no_load_has_the_uncertainty_of_its_worst_direction() -> None:
+    covariance = np.array([[4.0, 0.0, 0.0], [0.0, 9.0, 0.0], [0.0, 0.0, 1.0]])
+    for F in ((0.0, 0.0, 0.0), (0.0, 1.0, 0.0)):
+        u_P, u_phi, u_theta = scalar.uncertainty(*F, upper(covariance), True)
+        assert u_P == pytest.approx(2.0)
+        assert isnan(u_phi)
+        assert isnan(u_theta)
+        assert scalar.miss_uncertainty(*F, upper(covariance)) == pytest.approx(5.0)
+        assert miss_uncertainties(F, covariance) == pytest.approx(5.0)
+
+
+def test_numbers_that_are_not_finite_give_nan_alone_in_their_row() -> None:
+    F = np.array([[1.0, 0.2, 0.3]] * 4)
+    F[1, 1] = nan
+    covariance = np.array([np.eye(3)] * 4)
+    covariance[2, 0, 1] = inf
+    u = standard_uncertainties(F, covariance, pull=True)
+    assert np.isnan(u).all(axis=1).tolist() == [False, True, True, False]
+    assert np.isnan(miss_uncertainties(F, covariance)).tolist() == [False, True, True, False]
+    for row, K in zip(F, covariance, strict=True):
+        F1, F2, F3 = row.tolist()
+        u_P, u_phi, u_theta = scalar.uncertainty(F1, F2, F3, upper(K), True)
+        bad = not (np.isfinite(row).all() and np.isfinite(K).all())
+        assert isnan(u_P) is isnan(u_phi) is isnan(u_theta) is bad
+        assert isnan(scalar.miss_uncertainty(F1, F2, F3, upper(K))) is bad
+    assert isnan(scalar.uncertainty(1.0, 0.2, 0.3, (inf, 0.0, 0.0, 1.0, 0.0, 1.0), True)[2])
+
+
+@pytest.mark.parametrize("P", [1e-300, 1e-150, 1.0, 1e150, 1e300])
+def test_scale_of_force_and_noise_is_free(P: float) -> None:
+    F = force_vector(P, 1.0, 0.4)
+    reference = standard_uncertainties(force_vector(1.0, 1.0, 0.4), np.eye(3) * 1e-8, pull=True)
+    if 1e-152 < P < 1e154:
+        u = standard_uncertainties(F, np.eye(3) * 1e-8 * P * P, pull=True)
+        np.testing.assert_allclose(u / [P, 1, 1], reference, rtol=1e-12)
+    F1, F2, F3 = F.tolist()
+    u_P, u_phi, u_theta = scalar.uncertainty(F1, F2, F3, (1.0, 0.0, 0.0, 1.0, 0.0, 1.0), True)
+    assert u_P == pytest.approx(1.0)
+    assert u_phi == pytest.approx(1.0 / P)
+    assert u_theta >= u_phi or P == 1e300
+    assert standard_uncertainties(F, np.eye(3), pull=True) == pytest.approx([u_P, u_phi, u_theta], rel=1e-12)
+
+
+def test_overflow_is_infinite_and_zero_noise_is_zero() -> None:
+    huge = (1e300, 0.0, 0.0, 1e300, 0.0, 1e300)
+    assert scalar.uncertainty(1e-300, 0.0, 1e-300, huge, True)[1] == inf
+    assert standard_uncertainties([1e-300, 0.0, 1e-300], np.eye(3) * 1e300, pull=True)[1] == inf
+    for F in ((0.6, 0.1, 0.8), (0.0, 1.0, 1.0), (0.6, 2.0, 0.8)):
+        assert scalar.uncertainty(*F, (0.0,) * 6, True) == (0.0, 0.0, 0.0)
+        assert not standard_uncertainties(F, np.zeros((3, 3)), pull=True).any()
+
+
+COMPONENT = st.one_of(st.floats(-1e3, 1e3), st.sampled_from([0.0, 0.6, 0.8, 1.0, -1.0, 1e-300, 1e300, nan]))
+
+
+@settings(max_examples=300, derandomize=True, deadline=None)
+@given(st.tuples(COMPONENT, COMPONENT, COMPONENT), st.integers(0, 10**6), st.integers(-150, 150), st.booleans())
+def test_scalar_is_the_array_formula(F: tuple[float, float, float], seed: int, power: int, pull: bool) -> None:
+    covariance = 10.0 ** (2 * power) * random_covariance(np.random.default_rng(seed))
+    one = scalar.uncertainty(*F, upper(covariance), pull)
+    many = standard_uncertainties([F], covariance[np.newaxis], pull=pull)[0]
+    np.testing.assert_allclose(many, one, rtol=1e-12)
+    miss = scalar.miss_uncertainty(*F, upper(covariance))
+    np.testing.assert_allclose(miss_uncertainties(F, covariance), miss, rtol=1e-12)
+
+
+def test_miss_uncertainty_is_the_derivative() -> None:
+    rng, h = np.random.default_rng(9), 1e-6
+    for sign in (1.0, -1.0):
+        F, covariance = np.array([0.6, sign * 1.4, 0.8]), random_covariance(rng)
+        difference = contacts(F + h * np.eye(3), pull=True).miss_newtons
+        J = (difference - contacts(F - h * np.eye(3), pull=True).miss_newtons) / (2 * h)
+        assert miss_uncertainties(F, covariance) == pytest.approx(sqrt(J @ covariance @ J), rel=1e-6)
+
+
+def test_shape_errors() -> None:
+    for shape in ((3,), (2, 2), (5, 3, 3)):
+        with pytest.raises(InputError, match="covariance_F has the shape"):
+            standard_uncertainties(np.ones((4, 3)), np.ones(shape), pull=True)
+    with pytest.raises(InputError, match="F has the shape"):
+        miss_uncertainties(np.ones((4, 2)), np.eye(3))
