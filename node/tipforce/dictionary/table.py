@@ -51,6 +51,7 @@ SIGNATURE_COMMIT, SIGNATURE_OPEN = 0x74696D63, 0x6E65706F  # "cmit", "open"
 SOFTWARE_VERSION = "0.1.0"
 REVISION = 0x00010000
 MIN_GAUGES, MAX_GAUGES = 3, 8
+CUSTOM_LAYOUT = 255  # 2102h:4, besides 1, 2, 3 for cases I, II, III
 
 # Status byte 2120h, bit 0 first: the names are those of the DBC's single-bit signals.
 STATUS_BITS = (
@@ -136,6 +137,16 @@ def objects(n: int = 3, simulated: bool = False) -> "tuple[Object, ...]":
         found += _simulation(n)
     found += _profile(n)
     return tuple(_with_sub0(row) for row in sorted(found))
+
+
+def staged(n: int) -> "tuple[tuple[int, int, str], ...]":
+    """The fields of the calibration record in order, as (index, sub, type)."""
+    fields: list[tuple[int, int, str]] = []
+    for index, _code, _name, _slug, entries in objects(n):
+        for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
+            if flags & STAGED:
+                fields += [(index, sub, kind) for sub in range(first, first + count)]
+    return tuple(fields)
 
 
 def _run(index: int, first: int, last: int) -> "Mapped":

@@ -1,0 +1,241 @@
+"""The electronic data sheet of a node and its device configuration file, from the table (CiA 306-1).
+
+The text is the same at each run: the dates are constants. Lines end with LF; CiA 306 tools read both.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from tipforce.dictionary import table, types
+from tipforce.dictionary.rows import Object, Row, objects, rows
+from tipforce.errors import InputError
+
+CREATION_TIME, CREATION_DATE = "12:00AM", "01-01-2025"  # the form of CiA 306-1, 4.5.2: hh:mmAM, mm-dd-yyyy
+CREATED_BY = "tipforce.dictionary.eds"
+BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
+DEFAULT_BIT_RATE_KBIT_S = 1000
+MANDATORY = (0x1000, 0x1001, 0x1018)
+DUMMY_TYPES = 7  # data types 0001h to 0007h: canopen wants all of them named
+FIRST_MANUFACTURER, LAST_MANUFACTURER = 0x2000, 0x5FFF
+
+_REFUSE_WRITE, _REFUSE_READ = 1, 2  # ObjFlags: not to be written on download, not to be read on scan
+
+Values = Mapping[tuple[int, int], types.Value]
+_Lines = list[str]
+
+
+def file_name(n: int = 3, simulated: bool = False, suffix: str = "eds") -> str:
+    """The name under which the file of this node is kept, such as ``tipforce-3.eds``."""
+    return f"tipforce-{n}{'-simulated' if simulated else ''}.{suffix}"
+
+
+def eds_text(n: int = 3, simulated: bool = False) -> str:
+    """The EDS of a node with ``n`` gauges. Raises InputError for an ``n`` outside 3..8."""
+    found = objects(n, simulated)
+    lines = _file_info(n, simulated, "eds") + _device_info(n, simulated) + _dummy_usage() + _comments(n)
+    return _text(lines + _object_lists(found) + _sections(found, None))
+
+
+def dcf_text(
+    n: int,
+    node_id: int,
+    values: Values,
+    simulated: bool = False,
+    *,
+    bit_rate_kbit_s: int = DEFAULT_BIT_RATE_KBIT_S,
+    node_name: str = "",
+    last_eds: str | None = None,
+) -> str:
+    """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
+
+    Raises InputError for an entry that the node does not have or that is not of its type or limits.
+    """
+    if not 1 <= node_id <= 127:
+        raise InputError(f"node-id {node_id}: allowed are 1 to 127")
+    if bit_rate_kbit_s not in BIT_RATES_KBIT_S:
+        raise InputError(f"bit rate {bit_rate_kbit_s} kbit/s: allowed are {BIT_RATES_KBIT_S}")
+    known = rows(n, simulated)
+    for place, value in values.items():
+        _check(known.get(place), place, value, n)
+    found = objects(n, simulated)
+    lines = _file_info(n, simulated, "dcf")
+    lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated)}")
+    lines += _device_info(n, simulated) + _commissioning(node_id, bit_rate_kbit_s, node_name)
+    lines += _dummy_usage() + _comments(n) + _object_lists(found) + _sections(found, values)
+    return _text(lines)
+
+
+def value_text(letter: str, value: types.Value) -> str:
+    """A value as CiA 306 writes it: UNSIGNED32 in hex, other integers and REAL32 in decimal, bytes as hex.
+
+    Signed defaults stay decimal: hex ones are read as unsigned by canopen.
+    """
+    if letter == "I" and isinstance(value, int):
+        return f"0x{value:08X}"
+    text = types.format_value(letter, value)
+    return text.replace(" ", "") if letter in "Do" else text
+
+
+def default_text(row: Row) -> str:
+    """``DefaultValue`` of an entry; a COB-ID that follows the node-id is written ``$NODEID+0x180``."""
+    if row.letter == "D":
+        return ""
+    if row.flags & table.ADD_NODE_ID:
+        return f"$NODEID+0x{row.default:X}"
+    return value_text(row.letter, row.default)
+
+
+def access_text(row: Row) -> str:
+    """``AccessType``: read-write entries that only one direction of PDO may carry are rwr or rww (CiA 306-1)."""
+    direction = row.flags & (table.TPDO | table.RPDO)
+    if row.access == "rw" and direction in (table.TPDO, table.RPDO):
+        return "rwr" if direction == table.TPDO else "rww"
+    return row.access
+
+
+def obj_flags(row: Row) -> int:
+    """``ObjFlags``: commands and states are not to be downloaded from a DCF; what is wo can't be scanned."""
+    flags = _REFUSE_WRITE if row.flags & table.NOT_STORED or row.access == "wo" else 0
+    return flags | (_REFUSE_READ if row.access == "wo" else 0)
+
+
+def _text(lines: Iterable[str]) -> str:
+    return "\n".join(lines)
+
+
+def _file_info(n: int, simulated: bool, suffix: str) -> _Lines:
+    return [
+        "[FileInfo]",
+        f"FileName={file_name(n, simulated, suffix)}",
+        "FileVersion=1",
+        "FileRevision=0",
+        "EDSVersion=4.0",
+        f"Description=Fingertip force sensor with {n} strain gauges" + (", simulated" if simulated else ""),
+        f"CreationTime={CREATION_TIME}",
+        f"CreationDate={CREATION_DATE}",
+        f"CreatedBy={CREATED_BY}",
+        f"ModificationTime={CREATION_TIME}",
+        f"ModificationDate={CREATION_DATE}",
+        f"ModifiedBy={CREATED_BY}",
+        "",
+    ]
+
+
+def _device_info(n: int, simulated: bool) -> _Lines:
+    return [
+        "[DeviceInfo]",
+        "VendorName=tipforce",
+        "VendorNumber=0x00000000",  # never blank: canopen can't read that
+        f"ProductName=tipforce fingertip, {n} gauges" + (", simulated" if simulated else ""),
+        f"ProductNumber=0x{table.product_code(n, simulated):08X}",
+        f"RevisionNumber=0x{table.REVISION:08X}",
+        f"OrderCode=tipforce-{n}" + ("-simulated" if simulated else ""),
+        *(f"BaudRate_{rate}=1" for rate in BIT_RATES_KBIT_S),
+        "SimpleBootUpMaster=0",
+        "SimpleBootUpSlave=1",
+        "Granularity=8",
+        "DynamicChannelsSupported=0",
+        "CompactPDO=0",
+        "GroupMessaging=0",
+        f"NrOfRXPDO={len(table.rpdos())}",
+        f"NrOfTXPDO={len(table.tpdos(n))}",
+        "LSS_Supported=1",
+        "",
+    ]
+
+
+def _commissioning(node_id: int, bit_rate_kbit_s: int, node_name: str) -> _Lines:
+    return [
+        "[DeviceComissioning]",  # spelt so in CiA 306
+        f"NodeID=0x{node_id:02X}",
+        f"NodeName={node_name or f'TIP{node_id:02d}'}",
+        f"Baudrate={bit_rate_kbit_s}",
+        "NetNumber=1",
+        "NetworkName=",
+        "CANopenManager=0",
+        "LSS_SerialNumber=0",
+        "",
+    ]
+
+
+def _dummy_usage() -> _Lines:
+    return ["[DummyUsage]", *(f"Dummy{k:04d}=0" for k in range(1, DUMMY_TYPES + 1)), ""]
+
+
+def _comments(n: int) -> _Lines:
+    notes = (
+        "Generated from the one object table of tipforce: change that, not this file.",
+        f"CiA 404 analogue input channels: 1 to {n} gauges, then F1, F2, F3, P, phi, theta.",
+        "Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16, NaN in REAL32.",
+    )
+    numbered = (f"Line{k}={note}" for k, note in enumerate(notes, 1))
+    return ["[Comments]", f"Lines={len(notes)}", *numbered, ""]
+
+
+def _object_lists(found: tuple[Object, ...]) -> _Lines:
+    indices = [o.index for o in found]
+    manufacturer = [i for i in indices if FIRST_MANUFACTURER <= i <= LAST_MANUFACTURER]
+    mandatory = [i for i in indices if i in MANDATORY]
+    optional = [i for i in indices if i not in MANDATORY and i not in manufacturer]
+    lines: _Lines = []
+    for name, listed in (("Mandatory", mandatory), ("Optional", optional), ("Manufacturer", manufacturer)):
+        lines += [f"[{name}Objects]", f"SupportedObjects={len(listed)}"]
+        lines += [f"{k}=0x{index:04X}" for k, index in enumerate(listed, 1)]
+        lines.append("")
+    return lines
+
+
+def _sections(found: tuple[Object, ...], values: Values | None) -> _Lines:
+    lines: _Lines = []
+    for each in found:
+        if each.code == table.VAR:
+            lines += [f"[{each.index:04X}]", *_entry(each.rows[0], values)]
+            continue
+        lines += [
+            f"[{each.index:04X}]",
+            f"ParameterName={each.name}",
+            f"ObjectType=0x{each.code:X}",
+            f"SubNumber={len(each.rows)}",
+            "",
+        ]
+        for row in each.rows:
+            lines += [f"[{row.index:04X}sub{row.sub:X}]", *_entry(row, values)]
+    return lines
+
+
+def _entry(row: Row, values: Values | None) -> _Lines:
+    lines = [
+        f"ParameterName={row.name}",
+        f"ObjectType=0x{table.VAR:X}",
+        f"DataType=0x{types.data_type(row.letter).code:04X}",
+        f"AccessType={access_text(row)}",
+        f"DefaultValue={default_text(row)}",
+    ]
+    if row.low is not None:
+        lines.append(f"LowLimit={value_text(row.letter, row.low)}")
+    if row.high is not None:
+        lines.append(f"HighLimit={value_text(row.letter, row.high)}")
+    lines.append(f"PDOMapping={int(row.mappable)}")
+    if obj_flags(row):
+        lines.append(f"ObjFlags=0x{obj_flags(row):X}")
+    if values is not None and (row.index, row.sub) in values:
+        lines.append(f"ParameterValue={value_text(row.letter, values[row.index, row.sub])}")
+    return [*lines, ""]
+
+
+def _check(row: Row | None, place: tuple[int, int], value: types.Value, n: int) -> None:
+    where = f"0x{place[0]:04X}:{place[1]:02X}"
+    if row is None:
+        raise InputError(f"{where}: no such object with {n} gauges")
+    try:
+        types.encode(row.letter, value)
+    except InputError as error:
+        raise InputError(f"{where} ({row.dotted}): {error}") from None
+    if isinstance(value, int | float) and not _within(row, value):
+        raise InputError(f"{where} ({row.dotted}): {value}, allowed are {row.low} to {row.high}")
+
+
+def _within(row: Row, value: float) -> bool:
+    """NaN is within no limits."""
+    return (row.low is None or value >= row.low) and (row.high is None or value <= row.high)

@@ -1,0 +1,210 @@
+"""What is where in a PDO: the layout of each message, and of any other mapping, as signals (CiA 301, 7.5.2.36)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from functools import lru_cache
+
+from tipforce.dictionary import table, types
+from tipforce.dictionary.rows import Row, rows
+from tipforce.errors import InputError
+
+MAX_BITS = 64
+FIRST_OBJECT = 0x1000  # below are the data types: mapped, they are gaps (CiA 301, 7.4.7, dummy mapping)
+
+_FORCE_SCALE = 0.001  # N; also of 2123h
+_UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
+_VIEW_BASES = (0x6000, 0x7000, 0x9000)  # REAL32, INTEGER16 and INTEGER32 forms of one value
+_CHANNEL_STATUS = 0x6150
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """One quantity in a message: value = raw x ``scale``, in ``unit``; little-endian from bit ``start_bit``.
+
+    ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None:
+    there is none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from.
+    """
+
+    name: str
+    start_bit: int
+    bits: int
+    signed: bool
+    scale: float
+    unit: str
+    minimum: float
+    maximum: float
+    unknown: int | None
+    description: str
+    index: int
+    sub: int
+    real: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Message:
+    """A PDO as it is by default: COB-ID is ``cob_id_base`` + node-id (0: none assigned).
+
+    ``kind`` is "tpdo" or "rpdo", ``number`` counts from 1, ``mapping`` holds (index, sub, bits),
+    ``transmission_type`` is that of CiA 301, table 72, ``event_timer_ms`` 0 is off.
+    """
+
+    kind: str
+    number: int
+    name: str
+    cob_id_base: int
+    length_bytes: int
+    signals: tuple[Signal, ...]
+    mapping: tuple[tuple[int, int, int], ...]
+    enabled: bool
+    transmission_type: int
+    event_timer_ms: int
+
+
+@lru_cache(maxsize=8)
+def tpdo_messages(n: int = 3) -> tuple[Message, ...]:
+    """The default TPDOs of a node with ``n`` gauges. Raises InputError for an ``n`` outside 3..8."""
+    return _messages("tpdo", table.tpdos(n), n)
+
+
+@lru_cache(maxsize=1)
+def rpdo_messages() -> tuple[Message, ...]:
+    """The default RPDOs: the same for every number of gauges."""
+    return _messages("rpdo", table.rpdos(), table.MIN_GAUGES)
+
+
+def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tuple[Signal, ...]:
+    """The signals of a PDO that maps these (index, sub, bits), in this order.
+
+    Raises InputError for an object that is not there or can't be mapped, a wrong length, more than 64 bits.
+    """
+    found: list[Signal] = []
+    start = 0
+    for index, sub, bits in mapping:
+        if index >= FIRST_OBJECT:
+            found += _signals_of(_mapped_row(index, sub, bits, n), start, n)
+        start += bits
+    if start > MAX_BITS:
+        raise InputError(f"the mapping has {start} bits, allowed are at most {MAX_BITS}")
+    return _unique(found)
+
+
+def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Message, ...]:
+    messages = []
+    known = rows(n)
+    for number, name, base, enabled, transmission, event_ms, mapped in declared:
+        mapping = tuple((index, sub, 8 * _size(known[index, sub])) for index, sub in mapped)
+        length = sum(bits for _, _, bits in mapping) // 8
+        signals = mapping_signals(mapping, n)
+        messages.append(Message(kind, number, name, base, length, signals, mapping, enabled, transmission, event_ms))
+    return tuple(messages)
+
+
+def _size(row: Row) -> int:
+    return types.data_type(row.letter).size or 0
+
+
+def _mapped_row(index: int, sub: int, bits: int, n: int) -> Row:
+    row = rows(n, True).get((index, sub))
+    place = f"mapping of 0x{index:04X}:{sub:02X}"
+    if row is None:
+        raise InputError(f"{place}: no such object with {n} gauges")
+    if not row.mappable:
+        raise InputError(f"{place}: {row.dotted} can't be mapped into a PDO")
+    if bits != 8 * _size(row):
+        raise InputError(f"{place}: {bits} bits, allowed is {8 * _size(row)} ({row.dotted})")
+    return row
+
+
+def _signals_of(row: Row, start: int, n: int) -> list[Signal]:
+    if row.index == 0x2120:
+        return [_flag(row, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
+    if row.index == 0x2124:
+        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated") for k in range(n)]
+        return gauges + [
+            _flag(row, start, k, f"fault_{name}", f"front end: {name.replace('_', ' ')}")
+            for k, name in table.FAULT_BITS
+        ]
+    return [_measurement(row, start, n) or _plain(row, start, n)]
+
+
+def _flag(row: Row, start: int, bit: int, name: str, description: str) -> Signal:
+    return Signal(name, start + bit, 1, False, 1, "", 0, 1, None, description, row.index, row.sub)
+
+
+def _measurement(row: Row, start: int, n: int) -> Signal | None:
+    """The quantities that have a unit, a resolution and a value for unknown; None for any other."""
+    if any(row.index == base + 0x130 for base in _VIEW_BASES):
+        symbol, what, _, digits, _, unit, _, _ = table.channels(n)[row.sub - 1]
+        limit = 180.0 if unit == "degree" else None
+        return _scaled(row, start, symbol, 10.0**-digits, unit, what, limit)
+    if any(row.index == base + 0x100 for base in _VIEW_BASES):
+        return _scaled(row, start, f"SG{row.sub}_counts", 1.0, "counts", f"field value of gauge {row.sub}")
+    if row.index == 0x2107:
+        name, unit = _UNCERTAINTIES[row.sub - 1]
+        return _scaled(row, start, name, 1.0, unit, f"standard uncertainty of {name[2:]}")
+    if row.index == 0x2122:
+        return _scaled(row, start, "temperature", 0.01, "degC", "temperature of the fingertip")
+    if row.index == 0x2123:
+        return _scaled(row, start, "u_P", _FORCE_SCALE, "N", "standard uncertainty of P")
+    return None
+
+
+def _scaled(row: Row, start: int, name: str, scale: float, unit: str, what: str, limit: float | None = None) -> Signal:
+    kind = types.data_type(row.letter)
+    bits = 8 * _size(row)
+    if kind.python is float:
+        low, high = (0.0, 3.4e38) if row.index == 0x2107 else (-3.4e38, 3.4e38)
+        scale, unknown, note = 1.0, None, "NaN means unknown"
+    elif kind.letter in "hi":
+        top = (1 << bits - 1) - 1
+        low, high, unknown = -top * scale, top * scale, -top - 1
+        note = f"raw {unknown} means unknown"
+    else:
+        top = (1 << bits) - 1
+        low, high, unknown = 0.0, (top - 1) * scale, top
+        note = f"raw {unknown} means unknown"
+    if limit is not None:
+        low, high = -limit, limit
+    text = f"{what}, in {unit}; {note}"
+    signed = kind.letter in "hif"
+    return Signal(
+        name, start, bits, signed, round(scale, 9), unit, _neat(low), _neat(high), unknown, text,
+        row.index, row.sub, kind.python is float,
+    )  # fmt: skip
+
+
+def _plain(row: Row, start: int, n: int) -> Signal:
+    """A number that is just that: counters, registers, commands."""
+    limits = types.data_type(row.letter).limits or (0, 0)
+    name = row.slug.replace(".", "_")
+    if row.index == _CHANNEL_STATUS:
+        name = f"{table.channels(n)[row.sub - 1][0]}_status"
+    elif row.many:
+        name = f"{name}_{row.sub}"
+    low = limits[0] if row.low is None else row.low
+    high = limits[1] if row.high is None else row.high
+    signed = limits[0] < 0
+    return Signal(name, start, 8 * _size(row), signed, 1, row.unit, low, high, None, row.name, row.index, row.sub)
+
+
+def _neat(value: float) -> float:
+    """Without the tail of a binary product: 3276.7000000000003 becomes 3276.7."""
+    return float(f"{value:.10g}")
+
+
+def _unique(found: list[Signal]) -> tuple[Signal, ...]:
+    """Names that occur once: P mapped as INTEGER16 and as REAL32 becomes P and P_6130."""
+    taken: set[str] = set()
+    unique = []
+    for signal in found:
+        name = signal.name
+        if name in taken:
+            name = f"{signal.name}_{signal.index:04X}"
+        count = 2
+        while name in taken:
+            name, count = f"{signal.name}_{signal.index:04X}_{count}", count + 1
+        taken.add(name)
+        unique.append(signal if name == signal.name else replace(signal, name=name))
+    return tuple(unique)
