@@ -78,17 +78,12 @@ class Calibration:
         self.active: "Active | None" = None
         self._generation = 0
         self._locked = False
-        self._keys: "list[int]" = []
-        letters = "<"
-        staged = [row for row in table.objects(n) if any(entry[6] & table.STAGED for entry in row[4])]
-        for index, _code, _name, _slug, entries in staged:
-            for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
-                if flags & table.STAGED:
-                    letters += kind * count
-                    self._keys += [index << 8 | sub for sub in range(first, first + count)]
+        fields = table.staged(n)
+        self._keys = [index << 8 | sub for index, sub, _kind in fields]
+        self.packing = "<" + "".join([kind for _index, _sub, kind in fields])
+        for index, _sub, _kind in fields:
             od.writers[index] = self._write_staged
-        self.packing = letters
-        od.sizes[0x2141] = struct.calcsize(letters)
+        od.sizes[0x2141] = struct.calcsize(self.packing)
         od.readers[0x2102] = lambda sub: self._condition() if sub == 5 else od.values[0x210200 | sub]
         od.readers[0x2103] = self._read_check
         od.readers[0x2105] = self._read_guard
@@ -183,7 +178,8 @@ class Calibration:
         if self._od.values[0x210301] != crc32(record):
             return codes.INCOMPATIBLE
         candidate = struct.unpack(self.packing, record)
-        if any(field - field != 0 for field in candidate):
+        theta_min, theta_max, on, off = candidate[-5:-1]
+        if any(field - field != 0 for field in candidate) or theta_min > theta_max or off > on:
             return codes.INVALID_VALUE
         if not self._condition() <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
             return codes.TOO_HIGH

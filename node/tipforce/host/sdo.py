@@ -54,7 +54,7 @@ class SdoChannel:
         return self._client.RESPONSE_TIMEOUT
 
     def read(self, entry: Entry[T]) -> T:
-        """The value of an entry. Raises NoResponseError or SdoAbortError, InputError for a length that is not the type's."""
+        """The value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
         return entry.decode(self.upload(entry.index, entry.sub))
 
     def write(self, entry: Entry[T], value: T) -> None:

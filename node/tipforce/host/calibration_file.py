@@ -1,0 +1,127 @@
+"""A calibration as a TOML file: written by a fit, read by everything that applies or uses it."""
+
+from __future__ import annotations
+
+import datetime
+from pathlib import Path
+
+import msgspec
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary import table
+from tipforce.errors import InputError
+from tipforce.host.calibration import Calibration
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class _Table(msgspec.Struct, forbid_unknown_fields=True):
+    matrix_newtons_per_strain: list[list[float]]
+    offset_microstrain: list[float]
+    covariance_microstrain2: list[list[float]]
+    load_sense: str
+    serial: int = 0
+    date: datetime.date | None = None
+    reference_temperature_degC: float = 20.0
+    layout: str = "custom"
+    tip_radius_m: float = 0.015
+    theta_min_deg: float = 0.0
+    theta_max_deg: float = 180.0
+    contact_on_newtons: float = 0.05
+    contact_off_newtons: float = 0.03
+    crc32: str | None = None
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    calibration: _Table
+    fit: dict[str, object] | None = None
+
+
+_LAYOUT_CODES = {"I": 1, "II": 2, "III": 3, "custom": table.CUSTOM_LAYOUT}
+_SENSES = {"push": False, "pull": True}
+
+
+def read_calibration(path: str | Path) -> Calibration:
+    """A calibration file. Raises InputError naming the place and what is allowed.
+
+    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
+    accept the edit.
+    """
+    try:
+        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File).calibration
+    except OSError as error:
+        raise InputError(f"calibration {path}: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"calibration {path}: {error}") from None
+    found = _checked(content, path)
+    if content.crc32 is not None and content.crc32.lower() != f"0x{found.crc32():08x}":
+        raise InputError(
+            f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{found.crc32():08X}; "
+            "the file was changed: restore it, or take out the crc32 line to accept the change"
+        )
+    return found
+
+
+def _checked(content: _Table, path: str | Path) -> Calibration:
+    C = _matrix(path, "matrix_newtons_per_strain", content.matrix_newtons_per_strain)
+    n = C.shape[1] if C.ndim == 2 else 0
+    if C.ndim != 2 or C.shape[0] != 3 or not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
+        raise InputError(f"calibration {path}: matrix_newtons_per_strain has shape {C.shape}, allowed (3, 3) to (3, 8)")
+    offset = _matrix(path, "offset_microstrain", content.offset_microstrain)
+    covariance = _matrix(path, "covariance_microstrain2", content.covariance_microstrain2)
+    if offset.shape != (n,):
+        raise InputError(f"calibration {path}: offset_microstrain has {offset.size} entries, the matrix {n} gauges")
+    if covariance.shape != (n, n) or not np.array_equal(covariance, covariance.T):
+        raise InputError(f"calibration {path}: covariance_microstrain2 must be {n} x {n} and symmetric")
+    for name, value, allowed in (
+        ("load_sense", content.load_sense, _SENSES),
+        ("layout", content.layout, _LAYOUT_CODES),
+    ):
+        if value not in allowed:
+            raise InputError(f"calibration {path}: {name} is {value!r}, allowed: {', '.join(allowed)}")
+    date = content.date
+    return Calibration(
+        C, offset * 1e-6, covariance * 1e-12, content.serial,
+        0 if date is None else date.year * 10000 + date.month * 100 + date.day,
+        content.reference_temperature_degC, _LAYOUT_CODES[content.layout], content.tip_radius_m,
+        content.theta_min_deg, content.theta_max_deg, content.contact_on_newtons, content.contact_off_newtons,
+        _SENSES[content.load_sense],
+    )  # fmt: skip
+
+
+def _matrix(path: str | Path, name: str, rows: object) -> FloatArray:
+    try:
+        return np.array(rows, dtype=np.float64)
+    except ValueError:
+        raise InputError(f"calibration {path}: the rows of {name} differ in length") from None
+
+
+def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
+    """Write a calibration file that reads back to the same record. Raises InputError when the disk refuses."""
+    names = {code: name for name, code in _LAYOUT_CODES.items()}
+    content: dict[str, object] = {
+        "matrix_newtons_per_strain": calibration.C.tolist(),
+        "offset_microstrain": (calibration.offset_strain * 1e6).tolist(),
+        "covariance_microstrain2": (calibration.covariance_strain2 * 1e12).tolist(),
+        "load_sense": "pull" if calibration.pull else "push",
+        "serial": calibration.serial,
+        "reference_temperature_degC": calibration.reference_temperature_degC,
+        "layout": names.get(calibration.layout_code, "custom"),
+        "tip_radius_m": calibration.tip_radius_m,
+        "theta_min_deg": calibration.theta_min_deg,
+        "theta_max_deg": calibration.theta_max_deg,
+        "contact_on_newtons": calibration.contact_on_newtons,
+        "contact_off_newtons": calibration.contact_off_newtons,
+        "crc32": f"0x{calibration.crc32():08X}",
+    }
+    if calibration.date:
+        day = str(calibration.date)
+        content["date"] = datetime.date(int(day[:4]), int(day[4:6]), int(day[6:]))
+    document: dict[str, object] = {"calibration": content}
+    if fit is not None:
+        document["fit"] = fit
+    try:
+        Path(path).write_bytes(msgspec.toml.encode(document))
+    except OSError as error:
+        raise InputError(f"calibration {path}: {error.strerror}") from None

@@ -1,0 +1,139 @@
+"""What the subcommands share: flags that hold everywhere, node-ids, buses, and how records are printed."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import logging
+import math
+import os
+import re
+import sys
+from typing import TYPE_CHECKING, Any
+
+from tipforce.errors import InputError
+
+if TYPE_CHECKING:
+    import can
+    from rich.console import Console
+
+    from tipforce.host.connection import Connection
+
+
+def add_output_arguments(parser: argparse.ArgumentParser) -> None:
+    """`--json`, `-q`, `-v`, `--color`."""
+    group = parser.add_argument_group("output")
+    group.add_argument("--json", action="store_true", help="JSON lines on stdout")
+    group.add_argument("-q", "--quiet", action="store_true", help="errors only on stderr")
+    group.add_argument("-v", "--verbose", action="store_true", help="more on stderr")
+    group.add_argument(
+        "--color", choices=("auto", "always", "never"), default="auto", help="default: auto, NO_COLOR is honoured"
+    )
+
+
+def set_up_logging(args: argparse.Namespace) -> None:
+    """Warnings of tipforce to stderr, all with -v, errors only with -q; the libraries' own only with -v."""
+    level = logging.ERROR if args.quiet else logging.DEBUG if args.verbose else logging.WARNING
+    logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
+    if not args.verbose:
+        # canopen logs each abort as an error although it also raises it; python-can warns of what open_bus reports.
+        logging.getLogger("canopen").setLevel(logging.CRITICAL)
+        logging.getLogger("can").setLevel(logging.CRITICAL)
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """python-can's own bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
+    import can.cli
+
+    can.cli.add_bus_arguments(parser)
+
+
+def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
+    """Bus flags, and the time-out and retries of SDO transfers."""
+    add_bus_arguments(parser)
+    group = parser.add_argument_group("SDO")
+    group.add_argument(
+        "--timeout", type=float, default=0.5, metavar="S", help="wait for an answer (default %(default)s s)"
+    )
+    group.add_argument("--retries", type=int, default=2, metavar="N", help="further tries (default %(default)s)")
+
+
+def bus_options(args: argparse.Namespace) -> dict[str, Any]:
+    """What the bus flags said, as keywords of ``can.Bus``."""
+    names = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
+    options = {name: getattr(args, name) for name in names if hasattr(args, name)}
+    options.update(getattr(args, "bus_kwargs", {}))
+    return options
+
+
+def open_bus(args: argparse.Namespace) -> can.BusABC:
+    """The bus that the flags, python-can's configuration files and the environment name."""
+    from tipforce.host.connection import open_bus as open_bus_by_options
+
+    return open_bus_by_options(**bus_options(args))
+
+
+def open_connection(args: argparse.Namespace) -> Connection:
+    """A host connection on that bus."""
+    from tipforce.host.connection import Connection
+
+    if args.timeout <= 0 or args.retries < 0:
+        raise InputError("--timeout must be positive and --retries not negative")
+    return Connection(open_bus(args), args.timeout, args.retries)
+
+
+def node_id(text: str) -> int:
+    """A node-id as `10` or `0x0A`, for argparse."""
+    try:
+        number = int(text, 0)
+    except ValueError:
+        number = 0
+    if not 1 <= number <= 127:
+        raise argparse.ArgumentTypeError(f"node-id {text!r}: allowed are 1 to 127 (10 or 0x0A)")
+    return number
+
+
+def node_ids(text: str) -> list[int]:
+    """A set of node-ids as `1,2,5-9`, for argparse; sorted, each once."""
+    found: set[int] = set()
+    for part in text.split(","):
+        ends = re.fullmatch(r"\s*(\w+)\s*(?:-\s*(\w+)\s*)?", part)
+        if ends is None:
+            raise argparse.ArgumentTypeError(f"node-ids {text!r}: write 1,2,5-9")
+        first = node_id(ends[1])
+        last = node_id(ends[2]) if ends[2] else first
+        if last < first:
+            raise argparse.ArgumentTypeError(f"node-ids {part!r}: the second is smaller than the first")
+        found.update(range(first, last + 1))
+    return sorted(found)
+
+
+def shown_id(number: int) -> str:
+    """A node-id as people read it: `10 (0x0A)`."""
+    return f"{number} (0x{number:02X})"
+
+
+def print_json(record: dict[str, Any]) -> None:
+    """One JSON line; NaN and infinity become null, because JSON has none."""
+    print(json.dumps({key: _plain(value) for key, value in record.items()}))
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
+
+
+def note(args: argparse.Namespace, text: str) -> None:
+    """A line for the person at the terminal, on stderr; silent with -q."""
+    if not args.quiet:
+        print(text, file=sys.stderr)
+
+
+def console(args: argparse.Namespace) -> Console:
+    """A rich console on stdout that follows --color and NO_COLOR; into a pipe tables keep a fixed width."""
+    from rich.console import Console
+
+    plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
+    width = None if sys.stdout.isatty() else 120
+    return Console(force_terminal=True if args.color == "always" else None, no_color=plain, width=width)

@@ -1,0 +1,138 @@
+"""`tipforce demo`: run the job, print a table of estimate against truth, and judge it."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from tipforce_tools.common import add_output_arguments, console, note, print_json, set_up_logging
+
+if TYPE_CHECKING:
+    from tipforce_tools.demo.job import Result
+
+DEFAULT_SEED = 20261121
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce demo`."""
+    parser.epilog = (
+        "Every error must lie inside its bound: z x standard uncertainty (z for a family-wise error of 1e-6 over all "
+        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Exit code 1 if "
+        "one does not."
+    )
+    parser.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)")
+    parser.add_argument(
+        "--spoil", action="store_true", help="falsify one element of each calibration matrix: must fail"
+    )
+    add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; 0 when every error is inside its bound and the host agrees with the nodes, otherwise 1."""
+    from rich.progress import Progress
+
+    from tipforce_tools.demo.job import CASES, grooves, run_demo
+
+    set_up_logging(args)
+    started_s = time.monotonic()
+    results: list[Result] = []
+    with Progress(transient=True, disable=args.quiet or not sys.stderr.isatty(), console=_stderr()) as progress:
+        task = progress.add_task("loads", total=2 * len(grooves()))
+        for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), lambda: progress.advance(task)):
+            results.append(result)
+            if args.json:
+                print_json(_record(result))
+    if not args.json:
+        _print_tables(args, results, CASES)
+    return _summary(args, results, time.monotonic() - started_s)
+
+
+def _stderr():  # type: ignore[no-untyped-def]
+    from rich.console import Console
+
+    return Console(stderr=True)
+
+
+def _record(result: Result) -> dict[str, object]:
+    record: dict[str, object] = {"case": result.case, "sense": result.sense}
+    for name, triple in (
+        ("applied", result.applied),
+        ("estimated", result.estimated),
+        ("error", result.error),
+        ("u", result.u),
+        ("bound", result.bound),
+        ("host", result.host),
+        ("host_bound", result.host_bound),
+    ):
+        for quantity, value in zip(("P_N", "phi_deg", "theta_deg"), triple, strict=True):
+            record[f"{name}_{quantity}"] = float(value)
+    record["inside"], record["host_agrees"] = result.inside, result.host_agrees
+    return record
+
+
+def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[str, ...]) -> None:
+    from rich.table import Table
+
+    out = console(args)
+    for case in cases:
+        table = Table(
+            title=f"Case {case}: applied, estimated by the node, error, standard uncertainty", title_justify="left"
+        )
+        for heading in (
+            "sense",
+            "P N",
+            "est",
+            "err",
+            "u",
+            "phi deg",
+            "est",
+            "err",
+            "u",
+            "theta",
+            "est",
+            "err",
+            "u",
+            "",
+        ):
+            table.add_column(heading, justify="right")
+        for result in (r for r in results if r.case == case):
+            cells = [result.sense]
+            for k, digits in enumerate((3, 2, 2)):
+                cells += [
+                    f"{result.applied[k]:.{min(digits, 2)}f}",
+                    f"{result.estimated[k]:.{digits}f}",
+                    f"{result.error[k]:+.{digits}f}",
+                    f"{result.u[k]:.{digits}f}",
+                ]
+            good = result.inside and result.host_agrees
+            table.add_row(*cells, "ok" if good else "OUT", style=None if good else "bold red")
+        out.print(table)
+
+
+def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:
+    import numpy as np
+
+    errors = np.array([result.error for result in results])
+    share = np.array([np.abs(result.error) / result.bound for result in results])
+    outside = sum(not result.inside for result in results)
+    disagree = sum(not result.host_agrees for result in results)
+    ok = outside == 0 and disagree == 0
+    rms = np.sqrt(np.mean(errors**2, axis=0))
+    if args.json:
+        print_json(
+            {
+                "summary": True, "ok": ok, "loads": len(results), "outside": outside, "host_disagrees": disagree,
+                "rms_P_N": float(rms[0]), "rms_phi_deg": float(rms[1]), "rms_theta_deg": float(rms[2]),
+                "largest_share_of_bound": float(np.max(share)), "seed": args.seed,
+            }
+        )  # fmt: skip
+        return 0 if ok else 1
+    print(
+        f"{len(results)} loads of 4.4 N on 3 nodes: RMS error P {rms[0]:.4f} N, phi {rms[1]:.3f} deg, "
+        f"theta {rms[2]:.3f} deg; largest error {100 * np.max(share):.0f} % of its bound"
+    )
+    print(f"errors outside their bound: {outside}; host's own estimate differs from the node's: {disagree}")
+    print(f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s")
+    return 0 if ok else 1

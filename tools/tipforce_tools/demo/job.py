@@ -1,0 +1,226 @@
+"""The demo's work: three simulated nodes, calibrated and stored over SDO, loaded as the paper did, read by PDO.
+
+The input is the paper's: the fabricated geometry, its three gauge cases, its grooves and its 4.4 N weight.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import datetime
+import statistics
+import tempfile
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import can
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary import objects as od
+from tipforce.errors import RefusedError
+from tipforce.fingertip import loop
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+from tipforce.host.calibration import Calibration
+from tipforce.host.connection import Connection
+from tipforce.host.decode import Decoder
+from tipforce.host.fingertip import FingertipClient
+from tipforce.sensor import contact as contact_model
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import calibration_matrix, strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+
+CASES = ("I", "II", "III")
+WEIGHT_NEWTONS = 4.4
+X_GROOVES_DEG = (5, 15, 30, 45, 60, 120, 135, 150, 165, 175)
+Y_GROOVES_DEG = (30, 45, 60, 75, 90, 105, 120, 135, 150)
+NOISE_MICROSTRAIN = 0.5
+OFFSETS_MICROSTRAIN = (12.0, -8.5, 5.3)
+COUNT_MICROSTRAIN = 0.1
+HALF_STEP = np.array([0.0005, 0.005, 0.005])  # of P (N), phi and theta (degree) in TPDO2
+FAMILY_WISE_ERROR = 1e-6
+QUANTITIES = ("P_N", "phi_deg", "theta_deg")
+SPOILED_FACTOR = 1.1
+
+
+@dataclass(frozen=True)
+class Result:
+    """One load on one node; triples are P in newtons, phi and theta in degrees."""
+
+    case: str
+    sense: str
+    applied: FloatArray
+    estimated: FloatArray
+    host: FloatArray
+    u: FloatArray
+    bound: FloatArray
+    host_bound: FloatArray
+
+    @property
+    def error(self) -> FloatArray:
+        """Estimate less applied, angles wrapped."""
+        return _difference(self.estimated, self.applied)
+
+    @property
+    def inside(self) -> bool:
+        """Every error inside its bound (a missing value is outside)."""
+        return bool(np.all(np.abs(self.error) <= self.bound))
+
+    @property
+    def host_agrees(self) -> bool:
+        """The host's estimate from the gauge PDO equals the node's within the resolution of both PDOs."""
+        return bool(np.all(np.abs(_difference(self.host, self.estimated)) <= self.host_bound))
+
+
+def grooves() -> list[tuple[float, float]]:
+    """(phi, theta) in degrees of each groove; x-grooves pull at 0 below 90 degrees and at 180 above, y-grooves at 90."""
+    x = [(0.0 if theta < 90 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
+    return x + [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
+
+
+def case_calibration(case: str, pull: bool) -> Calibration:
+    """The calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
+    today = datetime.date.today()
+    return Calibration(
+        C=calibration_matrix(FABRICATED, case),
+        offset_strain=np.array(OFFSETS_MICROSTRAIN) * 1e-6,
+        covariance_strain2=np.eye(3) * (NOISE_MICROSTRAIN**2 + COUNT_MICROSTRAIN**2 / 12) * 1e-12,
+        serial=CASES.index(case) + 1,
+        date=today.year * 10000 + today.month * 100 + today.day,
+        layout_code=CASES.index(case) + 1,
+        tip_radius_m=FABRICATED.r_m,
+        pull=pull,
+    )
+
+
+def coverage_factor(comparisons: int) -> float:
+    """z such that ``comparisons`` two-sided normal checks all hold with probability 1 - FAMILY_WISE_ERROR."""
+    return statistics.NormalDist().inv_cdf(1.0 - FAMILY_WISE_ERROR / (2 * comparisons))
+
+
+def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """(standard uncertainty, bound of the node's error, bound of host against node), each for P, phi, theta.
+
+    ``applied`` is (P newtons, phi degree, theta degree). The bound is z standard uncertainties from gauge noise, plus
+    half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution.
+    """
+    P, phi, theta = applied[0], *np.radians(applied[1:])
+    F = force_vector(P, phi, theta)[np.newaxis]
+    u = contact_model.standard_uncertainties(F, calibration.covariance_F, pull=calibration.pull)[0]
+    half_count = 0.5e-6 * COUNT_MICROSTRAIN
+    steps = np.zeros(3)
+    for gauge in calibration.C.T:
+        # The effect of half a count in this gauge alone: its standard uncertainty were it the only noise.
+        alone = np.outer(gauge, gauge) * half_count**2
+        steps += contact_model.standard_uncertainties(F, alone, pull=calibration.pull)[0]
+    in_units = np.array([1.0, 180.0 / np.pi, 180.0 / np.pi])
+    u, steps = u * in_units, steps * in_units
+    return u, z * u + steps + HALF_STEP, steps + HALF_STEP
+
+
+def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callable[[], None]) -> Iterator[Result]:
+    """Do the whole job on an in-process bus; yields one Result per load and node.
+
+    ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` falsifies one element of each matrix.
+    Raises RefusedError if a node does not hold what was stored after its reset.
+    """
+    comparisons = len(CASES) * 2 * len(grooves()) * len(QUANTITIES)
+    z = coverage_factor(comparisons)
+    with tempfile.TemporaryDirectory(prefix="tipforce-demo-") as folder, _nodes(seed, Path(folder)) as connection:
+        for pull in (True, False):
+            calibrations = {k + 1: case_calibration(case, pull) for k, case in enumerate(CASES)}
+            for node_id, calibration in calibrations.items():
+                _calibrate(connection, node_id, _spoiled(calibration) if spoil else calibration, say)
+            connection.nmt("start")
+            for phi, theta in grooves():
+                applied = np.array([WEIGHT_NEWTONS, phi if pull else _wrapped(phi + 180.0), theta])
+                yield from _one_load(connection, calibrations, applied, z)
+                advance()
+            connection.nmt("preop")
+
+
+@contextlib.contextmanager
+def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
+    """Nodes 1, 2, 3 with cases I, II, III, run by one thread on python-can's virtual bus, and a host on it."""
+    channel = f"tipforce-demo-{id(folder)}"
+    devices = []
+    for k, case in enumerate(CASES):
+        rows = strain_matrix(FABRICATED, case).tolist()
+        source = SimulatedSource(rows, NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, seed + k)
+        store = FileStore(folder / f"node-{k + 1}.json")
+        devices.append(fingertip_node(k + 1, source, serial=k + 1, save=store.save, load=store.load))
+    stopped = threading.Event()
+    with (
+        can.Bus(interface="virtual", channel=channel) as node_bus,
+        Connection(can.Bus(interface="virtual", channel=channel)) as connection,
+    ):
+        port = loop.PythonCanPort(node_bus)
+        thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
+        thread.start()
+        try:
+            connection.wait_for({0x700 + device.node_id for device in devices})
+            yield connection
+        finally:
+            stopped.set()
+            thread.join()
+
+
+def _calibrate(connection: Connection, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
+    """Write, verify and store; then reset the node, so that what it works with is what it stored."""
+    client = FingertipClient(connection.sdo(node_id))
+    prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "
+    client.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
+    connection.buffer.clear()
+    connection.nmt("reset-node", node_id)
+    connection.wait_for({0x700 + node_id})
+    differences = client.verify_calibration(calibration)
+    if differences:
+        raise RefusedError(f"node {node_id} lost its calibration in a reset: {differences[0]}")
+    say(prefix + f"after a reset the stored calibration is active (CRC-32 0x{calibration.crc32():08X})")
+
+
+def _spoiled(calibration: Calibration) -> Calibration:
+    C = calibration.C.copy()
+    C[0, 0] *= SPOILED_FACTOR
+    return replace(calibration, C=C)
+
+
+def _one_load(
+    connection: Connection, calibrations: dict[int, Calibration], applied: FloatArray, z: float
+) -> Iterator[Result]:
+    """Apply a load to every node, send one SYNC, compare what comes back."""
+    for node_id in calibrations:
+        sdo = connection.sdo(node_id)
+        for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
+            sdo.write(entry, float(value))
+    time.sleep(0.002)  # a conversion under the new load
+    connection.buffer.clear()
+    connection.sync()
+    frames = connection.wait_for({base + node_id for node_id in calibrations for base in (0x180, 0x280)})
+    samples = Decoder(3, calibrations).decode(frames)
+    for node_id, calibration in calibrations.items():
+        contact, gauges = samples[node_id, "Contact"].columns, samples[node_id, "Gauges"].columns
+        estimated = np.array([contact["P"][-1], contact["phi"][-1], contact["theta"][-1]])
+        strain = np.array([gauges[f"SG{k}"][-1] for k in (1, 2, 3)]) * 1e-6
+        _, found = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
+        host = np.array([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)], dtype=np.float64)
+        u, bound, host_bound = bounds(calibration, applied, z)
+        sense = "pull" if calibration.pull else "push"
+        yield Result(CASES[node_id - 1], sense, applied, estimated, host.ravel(), u, bound, host_bound)
+
+
+def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
+    """a - b of two (P, phi, theta) triples, the angles wrapped into -180..180 degrees."""
+    difference = a - b
+    difference[1:] = (difference[1:] + 180.0) % 360.0 - 180.0
+    return difference
+
+
+def _wrapped(angle_deg: float) -> float:
+    return angle_deg - 360.0 if angle_deg > 180.0 else angle_deg
