@@ -1,0 +1,43 @@
+# Each target sets up all that it needs (tools/bootstrap.sh: .venv, and for `test` the system packages).
+SHELL := /bin/bash
+PYTHON := .venv/bin/python
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+
+help: ## this list
+	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
+
+demo: bootstrap-demo ## the main job with no hardware
+	@.venv/bin/tipforce demo
+
+# tests/vcan needs a kernel with vcan: this one, or else User-mode Linux. Last, so its summary is the last line.
+test: lint ## style, types, imports, all tests, and the tests on a real vcan
+	$(PYTHON) -m pytest
+	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
+
+lint: bootstrap-test ## style, types and imports
+	@$(MAKE) --no-print-directory -j2 --output-sync=target lint-style lint-types lint-imports
+
+lint-style:
+	.venv/bin/ruff check
+	.venv/bin/ruff format --check
+
+lint-types:
+	.venv/bin/mypy
+
+lint-imports:
+	.venv/bin/lint-imports --no-logo
+
+generate: bootstrap-test ## write the committed files that come from the object dictionary
+	@$(PYTHON) -m tipforce.dictionary.generate
+
+clean: ## remove .venv, caches and build results
+	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+bootstrap-demo:
+	@tools/bootstrap.sh demo
+
+bootstrap-test:
+	@tools/bootstrap.sh test

@@ -1,0 +1,415 @@
+"""`tipforce vcan`, as far as it goes without booting anything: that is done once per test run, by the Makefile."""
+
+import argparse
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Sequence
+from importlib.resources import files
+from pathlib import Path
+
+import pytest
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.vcan import command, host, run, uml
+
+SCRIPT = files("tipforce_tools.vcan").joinpath("init.sh").read_text()
+needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
+
+
+def parse(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    subcommands = parser.add_subparsers()
+    command.add_arguments(subcommands.add_parser("vcan"))
+    return parser.parse_args(["vcan", *words])
+
+
+@pytest.fixture
+def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, list[str]]]:
+    """Nothing runs: what would have run is noted, as (place, command)."""
+    calls: list[tuple[str, list[str]]] = []
+
+    def here(words: Sequence[str], _timeout_s: float | None = None) -> int:
+        calls.append(("here", list(words)))
+        return 3
+
+    def in_uml(request: uml.Request) -> int:
+        calls.append(("uml", list(request.command)))
+        return 4
+
+    monkeypatch.setattr(host, "run_here", here)
+    monkeypatch.setattr(uml, "run_in_uml", in_uml)
+    return calls
+
+
+def fake_kernel(monkeypatch: pytest.MonkeyPatch, *, up: Sequence[str] = (), can_make: bool = False) -> None:
+    monkeypatch.setattr(host, "is_up", lambda name: name in up)
+    monkeypatch.setattr(host, "can_make", lambda _interfaces: can_make)
+
+
+# The choice of the place
+
+
+def test_interfaces_that_are_up_are_used_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_kernel(monkeypatch, up=("vcan0", "vcan1"), can_make=True)
+    assert run.choose(["vcan0", "vcan1"]) == "direct"
+
+
+def test_one_interface_missing_means_a_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_kernel(monkeypatch, up=("vcan0",), can_make=True)
+    assert run.choose(["vcan0", "vcan1"]) == "namespace"
+
+
+def test_a_kernel_without_vcan_means_uml(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_kernel(monkeypatch)
+    assert run.choose(["vcan0"]) == "uml"
+
+
+def test_uml_can_be_forced_and_then_nothing_is_probed(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(host, "is_up", lambda _name: pytest.fail("probed"))
+    assert run.choose(["vcan0"], "uml") == "uml"
+
+
+def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
+    fake_kernel(monkeypatch)
+    with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be made.*modprobe vcan"):
+        run.choose(["vcan0", "vcan1"], "host")
+
+
+def test_the_namespace_command_makes_every_bus_before_it_runs_the_command(
+    monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
+) -> None:
+    fake_kernel(monkeypatch, can_make=True)
+    assert run.run_with_vcan(["true", "-x"], interfaces=["a0", "b1"]) == 3
+    ((place, words),) = asked
+    assert place == "here"
+    assert {"--net", "--mount"} <= set(words)
+    assert words[-5:] == ["a0", "b1", "--", "true", "-x"]
+
+
+def test_an_ordinary_user_gets_a_user_namespace(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(os, "geteuid", lambda: 1000)
+    assert "--map-root-user" in host.namespace_command(["vcan0"], ["true"])
+    monkeypatch.setattr(os, "geteuid", lambda: 0)
+    assert "--map-root-user" not in host.namespace_command(["vcan0"], ["true"])
+
+
+def test_no_interface_of_that_name_is_not_up() -> None:
+    assert not host.is_up("nosuchbus0")
+    assert not host.is_up("lo")  # up, as a rule, but no CAN interface
+
+
+# Arguments
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["--", "echo", "hi"], ["echo", "hi"]),
+        (["echo", "-n", "--uml"], ["echo", "-n", "--uml"]),
+        (["--uml", "--timeout", "5", "--", "sh", "-c", "exit 1"], ["sh", "-c", "exit 1"]),
+        (["--", "env", "--", "ls"], ["env", "--", "ls"]),
+    ],
+)
+def test_the_command_is_taken_word_for_word(
+    words: list[str],
+    expected: list[str],
+    monkeypatch: pytest.MonkeyPatch,
+    asked: list[tuple[str, list[str]]],
+) -> None:
+    fake_kernel(monkeypatch)
+    assert command.run(parse(*words)) == 4
+    assert asked == [("uml", expected)]
+
+
+def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    given: dict[str, object] = {}
+
+    def note(words: Sequence[str], **rest: object) -> int:
+        given.update(rest, command=list(words))
+        return 0
+
+    monkeypatch.setattr(command, "run_with_vcan", note)
+    args = parse("--interfaces", "a,b", "--memory", "512M", "--timeout", "2.5", "--host", "--rw", "--", "true")
+    assert command.run(args) == 0
+    assert given == {
+        "command": ["true"],
+        "interfaces": ["a", "b"],
+        "memory": "512M",
+        "timeout_s": 2.5,
+        "place": "host",
+        "writable": True,
+    }
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--interfaces", "vcan0,", "--", "true"], "'' is no interface name"),
+        (["--interfaces", "../x", "--", "true"], "is no interface name"),
+        (["--interfaces", "vcan0;reboot", "--", "true"], "is no interface name"),
+        (["--interfaces", "a234567890123456", "--", "true"], "is no interface name"),
+        (["--interfaces", "v,v", "--", "true"], "each once"),
+        (["--memory", "lots", "--", "true"], "--memory lots: expected a number with K, M or G"),
+        (["--memory", "2", "--", "true"], "expected a number with K, M or G"),
+        (["--timeout", "0", "--", "true"], "--timeout 0: expected seconds above 0"),
+        (["--timeout", "nan", "--", "true"], "expected seconds above 0"),
+    ],
+)
+def test_bad_arguments_are_named(
+    words: list[str], message: str, asked: list[tuple[str, list[str]]], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_kernel(monkeypatch)
+    with pytest.raises(InputError, match=message):
+        command.run(parse(*words))
+    assert asked == []
+
+
+def test_host_and_uml_exclude_each_other(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        parse("--host", "--uml", "--", "true")
+    assert ended.value.code == 2
+    assert "not allowed with" in capsys.readouterr().err
+
+
+class FakeStdin:
+    def __init__(self, terminal: bool) -> None:
+        self.isatty = lambda: terminal
+
+
+def test_no_command_is_a_usage_error_without_a_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    with pytest.raises(InputError, match=r"tipforce vcan -- COMMAND"):
+        command.run(parse())
+
+
+@pytest.mark.parametrize(("shell", "expected"), [("/bin/sh", "/bin/sh"), ("/no/such/shell", "bash"), ("", "bash")])
+def test_no_command_is_a_shell_on_a_terminal(
+    shell: str, expected: str, monkeypatch: pytest.MonkeyPatch, asked: list[tuple[str, list[str]]]
+) -> None:
+    fake_kernel(monkeypatch)
+    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    monkeypatch.setenv("SHELL", shell)
+    command.run(parse())
+    assert asked == [("uml", [expected])]
+
+
+def test_a_command_that_is_not_there_is_127_before_anything_boots(
+    asked: list[tuple[str, list[str]]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run.run_with_vcan(["no-such-program-here"]) == 127
+    assert asked == []
+    assert capsys.readouterr().err == "tipforce vcan: no-such-program-here: command not found\n"
+
+
+# Running on this kernel
+
+
+def python(code: str) -> list[str]:
+    return [sys.executable, "-c", code]
+
+
+@pytest.mark.parametrize(
+    ("code", "expected"),
+    [
+        ("pass", 0),
+        ("raise SystemExit(3)", 3),
+        ("import os; os.kill(os.getpid(), 9)", 137),
+        ("import os; os.kill(os.getpid(), 15)", 143),
+    ],
+)
+def test_exit_codes_are_the_commands_own(code: str, expected: int) -> None:
+    assert host.run_here(python(code)) == expected
+
+
+def test_a_program_that_the_system_refuses_is_126_or_127(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    broken = tmp_path / "broken"
+    broken.write_bytes(b"\x7fnot a program")
+    broken.chmod(0o755)
+    assert host.run_here([str(broken)]) == 126
+    assert host.run_here([str(tmp_path / "none")]) == 127
+    assert "Exec format error" in capfd.readouterr().err
+
+
+def test_a_timeout_ends_the_command_and_says_so(
+    capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    assert host.run_here(python("import time; time.sleep(60)"), timeout_s=0.2) == 1
+    assert "ended after 0.2 s (--timeout)" in capfd.readouterr().err
+
+
+def test_a_terminating_signal_is_130_and_the_handler_is_put_back(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+    before = signal.getsignal(signal.SIGTERM)
+    timer = threading.Timer(0.3, os.kill, (os.getpid(), signal.SIGTERM))
+    timer.start()
+    try:
+        assert host.run_here(python("import time; time.sleep(60)"), timeout_s=30.0) == 130
+    finally:
+        timer.cancel()
+        timer.join()
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+# User-mode Linux: all but the boot
+
+
+def test_what_is_missing_is_named_with_the_command_that_installs_it(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(uml, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
+    monkeypatch.setattr(uml, "_MODULES", tmp_path)
+    with pytest.raises(EnvironmentLackError, match=r"`apt-get install -y user-mode-linux` \(as root\)"):
+        uml.run_in_uml(uml.Request(["true"], ["vcan0"], "1G", None, False))
+
+
+def test_all_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(uml, "find_program", lambda _name: None)
+    monkeypatch.setattr(uml, "_MODULES", tmp_path)
+    assert uml.missing_packages() == ["iproute2", "kmod", "user-mode-linux", "util-linux"]
+
+
+def test_the_kernel_without_its_modules_is_not_complete(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    monkeypatch.setattr(uml, "find_program", lambda name: f"/bin/{name}")
+    monkeypatch.setattr(uml, "_MODULES", tmp_path)
+    assert uml.missing_packages() == ["user-mode-linux"]
+    module = tmp_path / "6.1/kernel/drivers/net/can/vcan.ko"
+    module.parent.mkdir(parents=True)
+    module.touch()
+    assert uml.missing_packages() == []
+
+
+@needs_bash
+def test_the_environment_comes_through_the_file_unchanged(tmp_path: Path) -> None:
+    items = [b"PLAIN=1", b"EMPTY=", b"LINES=a\nb\n", b"BYTES=\xff\xfe", b"BASH_FUNC_f%%=() { echo; }", "ÄÖ=ß".encode()]
+    uml.write_list(tmp_path / "environment", items)
+    # The very words of init.sh, followed by a dump.
+    read = next(line.strip() for line in SCRIPT.splitlines() if "mapfile" in line and "environment" in line)
+    dump = "printf '%s\\0' \"${environment[@]}\""
+    result = subprocess.run(["bash", "-c", f"exchange={tmp_path}; {read}; {dump}"], capture_output=True, check=True)
+    assert result.stdout.split(b"\0")[:-1] == items
+
+
+def test_a_nul_byte_cannot_be_passed(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="NUL"):
+        uml.write_list(tmp_path / "command", ["a\0b"])
+
+
+def test_the_modules_are_loaded_each_after_what_it_needs() -> None:
+    commands = [line.split() for line in SCRIPT.splitlines()]
+    loads = [words[1] for words in commands if words[:1] == ["load"] and "/can/" in words[1]]
+    assert loads == [
+        "net/can/can",
+        "net/can/can-raw",
+        "net/can/can-bcm",
+        "net/can/can-gw",
+        "drivers/net/can/dev/can-dev",
+        "drivers/net/can/vcan",
+        "drivers/net/can/vxcan",
+    ]
+    assert SCRIPT.index("load drivers/net/can/vxcan") < SCRIPT.index("ip link add dev")
+
+
+@needs_bash
+def test_the_scripts_are_valid_bash(tmp_path: Path) -> None:
+    for text in (SCRIPT, host._MAKE_BUSES, uml._WATCHED):
+        script = tmp_path / "script"
+        script.write_text(text)
+        subprocess.run(["bash", "-n", str(script)], check=True)
+
+
+@pytest.mark.parametrize(("text", "size"), [("2G", 2 << 30), ("512m", 512 << 20), ("65536K", 1 << 26)])
+def test_memory_sizes(text: str, size: int) -> None:
+    assert uml.memory_bytes(text) == size
+
+
+def test_memory_larger_than_dev_shm_lives_in_the_private_folder(tmp_path: Path) -> None:
+    assert uml.memory_folder("99999G", tmp_path) == str(tmp_path)
+
+
+@needs_bash
+@pytest.mark.skipif(sys.platform != "linux", reason="linux.uml exists on Linux alone")
+class TestMachine:
+    """The part around the kernel, with a stand-in for linux.uml that behaves as it and init.sh do."""
+
+    @pytest.fixture
+    def machine(self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> "Machine":
+        return Machine(tmp_path, monkeypatch)
+
+    def test_the_status_file_is_the_exit_code(self, machine: "Machine", capfd: pytest.CaptureFixture[str]) -> None:
+        machine.does("touch started; echo out >&$out; echo err >&$err; echo kernel; echo 42 >status; exit 7")
+        assert machine.run() == 42
+        assert capfd.readouterr() == ("out\n", "err\n")
+
+    def test_a_kernel_that_does_not_boot_shows_its_last_messages(self, machine: "Machine") -> None:
+        machine.does("echo Kernel panic; exit 1")
+        with pytest.raises(EnvironmentLackError, match=r"ended before it had booted; .*\n  Kernel panic"):
+            machine.run()
+
+    def test_a_failed_set_up_is_told_in_its_own_words(self, machine: "Machine") -> None:
+        machine.does("echo 'the interface x0 could not be made' >failed")
+        with pytest.raises(EnvironmentLackError, match="booted, but the interface x0 could not be made"):
+            machine.run()
+
+    def test_a_kernel_that_dies_under_the_command(self, machine: "Machine") -> None:
+        machine.does("touch started")
+        with pytest.raises(EnvironmentLackError, match=r"before the command did .*--memory"):
+            machine.run()
+
+    def test_a_boot_that_hangs_is_given_up(self, machine: "Machine", monkeypatch: pytest.MonkeyPatch) -> None:
+        monkeypatch.setattr(uml, "BOOT_LIMIT_S", 0.3)
+        machine.does("sleep 60")
+        with pytest.raises(EnvironmentLackError, match="did not boot within"):
+            machine.run()
+
+    def test_a_halt_that_hangs_does_not_hold_up_the_exit(
+        self, machine: "Machine", monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        monkeypatch.setattr(uml, "HALT_LIMIT_S", 0.2)
+        machine.does("touch started; echo 5 >status; sleep 60")
+        assert machine.run() == 5
+
+    def test_a_timeout_ends_the_whole_group(self, machine: "Machine", capfd: pytest.CaptureFixture[str]) -> None:
+        machine.does("touch started; sleep 60 & echo $! >&$out; sleep 60")
+        assert machine.run(timeout_s=0.5) == 1
+        printed = capfd.readouterr()
+        assert "ended after 0.5 s (--timeout)" in printed.err
+        assert ended(int(printed.out))
+
+    def test_a_terminating_signal_is_130(self, machine: "Machine", tmp_path: Path) -> None:
+        machine.does(f"touch started; echo $$ >{tmp_path}/pid; sleep 0.3; kill -TERM {os.getpid()}; sleep 60")
+        assert machine.run() == 130
+        assert ended(int((tmp_path / "pid").read_text()))
+
+
+def ended(process: int) -> bool:
+    """Gone, or a zombie that whoever adopted it has not yet collected."""
+    try:
+        return Path(f"/proc/{process}/stat").read_text().rsplit(")", 1)[1].split()[0] == "Z"
+    except (FileNotFoundError, ProcessLookupError):
+        return True
+
+
+class Machine:
+    """Puts a script in the place of linux.uml; it runs in the folder that is otherwise shared with init.sh."""
+
+    def __init__(self, folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.program = folder / "linux.uml"
+        monkeypatch.setattr(uml, "find_program", lambda _name: str(self.program))
+        monkeypatch.setattr(uml, "require_parts", lambda: None)
+        monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
+
+    def does(self, script: str) -> None:
+        read_arguments = (
+            'for word; do case $word in init=*) cd "$(dirname "${word#init=}")";; '
+            "con1=*) out=${word##*:};; con2=*) err=${word##*:};; esac; done\n"
+        )
+        self.program.write_text(f"#!/bin/bash\n{read_arguments}{script}\n")
+        self.program.chmod(0o755)
+
+    def run(self, timeout_s: float | None = None) -> int:
+        return uml.run_in_uml(uml.Request(["true"], ["vcan0"], "64M", timeout_s, False))

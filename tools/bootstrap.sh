@@ -1,0 +1,105 @@
+#!/bin/bash
+# Set up what `make demo` and `make test` need, and nothing when it is there already.
+#   tools/bootstrap.sh demo   .venv with tipforce in it
+#   tools/bootstrap.sh test   the same with the developers' tools, and the system packages for a vcan
+# Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others are told how.
+set -euo pipefail
+cd "$(dirname "$0")/.."
+export PATH="$PATH:/usr/sbin:/sbin" PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 DEBIAN_FRONTEND=noninteractive
+unset PYTHONHOME PYTHONPATH
+log=.venv/bootstrap.log
+
+say() { printf 'bootstrap: %s\n' "$*" >&2; }
+
+die() {
+    say "$*"
+    exit 1
+}
+
+# logged STEP COMMAND...: one line for the step; its output goes to the log, whose end is shown if it fails.
+logged() {
+    say "$1"
+    mkdir -p .venv
+    if ! "${@:2}" </dev/null >"$log" 2>&1; then
+        tail -n 40 "$log" >&2
+        die "failed: ${*:2} (all of it in $log)"
+    fi
+}
+
+apt_install() {
+    command -v apt-get >/dev/null || die "missing: $*. This is no Debian or Ubuntu: install what corresponds"
+    if [ "$(id -u)" != 0 ]; then
+        die "missing: $*. Type: sudo apt-get update && sudo apt-get install -y $*"
+    fi
+    logged "apt-get update" apt-get update
+    logged "apt-get install $*" apt-get install -y --no-install-recommends "$@"
+}
+
+find_python() {
+    local name
+    for name in python3 python3.14 python3.13 python3.12 python3.11; do
+        if "$name" -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null; then
+            printf '%s\n' "$name"
+            return
+        fi
+    done
+    return 1
+}
+
+# Trying tells more than asking for packages: a Python from elsewhere needs no python3-venv.
+try_venv() { "$1" -m venv --clear .venv </dev/null >/dev/null 2>&1 && .venv/bin/python -m pip --version >/dev/null 2>&1; }
+
+make_venv() {
+    local python version
+    if ! python=$(find_python); then
+        command -v python3 >/dev/null || apt_install python3 python3-venv
+        python=$(find_python) || die "tipforce needs Python 3.11 or newer, and python3 is $(python3 -V 2>&1)." \
+            "Install one as python3.11 (to python3.14); it is found by that name"
+    fi
+    say "a virtual environment in .venv, with $("$python" -V)"
+    try_venv "$python" && return
+    version=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
+    [ "$python" = python3 ] && apt_install python3-venv || apt_install "$version-venv"
+    try_venv "$python" || die "$python -m venv .venv does not work: run it to see why"
+}
+
+# The stamp holds the folder: a moved checkout has scripts that point to the old place.
+fresh() { [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ] && [ -x .venv/bin/python ]; }
+
+install_project() {
+    local stamp=.venv/stamp-$1 wanted=.
+    fresh .venv/stamp-test && return
+    [ "$1" = demo ] && fresh "$stamp" && return
+    [ "$1" = test ] && wanted='.[dev]'
+    if [ "$(cat .venv/stamp-test .venv/stamp-demo 2>/dev/null | head -n 1)" != "$PWD" ] ||
+        ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
+        make_venv
+    fi
+    logged "pip install -e $wanted" .venv/bin/python -m pip install -e "$wanted"
+    printf '%s\n' "$PWD" >"$stamp"
+}
+
+kernel_has_vcan() {
+    modprobe -q vcan 2>/dev/null || true
+    unshare --net ip link add dev vcan0 type vcan 2>/dev/null
+}
+
+install_system_packages() {
+    local missing=()
+    command -v ip >/dev/null || missing+=(iproute2)
+    command -v candump >/dev/null || missing+=(can-utils)
+    command -v insmod >/dev/null || missing+=(kmod)
+    if ! command -v linux.uml >/dev/null && ! kernel_has_vcan; then
+        missing+=(user-mode-linux)
+    fi
+    [ ${#missing[@]} = 0 ] || apt_install "${missing[@]}"
+}
+
+case "${1-}" in
+demo) install_project demo ;;
+test)
+    install_project test
+    install_system_packages
+    ;;
+*) die "usage: tools/bootstrap.sh demo|test" ;;
+esac

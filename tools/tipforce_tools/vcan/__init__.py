@@ -1,0 +1,1 @@
+"""`tipforce vcan`: run a command on a kernel that has virtual CAN buses."""

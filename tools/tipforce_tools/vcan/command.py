@@ -1,0 +1,71 @@
+"""`tipforce vcan [-- COMMAND ...]`: arguments, and nothing else."""
+
+import argparse
+import os
+import shutil
+import sys
+
+from tipforce.errors import InputError
+from tipforce_tools.vcan.run import run_with_vcan
+
+DESCRIPTION = """\
+Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. Used is the first that works of: this kernel,
+if the interfaces are up; this kernel in a network namespace made for the run, so that the host stays as it is; else
+User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). Directory and environment are
+yours everywhere.
+
+In User-mode Linux: COMMAND is root on one CPU; it sees your files, and what it writes is gone afterwards (--rw
+keeps it); stdin is /dev/null, and stdout and stderr are pipes, unless all three are a terminal, which COMMAND
+then gets.
+"""
+EPILOG = """\
+exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
+signal n ended it, 130 interrupted
+
+  tipforce vcan -- candump -n 1 vcan0
+  tipforce vcan --interfaces can0,can1,can2 -- python -m pytest tests/vcan
+  tipforce vcan                                  a shell with the two buses
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce vcan` to `parser`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = DESCRIPTION
+    parser.epilog = EPILOG
+    parser.add_argument(
+        "--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (default: %(default)s)"
+    )
+    parser.add_argument("--memory", default="2G", metavar="SIZE", help="of the User-mode Linux (default: %(default)s)")
+    parser.add_argument("--timeout", type=float, metavar="S", help="end COMMAND after S seconds, exit 1")
+    parser.add_argument("--rw", action="store_true", help="in User-mode Linux, let COMMAND write your files")
+    places = parser.add_mutually_exclusive_group()
+    places.add_argument(
+        "--uml", dest="place", action="store_const", const="uml", default="auto", help="User-mode Linux in any case"
+    )
+    places.add_argument(
+        "--host", dest="place", action="store_const", const="host", help="this kernel, or an error if it has no vcan"
+    )
+    parser.add_argument(
+        "command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="without it: a shell, on a terminal"
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the command, or a shell. Raises InputError and EnvironmentLackError as `run_with_vcan` does."""
+    command = args.command[1:] if args.command[:1] == ["--"] else args.command
+    return run_with_vcan(
+        command or _shell(),
+        interfaces=[name.strip() for name in args.interfaces.split(",")],
+        memory=args.memory,
+        timeout_s=args.timeout,
+        place=args.place,
+        writable=args.rw,
+    )
+
+
+def _shell() -> list[str]:
+    if not sys.stdin.isatty():
+        raise InputError("no command, and stdin is no terminal: give one after --, `tipforce vcan -- COMMAND ...`")
+    shell = os.environ.get("SHELL", "")
+    return [shell if shutil.which(shell) else "bash"]

@@ -1,0 +1,102 @@
+"""The kernel that we are on: has it vcan, and running a command on it."""
+
+import contextlib
+import fcntl
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+from collections.abc import Sequence
+
+from tipforce_tools.vcan.uml import INTERRUPTED, find_program, terminating_signals_interrupt
+
+_SIOCGIFFLAGS = 0x8913  # linux/sockios.h
+_SIOCGIFHWADDR = 0x8927
+_IFF_UP = 1
+_ARPHRD_CAN = 280  # linux/if_arp.h
+
+# Run inside a network namespace of its own: NAME... -- COMMAND. A fresh sysfs shows the namespace's interfaces.
+_MAKE_BUSES = """set -e
+mount -t sysfs sysfs /sys 2>/dev/null || true
+ip link set lo up
+while [ "$1" != -- ]; do ip link add dev "$1" type vcan; ip link set up "$1"; shift; done
+shift
+exec -- "$@"
+"""
+
+
+def is_up(interface: str) -> bool:
+    """Is there a CAN interface of this name in our network namespace, and is it up?"""
+    request = struct.pack("16s24x", interface.encode())
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
+        try:
+            flags = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFFLAGS, request), 16)[0]
+            kind = struct.unpack_from("H", fcntl.ioctl(asker, _SIOCGIFHWADDR, request), 16)[0]
+        except OSError:
+            return False
+    return bool(flags & _IFF_UP) and kind == _ARPHRD_CAN
+
+
+def namespace_command(interfaces: Sequence[str], command: Sequence[str]) -> list[str]:
+    """The command that runs `command` in a fresh network namespace that has `interfaces`, all up."""
+    # Anybody may be root in a user namespace of their own, where the kernel allows that.
+    as_root = [] if os.geteuid() == 0 else ["--map-root-user"]
+    unshare = [find_program("unshare") or "unshare", *as_root, "--net", "--mount"]
+    return [*unshare, "bash", "-c", _MAKE_BUSES, "vcan", *interfaces, "--", *command]
+
+
+def can_make(interfaces: Sequence[str]) -> bool:
+    """Can this kernel make the interfaces, in a namespace, for us? Tries it; nothing stays but a loaded module."""
+    if find_program("ip") is None or find_program("unshare") is None:
+        return False
+    modprobe = find_program("modprobe")
+    for module in ("vcan", "can-raw") if modprobe and os.geteuid() == 0 else ():
+        subprocess.run([str(modprobe), "-q", module], capture_output=True, check=False)
+    try:
+        socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW).close()
+    except (OSError, AttributeError):
+        return False
+    trial = subprocess.run(namespace_command(interfaces, ["true"]), capture_output=True, check=False)
+    return trial.returncode == 0
+
+
+def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
+    """Run `command` on this kernel with our terminal and environment; return its exit code (128 + n for signal n).
+
+    130 after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started.
+    """
+    # On a terminal the command must stay in the foreground group, where Ctrl-C reaches it by itself.
+    own_group = sys.stdin is None or not sys.stdin.isatty()
+    with terminating_signals_interrupt():
+        try:
+            process = subprocess.Popen(list(command), process_group=0 if own_group else None)
+        except OSError as error:
+            print(f"tipforce vcan: {command[0]}: {error.strerror}", file=sys.stderr)
+            return 127 if isinstance(error, FileNotFoundError) else 126
+        try:
+            code = process.wait(timeout_s)
+            return code if code >= 0 else 128 - code
+        except subprocess.TimeoutExpired:
+            print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
+            return 1
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        finally:
+            _end(process, own_group)
+
+
+def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
+    """Ask the command, and its group if it has its own, to end; insist after five seconds."""
+    if process.returncode is not None:
+        return
+    for number in (signal.SIGTERM, signal.SIGKILL):
+        with contextlib.suppress(ProcessLookupError):
+            if own_group:
+                os.killpg(process.pid, number)
+            else:
+                process.send_signal(number)
+        with contextlib.suppress(subprocess.TimeoutExpired):
+            process.wait(5.0)
+            return

@@ -1,0 +1,136 @@
+#!/bin/bash
+# The first process of the User-mode Linux that `tipforce vcan` boots: makes the buses, runs the command, halts.
+# It reads settings, command and environment (NUL-separated) from its own folder, which the caller made for this
+# run, and leaves there: `started`, then `status` (the command's exit code), or `failed` (a sentence) instead.
+# Consoles: tty1 carries the command's stdout (or the whole terminal), tty2 its stderr, tty0 the kernel's messages.
+export PATH=/usr/sbin:/usr/bin:/sbin:/bin
+folder=${0%/*}
+exchange=/run/tipforce-vcan
+modules=/usr/lib/uml/modules/$(uname -r)/kernel
+
+halt() {
+    sync
+    echo o >/proc/sysrq-trigger # works without systemd's poweroff, which a small container does not have
+    sleep 60                    # process 1 must never end: that is a kernel panic
+}
+
+fail() {
+    printf '%s\n' "$1" >"$exchange/failed"
+    halt
+}
+
+load() {
+    local file
+    for file in "$modules/$1".ko*; do
+        # A module that is not there may be built in: whether CAN works shows at `ip link add`.
+        [ -e "$file" ] || return 0
+        insmod "$file" || fail "the kernel module $file could not be loaded"
+    done
+}
+
+mount_basics() {
+    mount -t proc proc /proc
+    mount -t sysfs sysfs /sys
+    mount -t tmpfs tmpfs /run
+    mkdir -p "$exchange"
+    # By hostfs and not by path: the root may be read-only, and this path may lie below /run.
+    mount -t hostfs -o "$folder" exchange "$exchange" || halt
+    mkdir -p /dev/pts /dev/shm
+    mount -t devpts -o gid=5,mode=620,ptmxmode=666 devpts /dev/pts
+    mount -t tmpfs -o mode=1777 tmpfs /dev/shm
+    ln -sf /proc/self/fd /dev/fd
+    ln -sf /proc/self/fd/0 /dev/stdin
+    ln -sf /proc/self/fd/1 /dev/stdout
+    ln -sf /proc/self/fd/2 /dev/stderr
+}
+
+read_request() {
+    local settings
+    mapfile -d '' -t settings <"$exchange/settings"
+    directory=${settings[0]} access=${settings[1]} console=${settings[2]} size=${settings[3]}
+    printf '%s' "${settings[4]}" >/proc/sys/kernel/hostname
+    interfaces=("${settings[@]:5}")
+    mapfile -d '' -t command <"$exchange/command"
+    mapfile -d '' -t environment <"$exchange/environment"
+    rm "$exchange/environment" # it may hold secrets, and a killed caller cannot clean up
+}
+
+make_buses() {
+    local name
+    load net/can/can
+    load net/can/can-raw
+    load net/can/can-bcm
+    load net/can/can-gw
+    load drivers/net/can/dev/can-dev
+    load drivers/net/can/vcan
+    load drivers/net/can/vxcan
+    ip link set lo up
+    for name in "${interfaces[@]}"; do
+        ip link add dev "$name" type vcan && ip link set up "$name" || fail "the interface $name could not be made"
+    done
+}
+
+# What the command writes lands in memory, above the caller's files; with access=write, in the caller's files.
+# A real change of root, not chroot: the kernel refuses user namespaces to a process in a chroot.
+make_root() {
+    local root=/run/root shared
+    [ "$access" = write ] && return
+    load fs/overlayfs/overlay
+    mkdir /run/upper /run/scratch "$root"
+    mount -t overlay -o lowerdir=/,upperdir=/run/upper,workdir=/run/scratch overlay "$root" ||
+        fail "the writable layer over the read-only root could not be mounted"
+    mkdir -p "$root$exchange"
+    for shared in /proc /sys /dev "$exchange"; do
+        mount --rbind "$shared" "$root$shared"
+    done
+    cd "$root" && pivot_root . . && umount -l . && cd / || fail "the writable layer could not become the root"
+}
+
+# Called in a subshell, so that bash's own remark on a killed command goes to the log and not to the command's stderr.
+# `setsid` stands before the command so that a name with "=" in it is not taken for a variable.
+run_command() {
+    exec env -i -C "$directory" "${environment[@]}" /usr/bin/setsid "$@" "${command[@]}"
+}
+
+run_on_terminal() {
+    stty -F /dev/tty1 sane
+    [ -n "$size" ] && stty -F /dev/tty1 rows "${size% *}" cols "${size#* }"
+    : >"$exchange/started"
+    (run_command --ctty) <>/dev/tty1 >&0 2>&0
+    echo $? >"$exchange/status"
+}
+
+# Through pipes, so that the command does not take its output for a terminal; raw, so that \n stays \n.
+run_on_pipes() {
+    local copiers process pipes=/run/tipforce-vcan-pipes
+    exec 5<>/dev/tty1 6<>/dev/tty2
+    stty -F /dev/tty1 raw -echo
+    stty -F /dev/tty2 raw -echo
+    mkdir "$pipes"
+    mkfifo "$pipes/stdout" "$pipes/stderr"
+    cat "$pipes/stdout" >&5 &
+    copiers=$!
+    cat "$pipes/stderr" >&6 &
+    copiers="$copiers $!"
+    : >"$exchange/started"
+    (run_command) </dev/null >"$pipes/stdout" 2>"$pipes/stderr" 5>&- 6>&-
+    echo $? >"$exchange/status"
+    # Whatever the command left running would hold the pipes open; this machine ends with the command.
+    for process in /proc/[0-9]*; do
+        case " 1 $copiers " in
+        *" ${process#/proc/} "*) ;;
+        *) kill -KILL "${process#/proc/}" 2>/dev/null ;;
+        esac
+    done
+    wait $copiers
+    # stty waits until all that was written has left the console.
+    stty -F /dev/tty1 raw -echo
+    stty -F /dev/tty2 raw -echo
+}
+
+mount_basics
+read_request
+make_buses
+make_root
+"run_on_$console"
+halt

@@ -1,0 +1,81 @@
+"""Where a command gets its vcan: this kernel as it is, this kernel in a namespace, or User-mode Linux."""
+
+import os
+import re
+import shutil
+import sys
+from collections.abc import Sequence
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.vcan import host, uml
+
+PLACES = ("auto", "host", "uml")
+NOT_FOUND = 127  # what a shell reports for a command that it cannot find
+
+
+def choose(interfaces: Sequence[str], place: str = "auto") -> str:
+    """``"direct"`` (the interfaces are up here), ``"namespace"`` (this kernel can make them) or ``"uml"``.
+
+    `place` restricts the choice. Raises EnvironmentLackError when it is ``"host"`` and this kernel has no vcan.
+    """
+    if place == "uml":
+        return "uml"
+    if all(host.is_up(name) for name in interfaces):
+        return "direct"
+    if host.can_make(interfaces):
+        return "namespace"
+    if place == "host":
+        raise EnvironmentLackError(
+            f"--host: {', '.join(interfaces)} cannot be made on kernel {os.uname().release}. As root, "
+            "`modprobe vcan` tells whether the kernel has it; without --host, User-mode Linux is used"
+        )
+    return "uml"
+
+
+def run_with_vcan(
+    command: Sequence[str],
+    *,
+    interfaces: Sequence[str] = ("vcan0", "vcan1"),
+    memory: str = "2G",
+    timeout_s: float | None = None,
+    place: str = "auto",
+    writable: bool = False,
+) -> int:
+    """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
+
+    Directory and environment are the caller's. Besides the command's own codes: 127 when it is not found, 126 when
+    it cannot be started, 128 + n when signal n ended it, 130 after SIGINT or SIGTERM to us, 1 (with a message on
+    stderr) when it took longer than `timeout_s`. `memory` and `writable` (let the command write the caller's
+    files) matter in User-mode Linux alone. Raises InputError for an argument that is not usable and
+    EnvironmentLackError when the machine has no way to vcan; the text says what to install.
+    """
+    _check(command, interfaces, timeout_s, place)
+    uml.memory_bytes(memory)
+    if shutil.which(command[0]) is None:
+        print(f"tipforce vcan: {command[0]}: command not found", file=sys.stderr)
+        return NOT_FOUND
+    # What we have printed must come before what the command prints.
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    chosen = choose(interfaces, place)
+    if chosen == "direct":
+        return host.run_here(command, timeout_s)
+    if chosen == "namespace":
+        return host.run_here(host.namespace_command(interfaces, command), timeout_s)
+    return uml.run_in_uml(uml.Request(command, interfaces, memory, timeout_s, writable))
+
+
+def _check(command: Sequence[str], interfaces: Sequence[str], timeout_s: float | None, place: str) -> None:
+    if not command:
+        raise InputError("no command to run: give one after --, for instance `tipforce vcan -- ip -br link`")
+    for name in interfaces:
+        if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
+            raise InputError(
+                f"--interfaces: {name!r} is no interface name: a letter, then up to 14 letters, digits, . _ or -"
+            )
+    if not interfaces or len(set(interfaces)) != len(interfaces):
+        raise InputError(f"--interfaces {','.join(interfaces)}: expected names, each once, for instance vcan0,vcan1")
+    if timeout_s is not None and not 0 < timeout_s < float("inf"):
+        raise InputError(f"--timeout {timeout_s:g}: expected seconds above 0")
+    if place not in PLACES:
+        raise InputError(f"{place!r} is no place to run: allowed are {', '.join(PLACES)}")

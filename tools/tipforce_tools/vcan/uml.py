@@ -1,0 +1,312 @@
+"""User-mode Linux: a Linux kernel that runs as an ordinary program, here for its CAN modules.
+
+The machine sees the caller's files (hostfs) below a layer in memory, so that a command may write anywhere and the
+caller's files stay as they are. Debian's package ``user-mode-linux`` brings kernel and modules; needs no KVM and no
+root. `init.sh`, the machine's first process, does the work inside.
+"""
+
+import contextlib
+import os
+import re
+import selectors
+import shutil
+import signal
+import subprocess
+import sys
+import tempfile
+import termios
+import time
+from collections.abc import Iterator, Sequence
+from importlib.resources import files
+from pathlib import Path
+from typing import IO, NamedTuple
+
+from tipforce.errors import EnvironmentLackError, InputError
+
+INTERRUPTED = 130
+PIPE_CLOSED = 141  # 128 + SIGPIPE: what a shell reports for a writer whose reader has left
+BOOT_LIMIT_S = 120.0
+HALT_LIMIT_S = 10.0
+
+# program (or file) -> the Debian package that brings it
+_PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
+_MODULES = Path("/usr/lib/uml/modules")
+_SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
+
+# Starts the kernel, and beside it, in the same process group, one that waits for the end of the pipe on stdin and
+# then ends the group: so nothing stays even when the caller is killed without a chance to clean up.
+# The copy on 9 is needed: bash gives a background process /dev/null as stdin.
+_WATCHED = """exec 9<&0 </dev/null
+{ read -r <&9; kill -KILL 0; } >/dev/null 2>&1 &
+exec 9<&- "$@"
+"""
+
+
+class Request(NamedTuple):
+    """What to run and where."""
+
+    command: Sequence[str]
+    interfaces: Sequence[str]
+    memory: str
+    timeout_s: float | None
+    writable: bool
+
+
+def missing_packages() -> list[str]:
+    """The Debian packages that this machine lacks for a run in User-mode Linux, sorted."""
+    lacking = {package for name, package in _PROGRAMS.items() if find_program(name) is None}
+    if not any(_MODULES.glob("*/kernel/drivers/net/can/vcan.ko*")):
+        lacking.add("user-mode-linux")
+    return sorted(lacking)
+
+
+def find_program(name: str) -> str | None:
+    """The path of a system program, also where the caller's PATH leaves the sbin folders out."""
+    return shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), _SYSTEM_PATH]))
+
+
+def require_parts() -> None:
+    """Raise EnvironmentLackError with the command that installs what is missing."""
+    lacking = missing_packages()
+    if lacking:
+        raise EnvironmentLackError(
+            "this kernel has no vcan, and User-mode Linux, which has, is not complete here: install it with "
+            f"`apt-get install -y {' '.join(lacking)}` (as root)"
+        )
+
+
+def write_list(path: Path, items: Sequence[str | bytes]) -> None:
+    """Write `items` NUL-terminated, as `init.sh` reads them. Raises InputError for an item that holds a NUL."""
+    encoded = [os.fsencode(item) for item in items]
+    if any(b"\0" in item for item in encoded):
+        raise InputError("an argument or a variable holds a NUL byte, which no program can be given")
+    path.write_bytes(b"".join(item + b"\0" for item in encoded))
+
+
+def run_in_uml(request: Request) -> int:
+    """Boot, run the command, halt; return the command's exit code.
+
+    130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError when
+    User-mode Linux is missing or does not boot.
+    """
+    require_parts()
+    terminal = all(stream is not None and stream.isatty() for stream in (sys.stdin, sys.stdout, sys.stderr))
+    with (
+        tempfile.TemporaryDirectory(prefix="tipforce-vcan-", dir=_short_temporary_folder()) as name,
+        terminating_signals_interrupt(),
+        _terminal_kept(terminal),
+    ):
+        folder = Path(name)
+        _write_request(folder, request, terminal)
+        try:
+            with _Machine(folder, request.memory, terminal) as machine:
+                return machine.follow(request.timeout_s)
+        except KeyboardInterrupt:
+            return INTERRUPTED
+        except BrokenPipeError:
+            return PIPE_CLOSED
+
+
+class _Machine:
+    """A running linux.uml: its process group, and the pipes that carry the command's output."""
+
+    def __init__(self, folder: Path, memory: str, terminal: bool) -> None:
+        self.folder = folder
+        self.selector = selectors.DefaultSelector()
+        self.reading: list[int] = []
+        with contextlib.ExitStack() as given:
+            if terminal:
+                fds = [os.dup(0), os.dup(1)]
+                consoles = [f"con1=fd:{fds[0]},fd:{fds[1]}"]
+            else:
+                fds = [self._pipe_to(1), self._pipe_to(2)]
+                consoles = [f"con1=null,fd:{fds[0]}", f"con2=null,fd:{fds[1]}"]
+            alive, self.ours = os.pipe()
+            for fd in (*fds, alive):
+                given.callback(os.close, fd)
+            log: IO[bytes] = given.enter_context((folder / "log").open("wb"))
+            self.process = subprocess.Popen(
+                ["bash", "-c", _WATCHED, "vcan", *_kernel_command(folder, memory), *consoles],
+                stdin=alive,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                pass_fds=fds,
+                env={"PATH": _SYSTEM_PATH, "TMPDIR": memory_folder(memory, folder)},
+                start_new_session=True,
+            )
+
+    def _pipe_to(self, target: int) -> int:
+        read_end, write_end = os.pipe()
+        self.reading.append(read_end)
+        self.selector.register(read_end, selectors.EVENT_READ, target)
+        return write_end
+
+    def __enter__(self) -> "_Machine":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        # The kernel's helpers and the programs inside are processes of the group that start_new_session made.
+        with contextlib.suppress(ProcessLookupError):
+            os.killpg(self.process.pid, signal.SIGKILL)
+        self.process.wait()
+        _wait_for_group(self.process.pid)
+        self.selector.close()
+        for fd in (*self.reading, self.ours):
+            os.close(fd)
+
+    def follow(self, timeout_s: float | None) -> int:
+        """Copy the output until the machine has halted; return the command's exit code."""
+        begin = quiet_since = time.monotonic()
+        while True:
+            ended = self.process.poll() is not None
+            now = time.monotonic()
+            if self._copy_output():
+                quiet_since = time.monotonic()
+            elif ended or (self._file("status") and now - quiet_since > HALT_LIMIT_S):
+                return self._exit_code()
+            elif timeout_s is not None and now - begin > timeout_s and not self._file("status"):
+                print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
+                return 1
+            elif now - begin > BOOT_LIMIT_S and self._file("started") is None:
+                raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s")
+
+    def _copy_output(self) -> bool:
+        """Pass on what has arrived, waiting a moment for it; False when nothing has."""
+        arrived = False
+        if not self.selector.get_map():
+            time.sleep(0.05)
+        for key, _ in self.selector.select(0.05):
+            data = os.read(key.fd, 65536)
+            if not data:
+                self.selector.unregister(key.fd)
+                continue
+            arrived = True
+            while data:
+                data = data[os.write(key.data, data) :]
+        return arrived
+
+    def _file(self, name: str) -> str | None:
+        path = self.folder / name
+        # An empty status is one that is being written at this moment.
+        return path.read_text() if path.exists() and (name == "started" or path.stat().st_size) else None
+
+    def _exit_code(self) -> int:
+        status = self._file("status")
+        if status is not None:
+            return int(status)
+        if failed := self._file("failed"):
+            raise self._failure(f"User-mode Linux booted, but {failed.strip()}")
+        if self._file("started") is None:
+            raise self._failure("User-mode Linux ended before it had booted")
+        raise self._failure("User-mode Linux ended before the command did (out of memory? try a larger --memory)")
+
+    def _failure(self, what: str) -> EnvironmentLackError:
+        log = (self.folder / "log").read_text(errors="replace").splitlines()[-15:]
+        return EnvironmentLackError("\n".join([f"{what}; its last messages were:", *(f"  {line}" for line in log)]))
+
+
+def _wait_for_group(group: int, limit_s: float = 5.0) -> None:
+    """Return when no process of the killed group runs any more (kill only announces it; zombies do not count)."""
+    begin = time.monotonic()
+    while time.monotonic() - begin < limit_s and any(_group_of_live(path) == group for path in _processes()):
+        time.sleep(0.005)
+
+
+def _processes() -> Iterator[Path]:
+    return Path("/proc").glob("[0-9]*/stat")
+
+
+def _group_of_live(stat: Path) -> int | None:
+    try:
+        # proc(5): after the name in brackets come state, parent, group
+        state, _, group = stat.read_text(errors="replace").rpartition(")")[2].split()[:3]
+    except (OSError, ValueError):
+        return None
+    return None if state in "ZX" else int(group)
+
+
+def _kernel_command(folder: Path, memory: str) -> list[str]:
+    return [
+        find_program("linux.uml") or "linux.uml",
+        f"mem={memory}",
+        f"uml_dir={folder}/",
+        "umid=machine",
+        "rootfstype=hostfs",
+        "root=/dev/root",
+        "rw" if (folder / "writable").exists() else "ro",
+        f"init={folder}/init.sh",
+        "con=null",
+        "con0=null,fd:1",
+        "quiet",
+    ]
+
+
+def _write_request(folder: Path, request: Request, terminal: bool) -> None:
+    size = ""
+    if terminal:
+        columns, rows = os.get_terminal_size()
+        size = f"{rows} {columns}" if rows and columns else ""
+    access = "write" if request.writable else "layer"
+    if request.writable:
+        (folder / "writable").touch()
+    settings = [os.getcwd(), access, "terminal" if terminal else "pipes", size, os.uname().nodename]
+    write_list(folder / "settings", [*settings, *request.interfaces])
+    write_list(folder / "command", request.command)
+    write_list(folder / "environment", [name + b"=" + value for name, value in os.environb.items()])
+    script = folder / "init.sh"
+    script.write_bytes(files("tipforce_tools.vcan").joinpath("init.sh").read_bytes())
+    script.chmod(0o700)
+
+
+def memory_folder(memory: str, otherwise: Path) -> str:
+    """Where the machine's memory lives: /dev/shm if it is large enough and may hold programs, else `otherwise`.
+
+    A container's /dev/shm is often 64 MB and noexec; the machine would die at the first page beyond it.
+    """
+    try:
+        shm = os.statvfs("/dev/shm")
+    except OSError:
+        return str(otherwise)
+    usable = not shm.f_flag & os.ST_NOEXEC and os.access("/dev/shm", os.W_OK)
+    return "/dev/shm" if usable and shm.f_bavail * shm.f_frsize >= memory_bytes(memory) else str(otherwise)
+
+
+def memory_bytes(memory: str) -> int:
+    """``"512M"`` -> 536870912. Raises InputError for anything but a number with K, M or G."""
+    match = re.fullmatch(r"([1-9][0-9]*)([KMG])", memory, re.IGNORECASE)
+    if match is None:
+        raise InputError(f"--memory {memory}: expected a number with K, M or G, for instance 2G")
+    return int(match[1]) << {"K": 10, "M": 20, "G": 30}[match[2].upper()]
+
+
+def _short_temporary_folder() -> str:
+    # The path goes on a kernel command line (no blanks) and into a socket's name (107 characters at most).
+    folder = tempfile.gettempdir()
+    return folder if re.fullmatch(r"[\w./+-]{1,50}", folder, re.ASCII) else "/tmp"
+
+
+@contextlib.contextmanager
+def terminating_signals_interrupt() -> Iterator[None]:
+    """SIGTERM raises KeyboardInterrupt, as SIGINT does, so that both end the machine in the same way."""
+    try:
+        before = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    except ValueError:  # not the main thread: signals go there
+        yield
+        return
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+@contextlib.contextmanager
+def _terminal_kept(terminal: bool) -> Iterator[None]:
+    """Put the terminal back as it was: User-mode Linux makes it raw."""
+    if not terminal:
+        yield
+        return
+    before = termios.tcgetattr(0)
+    try:
+        yield
+    finally:
+        termios.tcsetattr(0, termios.TCSADRAIN, before)
