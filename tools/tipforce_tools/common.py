@@ -137,3 +137,24 @@ def console(args: argparse.Namespace) -> Console:
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     width = None if sys.stdout.isatty() else 120
     return Console(force_terminal=True if args.color == "always" else None, no_color=plain, width=width)
+
+
+def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
+    """`--yes`."""
+    parser.add_argument("-y", "--yes", action="store_true", help="do not ask before something persists")
+
+
+def confirm(args: argparse.Namespace, what: str) -> None:
+    """Ask before something persists on a real bus; virtual buses and --yes do not ask.
+
+    Raises InputError when the answer is no, or when there is nobody to ask.
+    """
+    options = bus_options(args)
+    virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
+    if args.yes or virtual:
+        return
+    if not sys.stdin.isatty():
+        raise InputError(f"{what}; nobody is there to ask: add --yes to do it")
+    print(f"{what}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):
+        raise InputError("not done")

@@ -31,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 when every error is inside its bound and the host agrees with the nodes, otherwise 1."""
+    from rich.console import Console
     from rich.progress import Progress
 
     from tipforce_tools.demo.job import CASES, grooves, run_demo
@@ -38,7 +39,9 @@ def run(args: argparse.Namespace) -> int:
     set_up_logging(args)
     started_s = time.monotonic()
     results: list[Result] = []
-    with Progress(transient=True, disable=args.quiet or not sys.stderr.isatty(), console=_stderr()) as progress:
+    with Progress(
+        transient=True, disable=args.quiet or not sys.stderr.isatty(), console=Console(stderr=True)
+    ) as progress:
         task = progress.add_task("loads", total=2 * len(grooves()))
         for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), lambda: progress.advance(task)):
             results.append(result)
@@ -47,12 +50,6 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         _print_tables(args, results, CASES)
     return _summary(args, results, time.monotonic() - started_s)
-
-
-def _stderr():  # type: ignore[no-untyped-def]
-    from rich.console import Console
-
-    return Console(stderr=True)
 
 
 def _record(result: Result) -> dict[str, object]:

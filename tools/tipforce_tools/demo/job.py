@@ -27,8 +27,8 @@ from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
-from tipforce.host.decode import Decoder
 from tipforce.host.fingertip import FingertipClient
+from tipforce.host.hand import Hand
 from tipforce.sensor import contact as contact_model
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
@@ -79,7 +79,7 @@ class Result:
 
 
 def grooves() -> list[tuple[float, float]]:
-    """(phi, theta) in degrees of each groove; x-grooves pull at 0 below 90 degrees and at 180 above, y-grooves at 90."""
+    """(phi, theta) in degrees of each groove: x-grooves pull at 0 (180 beyond theta = 90), y-grooves at 90."""
     x = [(0.0 if theta < 90 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
     return x + [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
 
@@ -137,12 +137,13 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
             calibrations = {k + 1: case_calibration(case, pull) for k, case in enumerate(CASES)}
             for node_id, calibration in calibrations.items():
                 _calibrate(connection, node_id, _spoiled(calibration) if spoil else calibration, say)
-            connection.nmt("start")
+            hand = Hand(connection, list(calibrations), messages=("Gauges", "Contact"))
+            hand.start()
             for phi, theta in grooves():
                 applied = np.array([WEIGHT_NEWTONS, phi if pull else _wrapped(phi + 180.0), theta])
-                yield from _one_load(connection, calibrations, applied, z)
+                yield from _one_load(hand, calibrations, applied, z)
                 advance()
-            connection.nmt("preop")
+            hand.stop()
 
 
 @contextlib.contextmanager
@@ -191,22 +192,17 @@ def _spoiled(calibration: Calibration) -> Calibration:
     return replace(calibration, C=C)
 
 
-def _one_load(
-    connection: Connection, calibrations: dict[int, Calibration], applied: FloatArray, z: float
-) -> Iterator[Result]:
+def _one_load(hand: Hand, calibrations: dict[int, Calibration], applied: FloatArray, z: float) -> Iterator[Result]:
     """Apply a load to every node, send one SYNC, compare what comes back."""
-    for node_id in calibrations:
-        sdo = connection.sdo(node_id)
+    for finger in hand.fingers.values():
+        sdo = finger.sdo
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
             sdo.write(entry, float(value))
     time.sleep(0.002)  # a conversion under the new load
-    connection.buffer.clear()
-    connection.sync()
-    frames = connection.wait_for({base + node_id for node_id in calibrations for base in (0x180, 0x280)})
-    samples = Decoder(3, calibrations).decode(frames)
-    for node_id, calibration in calibrations.items():
-        contact, gauges = samples[node_id, "Contact"].columns, samples[node_id, "Gauges"].columns
-        estimated = np.array([contact["P"][-1], contact["phi"][-1], contact["theta"][-1]])
+    sample = hand.sample(timeout_s=1.0)
+    for k, (node_id, calibration) in enumerate(calibrations.items()):
+        gauges = sample.messages[node_id, "Gauges"].columns
+        estimated = np.array([sample.P_newtons[k], sample.phi_deg[k], sample.theta_deg[k]])
         strain = np.array([gauges[f"SG{k}"][-1] for k in (1, 2, 3)]) * 1e-6
         _, found = contact_model.estimate(calibration.C, strain, calibration.offset_strain, pull=calibration.pull)
         host = np.array([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)], dtype=np.float64)

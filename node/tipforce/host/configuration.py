@@ -1,0 +1,158 @@
+"""A configuration file (TOML or DCF) to a node and back: written in the order that CiA 301 asks for, then compared."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+
+import msgspec
+
+from tipforce.dictionary import names, types
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.types import Value
+from tipforce.errors import InputError
+from tipforce.host.sdo import SdoChannel
+
+Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
+"""By (index, sub), in index order: the entry and the value it shall have."""
+
+_INVALID = 0x80000000  # COB-ID bit 31
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    objects: dict[str, int | float | str | list[str | int]]
+
+
+def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Configuration:
+    """What a file asks for: a DCF by its ending, otherwise TOML with a table [objects].
+
+    Raises InputError naming the file, the object, the value and what is allowed.
+    """
+    found = (
+        _read_dcf(path, node_id, gauges) if str(path).lower().endswith((".dcf", ".eds")) else _read_toml(path, gauges)
+    )
+    for entry, value in found.values():
+        if entry.access not in ("rw", "wo"):
+            raise InputError(f"{path}: {entry.name} ({entry}) is {entry.access} and cannot be configured")
+        try:
+            entry.encode(value)
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    if not found:
+        raise InputError(f"{path}: no object is set")
+    return dict(sorted(found.items()))
+
+
+def _read_toml(path: str | Path, gauges: int) -> Configuration:
+    try:
+        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {error}") from None
+    found: Configuration = {}
+    for name, value in content.objects.items():
+        try:
+            for entry, single in _single_values(name, value, gauges):
+                found[entry.index, entry.sub] = entry, single
+        except InputError as error:
+            raise InputError(f"{path}: {error}") from None
+    return found
+
+
+def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Value], Value]]:
+    """A value, or a list for the sub-indices of an array; a list of names in a PDO mapping also sets its length."""
+    if not isinstance(value, list):
+        entry = names.resolve(name, gauges)
+        if isinstance(value, str) and types.data_type(entry.type).python is not str:
+            value = types.parse_value(entry.type, value)
+        elif types.data_type(entry.type).python is float and isinstance(value, int):
+            value = float(value)
+        return [(entry, value)]  # type: ignore[list-item]
+    entries = [names.resolve(f"{name}:{k + 1}", gauges) for k in range(len(value))]
+    values = [_mapped(item, gauges) if isinstance(item, str) else item for item in value]
+    found: list[tuple[Entry[Value], Value]] = list(zip(entries, values, strict=True))
+    if entries and _is_mapping(entries[0].index):
+        found.insert(0, (names.resolve(f"0x{entries[0].index:04X}:00", gauges), len(values)))
+    return found
+
+
+def _mapped(name: str, gauges: int) -> int:
+    """The mapping word of an object: index, sub-index, length in bits (CiA 301, 7.5.2.36)."""
+    entry = names.resolve(name, gauges)
+    return entry.index << 16 | entry.sub << 8 | 8 * (types.data_type(entry.type).size or 0)
+
+
+def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
+    """The entries of a DCF that have a ParameterValue."""
+    import canopen
+
+    try:
+        dictionary = canopen.import_od(str(path), node_id)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except Exception as error:
+        raise InputError(f"{path}: not a DCF ({type(error).__name__}: {error})") from None
+    found: Configuration = {}
+    for obj in dictionary.values():
+        variables = [obj] if isinstance(obj, canopen.objectdictionary.ODVariable) else list(obj.values())
+        for variable in variables:
+            value = getattr(variable, "value", None)
+            if value is not None and getattr(variable, "value_raw", None) is not None:
+                entry = names.resolve(f"0x{variable.index:04X}:{variable.subindex:02X}", gauges)
+                if entry.access in ("rw", "wo"):
+                    found[entry.index, entry.sub] = entry, value
+    return found
+
+
+def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
+    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError."""
+    for pdo in sorted({index & ~0x200 for index, _ in wanted if _is_pdo(index)}):
+        _apply_pdo(sdo, pdo, wanted)
+    for (index, _), (entry, value) in wanted.items():
+        if not _is_pdo(index):
+            sdo.write(entry, value)
+
+
+def _apply_pdo(
+    sdo: SdoChannel, communication: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]
+) -> None:
+    mapping = communication + 0x200
+    cob_id = names.resolve(f"0x{communication:04X}:01")
+    count = names.resolve(f"0x{mapping:04X}:00")
+    final = wanted[communication, 1][1] if (communication, 1) in wanted else sdo.read(cob_id)
+    assert isinstance(final, int)
+    sdo.write(cob_id, final | _INVALID)
+    if any(index == mapping for index, _ in wanted):
+        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else sdo.read(count)
+        sdo.write(count, 0)
+        for (index, sub), (entry, value) in wanted.items():
+            if index == mapping and sub:
+                sdo.write(entry, value)
+        sdo.write(count, length)
+    for (index, sub), (entry, value) in wanted.items():
+        if index == communication and sub != 1:
+            sdo.write(entry, value)
+    sdo.write(cob_id, final)
+
+
+def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
+    """What differs: object, expected, found; write-only objects cannot be compared and are left out."""
+    differences: list[dict[str, object]] = []
+    for entry, value in wanted.values():
+        if entry.access == "wo":
+            continue
+        expected, found = entry.encode(value), sdo.upload(entry.index, entry.sub)
+        if expected != found:
+            shown = types.format_value(entry.type, entry.decode(found))
+            expected_text = types.format_value(entry.type, value)
+            differences.append({"object": f"{entry.name} ({entry})", "expected": expected_text, "found": shown})
+    return differences
+
+
+def _is_mapping(index: int) -> bool:
+    return 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF
+
+
+def _is_pdo(index: int) -> bool:
+    return 0x1400 <= index <= 0x1BFF

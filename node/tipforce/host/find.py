@@ -1,0 +1,80 @@
+"""Which nodes are on a bus, and how they are."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterable
+from dataclasses import dataclass
+
+from tipforce.dictionary import objects as od
+from tipforce.dictionary.table import REVISION
+from tipforce.errors import SdoAbortError
+from tipforce.host.connection import NMT_STATES, Connection
+from tipforce.host.fingertip import FingertipClient, Identity
+
+_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+_GAP_S = 0.001  # between requests, so that short transmit queues hold
+
+
+@dataclass(frozen=True, slots=True)
+class FoundNode:
+    """One node as a scan saw it; texts are for people."""
+
+    node_id: int
+    state: str
+    """NMT state from its heartbeat, or "no heartbeat"."""
+    device: str
+    serial: int
+    calibration: str
+    eds: str
+    """"match", or what is different."""
+
+
+def find_nodes(connection: Connection, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
+    """Ask every node-id for 1000h, listen for ``wait_s`` to answers and heartbeats, then ask who is there who it is.
+
+    A node that only sends heartbeats (STOPPED: no SDO) is listed too.
+    """
+    wanted = set(node_ids)
+    connection.buffer.clear()
+    for node_id in sorted(wanted):
+        connection.send(0x600 + node_id, _READ_DEVICE_TYPE)
+        time.sleep(_GAP_S)
+    time.sleep(wait_s)
+    states: dict[int, int] = {}
+    answered: set[int] = set()
+    for frame in connection.buffer.take_all():
+        service, node_id = int(frame["can_id"]) & ~0x7F, int(frame["can_id"]) & 0x7F
+        if node_id in wanted and service == 0x580:
+            answered.add(node_id)
+        elif node_id in wanted and service == 0x700:
+            states[node_id] = int(frame["data"][0]) & 0x7F
+    return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
+
+
+def _describe(connection: Connection, node_id: int, state: int | None, answers: bool) -> FoundNode:
+    state_name = "no heartbeat" if state is None else NMT_STATES.get(state, f"state {state}")
+    if not answers:
+        return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown")
+    client = FingertipClient(connection.sdo(node_id))
+    try:
+        identity = client.identity()
+    except SdoAbortError:
+        return FoundNode(node_id, state_name, "no identity object", 0, "unknown", "unknown")
+    if not identity.is_fingertip:
+        device = f"product 0x{identity.product:08X}"
+        return FoundNode(node_id, state_name, device, identity.serial, "not a fingertip", "no: another device")
+    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+    generation = client.sdo.read(od.CALIBRATION_GENERATION)
+    calibration = f"0x{crc:08X} generation {generation}" if crc else "not calibrated"
+    return FoundNode(node_id, state_name, _device(identity), identity.serial, calibration, _eds_match(identity))
+
+
+def _device(identity: Identity) -> str:
+    return f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
+
+
+def _eds_match(identity: Identity) -> str:
+    if identity.revision >> 16 != REVISION >> 16:
+        return f"no: revision 0x{identity.revision:08X}, ours 0x{REVISION:08X}"
+    return "match"

@@ -1,0 +1,91 @@
+"""Several fingertips on one bus, read together: one row per SYNC."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.errors import InputError
+from tipforce.host.connection import Connection
+from tipforce.host.decode import Decoder, Samples
+from tipforce.host.fingertip import FingertipClient
+
+FloatArray = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class HandSample:
+    """What the fingers said to one SYNC; one element per finger, in the order of the hand's node-ids."""
+
+    P_newtons: FloatArray
+    phi_deg: FloatArray
+    theta_deg: FloatArray
+    """NaN where the node marks a value unknown, or where the finger is missing."""
+    missing: npt.NDArray[np.bool_]
+    """No contact PDO of this finger came in time."""
+    messages: dict[tuple[int, str], Samples]
+    """Everything that was decoded, by (node-id, message name): status flags, counters, gauges."""
+
+
+class Hand:
+    """Fingertips with ``node_ids`` on one connection. ``messages`` names the PDOs to wait for on each SYNC.
+
+    Raises InputError for no node-id, a repeated one, or a message that the dictionary does not have.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        node_ids: Sequence[int],
+        gauges: int = 3,
+        messages: Sequence[str] = ("Contact",),
+    ) -> None:
+        bases = {message.name: message.cob_id_base for message in tpdo_messages(gauges)}
+        unknown = [name for name in messages if not bases.get(name)]
+        if unknown:
+            raise InputError(f"message {unknown[0]!r}: allowed are {', '.join(name for name in bases if bases[name])}")
+        if not node_ids or len(set(node_ids)) != len(node_ids):
+            raise InputError(f"node-ids {list(node_ids)}: give each finger's once")
+        self.connection = connection
+        self.node_ids = tuple(node_ids)
+        self.fingers = {n: FingertipClient(connection.sdo(n)) for n in self.node_ids}
+        self._expected = {bases[name] + n for name in messages for n in self.node_ids}
+        self._decoder = Decoder(gauges, self.node_ids)
+
+    def start(self) -> None:
+        """NMT start, to each finger."""
+        for node_id in self.node_ids:
+            self.connection.nmt("start", node_id)
+
+    def stop(self) -> None:
+        """Back to PRE-OPERATIONAL: no more PDOs."""
+        for node_id in self.node_ids:
+            self.connection.nmt("preop", node_id)
+
+    def sample(self, timeout_s: float = 0.1) -> HandSample:
+        """Send one SYNC and collect what the fingers answer; one that does not answer in time is marked missing."""
+        self.connection.buffer.clear()
+        self.connection.sync()
+        awaited = set(self._expected)
+
+        def complete(can_id: int) -> bool:
+            awaited.discard(can_id)
+            return not awaited
+
+        frames = self.connection.buffer.take(complete, time.monotonic() + timeout_s)
+        return self._row(self._decoder.decode(frames))
+
+    def _row(self, messages: dict[tuple[int, str], Samples]) -> HandSample:
+        columns = np.full((3, len(self.node_ids)), np.nan)
+        missing = np.ones(len(self.node_ids), dtype=np.bool_)
+        for k, node_id in enumerate(self.node_ids):
+            found = messages.get((node_id, "Contact"))
+            if found is not None and len(found.t_ns):
+                missing[k] = False
+                columns[:, k] = [found.columns[name][-1] for name in ("P", "phi", "theta")]
+        return HandSample(columns[0], columns[1], columns[2], missing, messages)

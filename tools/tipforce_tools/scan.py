@@ -1,0 +1,41 @@
+"""`tipforce scan`: the nodes on a bus, who they are and how they are."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import asdict
+
+from tipforce_tools import common
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce scan`."""
+    parser.epilog = "example: tipforce scan -i socketcan -c can0"
+    parser.add_argument(
+        "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
+    )
+    parser.add_argument(
+        "--wait", type=float, default=1.2, metavar="S", help="for answers and heartbeats (default %(default)s s)"
+    )
+    common.add_sdo_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print a line for each node; 5 when there is none."""
+    from tipforce.host.find import find_nodes
+
+    common.set_up_logging(args)
+    with common.open_connection(args) as connection:
+        found = find_nodes(connection, args.nodes, args.wait)
+    for node in found:
+        if args.json:
+            common.print_json(asdict(node))
+        else:
+            print(
+                f"{common.shown_id(node.node_id):>11}  {node.state:15}  {node.device:24}  serial {node.serial:<10}  "
+                f"{node.calibration:28}  EDS {node.eds}"
+            )
+    if not found:
+        common.note(args, "no node answered: is the bus powered and terminated, is the bit rate right?")
+    return 0 if found else 5

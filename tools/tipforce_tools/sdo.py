@@ -1,0 +1,83 @@
+"""`tipforce sdo read|write`: one object of a node, by number or by name."""
+
+from __future__ import annotations
+
+import argparse
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+PERSISTENT = {0x1010: "stores parameters", 0x1011: "restores defaults at the next reset"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce sdo`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
+        "  tipforce sdo read 10 0x1017 0 u16\n"
+        "  tipforce sdo read 10 calibration.generation\n"
+        "  tipforce sdo read 10 calibration.matrix:3\n"
+        "  tipforce sdo write 10 0x1017 0 u16 500\n"
+        "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
+        "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
+    )
+    parser.add_argument("action", choices=("read", "write"))
+    parser.add_argument("node", type=common.node_id, metavar="ID")
+    parser.add_argument("words", nargs="+", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; for write then VALUE")
+    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node, for names (default 3)")
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Read or write; prints the value read. Raises NoResponseError and SdoAbortError."""
+    from tipforce.dictionary import types
+
+    words = list(args.words)
+    value_text = words.pop() if args.action == "write" and len(words) > 1 else None
+    if args.action == "write" and value_text is None:
+        raise InputError("sdo write: write NAME VALUE, or INDEX SUB TYPE VALUE")
+    index, sub, letter, name = _entry(words, args.gauges)
+    data = None if value_text is None else types.encode(letter, types.parse_value(letter, value_text))
+    common.set_up_logging(args)
+    if data is not None and index in PERSISTENT:
+        common.confirm(args, f"node {common.shown_id(args.node)}: this {PERSISTENT[index]}")
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
+        if data is not None:
+            sdo.download(index, sub, data)
+            common.note(args, f"node {common.shown_id(args.node)} 0x{index:04X}:{sub:02X} = {value_text}")
+            return 0
+        value = types.decode(letter, sdo.upload(index, sub))
+    text = types.format_value(letter, value)
+    if args.json:
+        shown = text if isinstance(value, bytes) else value
+        common.print_json({"node": args.node, "index": f"0x{index:04X}", "sub": sub, "name": name, "value": shown})
+    else:
+        print(text)
+    return 0
+
+
+def _entry(words: list[str], gauges: int) -> tuple[int, int, str, str]:
+    """(index, sub, type letter, dotted name or "") from NAME, or from INDEX SUB [TYPE]."""
+    from tipforce.dictionary import names, types
+
+    if len(words) == 1:
+        entry = names.resolve(words[0], gauges)
+        return entry.index, entry.sub, entry.type, entry.name
+    if len(words) > 3:
+        raise InputError(f"sdo: {' '.join(words)!r} is too much; write NAME, or INDEX SUB [TYPE]")
+    try:
+        index, sub = int(words[0], 0), int(words[1], 0)
+    except ValueError:
+        raise InputError(f"sdo: {words[0]!r} {words[1]!r} is no INDEX SUB; write 0x1017 0, or one NAME") from None
+    if not (0 <= index <= 0xFFFF and 0 <= sub <= 0xFF):
+        raise InputError(f"sdo: index {words[0]} sub {words[1]}: allowed are 0 to 0xFFFF and 0 to 0xFF")
+    known = names.describe(index, sub, gauges)
+    if len(words) == 3:
+        return index, sub, types.letter_of_word(words[2]), known.dotted if known else ""
+    if known is None:
+        raise InputError(f"sdo: 0x{index:04X}:{sub:02X} is not in the dictionary; add its type, for example u16")
+    return index, sub, known.letter, known.dotted
