@@ -19,7 +19,12 @@ if TYPE_CHECKING:
 
 
 class Application:
-    """What a device does besides CANopen. Every method may be overridden; this one does nothing."""
+    """What a device does besides CANopen. Every method may be overridden; this one does nothing.
+
+    ``live`` holds the indices whose values change by themselves: ``refresh`` is called before one is uploaded.
+    """
+
+    live: "frozenset[int]" = frozenset()
 
     def on_reset(self, now_us: int) -> None:
         """All parameters are restored; the boot-up message is about to go out."""
@@ -85,7 +90,7 @@ class Device:
 
     def upload(self, index: int, sub: int) -> "bytes | int":
         """What an SDO client reads, after the application had the chance to bring live values up to date."""
-        if self.application is not None and index >= 0x2000:
+        if self.application is not None and index in self.application.live:
             self.application.refresh(self.now_us)
         return self.od.upload(index, sub)
 

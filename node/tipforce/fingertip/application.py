@@ -22,8 +22,14 @@ NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
 
+_LIVE = (0x1002, 0x2107, 0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x6150)
+_LIVE_FORMS = (0x6100, 0x6130, 0x7100, 0x7130, 0x9100, 0x9130)
+
+
 class Fingertip(Application):
     """Everything between a gauge source and the object dictionary of one node."""
+
+    live = frozenset(_LIVE + _LIVE_FORMS)
 
     def __init__(self, device: Device, n: int, source: "Source") -> None:
         self.device = device
