@@ -7,6 +7,9 @@ INITIALISING, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
 TOGGLE = 0x05030000
 TIMEOUT = 0x05040000
 UNKNOWN_COMMAND = 0x05040001
+BLOCK_SIZE = 0x05040002
+BLOCK_SEQUENCE = 0x05040003
+BLOCK_CRC = 0x05040004
 UNSUPPORTED_ACCESS = 0x06010000
 WRITE_ONLY = 0x06010001
 READ_ONLY = 0x06010002
@@ -28,6 +31,22 @@ DEVICE_STATE = 0x08000022
 # Identifier flags and mask of SocketCAN's can_id, in which frames go in and out.
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x80000000, 0x40000000, 0x20000000
 STANDARD_MASK = 0x7FF
+
+# COB-ID objects: bit 31, the object does not exist; bit 29 and those of a 29-bit identifier, which is not offered.
+COB_ID_INVALID, COB_ID_RESERVED = 0x80000000, 0x7FFFF800
+
+
+def restricted(can_id: int) -> bool:
+    """True for an identifier that no configurable object may have (7.3.5, table 41)."""
+    return (
+        can_id <= 0x7F
+        or 0x101 <= can_id <= 0x180
+        or 0x581 <= can_id <= 0x5FF
+        or 0x601 <= can_id <= 0x67F
+        or 0x6E0 <= can_id <= 0x6FF
+        or can_id >= 0x701
+    )
+
 
 # A due time that never comes: later than any clock of microseconds, exact in a float as well.
 NEVER_US = 1 << 62

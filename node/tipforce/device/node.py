@@ -105,6 +105,7 @@ class Device:
             self.tpdos.started()
         else:
             self.tpdos.stopped()
+            self.rpdos.forget()
         if self.nmt.state == codes.STOPPED:
             self.sdo.reset()
         self.routes_changed()

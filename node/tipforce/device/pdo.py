@@ -18,7 +18,7 @@ _DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: pl
 
 
 def restricted(can_id: int) -> bool:
-    """True for an identifier that no PDO may have (7.3.5, table 41)."""
+    """True for an identifier that no configurable object may have (7.3.5, table 41)."""
     return (
         can_id <= 0x7F
         or 0x101 <= can_id <= 0x180
@@ -140,7 +140,9 @@ class Pdo:
             letter = self._letter(word) if word else "B"
             abort = letter if isinstance(letter, int) else 0
         else:
-            abort = self._compile([self._od.integer(self.mapping, k) for k in range(1, word + 1)])
+            room = self._od.subs(self.mapping)[-1]
+            words = [self._od.integer(self.mapping, k) for k in range(1, min(word, room) + 1)]
+            abort = self._compile(words) if word <= room else codes.PDO_LENGTH
         if not abort:
             self._store_and_reload(self.mapping, sub, word)
         return abort

@@ -58,6 +58,11 @@ class ReceivePdos:
                 data, pdo.waiting = pdo.waiting, b""
                 self._apply(pdo, data)
 
+    def forget(self) -> None:
+        """The device is not operational any more: what waited for a SYNC is not to act at some later start."""
+        for pdo in self._pdos:
+            pdo.waiting = b""
+
     def _apply(self, pdo: ReceivePdo, data: bytes) -> None:
         offset = 0
         for letter, (index, sub) in zip(pdo.packing[1:], pdo.keys):  # noqa: B905

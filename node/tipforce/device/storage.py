@@ -64,10 +64,11 @@ class Storage:
 
     def restore(self, subs: "list[int] | None" = None) -> None:
         """Bring the groups (all, or those named) to what is stored, or to their defaults; done on each reset."""
-        self.damaged = []
         for sub in sorted(self._groups):
             if subs is None or sub in subs:
                 name, _dump, restore = self._groups[sub]
+                if name in self.damaged:
+                    self.damaged.remove(name)
                 restore(self._read(name))
 
     def _read(self, name: str) -> "bytes | None":

@@ -37,7 +37,7 @@ class SyncConsumer:
             device.tpdos.on_sync(data[0] if data else 0)
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
-        if value & ~codes.STANDARD_MASK or not value:  # type: ignore[operator]
+        if value & ~codes.STANDARD_MASK or codes.restricted(value):  # type: ignore[operator, arg-type]
             # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered.
             return codes.INVALID_VALUE
         self.cob_id = value  # type: ignore[assignment]

@@ -43,7 +43,7 @@ class TransmitPdo(Pdo):
         if self.transmission == 0:
             due, self.pending = self.pending, False
             return due
-        if self.sync_start:
+        if self.sync_start and counter:  # without a counter in the SYNC the start value has no meaning
             if self.syncs == 0 and counter != self.sync_start:
                 return False
             # The SYNC that carries the start value counts as the first (7.5.2.37), and the PDO goes out with it.
@@ -98,7 +98,7 @@ class TransmitPdos:
         """The device became operational: every event-driven TPDO says its first values at once."""
         for pdo in self._pdos:
             if pdo.transmission > _SYNCHRONOUS:
-                pdo.due_us = self._device.now_us
+                pdo.due_us = max(self._device.now_us, pdo.free_us)
         self._reschedule()
 
     def stopped(self) -> None:

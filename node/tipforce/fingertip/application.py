@@ -8,6 +8,7 @@ from tipforce.sensor import scalar
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
 from .sample import NO_TARE, Sample
+from .source import COUNT_MAX, COUNT_MIN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -95,14 +96,18 @@ class Fingertip(Application):
 
     def _watch(self, reading: "Reading | None", now_us: int) -> int:
         """The front-end faults that show in the readings themselves, joined to those the source reports."""
+        no_data = 1 << table.FAULT_NO_DATA
         if reading is None:
+            # What the last reading showed stands until a new one says otherwise.
             silent = now_us - self._read_us > NO_DATA_US
-            return 1 << table.FAULT_NO_DATA if silent else 0
+            return self.sample.faults & ~no_data | (no_data if silent else 0)
         self._read_us = now_us
         faults: int = reading.faults
         before = self.sample.reading
         for k in range(self.n):
-            same = before is not None and before.counts[k] == reading.counts[k]
+            # The end of the range repeats itself without being frozen: that gauge is saturated.
+            inside = COUNT_MIN < reading.counts[k] < COUNT_MAX
+            same = inside and before is not None and before.counts[k] == reading.counts[k]
             self._equal[k] = self._equal[k] + 1 if same else 0
             if self._equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
                 faults |= 1 << table.FAULT_FROZEN
@@ -122,23 +127,26 @@ class Fingertip(Application):
 
     def tare(self) -> int:
         """Take the present force as zero; refused while the force is unknown."""
-        if self.sample.unknown() & scalar.UNKNOWN_FORCE:
+        self.refresh(self.device.now_us)
+        last = self.sample
+        # The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
+        # commit within one sample must not count anything twice.
+        now = Sample(last.reading, self.channels.scaling, self.calibration.active, faults=last.faults, stale=last.stale)
+        if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE
-        F, t = self.sample.force(), self._tare
-        self._tare = (F[0] + t[0], F[1] + t[1], F[2] + t[2])
+        self._tare = now.force()
         self._tared_us = self.device.now_us
         return 0
 
     def zero(self, gauges: "range | list[int]") -> int:
-        """Make gauges (from 0) read zero now, by x124h; refused while contact is present or a reading is unknown."""
+        """Make gauges (from 0) read zero now, by x124h; refused while contact is present or cannot be ruled out."""
+        self.refresh(self.device.now_us)
         sample = self.sample
         if sample.status() & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
             return codes.DEVICE_STATE
-        if any(sample.overloads[k] for k in gauges):
-            return codes.DEVICE_STATE
-        for k in gauges:
-            self.channels.shift_offset(k, -sample.microstrains[k])
-        return 0
+        if sample.reading is None or any(sample.overloads):
+            return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
+        return self.channels.zero(gauges, sample.reading.counts)
 
     # --- objects --------------------------------------------------------------------------------------------
 
@@ -153,7 +161,8 @@ class Fingertip(Application):
 
     def _read_magnitude_uncertainty(self) -> int:
         u_P = self._read_uncertainty(1)
-        return min(round(1000.0 * u_P), table.UNKNOWN_U16 - 1) if u_P >= 0.0 else table.UNKNOWN_U16
+        # Bounded before rounding: where floats are single precision u_P may be infinite.
+        return round(min(1000.0 * u_P, table.UNKNOWN_U16 - 1.0)) if u_P >= 0.0 else table.UNKNOWN_U16
 
     def _read_temperature(self) -> int:
         reading = self.sample.reading

@@ -3,6 +3,7 @@
 from math import sqrt
 
 from tipforce.device import codes
+from tipforce.device.object_dictionary import decode, encode
 from tipforce.dictionary import table
 from tipforce.sensor import scalar
 
@@ -20,6 +21,12 @@ NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
 _FORMS = ((0x7000, MAX_I16, table.UNKNOWN_I16), (0x9000, MAX_I32, table.UNKNOWN_I32))
 _SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 _FIELD_SETTINGS = (0x120, 0x122)  # in counts, so the integer forms have no decimal digits
+
+
+def _real32(value: float) -> float:
+    """What REAL32 keeps of a value: settings are held as they will be stored, so that a restart changes nothing."""
+    kept: float = decode("f", encode("f", value))  # type: ignore[assignment]
+    return kept
 
 
 class Channels:
@@ -124,13 +131,21 @@ class Channels:
             return 0.0
         diagonal = gauge * self._n - gauge * (gauge - 1) // 2
         variance = active.noise[diagonal]
-        return sqrt(variance) / abs(self.scaling[gauge][0] * 1e-6) if variance > 0.0 else 0.0
+        strain_per_count = abs(self.scaling[gauge][0] * 1e-6)  # 0 where both scaling points have one process value
+        return sqrt(variance) / strain_per_count if variance > 0.0 and strain_per_count > 0.0 else 0.0
 
-    def shift_offset(self, gauge: int, microstrain: float) -> None:
-        """Add to the offset x124h of a gauge (from 0)."""
-        key = 0x612401 + gauge
-        self._od.values[key] += microstrain  # type: ignore[operator]
+    def zero(self, gauges: "range | list[int]", counts: "tuple[int, ...]") -> int:
+        """Choose the offsets x124h with which gauges (from 0) read zero at ``counts``; all of them, or none."""
+        offsets: "dict[int, float]" = {}
+        for k in gauges:
+            gain, bias = self.scaling[k]
+            before: float = self._od.values[0x612401 + k]  # type: ignore[assignment]
+            offsets[0x612401 + k] = offset = _real32(before - (gain * counts[k] + bias))
+            if offset - offset != 0.0:
+                return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
+        self._od.values.update(offsets)
         self.load()
+        return 0
 
     def _scaling_writer(self, index: int) -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
@@ -154,7 +169,7 @@ class Channels:
 
     def _setting_writer(self, offset: int) -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
-            real = float(value) / self._setting_scale(offset, sub)
+            real = _real32(float(value) / self._setting_scale(offset, sub))
             writer = self._od.writers.get(0x6000 + offset)
             abort = writer(sub, real) if writer is not None else 0
             if not abort:

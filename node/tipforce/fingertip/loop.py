@@ -21,6 +21,7 @@ Frame = tuple[int, bytes]
 _LOG = logging.getLogger(__name__)
 _IDLE_S = 0.2  # the longest wait: how soon a loop sees that it is asked to stop
 _FULL_QUEUE_WAIT_S = 0.05
+_INTERFACE_LOST = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # down, removed, and what a send says after a removal
 
 
 class Port(Protocol):
@@ -61,22 +62,33 @@ def _step(devices: Sequence[Device], port: Port, frames: list[Frame]) -> int:
 
 
 class SocketCanPort:
-    """A raw SocketCAN socket on ``interface``: the shortest way on Linux. Raises OSError if there is none."""
+    """A raw SocketCAN socket on ``interface``: the shortest way on Linux. Raises OSError if there is none.
+
+    An interface that goes down (ENETDOWN) or away (ENODEV: an adapter is unplugged) is waited for; what a node sends
+    meanwhile is lost. That is logged once, and once more when a frame passes again.
+    """
 
     def __init__(self, interface: str) -> None:
-        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
-        try:
-            self._socket.bind((interface,))
-        except OSError:
-            self._socket.close()
-            raise
+        self._interface = interface
+        self._lost = False  # frames do not pass at present
+        self._bound = True  # to an interface that exists
+        self._socket = _bound_socket(interface)
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next classic frame, or None."""
+        if not self._bound:
+            self._bind_again(timeout_s)
+            return None
         ready, _, _ = select.select([self._socket], [], [], timeout_s)
         if not ready:
             return None
-        can_id, length, data = CAN_FRAME.unpack(self._socket.recv(CAN_FRAME.size))
+        try:
+            can_id, length, data = CAN_FRAME.unpack(self._socket.recv(CAN_FRAME.size))
+        except OSError as error:
+            # The kernel reports it once per change, so this does not spin.
+            self._lose(error)
+            return None
+        self._find()
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:
@@ -88,17 +100,55 @@ class SocketCanPort:
         for attempt in (1, 2):
             try:
                 self._socket.send(frame)
-                return
             except OSError as error:
+                if error.errno in _INTERFACE_LOST:
+                    self._lose(error)
+                    return
                 if error.errno != errno.ENOBUFS or attempt == 2:
                     _LOG.warning("a frame was not sent: %s", error.strerror)
                     return
                 # ENOBUFS is not cleared by poll() on CAN sockets: give the queue time to drain.
                 time.sleep(_FULL_QUEUE_WAIT_S)
+            else:
+                self._find()
+                return
+
+    def _lose(self, error: OSError) -> None:
+        if error.errno in (errno.ENODEV, errno.ENXIO):
+            self._bound = False
+        if not self._lost:
+            self._lost = True
+            _LOG.warning("%s: %s; the node goes on when it is up again", self._interface, error.strerror)
+
+    def _find(self) -> None:
+        if self._lost:
+            self._lost = False
+            _LOG.warning("%s: up again", self._interface)
+
+    def _bind_again(self, timeout_s: float) -> None:
+        """The interface was removed; one of its name may have come. The kernel took the old socket's filter: a new one."""
+        try:
+            found = _bound_socket(self._interface)
+        except OSError:
+            time.sleep(timeout_s)
+            return
+        self._socket.close()
+        self._socket = found
+        self._bound = True
 
     def close(self) -> None:
         """Release the socket."""
         self._socket.close()
+
+
+def _bound_socket(interface: str) -> socket.socket:
+    found = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    try:
+        found.bind((interface,))
+    except OSError:
+        found.close()
+        raise
+    return found
 
 
 class PythonCanPort:

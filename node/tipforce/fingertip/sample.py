@@ -69,7 +69,7 @@ class Sample:
 
     def present(self) -> bool:
         """Contact present, for the hysteresis of the next sample: as it was before where this one cannot tell."""
-        if self.stale or self._status < 0:
+        if self._status < 0 or self.unknown() & scalar.UNKNOWN_FORCE:
             return self._was_present
         return bool(self._status & scalar.CONTACT_PRESENT)
 

@@ -31,9 +31,9 @@ class FileStore:
 
     def save(self, group: str, data: bytes) -> bool:
         """Replace one group; False, with the reason in the log, when the disk refuses."""
-        groups = self._read() or {}
-        groups[group] = data.hex()
         try:
+            groups = self._read() or {}
+            groups[group] = data.hex()
             self._replace(json.dumps(groups, indent=1).encode() + b"\n")
         except OSError as error:
             _LOG.error("store %s: %s; nothing was changed", self._path, error.strerror)
@@ -42,7 +42,11 @@ class FileStore:
 
     def load(self, group: str) -> bytes | None:
         """What was stored for ``group``; None if nothing was, bytes that fail their CRC if the file is damaged."""
-        groups = self._read()
+        try:
+            groups = self._read()
+        except OSError as error:
+            _LOG.error("store %s: %s; starting with defaults", self._path, error.strerror)
+            return _DAMAGED
         if groups is None:
             return _DAMAGED
         try:
@@ -51,13 +55,16 @@ class FileStore:
             return _DAMAGED
 
     def _read(self) -> dict[str, str] | None:
-        """All groups; empty if there is no file yet, None if it cannot be read as what ``save`` writes."""
+        """All groups; empty if there is no file yet, None if it does not hold what ``save`` writes.
+
+        Raises OSError if the disk does not give the file: what it holds must then not be replaced either.
+        """
         try:
             content = json.loads(self._path.read_bytes())
         except FileNotFoundError:
             return {}
-        except (OSError, ValueError) as error:
-            _LOG.error("store %s: not readable (%s); starting with defaults", self._path, error)
+        except (ValueError, RecursionError) as error:
+            _LOG.error("store %s: not what was stored (%s)", self._path, error)
             return None
         return content if isinstance(content, dict) else None
 

@@ -1,0 +1,194 @@
+"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h."""
+
+import binascii
+import struct
+
+import pytest
+
+from device.conversation import Conversation
+from device.tiny import Memory, booted
+
+SAVE, LOAD = 0x65766173, 0x64616F6C
+RESET_NODE = "> 000#8105\n< 705#00"
+
+
+def changed(store: Memory | None) -> Conversation:
+    """A node with one setting of each area changed: 1017h, 1800h:1, 6000h, 6001h; and 2000h, which no area holds."""
+    talk = booted(store)
+    for kind, index, sub, value in (
+        ("H", 0x1017, 0, 500),
+        ("I", 0x1800, 1, 0x400001AA),
+        ("H", 0x6000, 0, 7),
+        ("f", 0x6001, 0, 1.25),
+        ("B", 0x2000, 0, 9),
+    ):
+        assert talk.put(kind, index, sub, value) == 0
+    return talk
+
+
+def settings(talk: Conversation) -> tuple[float, ...]:
+    """What ``changed`` has changed."""
+    return (
+        talk.get("H", 0x1017),
+        talk.get("I", 0x1800, 1),
+        talk.get("H", 0x6000),
+        talk.get("f", 0x6001),
+    )
+
+
+DEFAULTS = (0, 0xC0000185, 100, 0.5)
+COMMUNICATION = (500, 0x400001AA, 100, 0.5)
+APPLICATION = (0, 0xC0000185, 7, 1.25)
+BOTH = (500, 0x400001AA, 7, 1.25)
+
+
+@pytest.mark.parametrize(("sub", "kept"), [(1, BOTH), (2, COMMUNICATION), (3, APPLICATION)])
+def test_each_sub_index_stores_its_parameters(sub: int, kept: tuple[float, ...]) -> None:
+    store = Memory()
+    talk = changed(store)
+    assert talk.put("I", 0x1010, sub, SAVE) == 0
+    assert settings(booted(store)) == kept
+    talk.say(RESET_NODE)
+    assert settings(talk) == kept
+
+
+def test_without_a_store_command_nothing_is_kept() -> None:
+    store = Memory()
+    talk = changed(store)
+    talk.say(RESET_NODE)
+    assert settings(talk) == DEFAULTS
+    assert store.groups == {}
+
+
+def test_what_a_node_can_store() -> None:
+    talk = booted(Memory())
+    for index in (0x1010, 0x1011):
+        for sub in (1, 2, 3):
+            assert talk.get("I", index, sub) == 1  # on command, not by itself
+    assert talk.upload(0x1010, 4) == 0x06090011
+    assert talk.put("I", 0x1010, 4, SAVE) == 0x06090011
+
+
+@pytest.mark.parametrize("signature", [0, 1, 0x73617665, LOAD, SAVE ^ 1])
+def test_wrong_signature_is_refused(signature: int) -> None:
+    store = Memory()
+    talk = changed(store)
+    assert talk.put("I", 0x1010, 1, signature) == 0x08000020
+    assert talk.put("I", 0x1011, 1, SAVE) == 0x08000020
+    assert store.groups == {}
+    assert talk.get("I", 0x1010, 1) == 1
+
+
+def test_store_that_refuses_is_said_to_the_client() -> None:
+    store = Memory()
+    store.refuses = True
+    talk = changed(store)
+    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
+    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
+
+
+def test_node_without_a_store_refuses() -> None:
+    talk = changed(None)
+    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
+    assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
+
+
+@pytest.mark.parametrize(("sub", "left"), [(1, DEFAULTS), (2, APPLICATION), (3, COMMUNICATION)])
+def test_restore_takes_effect_with_the_reset_only(sub: int, left: tuple[float, ...]) -> None:
+    store = Memory()
+    talk = changed(store)
+    assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, sub, LOAD) == 0
+    assert settings(talk) == BOTH
+    talk.say(RESET_NODE)
+    assert settings(talk) == left
+    assert settings(booted(store)) == left
+    assert talk.device.storage.damaged == []
+
+
+def test_reset_communication_returns_the_stored_communication_area() -> None:
+    talk = changed(Memory())
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    assert talk.put("H", 0x1017, 0, 0) == talk.put("H", 0x6000, 0, 8) == 0
+    talk.say("> 000#8205\n< 705#00")
+    assert settings(talk) == (500, 0x400001AA, 8, 1.25)
+
+
+def test_stored_pdo_mapping_survives_a_restart() -> None:
+    store = Memory()
+    talk = booted(store)
+    for kind, index, sub, value in (
+        ("B", 0x1A00, 0, 0),
+        ("I", 0x1A00, 1, 0x20010010),
+        ("I", 0x1A00, 2, 0x20020020),
+        ("I", 0x1A00, 3, 0x20000008),
+        ("B", 0x1A00, 0, 3),
+        ("I", 0x1800, 1, 0x40000185),
+    ):
+        assert talk.put(kind, index, sub, value) == 0
+    assert talk.put("I", 0x1010, 2, SAVE) == 0
+    booted(store).say("> 000#0105\n> 080#\n< 185#FEFF.11223344.11")
+
+
+def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
+    store = Memory()
+    talk = booted(store)
+    # Written back as it is: still the default, which is 180h plus the node-id.
+    assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == 0
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    moved = booted(store, node_id=9)
+    assert moved.get("I", 0x1801, 1) == 0xC0000289
+    assert moved.get("H", 0x6000) == 7
+
+
+@pytest.mark.parametrize("damage", ["flip", "cut", "short", "append"])
+def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
+    store = Memory()
+    assert changed(store).put("I", 0x1010, 1, SAVE) == 0
+    blob = store.groups["application"]
+    store.groups["application"] = {
+        "flip": blob[:-1] + bytes((blob[-1] ^ 1,)),
+        "cut": blob[:-1],
+        "short": blob[:3],
+        "append": blob + b"\0",
+    }[damage]
+    talk = booted(store)
+    assert settings(talk) == COMMUNICATION
+    assert talk.device.storage.damaged == ["application"]
+    # Restoring the other area does not take the note away, storing anew and a reset do.
+    talk.say("> 000#8205\n< 705#00")
+    assert talk.device.storage.damaged == ["application"]
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    talk.say(RESET_NODE)
+    assert talk.device.storage.damaged == []
+
+
+def test_every_single_bit_of_damage_is_seen() -> None:
+    store = Memory()
+    assert changed(store).put("I", 0x1010, 3, SAVE) == 0
+    blob = store.groups["application"]
+    for bit in range(8 * len(blob)):
+        spoilt = bytearray(blob)
+        spoilt[bit // 8] ^= 1 << bit % 8
+        store.groups["application"] = bytes(spoilt)
+        assert settings(booted(store)) == DEFAULTS
+
+
+def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:
+    # A group from other firmware: unknown index, unknown sub-index, another length, outside the limits, read-only.
+    records = b"".join(
+        struct.pack("<HBH", index, sub, len(data)) + data
+        for index, sub, data in (
+            (0x6002, 0, b"\1"),
+            (0x6000, 3, b"\1\0"),
+            (0x6000, 0, b"\1"),
+            (0x6001, 0, struct.pack("<f", 9.0)),
+            (0x6001, 0, struct.pack("<f", float("nan"))),
+            (0x2000, 0, b"\7"),
+            (0x6000, 0, b"\x2a\0"),
+        )
+    )
+    store = Memory()
+    store.groups["application"] = struct.pack("<I", binascii.crc32(records)) + records
+    talk = booted(store)
+    assert settings(talk) == (0, 0xC0000185, 42, 0.5)
+    assert talk.get("B", 0x2000) == 0x11
