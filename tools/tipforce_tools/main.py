@@ -23,7 +23,9 @@ COMMANDS = {
     "sdo": ("tipforce_tools.sdo", "read or write an object of a node"),
     "config": ("tipforce_tools.config", "apply or verify a configuration file (TOML or DCF)"),
     "calibrate": ("tipforce_tools.calibrate", "apply or verify a calibration file"),
+    "budget": ("tipforce_tools.budget", "the error budget of P, phi and theta, by cause"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
+    "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
     "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
 }

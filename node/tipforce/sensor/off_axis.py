@@ -1,0 +1,268 @@
+"""Loads out of the plane: what gauges read of them, by a three-dimensional beam model (section 3.3 of the paper).
+
+Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the
+horizontal beam. Both arms of the horizontal beam join a rigid tip to a rigid joint; the vertical beam is clamped.
+Euler-Bernoulli bending in both planes, axial force, torsion. Torsion is St Venant's, with warping either free, or
+(thin-rectangle theory of Vlasov) held at every beam end: then the shear of torsion vanishes at the ends, as the paper
+says, but an axial strain y z phi'' takes its place, which a gauge off the centre line does see.
+Left out: shear deformation, the compliance of tip and fixture, stress concentration in the corners.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass
+from math import cos, exp, pi, sin, sqrt, tanh
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.sensor.gauge_shift import GaugePosition, nominal_position
+from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.layouts import Layout, layout
+
+FloatArray = npt.NDArray[np.float64]
+
+POISSON_RATIO = 0.29
+"""Of steel; an assumption, not in the paper."""
+
+
+@dataclass(frozen=True, slots=True)
+class PlacedGauge:
+    """One gauge with its errors of placement."""
+
+    position: GaugePosition
+    lateral_offset_m: float = 0.0
+    """Off the centre line of the beam, along z."""
+    misalignment_rad: float = 0.0
+    """From the axis of the beam (x or y) towards z."""
+
+
+@dataclass(frozen=True, slots=True)
+class ApparentForce:
+    """Apparent force per newton of an unwanted load: components of F, all from the worst signs and angle."""
+
+    P_newtons: float
+    """Largest hypot(F1, F3)."""
+    F2_newtons: float
+    """Largest |F2|."""
+    norm_newtons: float
+    """Largest |F|."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Section:
+    """Stiffnesses of one beam. thickness_m lies in the plane of the sensor, width along z."""
+
+    length_m: float
+    thickness_m: float
+    width_m: float
+    axial: float  # E A, newtons
+    bend_in_plane: float  # E I, N m^2
+    bend_out_of_plane: float
+    twist: float  # G J, N m^2
+    surface_shear: float  # largest shear strain on the wide face per newton metre of torque
+    lateral_shear: float  # shear strain on the centre line per newton of lateral force
+    decay_m: float  # sqrt(E Cw / G J): how far held warping reaches; 0 where warping is free
+
+    def torsion_profile(self, s: float) -> tuple[float, float]:
+        """(phi' G J / T, its derivative along s) at s from one end; both ends hold the warping."""
+        if self.decay_m == 0.0:
+            return 1.0, 0.0
+        # Decaying exponentials from both ends: cosh of a long beam would overflow.
+        near, far = exp(-s / self.decay_m), exp((s - self.length_m) / self.decay_m)
+        both = 1.0 + exp(-self.length_m / self.decay_m)
+        return 1.0 - (near + far) / both, (near - far) / both / self.decay_m
+
+    def torsion_length(self) -> float:
+        """The length that twists freely: held warping stiffens the ends."""
+        if self.decay_m == 0.0:
+            return self.length_m
+        return self.length_m - 2.0 * self.decay_m * tanh(0.5 * self.length_m / self.decay_m)
+
+
+def torsion_constants(width_m: float, thickness_m: float) -> tuple[float, float]:
+    """Return (J, W) of a rectangle, m^4 and m^3: twist per length T / (G J), largest shear stress T / W.
+
+    St Venant's series; the largest shear is in the middle of the wide face. Raises InputError where thickness is
+    not the smaller side.
+    """
+    if not 0.0 < thickness_m <= width_m:
+        raise InputError(f"thickness {thickness_m!r} m of a beam {width_m!r} m wide: allowed is above 0, up to it")
+    slenderness = width_m / thickness_m
+    odd = range(1, 40, 2)
+    stiff = sum(tanh(0.5 * n * pi * slenderness) / n**5 for n in odd)
+    J = width_m * thickness_m**3 / 3.0 * (1.0 - 192.0 / pi**5 / slenderness * stiff)
+    decays = ((n, exp(-0.5 * n * pi * slenderness)) for n in odd)
+    shear = 1.0 - 8.0 / pi**2 * sum(2.0 * e / (1.0 + e * e) / n**2 for n, e in decays)
+    return J, J / (thickness_m * shear)
+
+
+def wrench_strain_matrix(
+    geometry: Geometry,
+    gauges: list[PlacedGauge],
+    *,
+    warping_held: bool = False,
+    poisson_ratio: float = POISSON_RATIO,
+) -> FloatArray:
+    """Return the strain per unit of a wrench on the tip, shape (n, 6), tension positive.
+
+    The wrench is (Fx, Fy, Fz, Mx, My, Mz) about the middle of the horizontal beam, newtons and newton metres.
+    Raises InputError for a beam that is thicker than wide.
+    """
+    horizontal = _section(geometry, geometry.a_m, geometry.h1_m, warping_held, poisson_ratio)
+    vertical = _section(geometry, geometry.d_m, geometry.h2_m, warping_held, poisson_ratio)
+    arms = _arm_loads(horizontal)
+    rows = []
+    for gauge in gauges:
+        if gauge.position.beam == "H":
+            strain, shear = _on_arm(horizontal, arms, gauge)
+        else:
+            strain, shear = _on_stem(geometry, vertical, gauge)
+        c, s = cos(gauge.misalignment_rad), sin(gauge.misalignment_rad)
+        rows.append(strain * (c * c - poisson_ratio * s * s) + shear * (s * c))
+    return np.array(rows, dtype=np.float64).reshape(-1, 6)
+
+
+def planar_part(geometry: Geometry, wrench_matrix: FloatArray) -> FloatArray:
+    """Return what the (n, 6) matrix says of F = (F1, F2, F3): (n, 3). F1 = Fy, F2 = Mz / r, F3 = Fx."""
+    return np.stack(
+        (wrench_matrix[:, 1], geometry.r_m * wrench_matrix[:, 5], wrench_matrix[:, 0]), axis=-1, dtype=np.float64
+    )
+
+
+def off_axis_wrenches(geometry: Geometry, theta_rad: npt.ArrayLike) -> FloatArray:
+    """Return the wrenches of 1 N along z at the contact angles theta, shape (..., 6)."""
+    theta = np.asarray(theta_rad, dtype=np.float64)
+    zero, one = np.zeros_like(theta), np.ones_like(theta)
+    r = geometry.r_m
+    return np.stack((zero, zero, one, r * np.sin(theta), -r * np.cos(theta), zero), axis=-1)
+
+
+def off_centre_wrenches(phi_rad: npt.ArrayLike, z_m: float) -> FloatArray:
+    """Return what 1 N in the plane, applied z_m off the middle plane, adds to its planar wrench: (..., 6)."""
+    phi = np.asarray(phi_rad, dtype=np.float64)
+    zero = np.zeros_like(phi)
+    return np.stack((zero, zero, zero, -z_m * np.sin(phi), z_m * np.cos(phi), zero), axis=-1)
+
+
+def apparent_force(
+    geometry: Geometry,
+    gauges: Layout,
+    wrenches: FloatArray,
+    *,
+    lateral_offset_m: float = 0.0,
+    misalignment_rad: float = 0.0,
+    warping_held: bool = False,
+    inward_m: float = 0.0,
+) -> ApparentForce:
+    """Return the force that a planar calibration makes of unwanted wrenches (m, 6).
+
+    Every gauge of the layout is placed off by the two amounts, with either sign, and calibrated in the plane as
+    it sits; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
+    from the fixed ends. Raises InputError for an unusable layout.
+    """
+    points = layout(gauges)
+    magnitudes = (lateral_offset_m, misalignment_rad)
+    worst = np.zeros(3)
+    for signs in itertools.product((-1.0, 1.0), repeat=len(points)):
+        placed = [
+            PlacedGauge(_inward(geometry, point, inward_m), sign * magnitudes[0], sign * magnitudes[1])
+            for point, sign in zip(points, signs, strict=True)
+        ]
+        matrix = wrench_strain_matrix(geometry, placed, warping_held=warping_held)
+        F = wrenches @ matrix.T @ np.linalg.pinv(planar_part(geometry, matrix)).T
+        found = (np.hypot(F[:, 0], F[:, 2]).max(), np.abs(F[:, 1]).max(), np.linalg.norm(F, axis=1).max())
+        worst = np.maximum(worst, found)
+    return ApparentForce(*(float(value) for value in worst))
+
+
+def _inward(geometry: Geometry, point: str, inward_m: float) -> GaugePosition:
+    place = nominal_position(geometry, point)
+    return place._replace(position_m=abs(place.position_m - inward_m))
+
+
+def _section(geometry: Geometry, length_m: float, h: float, warping_held: bool, poisson_ratio: float) -> _Section:
+    b, E = geometry.width_m, geometry.youngs_modulus_pascals
+    G = 0.5 * E / (1.0 + poisson_ratio)
+    J, W = torsion_constants(b, h)
+    return _Section(
+        length_m=length_m,
+        thickness_m=h,
+        width_m=b,
+        axial=E * b * h,
+        bend_in_plane=E * b * h**3 / 12.0,
+        bend_out_of_plane=E * h * b**3 / 12.0,
+        twist=G * J,
+        surface_shear=1.0 / (G * W),
+        lateral_shear=1.5 / (G * b * h),
+        decay_m=sqrt(E * (b * h) ** 3 / 144.0 / (G * J)) if warping_held else 0.0,
+    )
+
+
+def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
+    """Per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm.
+
+    The arms share the wrench as two springs in parallel between rigid bodies do.
+    """
+    stiffness = {}
+    transform = {}
+    for side, sign in (("left", -1.0), ("right", 1.0)):
+        flexibility = np.diag(_cantilever_diagonal(beam))
+        L = beam.length_m
+        flexibility[1, 5] = flexibility[5, 1] = 0.5 * sign * L * L / beam.bend_in_plane
+        flexibility[2, 4] = flexibility[4, 2] = -0.5 * sign * L * L / beam.bend_out_of_plane
+        stiffness[side] = np.linalg.inv(flexibility)
+        # A rotation of the tip moves the arm's end at (sign L, 0, 0): theta x p.
+        transform[side] = np.eye(6)
+        transform[side][1, 5], transform[side][2, 4] = sign * L, -sign * L
+    total = sum(transform[side].T @ stiffness[side] @ transform[side] for side in transform)
+    motion = np.linalg.inv(np.asarray(total))
+    return {side: stiffness[side] @ transform[side] @ motion for side in transform}
+
+
+def _cantilever_diagonal(beam: _Section) -> list[float]:
+    L, in_plane, out = beam.length_m, beam.bend_in_plane, beam.bend_out_of_plane
+    return [
+        L / beam.axial,
+        L**3 / 3 / in_plane,
+        L**3 / 3 / out,
+        beam.torsion_length() / beam.twist,
+        L / out,
+        L / in_plane,
+    ]
+
+
+def _on_arm(beam: _Section, arms: dict[str, FloatArray], gauge: PlacedGauge) -> tuple[FloatArray, FloatArray]:
+    """(axial strain, shear strain xz) per unit of wrench, (6,) each, on a face of the horizontal beam."""
+    side, s, z = gauge.position.side, gauge.position.position_m, gauge.lateral_offset_m
+    sign = -1.0 if side == "left" else 1.0
+    y = -0.5 * beam.thickness_m if gauge.position.face == "lower" else 0.5 * beam.thickness_m
+    Fx, Fy, Fz, Mx, My, Mz = arms[side]
+    lever = sign * (beam.length_m - s)
+    My, Mz = My - lever * Fz, Mz + lever * Fy
+    straight, bent = beam.torsion_profile(s)
+    strain = sign * (Fx / beam.axial + My * (z / beam.bend_out_of_plane) - Mz * (y / beam.bend_in_plane))
+    strain = strain + Mx * (y * z * bent / beam.twist)
+    shear = sign * (Fz * _lateral(beam, z) + np.sign(y) * straight * beam.surface_shear * Mx)
+    return strain, shear
+
+
+def _on_stem(geometry: Geometry, beam: _Section, gauge: PlacedGauge) -> tuple[FloatArray, FloatArray]:
+    """(axial strain, shear strain yz) per unit of wrench, (6,) each, on a face of the vertical beam."""
+    s, z = gauge.position.position_m, gauge.lateral_offset_m
+    x = -0.5 * beam.thickness_m if gauge.position.side == "left" else 0.5 * beam.thickness_m
+    Fx, Fy, Fz, Mx, My, Mz = np.eye(6)
+    lever = 0.5 * geometry.h1_m + s
+    Mx, Mz = Mx + lever * Fz, Mz - lever * Fx
+    straight, bent = beam.torsion_profile(s)
+    strain = Fy / beam.axial - Mx * (z / beam.bend_out_of_plane) + Mz * (x / beam.bend_in_plane)
+    strain = strain + My * (x * z * bent / beam.twist)
+    shear = Fz * _lateral(beam, z) - np.sign(x) * straight * beam.surface_shear * My
+    return strain, shear
+
+
+def _lateral(beam: _Section, z: float) -> float:
+    """Shear strain on the face per newton along z: a parabola over the width."""
+    return beam.lateral_shear * (1.0 - (2.0 * z / beam.width_m) ** 2)

@@ -1,0 +1,158 @@
+"""Tables 1 to 3 and the ranking of layouts: formulas, maxima by search, and what the printed digits allow."""
+
+from __future__ import annotations
+
+from dataclasses import astuple
+from math import isnan, nan
+
+import numpy as np
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED, Geometry
+from tipforce.sensor.layouts import LAYOUTS, POINTS, mirror
+from tipforce.sensor.measured import measured_rows, nearest_common_shifts, rounding_range, shared_gauge_disagreement
+from tipforce.sensor.published import CASES, HALF_DIGIT, MEASURED_MATRICES, TABLE_2
+from tipforce.sensor.ranking import ranked_layouts, ties
+from tipforce.sensor.strain import stress_coefficients, thin_limit_matrix
+from tipforce.sensor.tables import (
+    SYMBOLS,
+    THIN_UNIT,
+    condition_numbers_by_unit,
+    maximum_over_contacts,
+    reading,
+    table_1,
+    table_2,
+    table_3,
+)
+
+ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
+THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))
+CONTACTS = force_vector(1.0, PHI, THETA).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+def test_table_1_formulas_give_its_numbers(geometry: Geometry) -> None:
+    values = dict(zip(("a", "d", "r", "h1", "h2"), astuple(geometry)[:5], strict=True))
+    for point, coefficients in stress_coefficients(geometry).items():
+        found = [eval(symbol.replace("^", "**"), {"__builtins__": {}}, values) for symbol in SYMBOLS[point]]
+        assert found == pytest.approx(coefficients, rel=1e-14), point
+
+
+def test_table_1_signs() -> None:
+    for row in table_1(ODD):
+        sign = -1.0 if row.point in ("T", "U", "K_V", "S_V") else 1.0
+        scale = sign / (ODD.width_m * ODD.youngs_modulus_pascals)
+        assert row.strain_per_newton == pytest.approx([scale * g for g in row.per_metre], rel=1e-14)
+
+
+def test_maxima_against_a_search() -> None:
+    rng = np.random.default_rng(3)
+    rows = [tuple(rng.normal(size=3).tolist()) for _ in range(60)]
+    rows += [(1.0, 0.0, 2.0), (0.0, 2.0, 0.0), (0.0, -2.0, 0.0), (1.0, 1.0, 0.0), (-1.0, 1.0, 0.0), (0.0, 1.0, 1.0)]
+    for g1, g2, g3 in rows:
+        best = maximum_over_contacts((g1, g2, g3))
+        largest = float((CONTACTS @ np.array([g1, g2, g3])).max())
+        assert largest <= best.value * (1.0 + 1e-12)
+        assert best.value == pytest.approx(largest, rel=1e-4)
+        for theta in (0.0, 70.0) if isnan(best.theta_deg) else (best.theta_deg,):
+            phi = best.phi_deg + (theta if isnan(best.theta_deg) and g2 else 0.0)
+            assert reading((g1, g2, g3), theta, phi) == pytest.approx(best.value, rel=1e-9)
+
+
+def test_table_2_thin_limit() -> None:
+    found = {row.point: row.thin for row in table_2(FABRICATED)}
+    for point, printed in TABLE_2.items():
+        assert found[point].value == pytest.approx(printed.maximum, rel=1e-12)
+    places = {point: (row.theta_deg, row.phi_deg % 180.0) for point, row in found.items()}
+    assert places["L"] == places["K_H"] == (180.0, 90.0)
+    assert places["R"] == places["S_H"] == (0.0, 90.0)
+    assert places["T"] == places["U"] == (90.0, 0.0)
+    assert isnan(places["K_V"][0])
+    assert isnan(places["S_V"][0])
+
+
+def test_printed_places_of_table_2() -> None:
+    """What the thin limit really reads where the paper puts the maxima: R nothing, T and U half."""
+    there = {}
+    for point, (g1, g2, g3) in zip(POINTS, thin_limit_matrix(POINTS).tolist(), strict=True):
+        printed = TABLE_2[point]
+        there[point] = THIN_UNIT * abs(reading((g1, g2, g3), printed.theta_deg, printed.phi_deg)) / printed.maximum
+    expected = {"L": 1.0, "R": 0.0, "T": 0.5, "U": 0.5, "K_H": 1.0, "S_H": 1.0, "K_V": 1.0, "S_V": 1.0}
+    assert there == pytest.approx(expected, abs=1e-12)
+
+
+def test_actual_maxima_against_a_search() -> None:
+    for row in table_2(FABRICATED):
+        unit = FABRICATED.h1_m**2 / FABRICATED.a_m
+        largest = np.abs(CONTACTS @ np.array(stress_coefficients(FABRICATED)[row.point])).max() * unit
+        assert row.fabricated.value == pytest.approx(largest, rel=1e-4)
+        assert row.fabricated.value == pytest.approx(row.thin.value, rel=0.017)
+
+
+def test_table_3_theory_and_units() -> None:
+    assert [round(table_3(FABRICATED, case).actual, 3) for case in CASES] == [2.510, 2.610, 2.711]
+    assert [round(table_3(FABRICATED, case).thin, 3) for case in CASES] == [2.555, 2.626, 2.693]
+    by_unit = condition_numbers_by_unit(FABRICATED, "I")
+    assert by_unit["M/r"] == pytest.approx(2.510, abs=5e-4)
+    assert by_unit["N mm"] == pytest.approx(8.07, abs=5e-3)
+    assert by_unit["N m"] == pytest.approx(158.2, abs=0.05)
+
+
+def test_ranking() -> None:
+    rows = ranked_layouts(FABRICATED)
+    assert len(rows) == 28
+    assert len({frozenset(points) for row in rows for points in (row.points, row.mirrored)}) == 56
+    assert [round(row.condition, 3) for row in rows[:5]] == [2.510, 2.610, 2.622, 2.711, 3.618]
+    assert [row.case for row in rows[:5]] == ["I", "II", "", "III", ""]
+    assert {frozenset(rows[2].points), frozenset(rows[2].mirrored)} == {
+        frozenset("LT") | {"S_H"},
+        frozenset("RU") | {"K_H"},
+    }
+    assert all(row.mirrored == mirror(row.points) for row in rows)
+    for by, order in (("noise", ["I", "II", "III"]), ("equilibrated", ["III", "II", "I"])):
+        assert [row.case for row in ranked_layouts(FABRICATED, by) if row.case] == order  # type: ignore[arg-type]
+    groups = ties(ranked_layouts(FABRICATED, "thin"), "thin")
+    assert [row.case for row in groups[0]] == ["II", ""]
+    assert not ties(rows, "condition")
+    with pytest.raises(InputError, match="allowed are condition"):
+        ranked_layouts(FABRICATED, "best")  # type: ignore[arg-type]
+
+
+def test_rounding_ranges_exclude_3_50_for_cases_i_and_ii() -> None:
+    found = {case: rounding_range(MEASURED_MATRICES[case]) for case in CASES}
+    assert [round(found[case].printed, 2) for case in CASES] == [3.52, 3.53, 3.34]
+    assert found["I"].low > 3.505
+    assert found["II"].low > 3.505
+    assert found["III"].low < 3.34 < found["III"].high
+    rng = np.random.default_rng(4)
+    for case in CASES:
+        inside = np.array(MEASURED_MATRICES[case]) + rng.uniform(-HALF_DIGIT, HALF_DIGIT, (20_000, 3, 3))
+        conditions = np.linalg.cond(inside)
+        assert found[case].low <= conditions.min()
+        assert conditions.max() <= found[case].high
+
+
+def test_shared_gauges_disagree_by_up_to_ten_per_cent() -> None:
+    apart = shared_gauge_disagreement()
+    assert apart["U"] == pytest.approx(0.097, abs=5e-4)
+    assert max(apart.values()) == apart["U"]
+    for case in CASES:
+        rows = np.array([measured_rows()[case][point] for point in LAYOUTS[case]])
+        np.testing.assert_allclose(np.array(MEASURED_MATRICES[case]) @ rows, np.eye(3), atol=1e-12)
+
+
+def test_no_common_gauge_shift_gives_the_measured_condition_numbers() -> None:
+    measured = {case: rounding_range(MEASURED_MATRICES[case]).printed for case in CASES}
+    nearest = nearest_common_shifts(FABRICATED, measured)
+    assert nearest.worst_miss > 0.05
+    misses = [abs(nearest.conditions[case] - measured[case]) for case in CASES]
+    assert max(misses) == pytest.approx(nearest.worst_miss, rel=1e-9)
+    exact = nearest_common_shifts(FABRICATED, {case: table_3(FABRICATED, case).actual for case in CASES}, steps=5)
+    assert exact.worst_miss < 1e-12
+    assert set(exact.shifts_m.values()) == {0.0}
+
+
+def test_maximum_of_nothing() -> None:
+    assert maximum_over_contacts((0.0, 0.0, 0.0)) == pytest.approx((0.0, nan, 0.0), nan_ok=True)

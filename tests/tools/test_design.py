@@ -1,0 +1,248 @@
+"""`tipforce design table|sweep`: the numbers that it prints, its figures, and what it says to wrong words."""
+
+import contextlib
+import importlib.util
+import io
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tipforce_tools.main import main
+
+DESIGN = [sys.executable, "-m", "tipforce_tools.main", "design"]
+NEEDS_MATPLOTLIB = pytest.mark.skipif(
+    importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
+)
+
+
+def records(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+    assert main(["design", *words, "--json"]) == 0
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def rows(found: list[dict[str, Any]], table: str) -> list[dict[str, Any]]:
+    return [record for record in found if record["table"] == table and "notes" not in record]
+
+
+@pytest.fixture(scope="module")
+def everything() -> list[dict[str, Any]]:
+    out = io.StringIO()
+    with contextlib.redirect_stdout(out):
+        assert main(["design", "table", "all", "--repeats", "50", "--json"]) == 0
+    return [json.loads(line) for line in out.getvalue().splitlines()]
+
+
+def test_every_table_is_there_with_its_explanation(everything: list[dict[str, Any]]) -> None:
+    tables = {"1": 8, "2": 8, "3": 3, "ranking": 28, "fig6": 12, "fig9": 19, "off-axis": 18}
+    assert {name: len(rows(everything, name)) for name in tables} == tables
+    assert {record["table"] for record in everything if "notes" in record} == set(tables)
+
+
+def test_table_3_to_the_printed_digits(everything: list[dict[str, Any]]) -> None:
+    cases = rows(everything, "3")
+    assert [row["case"] for row in cases] == ["I", "II", "III"]
+    assert [f"{row['actual']:.3f}" for row in cases] == ["2.510", "2.610", "2.711"]
+    assert [f"{row['thin']:.3f}" for row in cases] == ["2.555", "2.626", "2.693"]
+    # The paper cuts after two decimals: rounding would give 2.63 for case II.
+    assert (
+        [int(100 * row["thin"]) / 100 for row in cases] == [row["paper_theory"] for row in cases] == [2.55, 2.62, 2.69]
+    )
+    assert [f"{row['printed_matrix']:.2f}" for row in cases] == ["3.52", "3.53", "3.34"]
+    assert [row["can_be_printed_value"] for row in cases] == [False, False, True]
+    assert [row["paper_simulation"] for row in cases] == [2.53, 3.36, 3.94]
+    assert [f"{row['simulation_over_theory'] - 1:.0%}" for row in cases[1:]] == ["28%", "46%"]
+    by_unit = cases[0]["by_unit"]
+    assert [f"{by_unit['M/r']:.1f}", f"{by_unit['N mm']:.0f}", f"{by_unit['N m']:.0f}"] == ["2.5", "8", "158"]
+
+
+def test_simulation_column_is_explained_by_one_shift(everything: list[dict[str, Any]]) -> None:
+    _, second, third = rows(everything, "3")
+    assert second["simulation_shift_of"] == ["L"]
+    assert third["simulation_shift_of"] == ["L", "R"]
+    both = [row["simulation_shift_mm_others_half_mm"] for row in (second, third)]
+    assert both == pytest.approx([1.96, 2.01], abs=0.01)
+
+
+def test_ranking_to_the_printed_digits(everything: list[dict[str, Any]]) -> None:
+    ranked = rows(everything, "ranking")
+    assert [f"{row['condition']:.3f}" for row in ranked[:4]] == ["2.510", "2.610", "2.622", "2.711"]
+    assert f"{ranked[4]['condition']:.2f}" == "3.62"
+    assert {tuple(sorted(ranked[2][key])) for key in ("gauges", "mirror")} == {("L", "S_H", "T"), ("K_H", "R", "U")}
+    assert ranked[1]["thin_tie"] == ranked[2]["thin_tie"] == 1
+    cases = {row["case"]: row for row in ranked if row["case"]}
+    assert [cases[case]["rank_row_equilibrated"] for case in ("III", "II", "I")] == [1, 3, 4]
+    noise = [cases[case]["noise_gain_N_per_ue"] for case in ("I", "II", "III")]
+    assert noise == sorted(noise)
+    assert ranked[-1]["thin"] is None  # infinite: JSON has no word for it
+
+
+def test_table_2_corrections(everything: list[dict[str, Any]]) -> None:
+    found = {row["point"]: row for row in rows(everything, "2")}
+    assert [row["thin"] for row in found.values()] == pytest.approx([row["paper"] for row in found.values()])
+    assert found["R"]["thin_at_paper"] == pytest.approx(0.0, abs=1e-12)
+    assert (found["R"]["thin_theta_deg"], abs(found["R"]["thin_phi_deg"])) == (0.0, 90.0)
+    for point in ("T", "U"):
+        assert found[point]["thin_theta_deg"] == 90.0
+        assert abs(found[point]["thin_phi_deg"]) in (0.0, 180.0)
+        assert found[point]["thin_at_paper"] == pytest.approx(2.25)
+    assert found["K_V"]["thin_theta_deg"] is None
+    assert max(row["strain_ue"] for row in found.values()) == pytest.approx(912.1, abs=0.05)
+    assert {point for point, row in found.items() if row["explanation"]} == {"R", "T", "U", "K_V", "S_V"}
+
+
+def test_figure_6_claim(everything: list[dict[str, Any]]) -> None:
+    slopes: dict[str, dict[str, float]] = {}
+    for row in rows(everything, "fig6"):
+        slopes.setdefault(row["case"], {})[row["moved"]] = abs(row["slope_per_mm"])
+        assert row["condition"][0] == pytest.approx({"I": 2.510, "II": 2.610, "III": 2.711}[row["case"]], abs=5e-4)
+    for case, most in (("I", {"SG3"}), ("II", {"SG1"}), ("III", {"SG1", "SG2"})):
+        gauges = {name: slope for name, slope in slopes[case].items() if name != "all"}
+        assert max(gauges, key=lambda name: gauges[name]) in most
+
+
+def test_off_axis_claim(everything: list[dict[str, Any]]) -> None:
+    for row in rows(everything, "off-axis"):
+        if row["placement"] == "centred, axial":
+            assert row["F_per_N_of_z"] < 1e-12
+            assert row["F_per_N_and_mm_off_centre"] < 1e-12
+        elif (row["placement"], row["warping"]) == ("1 mm lateral", "held"):
+            assert 0.5 < row["F_per_N_of_z"] < 0.9
+
+
+def test_text_shows_paper_and_ours_side_by_side(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "table", "3"]) == 0
+    text = capsys.readouterr().out
+    assert "Table 3" in text
+    for number in ("2.55", "2.555", "2.51", "3.36", "3.94", "3.533"):
+        assert number in text
+    assert all(len(line) <= 120 for line in text.splitlines())
+
+
+@pytest.mark.parametrize("what", ["a", "d", "r", "h1", "h2", "width"])
+def test_sweep_of_a_dimension_passes_the_nominal_value(capsys: pytest.CaptureFixture[str], what: str) -> None:
+    found = rows(records(capsys, "sweep", what, "--steps", "3"), "sweep")
+    assert f"{found[1]['condition']:.3f}" == "2.510"
+    assert found[1]["noise_gain_N_per_ue"] == pytest.approx(0.015789, abs=1e-6)
+    assert found[1]["largest_strain_ue_per_N"] == pytest.approx(912.087 / 4.4, abs=1e-3)
+    if what == "width":
+        assert found[0]["noise_gain_N_per_ue"] == pytest.approx(0.5 * found[1]["noise_gain_N_per_ue"])
+
+
+def test_sweep_of_a_shift_is_figure_6(capsys: pytest.CaptureFixture[str], everything: list[dict[str, Any]]) -> None:
+    for what in ("SG1", "SG2", "SG3", "all"):
+        words = ("sweep", what, "--layout", "II", "--from", "0", "--to", "5", "--steps", "11")
+        swept = {row[f"{what}_mm"]: row["condition"] for row in rows(records(capsys, *words), "sweep")}
+        row = next(row for row in rows(everything, "fig6") if (row["case"], row["moved"]) == ("II", what))
+        for shift, condition in zip(row["shift_mm"], row["condition"], strict=True):
+            assert swept[shift] == pytest.approx(condition)
+
+
+def test_sweep_of_a_layout_file(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "four.toml"
+    path.write_text('points = ["L", "R", "U", "T"]\n')
+    found = rows(records(capsys, "sweep", "SG4", "--layout", str(path), "--steps", "2", "--to", "1"), "sweep")
+    assert list(found[0]) == [
+        "table",
+        "SG4_mm",
+        "condition",
+        "row_equilibrated",
+        "noise_gain_N_per_ue",
+        "largest_strain_ue_per_N",
+    ]
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (("sweep", "SG4"), "allowed are a, d, r, h1, h2, width, SG1, SG2, SG3, all"),
+        (("sweep", "h1", "--from", "2", "--to", "1"), "a rising range"),
+        (("sweep", "h1", "--from", "0"), "allowed is a positive finite number"),
+        (("sweep", "SG1", "--to", "20"), "allowed is 0 to 0.015 m"),
+        (("sweep", "h1", "--steps", "1"), "2 to 100000 steps"),
+        (("sweep", "h1", "--layout", "IV"), "neither one of"),
+        (("table", "fig9", "--noise", "0"), "--noise 0.0"),
+        (("table", "fig9", "--repeats", "0"), "--repeats 0"),
+    ],
+)
+def test_refuses(capsys: pytest.CaptureFixture[str], words: tuple[str, ...], message: str) -> None:
+    assert main(["design", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [(), ("tables",), ("table", "4"), ("sweep",)])
+def test_usage(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["design", *words])
+    assert stopped.value.code == 2
+    assert "usage: tipforce design" in capsys.readouterr().err
+
+
+def test_action_help(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        main(["design", "sweep", "--help"])
+    assert stopped.value.code == 0
+    assert "usage: tipforce design sweep" in capsys.readouterr().out
+
+
+def test_no_numpy_for_help_and_no_matplotlib_without_figures() -> None:
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\n"
+        "try:\n    main(['design', 'table', '--help'])\nexcept SystemExit:\n    pass\n"
+        "assert 'numpy' not in sys.modules\n"
+        "main(['design', 'table', '1'])\nassert 'matplotlib' not in sys.modules\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 0, done.stderr
+
+
+def test_missing_matplotlib_names_the_extra(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    assert main(["design", "table", "1", "-o", str(tmp_path)]) == 2
+    assert "pip install 'tipforce[plot]'" in capsys.readouterr().err
+
+
+def test_head_ends_it_quietly() -> None:
+    done = subprocess.run(
+        " ".join((*DESIGN, "table", "3", "|", "head", "-1")),
+        shell=True, capture_output=True, text=True, timeout=60, check=False,
+    )  # fmt: skip
+    assert done.stderr == ""
+
+
+@NEEDS_MATPLOTLIB
+def test_figures_are_reproducible_and_small(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    for name in ("one", "two"):
+        assert main(["design", "table", "all", "--repeats", "5", "-q", "-o", str(tmp_path / name)]) == 0
+    capsys.readouterr()
+    names = {path.name for path in (tmp_path / "one").iterdir()}
+    stems = ("cross-section", "condition-and-noise", "figure-6", "grooves", "figure-9", "off-axis")
+    assert names == {f"{stem}.svg" for stem in stems}
+    for name in names:
+        first = (tmp_path / "one" / name).read_bytes()
+        assert first == (tmp_path / "two" / name).read_bytes()
+        assert b"<dc:date>" not in first
+        assert len(first) < 100_000
+
+
+@NEEDS_MATPLOTLIB
+def test_sweep_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "r.png"
+    assert main(["design", "sweep", "r", "--steps", "5", "-o", str(path)]) == 0
+    assert path.read_bytes().startswith(b"\x89PNG")
+    assert f"wrote {path}" in capsys.readouterr().err
+    assert main(["design", "sweep", "r", "--steps", "5", "-o", str(tmp_path / "r.gif")]) == 2
+    assert ".svg and .png" in capsys.readouterr().err
+
+
+@NEEDS_MATPLOTLIB
+def test_figure_that_cannot_be_written(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    assert main(["design", "table", "1", "-o", str(blocked)]) == 2
+    assert "Traceback" not in capsys.readouterr().err

@@ -1,0 +1,69 @@
+"""One table of the reproduction: records for JSON, columns for people, and what there is to say about them."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, field
+from typing import Any
+
+from tipforce_tools import common
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A table with its notes. Every record has the same keys, or leaves some out."""
+
+    name: str
+    """What `tipforce design table` calls it."""
+    title: str
+    columns: dict[str, str]
+    """Heading per key of a record, in order; keys that are not here are for JSON only. "key.2" is an item of a list."""
+    records: list[Record]
+    notes: list[str] = field(default_factory=list)
+    """Where and why the numbers differ from the paper's."""
+
+
+def print_section(args: argparse.Namespace, section: Section) -> None:
+    """As JSON lines (records, then one line with the notes), or as a table."""
+    if args.json:
+        for record in section.records:
+            common.print_json({"table": section.name, **record})
+        if section.notes:
+            common.print_json({"table": section.name, "notes": section.notes})
+        return
+    from rich import box
+    from rich.padding import Padding
+    from rich.table import Table
+    from rich.text import Text
+
+    console = common.console(args)
+    table = Table(title=section.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
+    for key, heading in section.columns.items():
+        numeric = all(isinstance(_cell(record, key), (int, float, type(None))) for record in section.records)
+        table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
+    for record in section.records:
+        table.add_row(*(shown(_cell(record, key)) for key in section.columns))
+    console.print(table)
+    for note in section.notes:
+        console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
+
+
+def _cell(record: Record, key: str) -> Any:
+    name, _, index = key.partition(".")
+    return record[name][int(index)] if index else record.get(name)
+
+
+def shown(value: object) -> str:
+    """A cell: four significant digits, lists joined, nothing for None."""
+    if value is None:
+        return ""
+    if isinstance(value, (list, tuple)):
+        return " ".join(shown(item) for item in value)
+    if isinstance(value, float):
+        if math.isnan(value):
+            return "any"
+        return f"{value + 0.0:.4g}" if abs(value) >= 1e-12 else "0"
+    return str(value)

@@ -1,0 +1,67 @@
+"""`tipforce design table`: what the paper prints, recomputed."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+from tipforce_tools import common
+from tipforce_tools.design.section import Section, print_section
+
+NAMES = ("1", "2", "3", "fig6", "fig9", "off-axis")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce design table`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "1, 2, 3: the tables (3 with the ranking of all layouts). fig6: condition number against gauge shift. fig9:\n"
+        "errors in the paper's grooves, simulated. off-axis: section 3.3. docs/mechanics.md explains them.\n"
+        "  tipforce design table 3\n"
+        "  tipforce design table all --json > tables.jsonl\n"
+        "  tipforce design table all -o figures"
+    )
+    parser.add_argument("what", nargs="?", choices=(*NAMES, "all"), default="all", help="default: all")
+    parser.add_argument(
+        "-o", "--output", type=Path, metavar="DIR", help="also draw the figures into this directory (needs matplotlib)"
+    )
+    parser.add_argument("--format", choices=("svg", "png"), default="svg", help="of the figures (default: svg)")
+    group = parser.add_argument_group("figure 9")
+    group.add_argument(
+        "--noise", type=float, default=5.0, metavar="UE", help="gauge noise in microstrain (default %(default)s)"
+    )
+    group.add_argument("--repeats", type=int, default=400, metavar="N", help="calibrations (default %(default)s)")
+    group.add_argument("--seed", type=int, default=9, help="of the noise (default %(default)s)")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the sections, then draw; 0."""
+    common.set_up_logging(args)
+    for section in sections(args):
+        print_section(args, section)
+    if args.output is not None:
+        from tipforce_tools.design.plots import draw
+
+        for path in draw(args):
+            common.note(args, f"wrote {path}")
+    return 0
+
+
+def sections(args: argparse.Namespace) -> Iterator[Section]:
+    """What was asked for, each computed only when it is its turn."""
+    from tipforce.sensor.geometry import FABRICATED
+    from tipforce_tools.design import figures, tables
+
+    makers: dict[str, list[Callable[[], Section]]] = {
+        "1": [lambda: tables.table_1_section(FABRICATED)],
+        "2": [lambda: tables.table_2_section(FABRICATED)],
+        "3": [lambda: tables.table_3_section(FABRICATED), lambda: tables.ranking_section(FABRICATED)],
+        "fig6": [lambda: figures.figure_6_section(FABRICATED)],
+        "fig9": [lambda: figures.figure_9_section(FABRICATED, args.noise, args.repeats, args.seed)],
+        "off-axis": [lambda: figures.off_axis_section(FABRICATED)],
+    }
+    for name in NAMES if args.what == "all" else (args.what,):
+        for make in makers[name]:
+            yield make()
