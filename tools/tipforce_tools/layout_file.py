@@ -1,23 +1,65 @@
-"""A gauge layout as the command line names it: I, II, III (their mirrors I', II', III'), or a TOML file."""
+"""A gauge layout as the command line names it: I, II, III (their mirrors I', II', III'), or a TOML file.
+
+The file lists the gauges, SG1 first, and the body where it is not the paper's::
+
+    points = ["K_H", "S_H", "U"]        # points of Table 1
+
+or gauges anywhere along the beams, or both mixed::
+
+    points = [
+        { beam = "H", side = "left", position_mm = 1.08 },
+        { beam = "H", side = "right", position_mm = 1.08, face = "lower" },
+        "U",
+    ]
+    gauge_length_mm = 1.0
+
+    [geometry]
+    a_m = 0.015
+    d_m = 0.015
+    r_m = 0.015
+    h1_m = 0.0004
+    h2_m = 0.000653
+    width_m = 0.01
+    youngs_modulus_pascals = 205e9
+
+points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
+("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
+from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
+face: on H "lower" (towards the fixture, where nothing else is said) or "upper" (in the slit). gauge_length_mm tells
+the maker what the design was made for; it changes no number, because strain is linear along a beam. [geometry] is
+all or nothing: all seven, in metres and Pa.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Literal
 
 import msgspec
 
 from tipforce.errors import InputError
+from tipforce.sensor.gauge_positions import Gauge, check_gauges
+from tipforce.sensor.gauge_shift import GaugePosition
 from tipforce.sensor.geometry import FABRICATED, Geometry
 from tipforce.sensor.layouts import LAYOUTS, layout
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
-    points: list[str]
+class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    beam: Literal["H", "V"]
+    side: Literal["left", "right"]
+    position_mm: float
+    face: Literal["lower", "upper"] | None = None
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
+    points: list[str | _Place]
+    gauge_length_mm: float | None = None
     geometry: Geometry = FABRICATED
 
 
-def read_layout(name_or_path: str) -> tuple[Geometry, tuple[str, ...]]:
-    """(geometry, gauge points). A file has ``points = ["K_H", "S_H", "U"]`` and, if it is not the paper's, [geometry].
+def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
+    """(geometry, gauges) for gauge_matrix(): points of Table 1 by name, others as GaugePosition.
 
     Raises InputError naming the place and what is allowed.
     """
@@ -26,7 +68,9 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[str, ...]]:
     path = Path(name_or_path)
     try:
         content = msgspec.toml.decode(path.read_bytes(), type=_File)
-        return content.geometry, layout(content.points)
+        if content.gauge_length_mm is not None and not 0.0 < content.gauge_length_mm < float("inf"):
+            raise InputError(f"gauge_length_mm = {content.gauge_length_mm!r}: allowed is a positive length")
+        return content.geometry, _gauges(content)
     except FileNotFoundError:
         raise InputError(
             f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
@@ -34,3 +78,56 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[str, ...]]:
         ) from None
     except (OSError, msgspec.DecodeError, UnicodeDecodeError, InputError) as error:
         raise InputError(f"layout {path}: {error}") from None
+
+
+def layout_text(
+    geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None, comment: str = ""
+) -> str:
+    """The text of a layout file that reads back to these gauges; comment becomes its first lines.
+
+    Raises InputError for gauges that are not usable.
+    """
+    import tomli_w
+
+    points: list[str | _Place] = []
+    for gauge in check_gauges(geometry, gauges):
+        if isinstance(gauge, str):
+            points.append(gauge)
+        else:
+            face: Literal["upper"] | None = "upper" if gauge.beam == "H" and gauge.face == "upper" else None
+            points.append(_Place(gauge.beam, gauge.side, gauge.position_m * 1e3, face))
+    length_mm = None if gauge_length_m is None else gauge_length_m * 1e3
+    content = msgspec.to_builtins(_File(points, length_mm))
+    content["geometry"] = msgspec.to_builtins(geometry)
+    head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
+    return head + tomli_w.dumps(content)
+
+
+def write_layout(
+    path: str | Path,
+    geometry: Geometry,
+    gauges: Sequence[Gauge],
+    gauge_length_m: float | None = None,
+    comment: str = "",
+) -> None:
+    """Write layout_text() to a file. Raises InputError where it cannot be written."""
+    text = layout_text(geometry, gauges, gauge_length_m, comment)
+    try:
+        Path(path).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise InputError(f"layout {path}: {error.strerror}") from None
+
+
+def _gauges(content: _File) -> tuple[Gauge, ...]:
+    names = [point for point in content.points if isinstance(point, str)]
+    if len(names) == len(content.points):
+        return layout(names)
+    return check_gauges(
+        content.geometry, [point if isinstance(point, str) else _position(point) for point in content.points]
+    )
+
+
+def _position(point: _Place) -> GaugePosition:
+    if point.beam == "V" and point.face is not None:
+        raise InputError(f"face = {point.face!r} on beam V: allowed on beam H only; on V the side says it")
+    return GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")

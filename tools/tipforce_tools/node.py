@@ -61,27 +61,27 @@ def _device(args: argparse.Namespace) -> Device:
     from tipforce.fingertip.node import fingertip_node
     from tipforce.fingertip.simulated import SimulatedSource
     from tipforce.fingertip.store import FileStore
-    from tipforce.sensor.strain import strain_matrix
+    from tipforce.sensor.gauge_positions import gauge_matrix
     from tipforce_tools.layout_file import read_layout
 
     if args.source != "sim":
         raise InputError(f"--source {args.source}: allowed is sim")
-    geometry, points = read_layout(args.layout)
+    geometry, gauges = read_layout(args.layout)
     load = _numbers("--load", args.load, 3)
-    offset = _numbers("--offset", args.offset, len(points)) if args.offset else [0.0] * len(points)
+    offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     if not 0 <= args.noise < math.inf:
         raise InputError(f"--noise {args.noise}: allowed is 0 or more")
-    source = SimulatedSource(strain_matrix(geometry, points).tolist(), args.noise, offset, args.seed)
+    source = SimulatedSource(gauge_matrix(geometry, gauges).tolist(), args.noise, offset, args.seed)
     source.load = (load[0], load[1], load[2])
     store = FileStore(args.store) if args.store else None
     return fingertip_node(
         args.node_id,
         source,
-        len(points),
+        len(gauges),
         args.serial or args.node_id,
         store.save if store else None,
         store.load if store else None,
-        eds_text(len(points), simulated=True).encode(),
+        eds_text(len(gauges), simulated=True).encode(),
     )
 
 

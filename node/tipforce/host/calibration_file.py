@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import msgspec
 import numpy as np
@@ -12,6 +13,9 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.calibration import Calibration
+
+if TYPE_CHECKING:
+    from tipforce.sensor.fit_result import Fit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -33,9 +37,69 @@ class _Table(msgspec.Struct, forbid_unknown_fields=True):
     crc32: str | None = None
 
 
+class FitRecord(msgspec.Struct):
+    """The [fit] table: how the matrix came about, and all that the covariance of an estimate needs.
+
+    The crc32 of the file covers the node's record, not this table.
+    """
+
+    dof: float
+    residual_covariance_microstrain2: list[list[float]]
+    """S, (n, n)."""
+    normal_matrix: list[list[float]]
+    """N, the sum of G G^T with G = (F, 1), (4, 4) in newtons; (3, 3) for a fit without offset."""
+    parameter_covariance_microstrain2: list[list[float]] | None = None
+    """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
+    matrix_standard_uncertainty_newtons_per_strain: list[list[float]] | None = None
+    coverage_factor: float | None = None
+    """Standard uncertainties to either side that make 95 %."""
+    sigma0: float | None = None
+    condition_number: float | None = None
+    row_equilibrated_condition_number: float | None = None
+    data: str | None = None
+    rows: int | None = None
+    unloaded_rows: int | None = None
+    bad_lines: list[int] = []
+    outlier_lines: list[int] = []
+    saturated_lines: list[int] = []
+    """Lines with a reading left out at the converter's limit, or too near to it."""
+    drift: str | None = None
+    loss: str | None = None
+    angle_scatter_deg: float | None = None
+
+    def parameter_covariance(self) -> FloatArray:
+        """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
+        S = np.array(self.residual_covariance_microstrain2) * 1e-12
+        if self.parameter_covariance_microstrain2 is None:
+            from tipforce.sensor.fit_result import kronecker
+
+            return kronecker(S, self.normal_matrix)
+        n = S.shape[0]
+        return np.array(self.parameter_covariance_microstrain2).reshape(n, 4, n, 4) * 1e-12
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True):
     calibration: _Table
     fit: dict[str, object] | None = None
+
+
+def fit_record(fit: Fit, **facts: object) -> FitRecord:
+    """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
+    n = fit.A.shape[0]
+    values: dict[str, object] = {
+        "dof": fit.dof,
+        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * 1e12).tolist(),
+        "normal_matrix": fit.N.tolist(),
+        "parameter_covariance_microstrain2": (fit.parameter_covariance * 1e12).reshape(4 * n, 4 * n).tolist(),
+        "matrix_standard_uncertainty_newtons_per_strain": fit.C_uncertainty.tolist(),
+        "coverage_factor": fit.coverage_factor,
+        "sigma0": fit.sigma0 if np.isfinite(fit.sigma0) else None,
+        "condition_number": fit.condition_number,
+        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
+        "drift": fit.drift,
+        "loss": fit.loss,
+    }
+    return msgspec.convert({**values, **facts}, FitRecord)
 
 
 _LAYOUT_CODES = {"I": 1, "II": 2, "III": 3, "custom": table.CUSTOM_LAYOUT}
@@ -48,12 +112,7 @@ def read_calibration(path: str | Path) -> Calibration:
     A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
     accept the edit.
     """
-    try:
-        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File).calibration
-    except OSError as error:
-        raise InputError(f"calibration {path}: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"calibration {path}: {error}") from None
+    content = _decoded(path).calibration
     found = _checked(content, path)
     try:
         crc = found.crc32()
@@ -65,6 +124,37 @@ def read_calibration(path: str | Path) -> Calibration:
             "the file was changed: restore it, or take out the crc32 line to accept the change"
         )
     return found
+
+
+def read_fit(path: str | Path) -> FitRecord | None:
+    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
+    content = _decoded(path)
+    if content.fit is None:
+        return None
+    try:
+        record = msgspec.convert(content.fit, FitRecord)
+    except msgspec.ValidationError as error:
+        raise InputError(f"calibration {path}: [fit]: {error}") from None
+    n = len(content.calibration.offset_microstrain)
+    shapes = {
+        "residual_covariance_microstrain2": (record.residual_covariance_microstrain2, ((n, n),)),
+        "normal_matrix": (record.normal_matrix, ((4, 4), (3, 3))),
+        "parameter_covariance_microstrain2": (record.parameter_covariance_microstrain2, ((4 * n, 4 * n),)),
+    }
+    for name, (rows, allowed) in shapes.items():
+        matrix = None if rows is None else _matrix(path, name, rows)
+        if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
+            raise InputError(f"calibration {path}: {name} must be {' or '.join(map(str, allowed))}, finite")
+    return record
+
+
+def _decoded(path: str | Path) -> _File:
+    try:
+        return msgspec.toml.decode(Path(path).read_bytes(), type=_File)
+    except OSError as error:
+        raise InputError(f"calibration {path}: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"calibration {path}: {error}") from None
 
 
 def _checked(content: _Table, path: str | Path) -> Calibration:
@@ -110,7 +200,9 @@ def _date(path: str | Path, number: int) -> datetime.date:
         ) from None
 
 
-def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
+def write_calibration(
+    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+) -> None:
     """Write a calibration file that reads back to the same record.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
@@ -139,7 +231,8 @@ def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str,
         content["date"] = _date(path, calibration.date)
     document: dict[str, object] = {"calibration": content}
     if fit is not None:
-        document["fit"] = fit
+        record = msgspec.to_builtins(fit)
+        document["fit"] = {name: value for name, value in record.items() if value is not None}
     try:
         Path(path).write_bytes(msgspec.toml.encode(document))
     except OSError as error:

@@ -1,61 +1,39 @@
-"""`tipforce calibrate apply|verify`: a calibration file to a node, and the comparison with what a node holds."""
+"""`tipforce calibrate fit|apply|verify|guide`: from readings to a calibration file, and from the file to a node."""
 
 from __future__ import annotations
 
 import argparse
+import importlib
 
 from tipforce_tools import common
 
+# name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
+ACTIONS = {
+    "fit": ("tipforce_tools.calibrate.fit", "fit a calibration to readings under known loads"),
+    "apply": ("tipforce_tools.calibrate.transfer", "write a calibration file to a node, verify and store it"),
+    "guide": ("tipforce_tools.calibrate.guide", "weight by weight at a node, to a stored calibration; resumable"),
+    "verify": ("tipforce_tools.calibrate.transfer", "compare a calibration file with what a node holds"),
+}
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce calibrate`."""
+    """The action; its own flags are for its own parser: the bus flags alone cost a fifth of a second."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    parser.epilog = (
-        "apply stages the record, has the node check its CRC-32, commits, reads it back and compares it byte for\n"
-        "byte, and stores it. If the node refuses (exit code 12), what was active stays active.\n"
-        "verify exits 1 when the node's active calibration is not the file's, and names each difference.\n"
-        "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
-    )
-    parser.add_argument("action", choices=("apply", "verify"))
-    parser.add_argument("file", metavar="CAL.toml")
-    parser.add_argument("--node", type=common.node_id, required=True, metavar="ID")
-    parser.add_argument("--no-store", action="store_true", help="apply until the next reset only")
-    common.add_confirm_argument(parser)
-    common.add_sdo_arguments(parser)
-    common.add_output_arguments(parser)
+    actions = "\n".join(f"  {name:7} {summary}" for name, (_, summary) in ACTIONS.items())
+    parser.epilog = f"actions:\n{actions}\n\n`tipforce calibrate ACTION --help` tells each one's options."
+    parser.add_argument("action", choices=ACTIONS, metavar="ACTION", help=", ".join(ACTIONS))
+    parser.add_argument("words", nargs=argparse.REMAINDER, metavar="...", help="options of the action")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Apply (0, or RefusedError) or verify (0 equal, 1 different)."""
-    from tipforce.host.calibration_file import read_calibration
-    from tipforce.host.fingertip import FingertipClient
-
-    common.set_up_logging(args)
-    calibration = read_calibration(args.file)
-    name = f"node {common.shown_id(args.node)}"
-    if args.action == "apply" and not args.no_store:
-        common.confirm(args, f"{name}: this replaces its stored calibration")
-    with common.open_connection(args) as connection:
-        client = FingertipClient(connection.sdo(args.node))
-        if args.action == "apply":
-            generation = client.apply_calibration(
-                calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
-            )
-            _say(args, {"node": args.node, "generation": generation, "crc32": f"0x{calibration.crc32():08X}"})
-            return 0
-        differences = client.verify_calibration(calibration)
-    _say(args, {"node": args.node, "equal": not differences, "differences": differences})
-    return 1 if differences else 0
-
-
-def _say(args: argparse.Namespace, record: dict[str, object]) -> None:
-    if args.json:
-        common.print_json(record)
-    elif "generation" in record:
-        print(f"applied, generation {record['generation']}, CRC-32 {record['crc32']}")
-    elif record["equal"]:
-        print("equal byte for byte")
-    else:
-        differences = record["differences"]
-        assert isinstance(differences, list)
-        print("\n".join(differences))
+    """Run the action; its exit code."""
+    module_name, summary = ACTIONS[args.action]
+    module = importlib.import_module(module_name)
+    description = summary[0].upper() + summary[1:] + "."
+    parser = argparse.ArgumentParser(prog=f"tipforce calibrate {args.action}", description=description)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    module.add_arguments(parser)
+    parsed = parser.parse_intermixed_args(args.words, argparse.Namespace(action=args.action))
+    common.set_up_logging(parsed)
+    code: int = module.run(parsed)
+    return code

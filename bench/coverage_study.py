@@ -1,0 +1,243 @@
+"""Coverage of nominal 95 % intervals of P, phi, theta: Monte Carlo over noise, tangency and calibration.
+
+The study; bench/coverage.py is its command. Each trial draws gauge noise (and, where C is calibrated, a whole
+calibration of its own), estimates the contact, and asks whether estimate +- k u holds the truth. k is 1.96 for a known
+covariance, Student's t for one that the calibration estimated. SNR is P over the root mean square of the three standard
+deviations of F from gauge noise.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.sensor import scalar
+from tipforce.sensor.budget import pad_loads
+from tipforce.sensor.contact import Limits, contacts, miss_uncertainties, standard_uncertainties, status
+from tipforce.sensor.first_order import first_order_holds
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.grooves import paper_grooves
+from tipforce.sensor.strain import calibration_matrix, noise_gain, strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+
+NOMINAL = 0.95
+NORMAL_FACTOR = 1.959963984540054
+TOLERANCE_PERCENT = 2.0
+P_NEWTONS = 4.4  # the paper's weight: readings and calibration loads alike
+THETA_DEG = 85.0  # with |delta| up to 90 degrees the pulls then stay within the paper's 0 to 90 degrees of phi
+SNRS = (10, 30, 100, 1000)
+DELTAS_DEG = (0, 30, 60, 75, 85, 90)
+REPEATS = 3  # readings per groove, and one unloaded reading per groove
+FULL_TRIALS, QUICK_TRIALS, SEED = 40_000, 4_000, 20
+
+
+@dataclass(frozen=True, slots=True)
+class Cell:
+    """One scenario at one SNR and one angle between force and surface normal; percentages of the trials."""
+
+    scenario: str
+    layout: str
+    snr: int
+    delta_deg: int
+    P_percent: float
+    phi_percent: float
+    theta_percent: float
+    holds: tuple[bool, bool, bool]
+    """first_order_holds() at the true load, for P, phi, theta."""
+    flagged_percent: float
+    """Readings whose own first_order_holds() is false for theta."""
+    status_percent: float
+    """Readings with bit 4 (theta unresolved) or 5 (misses the tip)."""
+    silent_percent: float
+    """Readings whose interval of theta misses the truth, with no flag."""
+    bias_P: float
+    """Mean error of P, in units of s^2 / 2P, s the uncertainty across the force; NaN where noise hides it."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fits:
+    """Simulated calibrations, one a trial: V = A F + offset fitted to noisy rows."""
+
+    C: FloatArray  # (trials, 3, 3)
+    offset: FloatArray  # (trials, 3)
+    S: FloatArray  # (trials, 3, 3), residual covariance
+    N: FloatArray  # (4, 4), sum of G G^T, G = (F, 1)
+    factor: float
+
+
+def grooves(largest_theta_deg: float) -> FloatArray:
+    """The pulls of the paper's grooves up to a contact angle: F of shape (m, 3), newtons."""
+    found = paper_grooves()
+    inside = np.degrees(found.theta_rad) <= largest_theta_deg + 1e-9
+    return force_vector(P_NEWTONS, found.phi_rad[inside], found.theta_rad[inside])
+
+
+def fits(rng: np.random.Generator, loads: FloatArray, A: FloatArray, sigma: float, trials: int) -> Fits:
+    """Calibrate so many sensors by least squares with an offset, the gauges' noise being sigma (strain)."""
+    from scipy.stats import t as student
+
+    F = np.vstack([np.repeat(loads, REPEATS, axis=0), np.zeros((len(loads), 3))])
+    G = np.column_stack([F, np.ones(len(F))])
+    N, freedom = G.T @ G, len(G) - 4
+    gain = G @ np.linalg.inv(N)
+    B, S = np.empty((trials, 3, 4)), np.empty((trials, 3, 3))
+    for start in range(0, trials, 4000):
+        rows = slice(start, min(start + 4000, trials))
+        noise = sigma * rng.normal(size=(rows.stop - start, 3, len(G)))
+        error = noise @ gain
+        residual = noise - error @ G.T
+        B[rows] = np.column_stack([A, np.zeros(3)]) + error
+        S[rows] = residual @ residual.transpose(0, 2, 1) / freedom
+    C = np.asarray(np.linalg.inv(B[..., :3]), dtype=np.float64)
+    return Fits(C, B[..., 3], S, N, float(student.ppf(0.5 + NOMINAL / 2.0, freedom)))
+
+
+def angle_error(found_rad: FloatArray, true_rad: float) -> FloatArray:
+    """found - true in [-pi, pi)."""
+    return np.remainder(found_rad - true_rad + np.pi, 2.0 * np.pi) - np.pi
+
+
+def true_load(delta_deg: float, pull: bool) -> tuple[FloatArray, float, float]:
+    """(F, phi, theta): a pull at THETA_DEG leaning delta towards the x-axis, or the push opposite to it."""
+    theta = np.radians(THETA_DEG)
+    phi = theta - np.radians(delta_deg) - (0.0 if pull else np.pi)
+    return force_vector(P_NEWTONS, phi, theta), float(phi), float(theta)
+
+
+def percentage(truths: npt.NDArray[np.bool_]) -> float:
+    """How many are true."""
+    return 100.0 * float(np.mean(truths))
+
+
+def cell(
+    names: tuple[str, str, int, int], pull: bool, F: FloatArray, covariance: FloatArray, typical: FloatArray, k: float
+) -> Cell:
+    """Count one cell. F: (trials, 3) estimates; covariance: theirs; typical: (3, 3), for the true load."""
+    true_F, phi, theta = true_load(names[3], pull)
+    found, u = contacts(F, pull=pull), standard_uncertainties(F, covariance, pull=pull)
+    errors = (found.P_newtons - P_NEWTONS, angle_error(found.phi_rad, phi), angle_error(found.theta_rad, theta))
+    inside = np.abs(np.stack(errors, axis=-1)) <= k * u
+    flagged = ~first_order_holds(F, covariance)[:, 2]
+    bits = status(found, u, miss_uncertainties(F, covariance), Limits(0.0, 0.0, -180.0, 180.0))
+    flagged_by_status = bits & (scalar.THETA_UNRESOLVED | scalar.MISSES_TIP) != 0
+    silent = ~inside[:, 2] & ~flagged & ~flagged_by_status
+    u_P, u_phi, _ = standard_uncertainties(true_F, typical, pull=pull)
+    bias, error = 0.5 * P_NEWTONS * u_phi**2, u_P / sqrt(len(F))
+    holds = first_order_holds(true_F, typical)
+    return Cell(
+        scenario=names[0],
+        layout=names[1],
+        snr=names[2],
+        delta_deg=names[3],
+        P_percent=percentage(inside[:, 0]),
+        phi_percent=percentage(inside[:, 1]),
+        theta_percent=percentage(inside[:, 2]),
+        holds=(bool(holds[0]), bool(holds[1]), bool(holds[2])),
+        flagged_percent=percentage(flagged),
+        status_percent=percentage(flagged_by_status),
+        silent_percent=percentage(silent),
+        bias_P=float(np.mean(errors[0]) / bias) if bias > 5.0 * error else float("nan"),
+    )
+
+
+def known_matrix(rng: np.random.Generator, trials: int) -> Iterator[Cell]:
+    """C and noise known: isotropic noise of F, and what equal gauges give in cases I to III."""
+    matrices = {name: calibration_matrix(FABRICATED, name) for name in ("I", "II", "III")}
+    for name, C in {"isotropic": np.eye(3), **matrices}.items():
+        scenario = "isotropic noise" if name == "isotropic" else "C known"
+        for snr in SNRS:
+            root = C * (P_NEWTONS / snr * sqrt(3.0) / noise_gain(C))
+            for delta_deg in DELTAS_DEG:
+                F = true_load(delta_deg, True)[0] + rng.normal(size=(trials, 3)) @ root.T
+                names = (scenario, name, snr, delta_deg)
+                yield cell(names, True, F, root @ root.T, root @ root.T, NORMAL_FACTOR)
+
+
+def estimates(
+    rng: np.random.Generator, calibrated: Fits, A: FloatArray, sigma: float, true_F: FloatArray, with_one: bool = True
+) -> tuple[FloatArray, FloatArray]:
+    """(F, covariance) of one new reading per calibration: C S C^T (1 + G^T N^-1 G), G = (F, 1).
+
+    with_one False leaves the 1 out of G and N, as if the offset were known: what the study shows to be wrong.
+    """
+    V = true_F @ A.T + sigma * rng.normal(size=calibrated.offset.shape)
+    F: FloatArray = np.einsum("tij,tj->ti", calibrated.C, V - calibrated.offset)
+    G = np.column_stack([F, np.ones(len(F))]) if with_one else F
+    N = calibrated.N if with_one else calibrated.N[:3, :3]
+    leverage = np.einsum("ti,ij,tj->t", G, np.linalg.inv(N), G)
+    covariance = calibrated.C @ calibrated.S @ calibrated.C.transpose(0, 2, 1)
+    return F, covariance * (1.0 + leverage)[:, np.newaxis, np.newaxis]
+
+
+def calibrated_matrix(rng: np.random.Generator, trials: int) -> Iterator[Cell]:
+    """C, offset and noise from pulls in the grooves: then pulls (inside the calibrated range) and pushes (outside)."""
+    for largest_theta_deg in (90.0, 180.0):
+        loads = grooves(largest_theta_deg)
+        for layout in ("I", "II", "III"):
+            A, C = strain_matrix(FABRICATED, layout), calibration_matrix(FABRICATED, layout)
+            for snr in SNRS:
+                sigma = P_NEWTONS / snr * sqrt(3.0) / noise_gain(C)
+                calibrated = fits(rng, loads, A, sigma, trials)
+                for pull in (True, False):
+                    scenario = f"grooves to {largest_theta_deg:.0f} deg, {'pull' if pull else 'push'}"
+                    for delta_deg in DELTAS_DEG:
+                        true_F = true_load(delta_deg, pull)[0]
+                        F, covariance = estimates(rng, calibrated, A, sigma, true_F)
+                        G = np.append(true_F, 1.0)
+                        typical = sigma**2 * C @ C.T * (1.0 + G @ np.linalg.solve(calibrated.N, G))
+                        yield cell((scenario, layout, snr, delta_deg), pull, F, covariance, typical, calibrated.factor)
+
+
+def without_the_one(rng: np.random.Generator, trials: int) -> list[dict[str, float | str]]:
+    """What the offset's own uncertainty is worth: coverage with and without the 1 in G, case I, SNR 100.
+
+    leverage_ratio is G^T N^-1 G over the same without the 1, on the mean and at worst over such loads all over the
+    pad: how much too little variance the part gets that the calibration contributes.
+    """
+    A, C = strain_matrix(FABRICATED, "I"), calibration_matrix(FABRICATED, "I")
+    sigma = P_NEWTONS / 100.0 * sqrt(3.0) / noise_gain(C)
+    rows: list[dict[str, float | str]] = []
+    for largest_theta_deg in (90.0, 180.0):
+        calibrated = fits(rng, grooves(largest_theta_deg), A, sigma, trials)
+        for pull in (True, False):
+            true_F, _, _ = true_load(30.0, pull)
+            row: dict[str, float | str] = {"grooves_to_deg": largest_theta_deg, "sense": "pull" if pull else "push"}
+            for with_one in (True, False):
+                F, covariance = estimates(rng, calibrated, A, sigma, true_F, with_one)
+                found = cell(("", "I", 100, 30), pull, F, covariance, covariance.mean(axis=0), calibrated.factor)
+                key = "with" if with_one else "without"
+                row[f"P_percent_{key}"], row[f"theta_percent_{key}"] = found.P_percent, found.theta_percent
+            ratio = leverage_ratio(calibrated.N, pad_loads(P_NEWTONS, 5.0, 175.0, pull=pull).F)
+            row["leverage_ratio"], row["leverage_ratio_max"] = float(ratio.mean()), float(ratio.max())
+            rows.append(row)
+    return rows
+
+
+def leverage_ratio(N: FloatArray, F: FloatArray) -> FloatArray:
+    """G^T N^-1 G with G = (F, 1) over F^T N^-1 F with the 1 left out of N, (m,)."""
+    G = np.column_stack([F, np.ones(len(F))])
+    with_one = np.einsum("mi,mi->m", G, np.linalg.solve(N, G.T).T)
+    return np.asarray(with_one / np.einsum("mi,mi->m", F, np.linalg.solve(N[:3, :3], F.T).T), dtype=np.float64)
+
+
+def study(trials: int = FULL_TRIALS, seed: int = SEED) -> list[Cell]:
+    """All cells; the same seed gives the same numbers."""
+    rng = np.random.default_rng(seed)
+    return [*known_matrix(rng, trials), *calibrated_matrix(rng, trials)]
+
+
+def failures(cells: list[Cell], tolerance_percent: float = TOLERANCE_PERCENT) -> list[str]:
+    """The cells where first order is said to hold and coverage is off by more than the tolerance."""
+    found = []
+    for c in cells:
+        percents = {"P": c.P_percent, "phi": c.phi_percent, "theta": c.theta_percent}
+        for (name, percent), holds in zip(percents.items(), c.holds, strict=True):
+            if holds and abs(percent - 100.0 * NOMINAL) > tolerance_percent:
+                found.append(f"{c.scenario}, {c.layout}, SNR {c.snr}, {c.delta_deg} deg: {name} {percent:.1f} %")
+    return found

@@ -1,0 +1,294 @@
+"""Many readings of one node's gauges under one steady load: collected and averaged."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary import objects as od
+from tipforce.dictionary import table
+from tipforce.dictionary.signals import mapping_signals, tpdo_messages
+from tipforce.errors import InputError, SdoAbortError
+from tipforce.host.connection import SYNC_COB_ID, Connection
+from tipforce.host.decode import Decoder, Samples
+from tipforce.host.frames import FrameArray
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+RESOLUTION_MICROSTRAIN = 0.1
+"""One step of 7130h: what every reading by PDO is rounded to."""
+LARGEST_MICROSTRAIN = 0x7FFF * RESOLUTION_MICROSTRAIN
+_ANSWER_S = 0.1  # wait for the PDO after a SYNC
+_SILENT = 5  # SYNCs without an answer in a row after which nothing is waited for any more
+_UNSYNCED_S = 0.11  # a node that is not told by SYNC latches a sample for a read every 100 ms
+_TRIES = 20
+_ROUNDS = 3  # stale samples are replaced so often
+_FLAGS = ("counter", "saturated", "stale", "fault")
+
+
+class Block(NamedTuple):
+    """k samples as they came."""
+
+    t_s: FloatArray
+    microstrain: FloatArray
+    """(k, n); NaN where the node says unknown."""
+    counter: npt.NDArray[np.int64]
+    saturated: BoolArray
+    stale: BoolArray
+    fault: BoolArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Capture:
+    """What one capture gave: the readings that count, and how many did not."""
+
+    microstrain: FloatArray
+    """(k, n), the readings that count."""
+    t_s: FloatArray
+    """(k,), when they came."""
+    asked: int
+    saturated: tuple[int, ...]
+    """Samples with this gauge saturated, (n,)."""
+    stale: int
+    repeated: int
+    """Samples that say they are new and carry the counter of the one before."""
+    faulty: int
+    faults: int
+    """2124h, read after a faulty sample; 0 if there was none."""
+    silent: int
+    """SYNCs that brought nothing."""
+    temperature_degC: float | None
+
+    @property
+    def count(self) -> int:
+        """Number of readings that count."""
+        return len(self.microstrain)
+
+    @property
+    def duration_s(self) -> float:
+        """From the first to the last reading that counts."""
+        return float(self.t_s[-1] - self.t_s[0]) if self.count else 0.0
+
+    @property
+    def mean(self) -> FloatArray:
+        """(n,), microstrain."""
+        return np.asarray(self.microstrain.mean(axis=0), dtype=np.float64)
+
+    @property
+    def covariance(self) -> FloatArray:
+        """Covariance of one reading, (n, n), microstrain^2; no gauge below what rounding alone makes."""
+        found = np.atleast_2d(np.cov(self.microstrain, rowvar=False))
+        np.fill_diagonal(found, np.maximum(np.diag(found), RESOLUTION_MICROSTRAIN**2 / 12.0))
+        return found
+
+    @property
+    def std(self) -> FloatArray:
+        """Standard deviation of each gauge, (n,), microstrain."""
+        return np.asarray(self.microstrain.std(axis=0, ddof=1), dtype=np.float64)
+
+    @property
+    def drift(self) -> FloatArray:
+        """(n,), microstrain: by how much the line through the readings moves from the first to the last."""
+        since = self.t_s - self.t_s.mean()
+        squares = float(since @ since)
+        if not squares:
+            return np.zeros(self.microstrain.shape[1])
+        return np.asarray(since @ self.microstrain / squares * self.duration_s, dtype=np.float64)
+
+
+class GaugeReader:
+    """Collects gauge readings of one node: by SYNC and a gauge PDO where one carries all, else by SDO reads.
+
+    ``period_s`` is the time between samples. Every method raises NoResponseError and SdoAbortError as SdoChannel does.
+    """
+
+    def __init__(self, connection: Connection, node_id: int, gauges: int, period_s: float = 0.005) -> None:
+        self._connection = connection
+        self._node_id = node_id
+        self._n = gauges
+        self._sdo = connection.sdo(node_id)
+        self.period_s = max(period_s, self._sdo.read(od.SAMPLE_PERIOD_US[1]) * 1e-6)
+        self._decoder = Decoder(gauges, (node_id,))
+        self._can_id = self._gauge_pdo()
+        if not self._can_id and not self._plain_sync():
+            self.period_s = max(self.period_s, _UNSYNCED_S)
+        self._started = False
+
+    @property
+    def how(self) -> str:
+        """How the readings come, in words."""
+        return f"SYNC and TPDO1 (0x{self._can_id:03X})" if self._can_id else "SYNC and SDO reads"
+
+    def _gauge_pdo(self) -> int:
+        """The identifier of TPDO1 if it is sent on each SYNC with all gauges, status and counter; else 0."""
+        word = self._sdo.read(od.TPDO1_COB_ID)
+        can_id = word & 0x7FF
+        on_sync = self._sdo.read(od.TPDO1_TRANSMISSION_TYPE) == 1 and self._plain_sync()
+        if word >> 31 or not can_id or not on_sync:
+            return 0
+        words = [self._sdo.read(od.TPDO1_MAPPING[k + 1]) for k in range(self._sdo.read(od.TPDO1_MAPPED))]
+        mapping = [(word >> 16, word >> 8 & 0xFF, word & 0xFF) for word in words]
+        try:
+            names = {signal.name for signal in mapping_signals(mapping, self._n)}
+            wanted = {*(f"SG{k + 1}" for k in range(self._n)), *_FLAGS}
+            if not wanted <= names:
+                return 0
+            self._decoder.remap(self._node_id, tpdo_messages(self._n)[0].name, can_id, mapping)
+        except InputError:  # a mapping that this dictionary does not know
+            return 0
+        return can_id
+
+    def _plain_sync(self) -> bool:
+        """The node listens to the SYNC that Connection sends."""
+        try:
+            overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
+        except SdoAbortError:
+            overflow = 0
+        return self._sdo.read(od.SYNC_COB_ID) & 0x7FF == SYNC_COB_ID and not overflow
+
+    def start(self) -> None:
+        """Have the node send PDOs: NMT start if it does not, as after a loss of power."""
+        if self._can_id and not len(self._ask()):
+            self._connection.nmt("start", self._node_id)
+            self._started = True
+
+    def stop(self) -> None:
+        """Put a node that was started here back to PRE-OPERATIONAL."""
+        if self._started:
+            self._connection.nmt("preop", self._node_id)
+            self._started = False
+
+    def capture(self, samples: int, on_progress: Callable[[int], None] = lambda _count: None) -> Capture:
+        """Take ``samples`` readings; stale ones are replaced, up to a limit. on_progress: samples taken so far.
+
+        Returns what came, however bad; whether it may be used is for the caller to judge.
+        """
+        if samples < 2:
+            raise InputError(f"a capture of {samples} samples: allowed are 2 or more")
+        self.start()
+        blocks: list[Block] = []
+        silent = taken = 0
+        for _ in range(_ROUNDS):
+            block, unanswered = (self._by_pdo if self._can_id else self._by_sdo)(samples - taken, taken, on_progress)
+            silent += unanswered
+            blocks.append(block)
+            before, taken = taken, int(_fresh(_joined(blocks)).sum())
+            if taken in (before, samples):
+                break
+        if silent and not taken:
+            self._sdo.read(od.STATUS)  # raises NoResponseError if the node is gone
+        return self._judged(_joined(blocks), samples, silent)
+
+    def moves(self) -> bool:
+        """Whether the sample counter (2121h) moves."""
+        before = self._sdo.read(od.COUNTER)
+        for _ in range(_TRIES):
+            self._connection.sync()
+            time.sleep(max(self.period_s, 0.01))
+            if self._sdo.read(od.COUNTER) != before:
+                return True
+        return False
+
+    def temperature_degC(self) -> float | None:
+        """Temperature of the fingertip (2122h), degrees Celsius; None where the node does not know it."""
+        for _ in range(_SILENT):
+            value = self._sdo.read(od.TEMPERATURE)
+            if value != table.UNKNOWN_I16:
+                return value / 100.0
+            time.sleep(self.period_s)  # the last sample may just be a stale one
+            self._connection.sync()
+        return None
+
+    def _judged(self, block: Block, samples: int, silent: int) -> Capture:
+        hit = np.isnan(block.microstrain) & (block.saturated & ~block.stale)[:, np.newaxis]
+        if self._can_id:
+            hit |= np.abs(np.nan_to_num(block.microstrain)) >= LARGEST_MICROSTRAIN - 0.5 * RESOLUTION_MICROSTRAIN
+        fresh = _fresh(block)
+        good = fresh & ~block.saturated & ~block.fault & ~hit.any(axis=1) & np.isfinite(block.microstrain).all(axis=1)
+        faulty = int(block.fault.sum())
+        return Capture(
+            microstrain=block.microstrain[good],
+            t_s=block.t_s[good],
+            asked=samples,
+            saturated=tuple(int(count) for count in hit.sum(axis=0)),
+            stale=int(block.stale.sum()),
+            repeated=int((~fresh & ~block.stale).sum()),
+            faulty=faulty,
+            faults=self._sdo.read(od.FAULTS) if faulty else 0,
+            silent=silent,
+            temperature_degC=self.temperature_degC(),
+        )
+
+    def _ask(self) -> FrameArray:
+        """One SYNC; the gauge PDO that it brings, or nothing."""
+        self._connection.buffer.clear()
+        self._connection.sync()
+        frames = self._connection.buffer.take(lambda can_id: can_id == self._can_id, time.monotonic() + _ANSWER_S)
+        mine: FrameArray = frames[frames["can_id"] == self._can_id][-1:]
+        return mine
+
+    def _by_pdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[Block, int]:
+        frames: list[FrameArray] = []
+        silent = in_a_row = 0
+        for k in range(count):
+            due_s = time.monotonic() + self.period_s
+            found = self._ask()
+            frames.append(found)
+            in_a_row = 0 if len(found) else in_a_row + 1
+            silent += in_a_row > 0
+            if in_a_row >= _SILENT:
+                break
+            on_progress(before + k + 1)
+            time.sleep(max(0.0, due_s - time.monotonic()))
+        for samples in self._decoder.decode(np.concatenate(frames)).values():
+            return _block(samples, self._n), silent
+        return _nothing(self._n), silent
+
+    def _by_sdo(self, count: int, before: int, on_progress: Callable[[int], None]) -> tuple[Block, int]:
+        rows: list[tuple[float, list[float], int, int]] = []
+        for k in range(count):
+            due_s = time.monotonic() + self.period_s
+            self._connection.sync()
+            counter = self._sdo.read(od.COUNTER)
+            gauges = [self._sdo.read(od.PROCESS_VALUE[k + 1]) for k in range(self._n)]
+            status = self._sdo.read(od.STATUS)
+            if self._sdo.read(od.COUNTER) == counter:  # else another sample was latched in between
+                rows.append((time.monotonic(), gauges, counter, status))
+            on_progress(before + k + 1)
+            time.sleep(max(0.0, due_s - time.monotonic()))
+        if not rows:
+            return _nothing(self._n), 0
+        times, gauges_read, counters, statuses = zip(*rows, strict=True)
+        bits = {name: np.array(statuses) >> bit & 1 == 1 for bit, (name, _) in enumerate(table.STATUS_BITS)}
+        flags = (bits[name] for name in _FLAGS[1:])
+        t_s, microstrain = np.array(times, dtype=np.float64), np.array(gauges_read, dtype=np.float64)
+        return Block(t_s, microstrain, np.array(counters, dtype=np.int64), *flags), 0
+
+
+def _block(samples: Samples, gauges: int) -> Block:
+    columns = samples.columns
+    microstrain = np.stack([columns[f"SG{k + 1}"] for k in range(gauges)], axis=-1)
+    flags = (columns[name] for name in _FLAGS[1:])
+    t_s = samples.t_ns.astype(np.float64) * 1e-9
+    return Block(t_s, microstrain, columns["counter"].astype(np.int64), *flags)
+
+
+def _nothing(gauges: int) -> Block:
+    none = np.zeros(0, dtype=np.bool_)
+    return Block(np.zeros(0), np.zeros((0, gauges)), np.zeros(0, dtype=np.int64), none, none, none)
+
+
+def _joined(blocks: list[Block]) -> Block:
+    return Block(*(np.concatenate(column) for column in zip(*blocks, strict=True)))
+
+
+def _fresh(block: Block) -> BoolArray:
+    """Samples of their own: not stale, and not with the counter of the sample before."""
+    moved: BoolArray = np.diff(block.counter, prepend=-1) != 0
+    return moved & ~block.stale

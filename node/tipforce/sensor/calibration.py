@@ -1,0 +1,149 @@
+"""Calibration: from readings under known loads to C, its offsets and its uncertainty.
+
+The gauges are the noisy side and the loads are known, so V = A F + b is fitted and then inverted (the paper
+fits F = C V). Loads whose direction is uncertain weigh less, tares carry the offset through its drift, rows
+that disagree are named and left out, saturated readings too, and what the rows cannot show is refused by name.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.sensor.fit_data import Model, Prior, Readings, beam_prior, checked
+from tipforce.sensor.fit_design import OffsetBasis, bad_tares, direction_scatter, offset_basis, reference_map
+from tipforce.sensor.fit_identify import FORCES, require_clear, require_seen
+from tipforce.sensor.fit_result import Fit, LoadResidual, covariance_of_estimate, kronecker
+from tipforce.sensor.fit_solve import Problem, Solution, pick, solve
+from tipforce.sensor.fit_start import corner, outlying, suspects
+from tipforce.sensor.fit_statistics import Left, Scales, result
+from tipforce.sensor.forces import force_vector
+
+__all__ = [
+    "Fit", "LoadResidual", "Model", "Prior", "Readings",
+    "beam_prior", "covariance_of_estimate", "fit_calibration", "kronecker", "linear_fit",
+]  # fmt: skip
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+MARGIN = 3.0
+"""Standard deviations from the converter's limit within which a reading is left out."""
+MAX_PASSES, SETTLING_PASSES = 14, 6
+
+
+def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
+    """Return the calibration that the readings support.
+
+    Raises InputError where shapes or values are not usable (naming the row), where the rows cannot show an
+    offset or a direction of load (naming it, and what to add), and where nothing is left to estimate the
+    noise from.
+    """
+    model = model or Model()
+    readings = checked(readings, model)
+    scales = Scales.of(readings.strain, readings.P_newtons)
+    limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
+    V = readings.strain / scales.strain
+    saturated = np.abs(V) >= limit
+    near, robust = np.zeros_like(saturated), model.loss != "none"
+    outlier = _suspected(readings, model, scales, ~saturated)
+    found: Solution | None = None
+    for count in range(MAX_PASSES):
+        counted = ~(saturated | near)
+        keep = ~outlier if robust else np.ones_like(outlier)
+        basis = _basis(readings, model, keep & counted.all(axis=1))
+        problem = pick(_problem(readings, model, scales, basis, counted), keep)
+        singular = _require_seen(problem, basis, scales)
+        found = solve(problem, model.loss, corner(V.shape[1]), found)
+        _require_clear(found, basis, scales)
+        before, near_before = outlier, near
+        outlier = outlying(problem, found, counted)
+        # A tare that is odd beside its loads yet fits between its neighbours comes and goes: it is kept.
+        outlier = outlier & before if count >= SETTLING_PASSES else outlier
+        spread = np.sqrt(np.diagonal(found.R, axis1=1, axis2=2))
+        near = ~saturated & (np.abs(V - found.residual) + MARGIN * spread >= limit)
+        near = near | near_before if count >= SETTLING_PASSES else near
+        if np.array_equal(near, near_before) and (np.array_equal(outlier, before) or not robust):
+            break
+    assert found is not None
+    return result(readings, model, scales, basis, problem, found, singular, Left(outlier, saturated, near))
+
+
+def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
+    """Return the paper's fit, for comparison: C (3, n) with least squares of F = C V, no offset, every row alike.
+
+    strain: (m, n); F: (m, 3). Raises InputError for other shapes, or readings of rank below 3.
+    """
+    V, F = np.asarray(strain, dtype=np.float64), np.asarray(F_newtons, dtype=np.float64)
+    if V.ndim != 2 or F.shape != (V.shape[0], 3):
+        raise InputError(f"strain {V.shape}, F {F.shape}: allowed are (m, n) and (m, 3)")
+    C, _, rank, _ = np.linalg.lstsq(V, F)
+    if rank < 3:
+        raise InputError(
+            f"the readings have rank {rank}: allowed are readings of loads in three independent directions"
+        )
+    matrix: FloatArray = np.asarray(C.T, dtype=np.float64)
+    return matrix
+
+
+def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolArray) -> BoolArray:
+    """Rows to start without, (m,)."""
+    out = np.zeros(len(observed), dtype=np.bool_)
+    if model.loss == "none":
+        return out
+    usable: BoolArray = np.asarray(observed.all(axis=1))
+    unloaded = readings.P_newtons == 0.0
+    if model.drift == "tare" and readings.t_s is not None:
+        out = bad_tares(readings.strain, readings.t_s, unloaded, usable)
+    basis = _basis(readings, model, usable & ~out)
+    problem = pick(_problem(readings, model, scales, basis, observed), ~out)
+    if model.drift == "tare":
+        # Small random subsets cannot carry a drift of many knots: the tares take it off beforehand.
+        tares = np.flatnonzero(unloaded & usable & ~out)
+        times = np.asarray(readings.t_s, dtype=np.float64)
+        lines = [np.interp(times, times[tares], V) for V in problem.V[tares].T]
+        problem = problem._replace(V=problem.V - np.stack(lines, axis=-1), g=problem.g[:, :3], kinks=problem.kinks[:3])
+    return out | suspects(problem)
+
+
+def _basis(readings: Readings, model: Model, usable: BoolArray) -> OffsetBasis:
+    return offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
+
+
+def _problem(readings: Readings, model: Model, scales: Scales, basis: OffsetBasis, observed: BoolArray) -> Problem:
+    m, n = readings.strain.shape
+    load = readings.P_newtons, readings.phi_rad, readings.theta_rad
+    Sigma, mean, information = None, np.zeros((n, 3)), np.zeros(n)
+    if model.noise_strain is not None:
+        Sigma = np.diag(np.broadcast_to((np.asarray(model.noise_strain) / scales.strain) ** 2, n))
+    if model.prior is not None:
+        mean = np.asarray(model.prior.A, dtype=np.float64) * scales.newtons / scales.strain
+        information = 1.0 / (model.prior.relative_scatter**2 * np.mean(np.square(mean), axis=1))
+    return Problem(
+        V=readings.strain / scales.strain,
+        g=np.concatenate((force_vector(*load) / scales.newtons, basis.columns), axis=1),
+        D=direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
+        weight=np.ones(m) if readings.weight is None else readings.weight,
+        observed=observed,
+        Sigma=Sigma,
+        prior_mean=mean,
+        prior_information=information,
+        kinks=np.concatenate((np.zeros(3, dtype=np.bool_), basis.kinks)),
+    )
+
+
+def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> FloatArray:
+    q = basis.columns.shape[1]
+    names = (*FORCES, "offset", "drift")[: 3 + q]
+    g, observed = problem.g[:, ~problem.kinks], problem.observed
+    if problem.prior_information.any():
+        g = np.concatenate((g, np.eye(3, g.shape[1])))
+        observed = np.concatenate((observed, np.ones((3, observed.shape[1]), dtype=np.bool_)))
+    return require_seen(g, observed, names, scales.newtons)
+
+
+def _require_clear(found: Solution, basis: OffsetBasis, scales: Scales) -> None:
+    L = reference_map(basis)
+    covariance = np.einsum("ip,kplq,jq->kilj", L, found.covariance, L)
+    require_clear(found.coefficients @ L.T, covariance, (*FORCES, "offset"), scales.newtons)

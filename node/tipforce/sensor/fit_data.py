@@ -1,0 +1,143 @@
+"""What goes into a calibration fit: readings under known loads, how they came about, and their checks."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.sensor.fit_design import DRIFTS
+from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.layouts import MAX_GAUGES, MIN_GAUGES
+
+FloatArray = npt.NDArray[np.float64]
+
+LOSSES = ("huber", "soft_l1", "none")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Readings:
+    """m rows of n gauges under known loads, in the order in which they were taken."""
+
+    strain: FloatArray
+    """(m, n), tension positive."""
+    P_newtons: FloatArray
+    """(m,), at least zero; 0 is an unloaded reading (tare)."""
+    phi_rad: FloatArray
+    """(m,): direction of the force on the tip."""
+    theta_rad: FloatArray
+    """(m,): angle of the contact on the tip."""
+    t_s: FloatArray | None = None
+    """(m,), not decreasing; needed for a drift only."""
+    weight: FloatArray | None = None
+    """(m,), above zero: how many readings a row is the mean of. Its gauge noise is Sigma_V / weight."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prior:
+    """What is believed of A before any load: beam theory, for a calibration with few loads."""
+
+    A: FloatArray
+    """(n, 3), strain per newton."""
+    relative_scatter: float = 0.1
+    """Standard deviation of each entry, as a fraction of the root mean square entry of its gauge."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Model:
+    """How the readings are believed to have come about."""
+
+    offset: bool = True
+    """False: the readings are zero without a load (tared), and no offset is fitted."""
+    drift: Literal["none", "tare", "linear"] = "none"
+    """The offset over time: constant, interpolated between tares, or a straight line."""
+    loss: Literal["huber", "soft_l1", "none"] = "huber"
+    """How rows that disagree are treated; "none": least squares, outliers are named and kept."""
+    phi_scatter_rad: float = 0.0
+    """Standard deviation of the direction of the load, anew in every row."""
+    theta_scatter_rad: float = 0.0
+    """Standard deviation of the place of the load, anew in every row."""
+    noise_strain: float | FloatArray | None = None
+    """Standard deviation of a gauge reading, if it is known (scalar or (n,)); None: estimated from the residuals."""
+    saturation_strain: float | FloatArray | None = None
+    """Converter limit (scalar or (n,)): readings at or beyond it, of either sign, are left out."""
+    prior: Prior | None = None
+
+
+def beam_prior(geometry: Geometry, gauges: Sequence[Gauge], relative_scatter: float = 0.1) -> Prior:
+    """Return beam theory (Table 1) as prior; gauges as layout() returns them. Raises InputError as gauge_matrix()."""
+    return Prior(gauge_matrix(geometry, gauges), relative_scatter)
+
+
+def checked(readings: Readings, model: Model) -> Readings:
+    """Return the readings as float arrays. Raises InputError naming the row (from 0), the value and what is allowed."""
+    strain = np.asarray(readings.strain, dtype=np.float64)
+    if strain.ndim != 2 or not MIN_GAUGES <= strain.shape[1] <= MAX_GAUGES or not strain.size:
+        raise InputError(
+            f"strain has the shape {strain.shape}: allowed is (m, n), n = {MIN_GAUGES} to {MAX_GAUGES} gauges"
+        )
+    _check_finite("strain", strain)
+    m, n = strain.shape
+    P, phi, theta = (_column(name, getattr(readings, name), m) for name in ("P_newtons", "phi_rad", "theta_rad"))
+    if (P < 0.0).any():
+        row = int(np.argmax(P < 0.0))
+        raise InputError(f"P_newtons[{row}] = {P[row]:g}: allowed is 0 or more (turn phi by 180 degrees)")
+    if not (P > 0.0).any():
+        raise InputError(f"all {m} rows are unloaded: add loads")
+    t = None if readings.t_s is None else _column("t_s", readings.t_s, m)
+    if t is not None and (np.diff(t) < 0.0).any():
+        row = int(np.argmax(np.diff(t) < 0.0)) + 1
+        raise InputError(
+            f"t_s[{row}] = {t[row]:g} is before t_s[{row - 1}] = {t[row - 1]:g}: rows must be in time order"
+        )
+    weight = None if readings.weight is None else _column("weight", readings.weight, m)
+    if weight is not None and not (weight > 0.0).all():
+        row = int(np.argmin(weight))
+        raise InputError(f"weight[{row}] = {weight[row]:g}: allowed is above 0")
+    _check_model(model, n)
+    return Readings(strain, P, phi, theta, t, weight)
+
+
+def _check_model(model: Model, n: int) -> None:
+    for name, value, allowed in (("drift", model.drift, DRIFTS), ("loss", model.loss, LOSSES)):
+        if value not in allowed:
+            raise InputError(f"{name} {value!r} is not known: allowed are {', '.join(allowed)}")
+    if model.drift != "none" and not model.offset:
+        raise InputError(f"drift {model.drift!r} needs an offset to drift: allowed with offset=False is 'none'")
+    for name in ("phi_scatter_rad", "theta_scatter_rad"):
+        if not 0.0 <= getattr(model, name) < 1.0:
+            raise InputError(f"{name} = {getattr(model, name)!r}: allowed is 0 to 1 (small angles)")
+    for name in ("noise_strain", "saturation_strain"):
+        array = np.asarray(1.0 if getattr(model, name) is None else getattr(model, name), dtype=np.float64)
+        if array.shape not in {(), (n,)} or not (array > 0.0).all():
+            raise InputError(f"{name} = {array}: allowed is a number above 0, or one for each of the {n} gauges")
+    if model.prior is not None:
+        _check_prior(model.prior, n)
+
+
+def _check_prior(prior: Prior, n: int) -> None:
+    A = np.asarray(prior.A, dtype=np.float64)
+    if A.shape != (n, 3) or not np.isfinite(A).all() or not A.any(axis=1).all():
+        raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), finite, no row of zeros")
+    if not 0.0 < prior.relative_scatter < np.inf:
+        raise InputError(f"prior relative_scatter = {prior.relative_scatter!r}: allowed is above 0, as 0.1")
+
+
+def _column(name: str, values: npt.ArrayLike, m: int) -> FloatArray:
+    column = np.asarray(values, dtype=np.float64)
+    if column.shape != (m,):
+        raise InputError(f"{name} has the shape {column.shape}: allowed is ({m},), one for each row of strain")
+    _check_finite(name, column)
+    return column
+
+
+def _check_finite(name: str, values: FloatArray) -> None:
+    wrong = ~np.isfinite(values)
+    if wrong.any():
+        place = ", ".join(str(int(i)) for i in np.argwhere(wrong)[0])
+        raise InputError(f"{name}[{place}] = {values[wrong][0]}: allowed are finite numbers")

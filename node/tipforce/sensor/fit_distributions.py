@@ -1,0 +1,64 @@
+"""Quantiles of Student's t and Fisher's F, from the incomplete beta function: no scipy is needed for an interval."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from math import exp, inf, isinf, lgamma, log, log1p, sqrt
+from statistics import NormalDist
+
+_TINY = 1e-300
+
+
+def t_quantile(probability: float, dof: float) -> float:
+    """Return t with P(T < t) = probability, 0.5 <= probability < 1; dof > 0 may be fractional or infinite."""
+    if isinf(dof):
+        return NormalDist().inv_cdf(probability)
+    tail = 1.0 - probability
+    return sqrt(_root(lambda square: 0.5 * _beta(dof / (dof + square), 0.5 * dof, 0.5) - tail))
+
+
+def f_quantile(probability: float, dof_1: float, dof_2: float) -> float:
+    """Return x with P(F < x) = probability, 0 < probability < 1, for finite degrees of freedom above 0."""
+    tail = 1.0 - probability
+    return _root(lambda x: _beta(dof_2 / (dof_2 + dof_1 * x), 0.5 * dof_2, 0.5 * dof_1) - tail)
+
+
+def _root(falling: Callable[[float], float]) -> float:
+    """Where a function that falls from above to below zero on (0, inf) crosses it, by bisection of the exponent."""
+    low, high = log(1e-12), log(1e12)
+    if falling(exp(high)) > 0.0:
+        return inf
+    for _ in range(40):
+        middle = 0.5 * (low + high)
+        if falling(exp(middle)) > 0.0:
+            low = middle
+        else:
+            high = middle
+    return exp(0.5 * (low + high))
+
+
+def _beta(x: float, a: float, b: float) -> float:
+    """Regularised incomplete beta function I_x(a, b) for 0 <= x <= 1 (NIST DLMF 8.17.22, modified Lentz)."""
+    if x <= 0.0:
+        return 0.0
+    if x >= 1.0:
+        return 1.0
+    if x > (a + 1.0) / (a + b + 2.0):
+        return 1.0 - _beta(1.0 - x, b, a)
+    front = exp(a * log(x) + b * log1p(-x) - log(a) - lgamma(a) - lgamma(b) + lgamma(a + b))
+    c, d = 1.0, 1.0 / _off_zero(1.0 - (a + b) * x / (a + 1.0))
+    value = d
+    for m in range(1, 300):
+        even = m * (b - m) * x / ((a + 2 * m - 1) * (a + 2 * m))
+        odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1))
+        for term in (even, odd):
+            d = 1.0 / _off_zero(1.0 + term * d)
+            c = _off_zero(1.0 + term / c)
+            value *= c * d
+        if abs(c * d - 1.0) < 1e-14:
+            break
+    return front * value
+
+
+def _off_zero(value: float) -> float:
+    return value if abs(value) > _TINY else _TINY

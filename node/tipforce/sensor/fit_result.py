@@ -1,0 +1,154 @@
+"""What a calibration fit hands back: the matrix with its uncertainty, and everything that speaks for or against it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LoadResidual:
+    """All rows of one load: how far the fit is from their readings."""
+
+    P_newtons: float
+    phi_rad: float
+    theta_rad: float
+    rows: tuple[int, ...]
+    """Indices of the rows used; a row with one gauge left out is among them."""
+    mean_strain: FloatArray
+    """Mean residual (reading less fit) of each gauge, (n,); NaN for a gauge with no reading that counts."""
+    rms_strain: FloatArray
+    """Root mean square residual of each gauge, (n,)."""
+    rms_newtons: FloatArray
+    """Root mean square of the residual as a force, C e, per F1, F2, F3, (3,); NaN without a complete row."""
+    leverage: float
+    """Largest leverage of its rows: near 1 the fit follows this load whatever it reads."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """One calibration of n gauges from m rows: V = A F + b, and F = C (V - b)."""
+
+    C: FloatArray
+    """(3, n), newtons per unit strain: the left inverse of A, weighted by the gauges' noise variances; C A = I."""
+    A: FloatArray
+    """(n, 3), strain per newton."""
+    offset_strain: FloatArray
+    """(n,): the offsets at the last row; with a drift, those of that time."""
+    C_uncertainty: FloatArray
+    """Standard uncertainty of each entry of C, (3, n)."""
+    coverage_factor: float
+    """Standard uncertainties to either side that make 95 % (Student's t)."""
+    noise_covariance_strain2: FloatArray
+    """Sigma_V, (n, n): gauge noise of one reading of weight one."""
+    residual_covariance_strain2: FloatArray
+    """S, (n, n): covariance of the residuals, with what the scatter of load directions adds."""
+    N: FloatArray
+    """Sum of weight G G^T over all rows used, (4, 4), G = (F, 1); (3, 3) without offset. With a drift, what is
+    left of it for A and the offset at the last row (Schur complement): S and N^-1 then give their covariance."""
+    parameter_covariance: FloatArray
+    """Covariance of (A row, offset) of all gauges, (n, 4, n, 4); strain^2 over newtons as the entries go.
+    Equal to S (x) N^-1 where every row has the same noise, else more exact than that."""
+    sigma0: float
+    """Size of the residuals in units of what the noise model expects: near 1 where it is right."""
+    sigma0_loaded: float
+    """sigma0 of the loaded rows alone; NaN without degrees of freedom."""
+    sigma0_unloaded: float
+    dof: float
+    """Rows less unknowns, for each gauge."""
+    condition_number: float
+    row_equilibrated_condition_number: float
+    design_singular_values: FloatArray
+    """Of (F / typical load, offset columns), as the identifiability check saw them."""
+    residual_strain: FloatArray
+    """Reading less fit, (m, n), of every row, used or not."""
+    offset_at_rows_strain: FloatArray
+    """The fitted offset with its drift at each row, (m, n)."""
+    distance: FloatArray
+    """(m,): Mahalanobis distance of each row from the fit without it."""
+    leverage: FloatArray
+    """(m,): share of each row in its own fitted value."""
+    used: BoolArray
+    """(m, n): the readings that the fit rests on."""
+    outliers: tuple[int, ...]
+    """Rows left out because they disagree with the others (with loss "none": only named, not left out)."""
+    saturated: tuple[tuple[int, int], ...]
+    """(row, gauge) of readings at the converter's limit, left out."""
+    near_limit: tuple[tuple[int, int], ...]
+    """(row, gauge) left out as expected within 3 standard deviations of the limit: keeping only those that
+    noise held below it would bias the fit."""
+    loads: tuple[LoadResidual, ...]
+    drift: str
+    loss: str
+
+    @property
+    def C_interval(self) -> FloatArray:
+        """95 % confidence interval of each entry of C, (2, 3, n): lower and upper ends."""
+        half = self.coverage_factor * self.C_uncertainty
+        return np.stack((self.C - half, self.C + half))
+
+    def covariance_F(self, F_newtons: npt.ArrayLike, *, offset_known: bool = False, noise: bool = True) -> FloatArray:
+        """Return the covariance of an estimate at F (..., 3): (..., 3, 3), N^2. See covariance_of_estimate()."""
+        gauge_noise = self.noise_covariance_strain2 if noise else np.zeros_like(self.noise_covariance_strain2)
+        return covariance_of_estimate(
+            self.C, gauge_noise, self.parameter_covariance, F_newtons, offset_known=offset_known
+        )
+
+
+def covariance_of_estimate(
+    C: npt.ArrayLike,
+    noise_covariance: npt.ArrayLike,
+    parameter_covariance: npt.ArrayLike,
+    F_newtons: npt.ArrayLike,
+    *,
+    offset_known: bool = False,
+) -> FloatArray:
+    """Return C (Sigma_V + Q(F)) C^T, the covariance of F = C (V - b), N^2: gauge noise and calibration.
+
+    C: (3, n). noise_covariance: (n, n), strain^2. parameter_covariance: (n, 4, n, 4), of Fit or kronecker().
+    F: (..., 3). Returns (..., 3, 3). Q(F)_kl = G^T cov(row k, row l) G with G = (F, 1), which is S G^T N^-1 G
+    where all rows have the same noise; offset_known: the readings were tared afresh, and the 1 drops out
+    (the tare's own noise belongs into noise_covariance). Raises InputError for other shapes.
+    """
+    matrix, F = np.asarray(C, dtype=np.float64), np.asarray(F_newtons, dtype=np.float64)
+    n = matrix.shape[-1]
+    Sigma = np.asarray(noise_covariance, dtype=np.float64)
+    blocks = np.asarray(parameter_covariance, dtype=np.float64)
+    if matrix.shape != (3, n) or Sigma.shape != (n, n) or blocks.shape != (n, 4, n, 4) or F.shape[-1:] != (3,):
+        raise InputError(
+            f"C {matrix.shape}, noise {Sigma.shape}, parameters {blocks.shape}, F {F.shape}: allowed are (3, n), "
+            "(n, n), (n, 4, n, 4), (..., 3)"
+        )
+    one = np.zeros((*F.shape[:-1], 1)) if offset_known else np.ones((*F.shape[:-1], 1))
+    G = np.concatenate((F, one), axis=-1)
+    # The sum over gauges does not depend on F: 4 x 4 products of G then serve any number of samples.
+    kernel = np.einsum("ak,kilj,bl->ijab", matrix, blocks, matrix).reshape(16, 9)
+    products = (G[..., :, np.newaxis] * G[..., np.newaxis, :]).reshape(*F.shape[:-1], 16)
+    Q = (products @ kernel).reshape(*F.shape[:-1], 3, 3)
+    covariance: FloatArray = matrix @ Sigma @ matrix.T + 0.5 * (Q + np.swapaxes(Q, -1, -2))
+    return covariance
+
+
+def kronecker(residual_covariance: npt.ArrayLike, N: npt.ArrayLike) -> FloatArray:
+    """Return the parameter covariance S (x) N^-1, (n, 4, n, 4), from S (n, n) and N (4, 4), or (3, 3) without offset.
+
+    Raises InputError for other shapes or a singular N.
+    """
+    S, normal = np.asarray(residual_covariance, dtype=np.float64), np.asarray(N, dtype=np.float64)
+    if S.ndim != 2 or S.shape[0] != S.shape[1] or normal.shape not in {(3, 3), (4, 4)}:
+        raise InputError(f"S {S.shape}, N {normal.shape}: allowed are (n, n) and (4, 4) or (3, 3)")
+    inverse = np.zeros((4, 4))
+    q = normal.shape[0]
+    try:
+        inverse[:q, :q] = np.linalg.inv(normal)
+    except np.linalg.LinAlgError:
+        raise InputError("N is singular: the rows that it sums do not determine every unknown") from None
+    blocks: FloatArray = np.einsum("kl,ij->kilj", S, inverse)
+    return blocks

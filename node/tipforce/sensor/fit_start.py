@@ -1,0 +1,133 @@
+"""Which rows of a calibration look wrong before anything is fitted: least trimmed squares, and the cut for outliers."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.sensor.fit_distributions import f_quantile
+from tipforce.sensor.fit_solve import NOISE_FLOOR, Problem, Solution, observed_inverse
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+FALSE_ALARM = 0.01
+"""Chance that a fit without any outlier names one."""
+KEPT_SHARE = 0.75
+TRIALS, BEST, FIRST_STEPS, LAST_STEPS = 300, 8, 2, 12
+
+
+def squared_cuts(m: int, count: int, dof: FloatArray) -> FloatArray:
+    """Return the squared distance beyond which a row with ``count`` readings is an outlier, in the shape of dof.
+
+    m rows are judged together (Bonferroni), by the F distribution of the distance from a fit without the row.
+    Infinite where so few degrees of freedom are left that no row can be judged.
+    """
+    able = dof > count + 1.5
+    if not able.any():
+        return np.full(dof.shape, np.inf)
+    # Smooth in 1 / dof: a few exact points serve any number of rows.
+    inverse = np.unique(np.linspace(1.0 / dof[able].max(), 1.0 / dof[able].min(), 6))
+    chance = 1.0 - FALSE_ALARM / m
+    exact = [count * nu / (nu - count + 1) * f_quantile(chance, count, nu - count + 1) for nu in 1.0 / inverse]
+    cuts = np.exp(np.interp(1.0 / dof, inverse, np.log(exact)))
+    return np.where(able, cuts, np.inf)
+
+
+def outlying(problem: Problem, found: Solution, judged: BoolArray) -> BoolArray:
+    """Return which rows are outliers of a fit, (m,): those left out of it are judged again.
+
+    judged: (m, n), the readings that count where a row is not an outlier.
+    """
+    counts = judged.sum(axis=1)
+    used = problem.observed.any(axis=1)
+    dof = noise_dof(problem, found)
+    # The row's own residual has widened the noise that it is judged by: undo it.
+    own = found.distance * (1.0 - 1.0 / dof) / (1.0 - np.minimum(found.distance / dof, 0.9))
+    distance = np.where(used, own, found.distance)
+    # A row that alone carries a coefficient fits itself: nothing can be said of it.
+    fair = (counts > 0) & ~(used & (found.leverage > 0.999))
+    outlier = np.zeros(len(counts), dtype=np.bool_)
+    for count in np.unique(counts[fair]):
+        rows = fair & (counts == count)
+        outlier[rows] = distance[rows] > squared_cuts(len(counts), int(count), dof[rows])
+    return outlier
+
+
+def noise_dof(problem: Problem, found: Solution) -> FloatArray:
+    """Return with how many degrees of freedom the noise of each row is known, (m,), at least 2 (Satterthwaite).
+
+    Only the gauge noise is estimated, and only by the part of each residual that neither the fit nor the
+    scatter of load directions has taken up; where the stated scatter rules, a row's noise is well known.
+    """
+    if problem.Sigma is not None:
+        return np.full(len(found.R), 1e6)
+    inverse = observed_inverse(found.R, problem.observed)
+    noise = found.Sigma / problem.weight[:, np.newaxis, np.newaxis]
+    free = noise @ inverse @ (found.R - found.H) @ inverse
+    total = float(np.einsum("ikl,ilk->", free, free)) / problem.V.shape[1]
+    share = np.einsum("ikl,ilk->i", noise, np.linalg.inv(found.R)) / problem.V.shape[1]
+    dof: FloatArray = np.maximum(total / np.square(share), 2.0)
+    return dof
+
+
+def suspects(problem: Problem) -> BoolArray:
+    """Return which rows least trimmed squares finds too far off, (m,); none where there are too few rows to trim.
+
+    Rows with a reading left out are not judged here. The random subsets come from a fixed seed: the same data
+    give the same answer.
+    """
+    m, n = problem.V.shape
+    none = np.zeros(m, dtype=np.bool_)
+    rows = np.flatnonzero(problem.observed.all(axis=1))
+    p = problem.g.shape[1]
+    kept = int(np.ceil(KEPT_SHARE * rows.size))
+    if kept < 2 * p + 2:
+        return none
+    g, V = problem.g[rows], problem.V[rows]
+    beta = _least_trimmed(g, V, kept)
+    e = V - g @ beta
+    size = np.square(e).sum(axis=1)
+    core = e[np.argsort(size)[:kept]]
+    # 1.6: a trimmed quarter hides that much of the variance of three gauges.
+    Sigma = 1.6 * core.T @ core / (kept - p) + NOISE_FLOOR**2 * np.eye(n)
+    AD = beta[:3].T @ problem.D[rows]
+    R = Sigma / problem.weight[rows, np.newaxis, np.newaxis] + AD @ AD.transpose(0, 2, 1)
+    distance = np.einsum("ik,ik->i", e, np.linalg.solve(R, e[..., np.newaxis])[..., 0])
+    none[rows] = distance > squared_cuts(rows.size, n, np.full(rows.size, float(kept - p)))
+    return none
+
+
+def corner(n: int) -> float:
+    """Return the distance where the robust loss bends: the 99 % point of good rows of n gauges."""
+    return sqrt(n * f_quantile(0.99, n, 1e6))
+
+
+def _least_trimmed(g: FloatArray, V: FloatArray, kept: int) -> FloatArray:
+    """Coefficients (p, n) of the ``kept`` rows that agree best: many small random subsets, then concentration."""
+    rng = np.random.default_rng(0)
+    m, p = g.shape
+    size = min(p + 2, m)
+    chosen = np.argsort(rng.random((TRIALS, m)), axis=1)[:, :size]
+    for step in range(FIRST_STEPS + LAST_STEPS):
+        beta, squares = _fitted(g, V, chosen)
+        order = np.argsort(squares, axis=1)[:, :kept]
+        if step == FIRST_STEPS:
+            objective = np.take_along_axis(squares, order, axis=1).sum(axis=1)
+            order = order[np.argsort(objective)[:BEST]]
+        chosen = order
+    beta, squares = _fitted(g, V, chosen)
+    objective = np.sort(squares, axis=1)[:, :kept].sum(axis=1)
+    best: FloatArray = beta[int(np.argmin(objective))]
+    return best
+
+
+def _fitted(g: FloatArray, V: FloatArray, chosen: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+    """Least squares on each subset of rows: coefficients (T, p, n), squared residuals of every row (T, m)."""
+    sub, p = g[chosen], g.shape[1]
+    normal = sub.transpose(0, 2, 1) @ sub + 1e-9 * np.eye(p)
+    beta: FloatArray = np.asarray(np.linalg.solve(normal, sub.transpose(0, 2, 1) @ V[chosen]), dtype=np.float64)
+    squares: FloatArray = np.square(V - g @ beta).sum(axis=2)
+    return beta, squares

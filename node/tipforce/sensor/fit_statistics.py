@@ -1,0 +1,185 @@
+"""From the solved calibration to its result: scales undone, intervals, residuals by load, condition numbers."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.sensor.fit_data import Model, Readings
+from tipforce.sensor.fit_design import OffsetBasis, reference_map
+from tipforce.sensor.fit_distributions import t_quantile
+from tipforce.sensor.fit_result import Fit, LoadResidual
+from tipforce.sensor.fit_solve import Problem, Solution, observed_inverse
+from tipforce.sensor.strain import condition_number, row_equilibrated_condition_number
+
+FloatArray = npt.NDArray[np.float64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+class Scales(NamedTuple):
+    """Units in which readings and loads are near one: any size of load then fits equally well."""
+
+    strain: float
+    newtons: float
+
+    @classmethod
+    def of(cls, strain: FloatArray, P_newtons: FloatArray) -> Scales:
+        """Root mean square readings and loads."""
+        typical = float(np.sqrt(np.mean(np.square(P_newtons[P_newtons > 0.0]))))
+        return cls(float(np.sqrt(np.mean(np.square(strain)))) or 1.0, typical)
+
+
+class Left(NamedTuple):
+    """Which readings were left out, and why."""
+
+    outlier: BoolArray
+    """(m,)."""
+    saturated: BoolArray
+    """(m, n)."""
+    near_limit: BoolArray
+    """(m, n)."""
+
+
+def left_inverse(A: FloatArray, variance: FloatArray) -> FloatArray:
+    """Return C (3, n) with C A = I and the least noise for gauges of independent noise: (A^T W A)^-1 A^T W."""
+    root = 1.0 / np.sqrt(variance)
+    inverse: FloatArray = np.linalg.pinv(A * root[:, np.newaxis]) * root
+    return inverse
+
+
+def matrix_uncertainty(A: FloatArray, C: FloatArray, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+    """Return the standard uncertainty of each entry of C, (3, n), from the covariance of A, (n, 3, n, 3).
+
+    First order: dC = -C dA C + (A^T W A)^-1 dA^T W (I - A C); the second term is zero for three gauges.
+    """
+    n = A.shape[0]
+    W = np.diag(1.0 / variance)
+    inner = np.linalg.inv(A.T @ W @ A)
+    J = -np.einsum("ak,jl->alkj", C, C) + np.einsum("aj,kl->alkj", inner, W @ (np.eye(n) - A @ C))
+    spread: FloatArray = np.einsum("alkj,kjmi,almi->al", J, covariance, J)
+    return np.sqrt(np.maximum(spread, 0.0))
+
+
+def result(
+    readings: Readings,
+    model: Model,
+    scales: Scales,
+    basis: OffsetBasis,
+    problem: Problem,
+    found: Solution,
+    singular: FloatArray,
+    left: Left,
+) -> Fit:
+    """Return the Fit in SI units."""
+    L = reference_map(basis)
+    at_reference = found.coefficients @ L.T * scales.strain
+    A = at_reference[:, :3] / scales.newtons
+    n = A.shape[0]
+    unit = np.array([1.0 / scales.newtons] * 3 + [1.0] * (len(L) - 3)) * scales.strain
+    covariance = np.zeros((n, 4, n, 4))
+    solved = np.einsum("ip,kplq,jq->kilj", L, found.covariance, L)
+    covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
+    Sigma = found.Sigma * scales.strain**2
+    variance = np.diag(Sigma)
+    C = left_inverse(A, variance)
+    residual = found.residual * scales.strain
+    sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
+    return Fit(
+        C=C,
+        A=A,
+        offset_strain=at_reference[:, 3] if len(L) == 4 else np.zeros(n),
+        C_uncertainty=matrix_uncertainty(A, C, variance, covariance[:, :3, :, :3]),
+        coverage_factor=t_quantile(0.975, found.dof if model.noise_strain is None else np.inf),
+        noise_covariance_strain2=Sigma,
+        residual_covariance_strain2=_residual_covariance(problem, residual, found.dof),
+        N=_normal_matrix(problem, found, L, scales.newtons),
+        parameter_covariance=covariance,
+        sigma0=sigma0,
+        sigma0_loaded=loaded,
+        sigma0_unloaded=unloaded,
+        dof=found.dof,
+        condition_number=condition_number(A),
+        row_equilibrated_condition_number=row_equilibrated_condition_number(A),
+        design_singular_values=singular,
+        residual_strain=residual,
+        offset_at_rows_strain=problem.g[:, 3:] @ found.coefficients[:, 3:].T * scales.strain,
+        distance=np.sqrt(np.maximum(found.distance, 0.0)),
+        leverage=found.leverage,
+        used=problem.observed,
+        outliers=tuple(int(row) for row in np.flatnonzero(left.outlier)),
+        saturated=_places(left.saturated),
+        near_limit=_places(left.near_limit),
+        loads=_by_load(readings, problem.observed, residual, C, found.leverage),
+        drift=model.drift,
+        loss=model.loss,
+    )
+
+
+def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
+    return tuple((int(row), int(gauge)) for row, gauge in np.argwhere(mask))
+
+
+def _sizes(problem: Problem, found: Solution, loaded: BoolArray) -> tuple[float, float, float]:
+    """sigma0 of all rows, of the loaded ones, of the unloaded ones."""
+    counts = problem.observed.sum(axis=1)
+    inverse = observed_inverse(found.R, problem.observed)
+    squares = np.einsum("ik,ikl,il->i", found.residual, inverse, found.residual)
+    free = counts * (1.0 - found.leverage)
+
+    def size(rows: BoolArray) -> float:
+        total = float(free[rows].sum())
+        return float(np.sqrt(squares[rows].sum() / total)) if total > 0.5 else float("nan")
+
+    used = counts > 0
+    return size(used), size(used & loaded), size(used & ~loaded)
+
+
+def _residual_covariance(problem: Problem, residual: FloatArray, dof: float) -> FloatArray:
+    """S: weighted squares of the residuals over the degrees of freedom, by pairs where a reading is left out."""
+    counted = problem.observed.astype(np.float64)
+    e = np.where(problem.observed, residual, 0.0) * np.sqrt(problem.weight)[:, np.newaxis]
+    rows = np.maximum(counted.T @ counted, 1.0)
+    used = float(problem.observed.any(axis=1).sum())
+    S: FloatArray = (e.T @ e) / rows * used / max(dof, 0.5)
+    return S
+
+
+def _normal_matrix(problem: Problem, found: Solution, L: FloatArray, newtons: float) -> FloatArray:
+    """N for A and the offset at the last row, in newtons: the other coefficients of a drift are eliminated."""
+    used = problem.observed.any(axis=1)
+    g = problem.g[used] * np.sqrt(problem.weight[used])[:, np.newaxis]
+    unit = np.array([newtons] * 3 + [1.0] * (len(L) - 3))
+    # Kinks are held towards zero; in units of noise, as the sum is, differently for each gauge: their mean.
+    held = float(np.mean(np.diag(found.Sigma) / found.kink_variance))
+    information = g.T @ g + held * np.diag(problem.kinks.astype(np.float64))
+    # A prior may have stood in for loads: only then can the sum itself be singular.
+    N = information if np.array_equal(L, np.eye(len(L))) else np.linalg.inv(L @ np.linalg.pinv(information) @ L.T)
+    scaled: FloatArray = N * unit[:, np.newaxis] * unit
+    return 0.5 * (scaled + scaled.T)
+
+
+def _by_load(
+    readings: Readings, observed: BoolArray, residual: FloatArray, C: FloatArray, leverage: FloatArray
+) -> tuple[LoadResidual, ...]:
+    """Residuals of the rows used, by load, unloaded rows first, then as they came."""
+    groups: dict[tuple[float, float, float], list[int]] = {}
+    for row in np.flatnonzero(observed.any(axis=1)):
+        P = float(readings.P_newtons[row])
+        load = (P, float(readings.phi_rad[row]), float(readings.theta_rad[row])) if P > 0.0 else (0.0, 0.0, 0.0)
+        groups.setdefault(load, []).append(int(row))
+    found = []
+    for load in sorted(groups, key=lambda load: load[0] > 0.0):
+        rows = groups[load]
+        counted = observed[rows]
+        e = np.where(counted, residual[rows], 0.0)
+        counts = counted.sum(axis=0)
+        some = np.maximum(counts, 1)
+        mean = np.where(counts > 0, e.sum(axis=0) / some, np.nan)
+        rms = np.where(counts > 0, np.sqrt(np.square(e).sum(axis=0) / some), np.nan)
+        complete = counted.all(axis=1)
+        force = residual[rows][complete] @ C.T
+        newtons = np.sqrt(np.square(force).mean(axis=0)) if complete.any() else np.full(3, np.nan)
+        found.append(LoadResidual(*load, tuple(rows), mean, rms, newtons, float(leverage[rows].max())))
+    return tuple(found)

@@ -1,0 +1,285 @@
+"""A plane frame by the direct stiffness method: an independent model of the body, to check beam theory against.
+
+Three bodies, each rigid: the fixture, the joint, the tip. Three elastic beams, each one two-node element with a 6 x 6
+stiffness matrix: the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). A beam
+that carries load at its ends only is exact with one element. Signs: x to the right, y away from the fixture, angles
+counter-clockwise; tension is positive.
+
+The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint, not of each
+relative to the ground. An element feels no rigid motion, so nothing is lost; but a thin beam's tiny axial stiffness
+term is then never added to another beam's bending term 1e14 times smaller, and a body of 1 nm thickness is solved to
+rounding, where absolute unknowns lose all digits of the sum. Diagonal scaling does the rest.
+
+In the limit EULER_BERNOULLI (rigid roots, rigid joint without width) the frame equals Table 1 of the paper to
+rounding, its lever h1 / 2 included.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.sensor.gauge_positions import Gauge, place
+from tipforce.sensor.gauge_shift import GaugePosition
+from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.layouts import POINTS
+
+FloatArray = npt.NDArray[np.float64]
+
+HALF_PLANE_ROTATION = 18.0 / math.pi
+"""E b h^2 times the rotation of a root per moment, where the beam springs from an elastic half plane.
+
+A moment M enters as the linear traction 12 M y / h^3; Flamant's solution gives the surface's displacement
+-(2 / pi E) integral p(y') ln|y - y'| dy', and its mean slope, weighted by the traction, is 18 / (pi E b h^2) M (plane
+stress): the beam is as good as 0.48 h longer.
+"""
+
+
+class RootCompliance(NamedTuple):
+    """How far a clamped end gives way: springs in series with the beam, dimensionless; 0 is rigid."""
+
+    rotation: float = 0.0
+    """E b h^2 times rotation per moment; HALF_PLANE_ROTATION where the wall is large."""
+    along: float = 0.0
+    """E b times displacement along the beam per force. A half plane has no value of its own: its displacement
+    grows with the logarithm of the distance to where it is held."""
+    across: float = 0.0
+    """E b times displacement across the beam per force."""
+
+
+RIGID = RootCompliance()
+
+
+@dataclass(frozen=True, slots=True)
+class FrameModel:
+    """What the beams, their roots and the joint are taken to be. Raises InputError for values out of range."""
+
+    shear: bool = False
+    """True: Timoshenko beams, that also yield to shear. False: Euler-Bernoulli."""
+    shear_coefficient: float = 5.0 / 6.0
+    """Timoshenko's kappa of a rectangle; Cowper's 10 (1 + nu) / (12 + 11 nu) is 0.849."""
+    poisson_ratio: float = 0.29
+    root: RootCompliance = RIGID
+    """At each of the six beam ends, the joint's included."""
+    finite_joint: bool = False
+    """True: the joint is a rigid block h2 wide, the arms begin at its sides. False: they meet at its middle,
+    as in Table 1. In both the vertical beam begins h1 / 2 below the middle."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.shear_coefficient <= 1.0:
+            raise InputError(f"shear_coefficient = {self.shear_coefficient!r}: allowed is above 0, at most 1")
+        if not -1.0 < self.poisson_ratio <= 0.5:
+            raise InputError(f"poisson_ratio = {self.poisson_ratio!r}: allowed is above -1, at most 0.5")
+        for name, value in self.root._asdict().items():
+            if not 0.0 <= value < math.inf:
+                raise InputError(f"root compliance {name} = {value!r}: allowed is 0 (rigid) or more, finite")
+
+
+EULER_BERNOULLI = FrameModel()
+"""The assumptions of Table 1."""
+TIMOSHENKO = FrameModel(shear=True)
+ELASTIC_ROOTS = FrameModel(shear=True, root=RootCompliance(rotation=HALF_PLANE_ROTATION))
+"""Shear and roots that rotate: the nearest of the three to a real body."""
+
+
+class _Element(NamedTuple):
+    """One beam between its ends A and B, lengths in metres, for E = 1 and width = 1."""
+
+    thickness: float
+    start: FloatArray
+    """End A, on the body nearer to the fixture, (2,)."""
+    length: float
+    axes: FloatArray
+    """Rows: direction from A to B, and that turned by +90 degrees, (2, 2)."""
+    stiffness: FloatArray
+    """(6, 6), local axes: forces and moments at A and B per displacements and rotations."""
+    motion: FloatArray
+    """(3, 3): displacement of B in local axes per motion (u, v, rotation) of its body about the origin."""
+
+
+class Frame:
+    """The frame of one body, solved once for F1 = 1, F2 = 1, F3 = 1 newton.
+
+    Raises InputError where the body is so thin or thick that floating point cannot hold its stiffness, or where
+    a finite joint is wider than the horizontal beam.
+    """
+
+    def __init__(self, geometry: Geometry, model: FrameModel = EULER_BERNOULLI) -> None:
+        self.geometry, self.model = geometry, model
+        self._inner = 0.5 * geometry.h2_m if model.finite_joint else 0.0
+        if self._inner >= geometry.a_m:
+            raise InputError(f"h2_m = {geometry.h2_m!r}: a finite joint must be narrower than 2 a = {2 * geometry.a_m}")
+        drop, a = 0.5 * geometry.h1_m, geometry.a_m
+        self._vertical = _element((0.0, -drop - geometry.d_m), (0.0, -drop), geometry.h2_m, model)
+        self._arms = {
+            side: _element((sign * self._inner, 0.0), (sign * a, 0.0), geometry.h1_m, model)
+            for side, sign in (("left", -1.0), ("right", 1.0))
+        }
+        # A force on the tip is the force and its moment about the origin; F = (Fy, M / r, Fx), equation (16).
+        loads = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, geometry.r_m, 0.0]])
+        # The joint carries what the tip carries: both blocks see the same loads.
+        self._joint = _solve([self._vertical], loads)
+        self._tip = _solve(list(self._arms.values()), loads)
+
+    @property
+    def condition_number_scaled(self) -> float:
+        """Condition number (2-norm) of the stiffness matrix (6, 6) as solved: diagonal scaled to 1."""
+        return max(self._joint.highest, self._tip.highest) / min(self._joint.lowest, self._tip.lowest)
+
+    @property
+    def condition_number_unscaled(self) -> float:
+        """The same before the scaling, in metres, newtons and radians: what a plain solver would face."""
+        values = np.concatenate([np.linalg.eigvalsh(part.stiffness) for part in (self._joint, self._tip)])
+        return float(values.max() / values.min()) if values.min() > 0.0 else math.inf
+
+    def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
+        """Return the strain per newton of F, shape (n, 3), tension positive.
+
+        gauges: points of Table 1 or GaugePosition; a point of the arms at the joint (K_H, S_H) sits where the
+        arm begins. gauge_length_m: 0 for the strain at the place itself, else the mean over that length around
+        it. Raises InputError for an unknown gauge, one off its beam, or one whose length reaches beyond it.
+        """
+        if not 0.0 <= gauge_length_m < math.inf:
+            raise InputError(f"gauge_length_m = {gauge_length_m!r}: allowed is 0 (a point) or more, finite")
+        return np.array([self._row(gauge, gauge_length_m) for gauge in gauges], dtype=np.float64).reshape(-1, 3)
+
+    def tip_motion(self) -> FloatArray:
+        """Return the motion of the tip relative to the joint per newton of F: (3, 3), rows u_m, v_m, rotation_rad."""
+        return self._tip.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+
+    def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
+        """Return by how much the slit between tip and horizontal beam narrows, m per newton of F, (2, m, 3).
+
+        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip. The slit is taken
+        to run along the upper face of the horizontal beam: the paper's figure is not in its text.
+        """
+        xi = np.asarray(fractions, dtype=np.float64)[:, np.newaxis]
+        scale = self.geometry.width_m * self.geometry.youngs_modulus_pascals
+        closures = []
+        for element in self._arms.values():
+            x = element.start[0] + xi * element.length * element.axes[0, 0]
+            tip = self._tip.motion[1] + x * self._tip.motion[2]
+            closures.append((_deflection(element, self._tip.motion, xi) - tip) / scale)
+        return np.stack(closures)
+
+    def _row(self, gauge: Gauge, gauge_length_m: float) -> FloatArray:
+        spot = place(self.geometry, gauge)
+        if spot.beam == "H":
+            element, solution = self._arms[spot.side], self._tip
+            s = spot.position_m - self._inner
+            outward = -1.0 if spot.face == "lower" else 1.0
+            # Local y points up on the right arm, down on the left one, whose direction is -x.
+            outward *= element.axes[0, 0]
+        else:
+            element, solution = self._vertical, self._joint
+            s = self.geometry.d_m - spot.position_m
+            outward = 1.0 if spot.side == "left" else -1.0
+        if gauge in POINTS:
+            s = element.length if s > 0.5 * element.length else 0.0
+        ends = _span(spot, s, gauge_length_m, element.length)
+        strain = np.mean([_surface_strain(element, solution.motion, end, outward) for end in ends], axis=0)
+        row: FloatArray = strain / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+        return row
+
+
+class _Solution(NamedTuple):
+    """A solved block of the stiffness matrix, for E = 1 and width = 1."""
+
+    stiffness: FloatArray
+    motion: FloatArray
+    """(3, 3): (u, v, rotation) per newton of F1, F2, F3."""
+    lowest: float
+    """Eigenvalues of the scaled matrix."""
+    highest: float
+
+
+def _solve(elements: list[_Element], loads: FloatArray) -> _Solution:
+    """Assemble what holds one body, scale its diagonal to 1, solve for three loads (columns of (3, 3))."""
+    stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
+    diagonal = np.diagonal(stiffness)
+    if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):
+        raise InputError(f"stiffness {diagonal.tolist()}: the body is too thin or too thick for floating point")
+    root = np.sqrt(diagonal)
+    scaled = stiffness / root[:, np.newaxis] / root
+    motion = np.linalg.solve(scaled, loads / root[:, np.newaxis]) / root[:, np.newaxis]
+    values = np.linalg.eigvalsh(scaled)
+    return _Solution(stiffness, motion, float(values[0]), float(values[-1]))
+
+
+def _element(start: tuple[float, float], end: tuple[float, float], thickness: float, model: FrameModel) -> _Element:
+    a, b = np.array(start), np.array(end)
+    length = float(np.hypot(*(b - a)))
+    c, s = (b - a) / length
+    axes = np.array([[c, s], [-s, c]])
+    turn = np.zeros((3, 3))
+    turn[:2, :2], turn[2, 2] = axes, 1.0
+    rigid_link = np.array([[1.0, 0.0, -b[1]], [0.0, 1.0, b[0]], [0.0, 0.0, 1.0]])
+    stiffness = _with_springs(_stiffness(length, thickness, model), thickness, model.root)
+    return _Element(thickness, a, length, axes, stiffness, turn @ rigid_link)
+
+
+def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray:
+    """The textbook 6 x 6 matrix of a beam for E = 1 and width = 1 (Przemieniecki, Matrix Structural Analysis, 5.6)."""
+    h, L = thickness, length
+    shear_modulus = 0.5 / (1.0 + model.poisson_ratio)
+    slender = h / L
+    Phi = slender * slender / (shear_modulus * model.shear_coefficient) if model.shear else 0.0
+    k = slender * slender * slender / (12.0 * (1.0 + Phi))
+    bend = k * np.array(
+        [
+            [12.0, 6.0 * L, -12.0, 6.0 * L],
+            [6.0 * L, (4.0 + Phi) * L * L, -6.0 * L, (2.0 - Phi) * L * L],
+            [-12.0, -6.0 * L, 12.0, -6.0 * L],
+            [6.0 * L, (2.0 - Phi) * L * L, -6.0 * L, (4.0 + Phi) * L * L],
+        ]
+    )
+    K = np.zeros((6, 6))
+    K[np.ix_([0, 3], [0, 3])] = slender * np.array([[1.0, -1.0], [-1.0, 1.0]])
+    K[np.ix_([1, 2, 4, 5], [1, 2, 4, 5])] = bend
+    return K
+
+
+def _with_springs(K: FloatArray, thickness: float, root: RootCompliance) -> FloatArray:
+    """Springs in series at both ends: f = K (u - C f), so f = (I + K C)^-1 K u. C = 0 leaves K as it is."""
+    end = [root.along, root.across, root.rotation / thickness / thickness]
+    if not any(end):
+        return K
+    return np.linalg.solve(np.eye(6) + K * np.array(end * 2), K)
+
+
+def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: float) -> FloatArray:
+    """Strain (3,) per newton at distance s from A, on the face at local y = outward * thickness / 2."""
+    forces = element.stiffness[:, 3:] @ (element.motion @ motion)
+    h = element.thickness
+    fraction = s / element.length
+    bending = -(1.0 - fraction) * forces[2] + fraction * forces[5]
+    strain: FloatArray = forces[3] / h - outward * 6.0 / h / h * bending
+    return strain
+
+
+def _deflection(element: _Element, motion: FloatArray, xi: FloatArray) -> FloatArray:
+    """Upward deflection of an arm relative to the joint, (m, 3) per newton, by Hermite's cubic.
+
+    The end motion is the tip's: the little that shear and springs change between the ends is left out.
+    """
+    _, w, turn = element.motion @ motion
+    shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
+    upward: FloatArray = shape * element.axes[0, 0]
+    return upward
+
+
+def _span(spot: GaugePosition, s: float, gauge_length_m: float, length: float) -> tuple[float, float]:
+    """Both ends of a gauge, as distances from A."""
+    half, slack = 0.5 * gauge_length_m, 1e-6 * length  # what an optimiser leaves of a limit
+    if s - half < -slack or s + half > length + slack:
+        raise InputError(
+            f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}: "
+            f"allowed is a gauge that lies between the beam's ends, {length!r} m apart"
+        )
+    return s - half, s + half

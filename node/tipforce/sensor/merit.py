@@ -1,0 +1,162 @@
+"""How good a structure is: predicted uncertainties, noise, condition number, worst stress, closure of the slit.
+
+All figures are closed formulas of Table 1's beam theory; optimise any of them, report the others beside it. The
+condition number alone says nothing about noise: it stays the same when every gauge reads half as much.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.strain import condition_number, noise_gain, stress_coefficients
+
+FloatArray = npt.NDArray[np.float64]
+AnyArray = npt.NDArray[Any]
+"""Real, or complex for a complex step."""
+
+PAPER_LOAD_NEWTONS = 4.4
+PAPER_SLIT_M = 0.25e-3
+_CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSet:
+    """The loads that uncertainties are averaged over: contacts on the pad, pushes within the friction cone.
+
+    Uniform in theta over the pad and in the angle between push and inward normal. Raises InputError for a load,
+    pad or friction coefficient out of range.
+    """
+
+    load_newtons: float = PAPER_LOAD_NEWTONS
+    theta_min_deg: float = 0.0
+    theta_max_deg: float = 180.0
+    friction: float = 0.5
+    """Coefficient of friction: the push stays within atan(friction) of the normal."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.load_newtons < math.inf:
+            raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
+        if not -360.0 <= self.theta_min_deg <= self.theta_max_deg <= 360.0:
+            raise InputError(
+                f"pad from {self.theta_min_deg!r} to {self.theta_max_deg!r} degrees: allowed is -360 to 360, rising"
+            )
+        if not 0.0 <= self.friction <= 10.0:
+            raise InputError(f"friction = {self.friction!r}: allowed is 0 to 10")
+
+    def angles(self) -> tuple[FloatArray, FloatArray]:
+        """Return (phi_rad, theta_rad), each (k,): the directions and contacts of the set."""
+        theta = math.radians(self.theta_min_deg) + math.radians(self.theta_max_deg - self.theta_min_deg) * (
+            (np.arange(_CONTACTS) + 0.5) / _CONTACTS
+        )
+        cone = math.atan(self.friction) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
+        theta, cone = (grid.ravel() for grid in np.meshgrid(theta, cone))
+        return theta + math.pi + cone, theta
+
+    def weights(self) -> FloatArray:
+        """Return W_P, W_phi, W_theta, shape (3, 3, 3): means of j j^T, j the gradient of P, phi or theta by F.
+
+        First order: the mean variance of the quantity is tr(W C Sigma_V C^T). Units 1, (rad/N)^2, (rad/N)^2.
+        """
+        phi, theta = self.angles()
+        s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)
+        delta = phi - theta
+        gradient_P = np.stack((s, zero, c), axis=-1)
+        gradient_phi = np.stack((c, zero, -s), axis=-1) / self.load_newtons
+        # sin(delta) = F2 / P: d(delta) = (dF2 - sin(delta) dP) / (P cos(delta)), and theta = phi - delta.
+        slope_2 = np.stack((zero, 1.0 / np.cos(delta), zero), axis=-1) / self.load_newtons
+        slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / self.load_newtons
+        gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
+        return np.stack([j.T @ j / len(phi) for j in gradients])
+
+
+@dataclass(frozen=True, slots=True)
+class Merit:
+    """What a strain matrix is worth at a stated gauge noise and load set."""
+
+    u_P_newtons: float
+    """Standard uncertainties: RMS over the load set, from gauge noise alone, first order."""
+    u_phi_deg: float
+    u_theta_deg: float
+    noise_gain_newtons: float
+    """sqrt(trace(C C^T)) in newtons per microstrain."""
+    smallest_singular_value: float
+    """Of the strain matrix, in microstrain per newton: the least that the gauges see of a force."""
+    condition_number: float
+
+
+def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet) -> Merit:
+    """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge.
+
+    A matrix of rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not
+    finite, or another shape.
+    """
+    A = 1e6 * np.asarray(strain_matrix, dtype=np.float64)
+    if A.ndim != 2 or A.shape[1] != 3 or A.shape[0] < 3:
+        raise InputError(f"strain matrix of shape {A.shape}: allowed is (n, 3), n at least 3")
+    if not 0.0 <= noise_microstrain < math.inf:
+        raise InputError(f"noise = {noise_microstrain!r} microstrain: allowed is 0 or more, finite")
+    if np.linalg.matrix_rank(A) < 3:
+        return Merit(math.inf, math.inf, math.inf, math.inf, 0.0, math.inf)
+    C = np.linalg.pinv(A)
+    u = [noise_microstrain * math.sqrt(np.trace(W @ C @ C.T)) for W in loads.weights()]
+    return Merit(
+        u[0], math.degrees(u[1]), math.degrees(u[2]), noise_gain(C),
+        float(np.linalg.svd(A, compute_uv=False)[-1]), condition_number(A),
+    )  # fmt: skip
+
+
+def worst_stress(geometry: Geometry, load_newtons: float) -> float:
+    """Return the largest stress anywhere on the beams in Pa, over all directions phi and contacts 0 to 180 degrees.
+
+    For any phi the contacts reach F2 = +-P, and phi + pi turns every sign: the maximum of |g . F| is
+    P (hypot(g1, g3) + |g2|), on either face.
+    """
+    largest = max(math.hypot(g1, g3) + abs(g2) for g1, g2, g3 in stress_coefficients(geometry).values())
+    return largest * load_newtons / geometry.width_m
+
+
+def worst_strain(strain_matrix: npt.ArrayLike, load_newtons: float) -> float:
+    """Return the largest reading of any gauge (strain), over the same loads, from a strain matrix (n, 3)."""
+    A = np.asarray(strain_matrix, dtype=np.float64)
+    return float(np.max(np.hypot(A[:, 0], A[:, 2]) + np.abs(A[:, 1]))) * load_newtons
+
+
+def slit_closure(geometry: Geometry, load_newtons: float) -> float:
+    """Return the most by which a load narrows the slit above the horizontal beam in metres, over the same loads.
+
+    The slit is assumed to run along the beam's upper face, between the joint and the tip's ends (the paper
+    gives its width, 0.25 mm; the figure is not in its text). Rigid tip and joint, Euler-Bernoulli.
+    """
+    closure = float(slit_compliance(np.asarray(geometry.a_m), np.asarray(geometry.r_m), np.asarray(geometry.h1_m)))
+    return closure * load_newtons / (geometry.width_m * geometry.youngs_modulus_pascals)
+
+
+def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
+    """Return E b times that closure per newton, at the place along an arm where it is largest; same shapes."""
+    # F1 lifts the tip by a^3 / 24 EI against the joint, F2 turns it by r a / 8 EI; I = h1^3 / 12. What each leaves
+    # of the slit at the fraction x of an arm adds up to the largest sum at x = r / (2 a + 3 r).
+    x = r / (2.0 * a + 3.0 * r)
+    lift = 0.5 * a**3 / h1**3 * (1.0 - 3.0 * x**2 + 2.0 * x**3)
+    turn = 1.5 * r * a**2 / h1**3 * x * (1.0 - x) ** 2
+    result: AnyArray = lift + turn
+    return result
+
+
+def condition_bound(t: float) -> float:
+    """Return (1 + sqrt(1 + t^2)) / t: no two horizontal gauges and one vertical, on thin beams, fall below it.
+
+    t = (h1 / 2 + v d) / r, v the vertical gauge's place as a fraction of d from the joint. Proof: on thin beams
+    the horizontal gauges do not see F3, so A^T A, restricted to F2 and F3, is [[s + q, -q t], [-q t, q t^2]] with
+    q > 0, s >= 0. Its condition number is least at s = q (1 + t^2), where its root is the bound; and a principal
+    submatrix is conditioned no worse than the whole (Cauchy's interlacing). Raises InputError unless t > 0.
+    """
+    if not 0.0 < t < math.inf:
+        raise InputError(f"t = {t!r}: allowed is a positive finite number")
+    return (1.0 + math.hypot(1.0, t)) / t

@@ -1,0 +1,187 @@
+"""Collecting gauge readings: by PDO, by SDO, from nodes that are stopped, stale, saturated, or gone."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import apply_load, connected, finger
+from tipforce.dictionary import objects as od
+from tipforce.dictionary.entries import Entry
+from tipforce.errors import InputError, NoResponseError
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import OPEN, SATURATED, SILENT, SimulatedSource
+from tipforce.host.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+
+LOAD = (4.4, 90.0, 45.0)
+EXPECTED = strain_matrix(FABRICATED, "I") @ force_vector(4.4, np.pi / 2, np.pi / 4) * 1e6
+MORE = ("K_H", "S_H", "U", "L", "R")
+NO_PDO = 0xC0000185
+
+
+def test_by_pdo() -> None:
+    with connected(finger(noise_microstrain=0.5)) as (connection, bus):
+        apply_load(connection, 5, *LOAD)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.how == "SYNC and TPDO1 (0x185)"
+        seen: list[int] = []
+        capture = reader.capture(40, seen.append)
+        assert capture.count == 40 == capture.asked
+        assert seen[-1] == 40
+        assert (capture.silent, capture.repeated, capture.faulty, capture.saturated) == (0, 0, 0, (0, 0, 0))
+        np.testing.assert_allclose(capture.mean, EXPECTED, atol=6 * 0.5 / np.sqrt(40))
+        assert (capture.std > 0.2).all()
+        assert (capture.std < 1.0).all()
+        np.testing.assert_allclose(np.sqrt(np.diag(capture.covariance)), capture.std)
+        assert capture.temperature_degC == 23.0
+        reader.stop()
+        assert (0, bytes((1, 5))) in bus.sent
+        assert bus.sent[-1] == (0, bytes((128, 5)))
+
+
+def test_a_node_that_was_operational_stays_so() -> None:
+    with connected(finger()) as (connection, bus):
+        connection.nmt("start", 5)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        reader.capture(5)
+        reader.stop()
+        assert [frame for frame in bus.sent if frame[0] == 0] == [(0, bytes((1, 5)))]
+
+
+@pytest.mark.parametrize(
+    ("entry", "value"),
+    [
+        (od.TPDO1_COB_ID, NO_PDO),
+        (od.TPDO1_TRANSMISSION_TYPE, 2),
+        (od.TPDO1_MAPPED, 3),
+        (od.SYNC_COUNTER_OVERFLOW, 10),
+    ],
+    ids=lambda x: str(x).partition(" ")[0] if not isinstance(x, int) else "",
+)
+def test_by_sdo_where_tpdo1_does_not_serve(entry: Entry[int], value: int) -> None:
+    with connected(finger()) as (connection, _):
+        sdo = connection.sdo(5)
+        sdo.write(od.TPDO1_COB_ID, NO_PDO)
+        sdo.write(entry, value)
+        if entry != od.TPDO1_COB_ID:
+            sdo.write(od.TPDO1_COB_ID, NO_PDO & 0x7FFFFFFF)
+        apply_load(connection, 5, *LOAD)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.how == "SYNC and SDO reads"
+        capture = reader.capture(3)
+        assert capture.count == 3
+        np.testing.assert_allclose(capture.mean, EXPECTED, atol=RESOLUTION_MICROSTRAIN)
+        reader.stop()
+
+
+def test_more_gauges_than_a_pdo_holds() -> None:
+    source = SimulatedSource(strain_matrix(FABRICATED, MORE).tolist())
+    with connected(fingertip_node(5, source, 5)) as (connection, _):
+        apply_load(connection, 5, *LOAD)
+        capture = GaugeReader(connection, 5, 5, period_s=0.001).capture(4)
+        np.testing.assert_allclose(capture.mean[:3], EXPECTED, atol=RESOLUTION_MICROSTRAIN)
+        assert capture.microstrain.shape == (4, 5)
+
+
+def test_another_identifier_and_another_order() -> None:
+    with connected(finger()) as (connection, _):
+        sdo = connection.sdo(5)
+        sdo.write(od.TPDO1_COB_ID, NO_PDO)
+        sdo.write(od.TPDO1_MAPPED, 0)
+        for sub, word in enumerate((0x21210008, 0x71300310, 0x71300110, 0x71300210, 0x21200008), 1):
+            sdo.write(od.TPDO1_MAPPING[sub], word)
+        sdo.write(od.TPDO1_MAPPED, 5)
+        sdo.write(od.TPDO1_COB_ID, 0x400001A5)
+        apply_load(connection, 5, *LOAD)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.how == "SYNC and TPDO1 (0x1A5)"
+        np.testing.assert_allclose(reader.capture(4).mean, EXPECTED, atol=RESOLUTION_MICROSTRAIN)
+
+
+@pytest.mark.parametrize("by_pdo", [True, False])
+def test_what_does_not_count_is_counted(by_pdo: bool) -> None:
+    with connected(finger(noise_microstrain=0.5)) as (connection, _):
+        sdo = connection.sdo(5)
+        if not by_pdo:
+            sdo.write(od.TPDO1_COB_ID, NO_PDO)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        sdo.write(od.SIMULATION_GAUGE, 2)
+
+        def with_fault(fault: int) -> Capture:
+            sdo.write(od.SIMULATION_FAULT, fault)
+            return reader.capture(10)
+
+        saturated = with_fault(SATURATED)
+        assert saturated.count == 0
+        assert saturated.saturated[0] == saturated.saturated[2] == 0
+        assert saturated.saturated[1] >= 10
+        broken = with_fault(OPEN)
+        assert broken.faulty >= 10
+        assert broken.faults == 0x402
+        silent = with_fault(SILENT)
+        assert silent.count == 0
+        assert silent.stale >= 10
+        assert not reader.moves()
+        assert with_fault(0).count == 10
+        assert reader.moves()
+
+
+def test_stale_samples_are_replaced() -> None:
+    """At a sample period of 5 ms and a SYNC each millisecond most samples are stale; the reader slows down."""
+    with connected(finger()) as (connection, _):
+        connection.sdo(5).write(od.SAMPLE_PERIOD_US[1], 5000)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.period_s == 0.005
+        reader.period_s = 0.003
+        capture = reader.capture(20)
+        assert capture.stale > 0
+        assert capture.count > 12
+
+
+def test_drift_and_floor() -> None:
+    t_s = np.linspace(0.0, 2.0, 50)
+    microstrain = np.stack((3.0 * t_s, -t_s, np.full(50, 7.0)), axis=-1)
+    capture = Capture(microstrain, t_s, 50, (0, 0, 0), 0, 0, 0, 0, 0, None)
+    np.testing.assert_allclose(capture.drift, [6.0, -2.0, 0.0], atol=1e-12)
+    assert capture.covariance[2, 2] == pytest.approx(RESOLUTION_MICROSTRAIN**2 / 12)
+    assert capture.duration_s == 2.0
+
+
+def test_the_same_instant_has_no_drift() -> None:
+    capture = Capture(np.ones((3, 3)), np.zeros(3), 3, (0, 0, 0), 0, 0, 0, 0, 0, None)
+    assert not capture.drift.any()
+
+
+def test_a_node_that_goes_and_comes_back() -> None:
+    with connected(finger(), timeout_s=0.05, retries=0) as (connection, _):
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.capture(5).count == 5
+        connection.nmt("reset-node", 5)  # as if it had lost its power
+        connection.wait_for({0x705})
+        assert reader.capture(5).count == 5
+        connection.nmt("stop", 5)
+        reader.start = lambda: None  # type: ignore[method-assign]  # else it would start the node again
+        with pytest.raises(NoResponseError, match="node 5"):
+            reader.capture(5)
+
+
+def test_pdos_alone_are_missing() -> None:
+    with connected(finger()) as (connection, bus):
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        bus.fault = lambda message: None if message.arbitration_id == 0x185 else message
+        capture = reader.capture(10)
+        assert capture.count == 0
+        assert capture.silent >= 5
+
+
+def test_too_few_samples() -> None:
+    with connected(finger()) as (connection, _), pytest.raises(InputError, match="allowed are 2 or more"):
+        GaugeReader(connection, 5, 3).capture(1)
+
+
+def test_nobody_there() -> None:
+    with connected(timeout_s=0.05, retries=0) as (connection, _), pytest.raises(NoResponseError):
+        GaugeReader(connection, 5, 3)

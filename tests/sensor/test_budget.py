@@ -1,0 +1,218 @@
+"""The error budget: each cause propagated analytically, against the thing itself simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.budget import (
+    DEGREE,
+    Causes,
+    Loads,
+    Sensor,
+    budget,
+    elementary_errors,
+    gravity_residual,
+    groove_loads,
+    pad_loads,
+)
+from tipforce.sensor.contact import contacts
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+Draw = Callable[[np.random.Generator], FloatArray]
+
+# Inside the beams, so that a gauge may shift both ways.
+POSITIONS = (GaugePosition("H", "left", 2e-3), GaugePosition("H", "right", 2e-3), GaugePosition("V", "right", 13e-3))
+A = position_matrix(FABRICATED, list(POSITIONS))
+C: FloatArray = np.asarray(np.linalg.inv(A), dtype=np.float64)
+COVARIANCE = 1e-12 * np.array([[1.0, 0.5, 0.0], [0.5, 2.0, 0.0], [0.0, 0.0, 0.5]])
+SENSOR = Sensor(C, A, COVARIANCE, False, True, FABRICATED, POSITIONS)
+LOADS = Loads(np.full(3, 2.0), np.radians([200.0, 262.0, 310.0]), np.radians([50.0, 90.0, 110.0]))
+CAUSES = Causes()
+HUNG = groove_loads()
+
+
+def contact_error(F: FloatArray) -> FloatArray:
+    """Errors of P, phi, theta, (3, 3), of estimates F at LOADS."""
+    found = contacts(F, pull=False)
+    angles = [found.phi_rad - LOADS.phi_rad, found.theta_rad - LOADS.theta_rad]
+    turned = [np.remainder(angle + pi, 2 * pi) - pi for angle in angles]
+    return np.stack([found.P_newtons - LOADS.P_newtons, *turned], axis=-1)
+
+
+def calibrated(hung: Loads, noise: FloatArray | float = 0.0) -> FloatArray:
+    """Estimates at LOADS by a real fit to loads that the fit takes for HUNG, tares among them."""
+    G = np.column_stack([np.vstack([HUNG.F, np.zeros((19, 3))]), np.ones(38)])
+    V = np.vstack([hung.F, np.zeros((19, 3))]) @ A.T + noise
+    B = np.linalg.lstsq(G, V, rcond=None)[0]
+    F: FloatArray = (LOADS.F @ A.T - B[3]) @ np.linalg.inv(B[:3].T).T
+    return F
+
+
+def gauge_noise(rng: np.random.Generator) -> FloatArray:
+    return LOADS.F + rng.multivariate_normal(np.zeros(3), COVARIANCE) @ C.T
+
+
+def quantisation(rng: np.random.Generator) -> FloatArray:
+    q = CAUSES.resolution_strain
+    dither = rng.uniform(-0.5, 0.5, 3)  # the true strain lies anywhere between two steps
+    return (np.round(LOADS.F @ A.T / q + dither) - dither) * q @ C.T
+
+
+def gain(rng: np.random.Generator) -> FloatArray:
+    return LOADS.F @ A.T * (1.0 + CAUSES.gain * rng.normal(size=3)) @ C.T
+
+
+def offset(rng: np.random.Generator) -> FloatArray:
+    return (LOADS.F @ A.T + CAUSES.offset_strain * rng.normal(size=3)) @ C.T
+
+
+def temperature(rng: np.random.Generator) -> FloatArray:
+    dT = CAUSES.temperature_K * rng.normal()
+    V = LOADS.F @ A.T * (1.0 + CAUSES.sensitivity_per_K * dT) + CAUSES.apparent_strain_per_K * dT
+    return V @ C.T
+
+
+def mismatch(rng: np.random.Generator) -> FloatArray:
+    return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
+
+
+def calibration_noise(rng: np.random.Generator) -> FloatArray:
+    return calibrated(HUNG, rng.multivariate_normal(np.zeros(3), COVARIANCE, 38))
+
+
+def load_angle(rng: np.random.Generator) -> FloatArray:
+    return calibrated(replace(HUNG, phi_rad=HUNG.phi_rad + CAUSES.load_angle_rad * rng.normal(size=19)))
+
+
+def gravity(rng: np.random.Generator) -> FloatArray:
+    along_y = np.arange(19) >= 10
+    return calibrated(replace(HUNG, phi_rad=HUNG.phi_rad + CAUSES.gravity_rad * rng.normal() * along_y))
+
+
+def gauge_position(rng: np.random.Generator) -> FloatArray:
+    shifts = CAUSES.gauge_shift_m * rng.normal(size=3)
+    moved = [place._replace(position_m=place.position_m + s) for place, s in zip(POSITIONS, shifts, strict=True)]
+    return LOADS.F @ position_matrix(FABRICATED, moved).T @ C.T
+
+
+def off_axis(rng: np.random.Generator) -> FloatArray:
+    z, angle = CAUSES.lateral_offset_m * rng.normal(size=3), CAUSES.misalignment_rad * rng.normal(size=3)
+    placed = [PlacedGauge(place, *errors) for place, *errors in zip(POSITIONS, z, angle, strict=True)]
+    matrix = wrench_strain_matrix(FABRICATED, placed)
+    V = LOADS.F @ planar_part(FABRICATED, matrix).T
+    V = V + CAUSES.off_axis_newtons * off_axis_wrenches(FABRICATED, LOADS.theta_rad) @ matrix.T
+    return V @ np.linalg.inv(planar_part(FABRICATED, matrix)).T  # calibrated in the plane as the gauges sit
+
+
+@pytest.mark.parametrize(
+    ("cause", "draw", "draws"),
+    [
+        ("gauge noise", gauge_noise, 4000),
+        ("quantisation", quantisation, 4000),
+        ("gain", gain, 4000),
+        ("offset", offset, 4000),
+        ("temperature, common", temperature, 4000),
+        ("temperature, mismatch", mismatch, 4000),
+        ("calibration noise", calibration_noise, 2000),
+        ("load angle", load_angle, 2000),
+        ("gravity", gravity, 2000),
+        ("gauge position", gauge_position, 2000),
+        ("off-axis load", off_axis, 800),
+    ],
+)
+def test_each_cause_is_what_a_simulation_of_it_gives(cause: str, draw: Draw, draws: int) -> None:
+    rng = np.random.default_rng(7)
+    sensor = replace(SENSOR, calibrated=cause != "gauge position")
+    row = next(row for row in budget(sensor, LOADS, CAUSES).rows if row.cause == cause)
+    errors = np.array([contact_error(draw(rng)) for _ in range(draws)])
+    spread = np.sqrt(np.mean(errors**2, axis=0))
+    # Relative error of a standard deviation: 1 / sqrt(2 draws), here four times that.
+    np.testing.assert_allclose(row.uncertainties, spread, rtol=4.0 / np.sqrt(2.0 * draws), atol=3e-6)
+
+
+def test_one_degree_of_gravity_costs_one_percent_and_one_degree_and_hardly_shows() -> None:
+    causes = Causes(gravity_rad=DEGREE)
+    loads = pad_loads(4.4, 0.0, 180.0, pull=False)
+    row = next(row for row in budget(SENSOR, loads, causes).rows if row.cause == "gravity")
+    worst_P, worst_phi, worst_theta = row.uncertainties.max(axis=0)
+    assert worst_P / 4.4 == pytest.approx(0.0087, abs=0.0002)  # gamma / 2, at phi = 45 degrees
+    assert worst_phi / DEGREE == pytest.approx(1.0, abs=0.01)
+    assert worst_theta / DEGREE == pytest.approx(0.79, abs=0.02)
+    assert gravity_residual(DEGREE) == pytest.approx(0.0022, abs=0.0001)
+    # The same from the fit itself.
+    turned = replace(HUNG, phi_rad=HUNG.phi_rad + DEGREE * (np.arange(19) >= 10))
+    F = np.vstack([turned.F, np.zeros((19, 3))])
+    G = np.column_stack([np.vstack([HUNG.F, np.zeros((19, 3))]), np.ones(38)])
+    residual = (F - G @ np.linalg.lstsq(G, F, rcond=None)[0])[:19]
+    assert np.sqrt(np.mean(np.sum(residual**2, axis=1))) / 4.4 == pytest.approx(gravity_residual(DEGREE), rel=0.02)
+
+
+def test_total_is_the_sum_and_says_where_first_order_holds() -> None:
+    found = budget(SENSOR, LOADS, CAUSES)
+    assert [row.cause for row in found.rows] == [
+        "gauge noise",
+        "quantisation",
+        "gain",
+        "offset",
+        "temperature, common",
+        "temperature, mismatch",
+        "calibration noise",
+        "load angle",
+        "gravity",
+        "gauge position",
+        "off-axis load",
+    ]
+    squares = np.sum([row.uncertainties**2 for row in found.rows], axis=0)
+    np.testing.assert_allclose(found.total.uncertainties**2, squares, rtol=1e-3)
+    assert found.holds.all()
+    assert not found.left_out
+    small = Loads(np.array([2e-3]), np.array([pi]), np.array([0.5]))
+    assert not budget(SENSOR, small, CAUSES).holds.any()
+
+
+def test_what_cannot_act_is_zero_and_what_cannot_be_told_has_no_row() -> None:
+    rows = {row.cause: row.uncertainties for row in budget(SENSOR, LOADS, CAUSES).rows}
+    assert not rows["gauge position"].any()
+    theory = {row.cause: row.uncertainties for row in budget(replace(SENSOR, calibrated=False), LOADS, CAUSES).rows}
+    assert theory["gauge position"].all()
+    assert not theory["gravity"].any()
+    blind = replace(SENSOR, geometry=None, positions=())
+    found = budget(blind, LOADS, CAUSES)
+    assert list(found.left_out) == ["off-axis load"]
+    assert "off-axis load" not in [row.cause for row in found.rows]
+    assert list(budget(replace(blind, calibrated=False), LOADS, CAUSES).left_out) == ["gauge position", "off-axis load"]
+
+
+def test_zero_sizes_give_zero_and_noise_can_be_stated() -> None:
+    none = Causes(0.0, 0.0, 0.0, 0.0, 0.0, load_angle_rad=0.0, gravity_rad=0.0, off_axis_newtons=0.0)
+    assert not budget(SENSOR, LOADS, none).total.uncertainties.any()
+    errors, _ = elementary_errors(SENSOR, LOADS, Causes(noise_strain=2e-6))
+    np.testing.assert_allclose(errors["gauge noise"][:, 0, :], 2e-6 * C.T)
+
+
+def test_pad_loads_push_inwards_and_pull_outwards() -> None:
+    for pull in (True, False):
+        loads = pad_loads(1.5, 0.0, 180.0, pull=pull)
+        assert loads.P_newtons.shape == (37 * 7,)
+        found = contacts(loads.F, pull=pull)
+        error = np.remainder(found.theta_rad - loads.theta_rad + pi, 2 * pi) - pi
+        np.testing.assert_allclose(error, 0.0, atol=1e-12)
+    h = 1e-6
+    step = force_vector(LOADS.P_newtons, LOADS.phi_rad + h, LOADS.theta_rad) - LOADS.F
+    np.testing.assert_allclose(step / h, LOADS.turned, atol=1e-5)
+
+
+def test_shape_error() -> None:
+    with pytest.raises(InputError, match="allowed are"):
+        budget(replace(SENSOR, A=A[:2]), LOADS, CAUSES)

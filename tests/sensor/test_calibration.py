@@ -1,0 +1,291 @@
+"""The fit against the truth, against closed forms, and against faults of every kind."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.calibration import (
+    Model,
+    Readings,
+    beam_prior,
+    covariance_of_estimate,
+    fit_calibration,
+    kronecker,
+    linear_fit,
+)
+from tipforce.sensor.fit_simulation import Faults, Simulated, simulate
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.layouts import POINTS, layout
+from tipforce.sensor.strain import condition_number, strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+CLEAN = Faults(drift_strain=0.0, direction_scatter_rad=0.0, outlier_share=0.0, saturation=None)
+PLAIN = Model(loss="none")
+
+
+def readings(sim: Simulated, **changes: object) -> Readings:
+    given = Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s)
+    return replace(given, **changes)  # type: ignore[arg-type]
+
+
+def simulated(seed: int, faults: Faults = CLEAN, gauges: tuple[str, ...] = layout("I")) -> Simulated:
+    return simulate(gauges, np.random.default_rng(seed), faults)
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 8])
+@pytest.mark.parametrize("drift", ["none", "tare", "linear"])
+@pytest.mark.parametrize("loss", ["none", "huber", "soft_l1"])
+def test_exact_readings_give_the_truth(n: int, drift: str, loss: str) -> None:
+    gauges = ("K_H", "S_H", "U", "L", "R", "T", "K_V", "S_V")[:n]
+    sim = simulated(n, replace(CLEAN, noise_strain=0.0), gauges)
+    fit = fit_calibration(readings(sim), Model(drift=drift, loss=loss))  # type: ignore[arg-type]
+    np.testing.assert_allclose(fit.A, sim.true_A, atol=1e-7 * np.abs(sim.true_A).max())
+    np.testing.assert_allclose(fit.C @ sim.true_A, np.eye(3), atol=1e-6)
+    np.testing.assert_allclose(fit.C @ fit.A, np.eye(3), atol=1e-12)
+    np.testing.assert_allclose(fit.offset_strain, sim.true_offset_strain[-1], atol=1e-10)
+    assert (fit.outliers, fit.saturated, fit.near_limit) == ((), (), ())
+    assert fit.condition_number == pytest.approx(condition_number(sim.true_A), rel=1e-5)
+
+
+def test_without_faults_it_is_ordinary_least_squares() -> None:
+    sim = simulated(1)
+    fit = fit_calibration(readings(sim), PLAIN)
+    G = np.column_stack((force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad), np.ones(77)))
+    beta, *_ = np.linalg.lstsq(G, sim.strain)
+    residual = sim.strain - G @ beta
+    S = residual.T @ residual / (77 - 4)
+    np.testing.assert_allclose(fit.A, beta[:3].T, rtol=1e-9, atol=1e-12)
+    np.testing.assert_allclose(fit.offset_strain, beta[3], atol=1e-12)
+    np.testing.assert_allclose(fit.N, G.T @ G, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(fit.residual_covariance_strain2, S, rtol=1e-9, atol=1e-20)
+    np.testing.assert_allclose(fit.noise_covariance_strain2, S, rtol=2e-3, atol=2e-15)
+    np.testing.assert_allclose(fit.parameter_covariance, kronecker(S, G.T @ G), rtol=5e-3, atol=1e-16)
+    assert fit.dof == pytest.approx(73)
+    assert fit.leverage.sum() == pytest.approx(4)
+    np.testing.assert_allclose(fit.leverage, np.einsum("ip,pq,iq->i", G, np.linalg.inv(G.T @ G), G), rtol=1e-6)
+    assert fit.coverage_factor == pytest.approx(1.993, abs=1e-3)
+    assert fit.sigma0 == pytest.approx(1.0, abs=1e-2)
+
+
+def test_covariance_of_an_estimate_is_the_formula_of_the_paper_notes() -> None:
+    sim = simulated(2)
+    fit = fit_calibration(readings(sim), PLAIN)
+    S, N, F = fit.residual_covariance_strain2, fit.N, np.array([[1.0, -0.5, 2.0], [0.0, 0.0, 0.0]])
+    found = covariance_of_estimate(fit.C, S, kronecker(S, N), F)
+    for force, covariance in zip(F, found, strict=True):
+        G = np.append(force, 1.0)
+        expected = fit.C @ (S + S * (G @ np.linalg.inv(N) @ G)) @ fit.C.T
+        np.testing.assert_allclose(covariance, expected, rtol=1e-9, atol=1e-16)
+    np.testing.assert_allclose(fit.covariance_F(F), found, rtol=5e-3, atol=1e-7)
+    known = covariance_of_estimate(fit.C, S, kronecker(S, N), F, offset_known=True)
+    np.testing.assert_allclose(known[1], fit.C @ S @ fit.C.T, rtol=1e-9, atol=1e-16)
+    assert np.trace(known[0]) < np.trace(found[0])
+    assert fit.covariance_F(F, noise=False)[0, 0, 0] < fit.covariance_F(F)[0, 0, 0]
+
+
+def test_uncertainty_of_the_matrix_is_its_derivative_for_more_gauges_than_forces() -> None:
+    sim = simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))
+    fit = fit_calibration(readings(sim), PLAIN)
+    root = 1.0 / np.sqrt(np.diag(fit.noise_covariance_strain2))
+    variance = np.zeros(fit.C.shape)
+    blocks = fit.parameter_covariance[:, :3, :, :3].reshape(15, 15)
+    values, vectors = np.linalg.eigh(blocks)
+    for value, vector in zip(values, vectors.T, strict=True):
+        step = 1e-3 * vector.reshape(5, 3) * np.abs(fit.A).max()
+        change = [np.linalg.pinv((fit.A + side * step) * root[:, np.newaxis]) * root for side in (1, -1)]
+        variance += max(value, 0.0) * ((change[0] - change[1]) / (2e-3 * np.abs(fit.A).max())) ** 2
+    np.testing.assert_allclose(fit.C_uncertainty, np.sqrt(variance), rtol=1e-4)
+
+
+@pytest.mark.parametrize(("newtons", "strain"), [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-3), (1e6, 1e3)])
+def test_units_do_not_matter(newtons: float, strain: float) -> None:
+    sim = simulated(4, Faults())
+    model = Model(drift="tare", phi_scatter_rad=0.01, theta_scatter_rad=0.01)
+    fit = fit_calibration(readings(sim), model)
+    scaled = fit_calibration(readings(sim, strain=sim.strain * strain, P_newtons=sim.P_newtons * newtons), model)
+    np.testing.assert_allclose(scaled.C, fit.C * newtons / strain, rtol=1e-6)
+    np.testing.assert_allclose(scaled.C_uncertainty, fit.C_uncertainty * newtons / strain, rtol=1e-6)
+    assert scaled.outliers == fit.outliers
+
+
+def test_weight_is_a_number_of_readings() -> None:
+    sim = simulated(5)
+    thrice = np.where(np.arange(77) % 2 == 0, 3.0, 1.0)
+    model = Model(loss="none", noise_strain=1e-6)
+    weighted = fit_calibration(readings(sim, weight=thrice), model)
+    rows = np.repeat(np.arange(77), thrice.astype(int))
+    repeated = fit_calibration(
+        Readings(sim.strain[rows], sim.P_newtons[rows], sim.phi_rad[rows], sim.theta_rad[rows]), model
+    )
+    np.testing.assert_allclose(weighted.A, repeated.A, rtol=1e-9)
+    np.testing.assert_allclose(weighted.N, repeated.N, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(weighted.C_uncertainty, repeated.C_uncertainty, rtol=1e-9)
+
+
+@pytest.mark.parametrize("loss", ["huber", "soft_l1"])
+def test_outliers_are_named_and_do_not_matter(loss: str) -> None:
+    sim = simulated(6)
+    wrong, P = sim.strain.copy(), sim.P_newtons.copy()
+    wrong[10, 1] += 200e-6
+    wrong[33] *= -1.0
+    P[50] *= 10.0  # a decimal point forgotten: the row has nearly all the leverage
+    fit = fit_calibration(readings(sim, strain=wrong, P_newtons=P), Model(loss=loss))  # type: ignore[arg-type]
+    assert fit.outliers == (10, 33, 50)
+    good = np.setdiff1d(np.arange(77), fit.outliers)
+    expected = fit_calibration(
+        Readings(sim.strain[good], sim.P_newtons[good], sim.phi_rad[good], sim.theta_rad[good]), PLAIN
+    )
+    np.testing.assert_allclose(fit.C, expected.C, atol=0.5 * expected.C_uncertainty.max())
+    assert not fit.used[[10, 33, 50]].any()
+    kept = fit_calibration(readings(sim, strain=wrong), PLAIN)
+    assert set(kept.outliers) & {10, 33}
+    assert kept.used.all()
+
+
+def test_a_tare_alone_at_its_time_can_be_an_outlier_the_last_one_too() -> None:
+    sim = simulated(7, replace(CLEAN, drift_strain=15e-6))
+    wrong = sim.strain.copy()
+    wrong[[36, 76], 0] += 150e-6
+    fit = fit_calibration(readings(sim, strain=wrong), Model(drift="tare"))
+    assert fit.outliers == (36, 76)
+    np.testing.assert_allclose(fit.offset_strain, sim.true_offset_strain[-1], atol=4e-6)
+
+
+def test_saturated_readings_are_left_out_with_those_that_noise_kept_below_the_limit() -> None:
+    sim = simulated(8, replace(CLEAN, saturation=0.8, noise_strain=5e-6))
+    assert sim.saturation_strain is not None
+    fit = fit_calibration(readings(sim), Model(saturation_strain=sim.saturation_strain))
+    assert len(fit.saturated) >= 2
+    for row, gauge in (*fit.saturated, *fit.near_limit):
+        assert not fit.used[row, gauge]
+        assert fit.used[row].any()
+    assert np.abs(fit.A - sim.true_A).max() < 0.01 * np.abs(sim.true_A).max()
+    blind = fit_calibration(readings(sim), PLAIN)
+    assert np.abs(blind.A - sim.true_A).max() > np.abs(fit.A - sim.true_A).max()
+
+
+@pytest.mark.parametrize(("drift", "warm_up"), [("tare", 0.5), ("tare", 0.0), ("linear", 0.0)])
+def test_drift_is_followed(drift: str, warm_up: float) -> None:
+    sim = simulated(9, replace(CLEAN, drift_strain=40e-6, warm_up=warm_up))
+    fit = fit_calibration(readings(sim), Model(drift=drift))  # type: ignore[arg-type]
+    assert np.abs(fit.offset_at_rows_strain - sim.true_offset_strain).max() < 2e-6
+    np.testing.assert_allclose(fit.offset_strain, fit.offset_at_rows_strain[-1], atol=1e-15)
+    blind = fit_calibration(readings(sim), PLAIN)
+    assert blind.sigma0 == pytest.approx(1.0, abs=0.02)
+    assert np.diag(blind.noise_covariance_strain2).max() > 10 * np.diag(fit.noise_covariance_strain2).max()
+
+
+def test_a_restless_drift_is_interpolated_between_the_tares() -> None:
+    sim = simulated(10)
+    walk = np.cumsum(np.random.default_rng(10).normal(size=(20, 3)) * 30e-6, axis=0)
+    tares = np.arange(0, 77, 4)
+    wander = np.stack([np.interp(np.arange(77), tares, one) for one in walk.T], axis=-1)
+    fit = fit_calibration(readings(sim, strain=sim.strain + wander), Model(drift="tare"))
+    assert np.abs(fit.offset_at_rows_strain - sim.true_offset_strain - wander).max() < 4e-6
+    assert fit.outliers == ()
+
+
+def test_uncertain_directions_weigh_less_than_they_scatter() -> None:
+    sim = simulated(11, replace(CLEAN, direction_scatter_rad=0.02))
+    fit = fit_calibration(readings(sim), Model(phi_scatter_rad=0.02, theta_scatter_rad=0.02))
+    assert np.sqrt(np.diag(fit.noise_covariance_strain2)).max() < 3e-6
+    assert np.sqrt(np.diag(fit.residual_covariance_strain2)).max() > 5e-6
+    assert fit.sigma0 == pytest.approx(1.0, abs=0.15)
+    told = fit_calibration(readings(sim), Model(loss="none", phi_scatter_rad=0.002, noise_strain=1e-6))
+    assert told.sigma0_loaded > 3.0
+    assert told.sigma0_unloaded == pytest.approx(1.0, abs=0.4)
+
+
+def test_three_loads_and_beam_theory() -> None:
+    sim = simulated(12)
+    rows = [0, 1, 2, 6]  # a tare, one groove with two weights, another groove
+    few = Readings(sim.strain[rows], sim.P_newtons[rows], sim.phi_rad[rows], sim.theta_rad[rows])
+    with pytest.raises(InputError, match="cannot show"):
+        fit_calibration(few, Model(noise_strain=1e-6))
+    prior = beam_prior(FABRICATED, layout("I"), 0.05)
+    fit = fit_calibration(few, Model(noise_strain=1e-6, prior=prior))
+    theory = strain_matrix(FABRICATED, "I")
+    assert np.linalg.norm(fit.A - sim.true_A) < 0.9 * np.linalg.norm(theory - sim.true_A)
+    sure = fit_calibration(few, Model(noise_strain=1e-6, prior=replace(prior, relative_scatter=1e-9)))
+    np.testing.assert_allclose(sure.A, theory, rtol=1e-6, atol=1e-6 * np.abs(theory).max())
+    loose = fit_calibration(readings(sim), Model(noise_strain=1e-6, prior=replace(prior, relative_scatter=1e3)))
+    free = fit_calibration(readings(sim), Model(noise_strain=1e-6))
+    np.testing.assert_allclose(loose.A, free.A, rtol=1e-7, atol=1e-7 * np.abs(free.A).max())
+
+
+def test_residuals_by_load() -> None:
+    sim = simulated(13)
+    fit = fit_calibration(readings(sim), PLAIN)
+    tares, *loads = fit.loads
+    assert (tares.P_newtons, len(tares.rows), len(loads)) == (0.0, 20, 57)
+    assert sorted(row for load in fit.loads for row in load.rows) == list(range(77))
+    for load in fit.loads:
+        rows = list(load.rows)
+        np.testing.assert_allclose(load.mean_strain, fit.residual_strain[rows].mean(axis=0))
+        force = fit.residual_strain[rows] @ fit.C.T
+        np.testing.assert_allclose(load.rms_newtons, np.sqrt(np.square(force).mean(axis=0)))
+        assert load.leverage == fit.leverage[rows].max()
+
+
+def test_gravity_off_between_x_and_y_grooves_shows_in_no_residual() -> None:
+    """The warning of docs/calibration.md: 1 degree costs 1 % of P or a degree of an angle, and sigma0 stays."""
+    sim = simulated(14, replace(CLEAN, noise_strain=2e-6))
+    along_y = np.isclose(sim.phi_rad, 0.5 * np.pi)
+    tilted = force_vector(sim.P_newtons, sim.phi_rad + np.radians(np.where(along_y, 1.0, 0.0)), sim.theta_rad)
+    written = force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad)
+    off = sim.strain + (tilted - written) @ sim.true_A.T
+    fits = [fit_calibration(readings(sim, strain=strain), PLAIN) for strain in (sim.strain, off)]
+    sizes = [float(np.sqrt(np.diag(fit.residual_covariance_strain2)).max()) for fit in fits]
+    assert sizes[1] < 1.5 * sizes[0]
+    error = np.linalg.norm(fits[1].C @ sim.true_A - np.eye(3), 2)
+    assert 0.01 < error < 0.03
+
+
+def test_the_papers_fit() -> None:
+    sim = simulated(15, replace(CLEAN, offset_strain=0.0, noise_strain=0.0))
+    F = force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad)
+    np.testing.assert_allclose(linear_fit(sim.strain, F) @ sim.true_A, np.eye(3), atol=1e-9)
+    with pytest.raises(InputError, match=r"F \(3, 3\)"):
+        linear_fit(sim.strain, F[:3])
+    with pytest.raises(InputError, match="rank 1"):
+        linear_fit(np.outer(np.arange(5.0), np.ones(3)), np.ones((5, 3)))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"strain": np.zeros((5, 2))}, r"\(5, 2\)"),
+        ({"P_newtons": np.zeros(77)}, "all 77 rows are unloaded"),
+        ({"P_newtons": np.full(77, -1.0)}, r"P_newtons\[0\] = -1"),
+        ({"phi_rad": np.zeros(3)}, r"phi_rad has the shape \(3,\)"),
+        ({"theta_rad": np.full(77, np.nan)}, r"theta_rad\[0\] = nan"),
+        ({"t_s": np.arange(77.0)[::-1]}, r"t_s\[1\] = 75 is before t_s\[0\] = 76"),
+        ({"weight": np.zeros(77)}, r"weight\[0\] = 0"),
+    ],
+)
+def test_readings_that_cannot_be_used(changes: dict[str, FloatArray], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        fit_calibration(readings(simulated(16), **changes))
+
+
+@pytest.mark.parametrize(
+    ("model", "text"),
+    [
+        (Model(drift="cubic"), "'cubic' is not known"),  # type: ignore[arg-type]
+        (Model(loss="l2"), "'l2' is not known"),  # type: ignore[arg-type]
+        (Model(offset=False, drift="tare"), "needs an offset"),
+        (Model(phi_scatter_rad=-0.1), "phi_scatter_rad = -0.1"),
+        (Model(noise_strain=0.0), "noise_strain = 0.0"),
+        (Model(saturation_strain=np.ones(2)), "saturation_strain"),
+        (Model(prior=beam_prior(FABRICATED, POINTS[:4])), r"shape \(4, 3\)"),
+    ],
+)
+def test_models_that_cannot_be_used(model: Model, text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        fit_calibration(readings(simulated(17)), model)

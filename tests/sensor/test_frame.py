@@ -1,0 +1,264 @@
+"""The frame against Table 1, against closed forms for shear, roots and joint, and where plain assembly fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from math import pi
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.frame import (
+    ELASTIC_ROOTS,
+    EULER_BERNOULLI,
+    HALF_PLANE_ROTATION,
+    TIMOSHENKO,
+    Frame,
+    FrameModel,
+    RootCompliance,
+    _stiffness,
+)
+from tipforce.sensor.gauge_positions import gauge_matrix
+from tipforce.sensor.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.layouts import LAYOUTS, POINTS
+from tipforce.sensor.merit import slit_closure
+from tipforce.sensor.strain import condition_number, strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+
+ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
+"""All dimensions different, so that no symbol can stand in for another."""
+ROW = {point: index for index, point in enumerate(POINTS)}
+
+
+def thin(h1_m: float) -> Geometry:
+    return replace(FABRICATED, h1_m=h1_m, h2_m=THIN_BEAM_RATIO * h1_m)
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+def test_the_matching_limit_is_table_1(geometry: Geometry) -> None:
+    found, table = Frame(geometry).strain_matrix(POINTS), strain_matrix(geometry, POINTS)
+    np.testing.assert_allclose(found, table, rtol=1e-10)
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+def test_anywhere_along_the_beams(geometry: Geometry) -> None:
+    a, d = geometry.a_m, geometry.d_m
+    places = [
+        *(GaugePosition("H", side, x * a, face) for side in ("left", "right") for face in ("lower", "upper")
+          for x in (0.0, 0.2, 0.5, 1.0)),
+        *(GaugePosition("V", side, x * d) for side in ("left", "right") for x in (0.0, 0.3, 1.0)),
+    ]  # fmt: skip
+    theory = np.array([strain_row(geometry, *place) for place in places])
+    scale = np.abs(theory).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(Frame(geometry).strain_matrix(places) / scale, theory / scale, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("h1_m", [1e-9, 1e-8, 1e-6, 1e-5, 0.4e-3, 1e-3, 1e-2])
+def test_from_one_nanometre_to_ten_millimetres(h1_m: float) -> None:
+    frame, table = Frame(thin(h1_m)), strain_matrix(thin(h1_m), POINTS)
+    found = frame.strain_matrix(POINTS)
+    scale = np.abs(table).max(axis=1, keepdims=True)
+    np.testing.assert_allclose(found / scale, table / scale, rtol=0, atol=1e-12)
+    assert frame.condition_number_scaled < 40.0
+    assert frame.condition_number_unscaled > 1e3 * frame.condition_number_scaled
+    for case in ("I", "II", "III"):
+        wanted = condition_number(strain_matrix(thin(h1_m), case))
+        assert condition_number(frame.strain_matrix(LAYOUTS[case])) == pytest.approx(wanted, rel=1e-10)
+
+
+def plain_assembly(geometry: Geometry, scaled: bool) -> FloatArray:
+    """Strain at T per newton of F by the textbook's way: absolute unknowns (joint, tip), one 6 x 6 matrix."""
+    a, d, h1, h2 = geometry.a_m, geometry.d_m, geometry.h1_m, geometry.h2_m
+    ends = [((0.0, -h1 / 2 - d), (0.0, -h1 / 2), h2), ((0.0, 0.0), (-a, 0.0), h1), ((0.0, 0.0), (a, 0.0), h1)]
+    K, parts = np.zeros((6, 6)), []
+    for number, (start, end, h) in enumerate(ends):
+        length = float(np.hypot(end[0] - start[0], end[1] - start[1]))
+        c, s = (end[0] - start[0]) / length, (end[1] - start[1]) / length
+        link = [np.array([[c, s, s * x - c * y], [-s, c, c * x + s * y], [0.0, 0.0, 1.0]]) for x, y in (start, end)]
+        B = np.zeros((6, 6))
+        if number == 0:
+            B[3:, :3] = link[1]
+        else:
+            B[:3, :3], B[3:, 3:] = link
+        stiffness = _stiffness(length, h, EULER_BERNOULLI)
+        K += B.T @ stiffness @ B
+        parts.append(stiffness @ B)
+    loads = np.zeros((6, 3))
+    loads[3:] = [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, geometry.r_m, 0.0]]
+    root = np.sqrt(np.diagonal(K)) if scaled else np.ones(6)
+    u = np.linalg.solve(K / root[:, np.newaxis] / root, loads / root[:, np.newaxis]) / root[:, np.newaxis]
+    forces = parts[0] @ u
+    strain: FloatArray = (forces[3] / h2 + 6.0 / h2**2 * forces[2]) / (
+        geometry.width_m * geometry.youngs_modulus_pascals
+    )
+    return strain
+
+
+def test_another_assembly_agrees_where_it_can() -> None:
+    for geometry in (FABRICATED, ODD):
+        T = strain_matrix(geometry, POINTS)[ROW["T"]]
+        np.testing.assert_allclose(plain_assembly(geometry, scaled=True), T, rtol=0, atol=1e-8 * np.abs(T).max())
+
+
+def test_absolute_unknowns_lose_the_digits_that_relative_ones_keep() -> None:
+    T = strain_matrix(thin(1e-9), POINTS)[ROW["T"]]
+    error = np.abs(plain_assembly(thin(1e-9), scaled=True) - T).max() / np.abs(T).max()
+    assert error > 1e-3  # bending is 1e-14 of axial stiffness: two digits are left in their sum
+    np.testing.assert_allclose(Frame(thin(1e-9)).strain_matrix(["T"])[0], T, rtol=0, atol=1e-12 * np.abs(T).max())
+
+
+def end_moments(geometry: Geometry, model: FrameModel) -> tuple[float, float]:
+    """(joint, tip) end moment of an arm per newton of F2 and metre of r, E = b = 1: slope-deflection by hand."""
+    h, inner = geometry.h1_m, 0.5 * geometry.h2_m if model.finite_joint else 0.0
+    length = geometry.a_m - inner
+    k = length / (6.0 * h**3 / 12.0)
+    shear = 2.0 * (1.0 + model.poisson_ratio) / (model.shear_coefficient * h * length) if model.shear else 0.0
+    spring = model.root.rotation / h**2
+    # Rotation of the ends against the chord; the tip turns by 1 and lifts the arm's end by a.
+    flexibility = np.array([[2 * k + shear + spring, shear - k], [shear - k, 2 * k + shear + spring]])
+    chord = geometry.a_m / length
+    joint, tip = np.linalg.solve(flexibility, [-chord, 1.0 - chord])
+    force = -(joint + tip) / length
+    total = 2.0 * (force * geometry.a_m + tip)  # what both arms take off the tip
+    return joint / total, tip / total
+
+
+@pytest.mark.parametrize(
+    "model",
+    [EULER_BERNOULLI, TIMOSHENKO, FrameModel(root=RootCompliance(rotation=HALF_PLANE_ROTATION)), ELASTIC_ROOTS,
+     FrameModel(finite_joint=True), FrameModel(shear=True, root=RootCompliance(rotation=20.0), finite_joint=True)],
+)  # fmt: skip
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD, thin(3e-3)])
+def test_shear_roots_and_joint_by_slope_deflection(geometry: Geometry, model: FrameModel) -> None:
+    found, table = Frame(geometry, model).strain_matrix(POINTS), strain_matrix(geometry, POINTS)
+    joint, tip = end_moments(geometry, model)
+    section = geometry.width_m * geometry.youngs_modulus_pascals * geometry.h1_m**2 / 6.0
+    r = geometry.r_m
+    assert found[ROW["S_H"], 1] == pytest.approx(-joint * r / section, rel=1e-9)
+    assert found[ROW["R"], 1] == pytest.approx(tip * r / section, rel=1e-9, abs=1e-9 * r / section)
+    for point in ("T", "U", "K_V", "S_V"):  # the vertical beam is statically determinate: nothing changes it
+        np.testing.assert_allclose(found[ROW[point]], table[ROW[point]], rtol=1e-9)
+
+
+def test_soft_roots_leave_no_moment_at_the_tip() -> None:
+    soft = Frame(FABRICATED, FrameModel(root=RootCompliance(rotation=1e9))).strain_matrix(POINTS)
+    table = strain_matrix(FABRICATED, POINTS)
+    assert abs(soft[ROW["R"], 1]) < 1e-6 * abs(table[ROW["R"], 1])
+    assert soft[ROW["S_H"], 1] == pytest.approx(table[ROW["S_H"], 1])  # half of the moment, by symmetry
+
+
+def test_what_shear_and_roots_change() -> None:
+    def numbers(model: FrameModel) -> list[float]:
+        return [condition_number(Frame(FABRICATED, model).strain_matrix(LAYOUTS[case])) for case in ("I", "II", "III")]
+
+    assert numbers(EULER_BERNOULLI) == pytest.approx([2.510, 2.610, 2.711], abs=5e-4)
+    assert numbers(TIMOSHENKO) == pytest.approx([2.510, 2.611, 2.713], abs=1e-3)
+    assert numbers(ELASTIC_ROOTS) == pytest.approx([2.510, 2.629, 2.769], abs=1e-3)
+    assert numbers(FrameModel(finite_joint=True)) == pytest.approx([2.480, 2.600, 2.713], abs=1e-3)
+
+
+def test_springs_along_and_across() -> None:
+    # Softness along a beam shares nothing out anew (both arms are alike); across, neither; but the tip moves more.
+    stiff = Frame(FABRICATED)
+    soft = Frame(FABRICATED, FrameModel(root=RootCompliance(along=3.0, across=3.0)))
+    scale = FABRICATED.width_m * FABRICATED.youngs_modulus_pascals
+    more = (soft.tip_motion() - stiff.tip_motion()) * scale
+    assert more[0, 2] == pytest.approx(3.0)  # two arms in parallel, two springs in series on each
+    assert more[1, 0] == pytest.approx(3.0)
+    np.testing.assert_allclose(soft.strain_matrix(POINTS)[:, 0], stiff.strain_matrix(POINTS)[:, 0], rtol=1e-9)
+
+
+def test_the_rotation_of_a_half_plane() -> None:
+    # The double integral of x y ln|x - y| over [-1/2, 1/2]^2 is -1/16; times -(2/pi) 12^2 it is 18/pi.
+    x, weight = (np.asarray(part) / 2 for part in np.polynomial.legendre.leggauss(500))
+
+    def antiderivative(t: FloatArray) -> FloatArray:
+        log = np.log(np.abs(t))
+        result: FloatArray = x * (t * log - t) - t * t * (log / 2 - 0.25)
+        return result
+
+    integral = float(np.sum(weight * x * (antiderivative(x + 0.5) - antiderivative(x - 0.5))))
+    assert integral == pytest.approx(-1 / 16, rel=1e-4)
+    assert pytest.approx(-2 / pi * 144 * integral, rel=1e-4) == HALF_PLANE_ROTATION
+
+
+def test_a_gauge_averages_over_its_length() -> None:
+    frame = Frame(ODD, ELASTIC_ROOTS)
+    for place in (GaugePosition("H", "left", 4e-3), GaugePosition("V", "right", 9e-3)):
+        ends = [place._replace(position_m=place.position_m + shift) for shift in (-2e-3, 2e-3)]
+        np.testing.assert_allclose(
+            frame.strain_matrix([place], 4e-3)[0], frame.strain_matrix(ends).mean(axis=0), rtol=1e-12
+        )
+
+
+def test_the_slit_closes_as_beam_theory_says() -> None:
+    for geometry in (FABRICATED, ODD):
+        widest = geometry.r_m / (2.0 * geometry.a_m + 3.0 * geometry.r_m)
+        closure = Frame(geometry).slit_closure([widest, *np.linspace(0.0, 1.0, 201)]) * 4.4
+        worst = np.max(np.hypot(closure[..., 0], closure[..., 2]) + np.abs(closure[..., 1]))
+        assert worst == pytest.approx(slit_closure(geometry, 4.4), rel=1e-9)
+        np.testing.assert_allclose(closure[:, -1], 0.0, atol=1e-12 * worst)
+    assert slit_closure(FABRICATED, 4.4) == pytest.approx(72.4e-6, rel=1e-3)
+
+
+@pytest.mark.parametrize(
+    ("gauges", "length_m", "message"),
+    [
+        (["X"], 0.0, "gauge point 'X' is not known"),
+        (["K_H"], 1e-3, "allowed is a gauge that lies between the beam's ends"),
+        ([GaugePosition("H", "left", 14.9e-3)], 1e-3, "at 0.0149 m on the left of beam H"),
+        ([GaugePosition("V", "left", -1e-3)], 0.0, "allowed is a gauge that lies between"),
+        (["K_H"], -1.0, "gauge_length_m = -1.0: allowed is 0"),
+        (["K_H"], float("nan"), "gauge_length_m = nan"),
+    ],
+)
+def test_gauges_that_do_not_fit(gauges: list[str | GaugePosition], length_m: float, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Frame(FABRICATED).strain_matrix(gauges, length_m)
+    assert message in str(caught.value)
+
+
+def test_a_gauge_inside_a_joint_of_finite_size_is_refused() -> None:
+    frame = Frame(FABRICATED, FrameModel(finite_joint=True))
+    with pytest.raises(InputError, match="between the beam's ends"):
+        frame.strain_matrix([GaugePosition("H", "left", 0.1e-3)])
+    assert frame.strain_matrix(["K_H"]).shape == (1, 3)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"shear_coefficient": 0.0}, "shear_coefficient = 0.0: allowed is above 0"),
+        ({"poisson_ratio": 0.6}, "poisson_ratio = 0.6: allowed is above -1"),
+        ({"root": RootCompliance(rotation=-1.0)}, "root compliance rotation = -1.0: allowed is 0"),
+        ({"root": RootCompliance(along=float("nan"))}, "root compliance along = nan"),
+    ],
+)
+def test_models_that_are_wrong(change: dict[str, float | RootCompliance], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        FrameModel(**change)  # type: ignore[arg-type]
+    assert message in str(caught.value)
+
+
+def test_bodies_that_floating_point_cannot_hold() -> None:
+    with pytest.raises(InputError, match="too thin or too thick"):
+        Frame(thin(1e-120))
+    with pytest.raises(InputError, match="a finite joint must be narrower"):
+        Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
+
+
+def test_gauge_matrix_mixes_points_and_places() -> None:
+    place = GaugePosition("V", "right", 7e-3)
+    A = gauge_matrix(FABRICATED, ["K_H", place, "L"])
+    assert np.array_equal(A[[0, 2]], strain_matrix(FABRICATED, POINTS)[[ROW["K_H"], ROW["L"]]])
+    assert np.array_equal(A[1], strain_row(FABRICATED, *place))
+    with pytest.raises(InputError, match=r"gauge point V right 15\.00 is given more than once"):
+        gauge_matrix(FABRICATED, ["U", GaugePosition("V", "right", FABRICATED.d_m), "L"])
+    with pytest.raises(InputError, match="a layout of 2 gauge points: allowed are 3 to 8"):
+        gauge_matrix(FABRICATED, ["U", "L"])
+    with pytest.raises(InputError, match="position_m"):
+        gauge_matrix(FABRICATED, ["U", "L", GaugePosition("H", "right", float("nan"))])

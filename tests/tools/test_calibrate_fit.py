@@ -1,0 +1,213 @@
+"""`tipforce calibrate fit`: what it prints, what it writes, and when it refuses."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tipforce.host.calibration_file import read_calibration, read_fit
+from tipforce.host.measurements import Measurements, write_measurements
+from tipforce.sensor.calibration import covariance_of_estimate
+from tipforce.sensor.fit_simulation import Faults, Simulated, simulate
+from tipforce_tools.main import main
+
+
+def measured(sim: Simulated) -> Measurements:
+    m = len(sim.strain)
+    return Measurements(
+        np.arange(m) + 2, sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s, None, None, None, (), ()
+    )
+
+
+@pytest.fixture
+def sim() -> Simulated:
+    return simulate("I", np.random.default_rng(4))
+
+
+@pytest.fixture
+def data(sim: Simulated, tmp_path: Path) -> Path:
+    path = tmp_path / "grooves.csv"
+    write_measurements(path, measured(sim))
+    return path
+
+
+def fitted(capsys: pytest.CaptureFixture[str], *words: object) -> dict[str, Any]:
+    assert main(["calibrate", "fit", *map(str, words), "--json"]) == 0
+    out = capsys.readouterr().out
+    assert out.count("\n") == 1
+    record: dict[str, Any] = json.loads(out)
+    return record
+
+
+def test_text_tells_all(data: Path, sim: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
+    limit = (sim.saturation_strain or 0.0) * 1e6
+    assert main(["calibrate", "fit", str(data), "--layout", "I", "--saturation", f"{limit * 0.9999999}"]) == 0
+    out, err = capsys.readouterr()
+    assert "57 loaded and 20 unloaded rows, 3 gauges" in out
+    assert "drift tare, loss huber, load directions 0.5 degree" in out
+    assert "condition number 2.4" in out
+    assert len([line for line in out.splitlines() if line.startswith("   4.400")]) >= 17
+    for row in np.flatnonzero(sim.true_outlier):
+        assert f"outlier: line {row + 2}: " in out
+    assert "saturated: line 17: SG2 is left out" in out
+    assert "1 degree costs about 1 % of P and 1 degree of phi or theta" in out
+    assert err == ""
+
+
+def test_the_file_has_all_digits_and_gives_the_covariance_again(
+    data: Path, sim: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "cal.toml"
+    limit = (sim.saturation_strain or 0.0) * 0.9999999e6
+    words = (data, "-o", path, "--layout", "I", "--serial", 7, "--date", "2025-12-31", "--saturation", limit)
+    record = fitted(capsys, *words)
+    calibration, fit = read_calibration(path), read_fit(path)
+    assert fit is not None
+    assert np.array_equal(calibration.C, record["matrix_newtons_per_strain"])
+    np.testing.assert_allclose(calibration.C @ sim.true_A, np.eye(3), atol=0.02)
+    assert (calibration.serial, calibration.date, calibration.layout_code) == (7, 20251231, 1)
+    assert calibration.pull
+    assert record["crc32"] == f"0x{calibration.crc32():08X}"
+    interval = np.array(record["matrix_interval_95"])
+    np.testing.assert_allclose(interval.mean(axis=0), calibration.C, rtol=1e-9)
+    np.testing.assert_allclose(
+        (interval[1] - interval[0]) / 2, record["coverage_factor"] * np.array(record["matrix_standard_uncertainty"])
+    )
+    covariance = covariance_of_estimate(
+        calibration.C, calibration.covariance_strain2, fit.parameter_covariance(), [1.0, 0.0, -2.0]
+    )
+    assert 0.005 < np.sqrt(covariance[0, 0]) < 0.05
+    table = tomllib.loads(path.read_text())["fit"]
+    assert (table["rows"], table["unloaded_rows"], table["drift"], table["bad_lines"]) == (77, 20, "tare", [])
+    assert table["outlier_lines"] == [int(row) + 2 for row in np.flatnonzero(sim.true_outlier)]
+    # S and N alone give nearly the same.
+    short = replace_in(path, "parameter_covariance_microstrain2")
+    again = read_fit(short)
+    assert again is not None
+    assert again.parameter_covariance().shape == (3, 4, 3, 4)
+
+
+def replace_in(path: Path, name: str) -> Path:
+    """The same file without one key of [fit]."""
+    import msgspec
+
+    content = tomllib.loads(path.read_text())
+    del content["fit"][name]
+    other = path.with_name("other.toml")
+    other.write_bytes(msgspec.toml.encode(content))
+    return other
+
+
+def test_s_and_n_are_enough_where_every_row_has_the_same_noise(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    clean = Faults(drift_strain=0.0, direction_scatter_rad=0.0, outlier_share=0.0, saturation=None)
+    data, path = tmp_path / "data.csv", tmp_path / "cal.toml"
+    write_measurements(data, measured(simulate("II", np.random.default_rng(1), clean)))
+    fitted(capsys, data, "-o", path, "--angle-scatter", 0, "--drift", "none", "--loss", "none")
+    full, short = read_fit(path), read_fit(replace_in(path, "parameter_covariance_microstrain2"))
+    assert full is not None
+    assert short is not None
+    np.testing.assert_allclose(short.parameter_covariance(), full.parameter_covariance(), rtol=5e-3, atol=1e-15)
+
+
+def test_bad_rows_are_told_and_strict_refuses(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = data.read_text().splitlines()
+    lines[9] = lines[9].replace(",", ",x", 1)
+    data.write_text("\n".join(lines))
+    path = tmp_path / "cal.toml"
+    assert main(["calibrate", "fit", str(data), "-o", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert "bad: line 10: SG1 is 'x" in out
+    assert "1 bad rows were not used" in err
+    path.unlink()
+    assert main(["calibrate", "fit", str(data), "-o", str(path), "--strict"]) == 1
+    assert "no file is written" in capsys.readouterr().err
+    assert not path.exists()
+    data.write_text(lines[0] + "\n" + lines[9])
+    assert main(["calibrate", "fit", str(data)]) == 2
+    assert "no row can be used; the first: line 2: SG1 is 'x" in capsys.readouterr().err
+
+
+def test_what_cannot_be_seen_is_refused(data: Path, sim: Simulated, capsys: pytest.CaptureFixture[str]) -> None:
+    heavy = (sim.P_newtons == 4.4) & (sim.theta_rad < 1.6) & (sim.phi_rad < 1.6) & ~sim.true_outlier
+    some = measured(sim)
+    names = ("strain", "P_newtons", "phi_rad", "theta_rad", "t_s", "line")
+    write_measurements(data, replace(some, **{name: getattr(some, name)[heavy] for name in names}))
+    assert main(["calibrate", "fit", str(data)]) == 2
+    assert "F1 + F3 is 4.4 N in every row, so that an offset cannot be told" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "text"),
+    [
+        (["--prior", "beam"], "--prior beam needs --layout"),
+        (["--angle-scatter", "-1"], "--angle-scatter -1: allowed is 0 to 20 degrees"),
+        (["--noise", "0"], "--noise 0: allowed is above 0"),
+        (["--saturation", "nan"], "--saturation nan: allowed is above 0"),
+        (["--serial", "-1"], "--serial -1: allowed is 0 to"),
+        (["--layout", "IV"], "layout 'IV'"),
+        (["--no-offset", "--drift", "tare"], "needs an offset to drift"),
+    ],
+)
+def test_flags_that_cannot_be(words: list[str], text: str, data: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["calibrate", "fit", str(data), *words]) == 2
+    assert text in capsys.readouterr().err
+
+
+def test_a_layout_of_other_gauges(data: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    layout = tmp_path / "five.toml"
+    layout.write_text('points = ["K_H", "S_H", "U", "T", "L"]')
+    assert main(["calibrate", "fit", str(data), "--layout", str(layout)]) == 2
+    assert "has 5 gauges" in capsys.readouterr().err
+
+
+def test_load_sense_layout_and_notes(sim: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "push.csv"
+    mode = np.where(sim.P_newtons > 0.0, 0, 2).astype(np.int8)
+    write_measurements(data, replace(measured(sim), mode=mode, temperature_degC=np.full(77, 23.0)))
+    path = tmp_path / "cal.toml"
+    record = fitted(capsys, data, "-o", path, "--layout", "II'")
+    assert record["load_sense"] == "push"
+    assert (read_calibration(path).reference_temperature_degC, read_calibration(path).layout_code) == (23.0, 255)
+    assert any("opposite to beam theory" in note for note in record["notes"])
+    clipped = [note for note in record["notes"] if "is that the converter's limit? State --saturation" in note]
+    assert len(clipped) <= 2
+    assert fitted(capsys, data, "--sense", "pull")["load_sense"] == "pull"
+
+
+def test_a_fit_table_of_somebody_else_does_not_hinder(data: Path, tmp_path: Path) -> None:
+    from tipforce.errors import InputError
+
+    path = tmp_path / "cal.toml"
+    assert main(["calibrate", "fit", str(data), "-o", str(path), "-q"]) == 0
+    text = path.read_text()
+    path.write_text(text.replace("dof = ", "degrees = "))
+    assert read_calibration(path).gauges == 3
+    with pytest.raises(InputError, match=r"\[fit\]: Object missing required field `dof`"):
+        read_fit(path)
+    path.write_text(text[: text.index("[fit]")])
+    assert read_fit(path) is None
+    path.write_text(text[: text.index("[fit]")] + "[fit]\ndof = 1.0\nresidual_covariance_microstrain2 = [[1.0]]\n"
+                    "normal_matrix = [[1.0]]\n")  # fmt: skip
+    with pytest.raises(InputError, match=r"residual_covariance_microstrain2 must be \(3, 3\)"):
+        read_fit(path)
+
+
+def test_prior_for_few_loads(sim: Simulated, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    some = measured(sim)
+    names = ("strain", "P_newtons", "phi_rad", "theta_rad", "t_s", "line")
+    data = tmp_path / "few.csv"
+    write_measurements(data, replace(some, **{name: getattr(some, name)[:8] for name in names}))
+    words = (data, "--prior", "beam", "--layout", "I", "--noise", 1, "--drift", "none")
+    record = fitted(capsys, *words)
+    C = np.array(record["matrix_newtons_per_strain"])
+    assert np.abs(C @ sim.true_A - np.eye(3)).max() < 0.3
+    assert main(["calibrate", "fit", *map(str, words)]) == 0
+    assert "prior: beam theory within 10%" in capsys.readouterr().out

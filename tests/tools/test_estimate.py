@@ -1,0 +1,195 @@
+"""`tipforce estimate`: one row out for each row in, its uncertainty, its status, and drift taken off by tares."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+
+from tipforce.host.calibration import Calibration
+from tipforce.host.calibration_file import write_calibration
+from tipforce.host.measurements import Measurements, write_measurements
+from tipforce.sensor.fit_simulation import Faults, simulate
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce_tools import estimate_rows
+from tipforce_tools.estimate import COLUMNS
+from tipforce_tools.main import main
+
+FloatArray = npt.NDArray[np.float64]
+A = strain_matrix(FABRICATED, "I")
+OFFSET = np.array([20e-6, -30e-6, 5e-6])
+
+
+@pytest.fixture
+def calibration(tmp_path: Path) -> Path:
+    path = tmp_path / "cal.toml"
+    write_calibration(
+        path, Calibration(calibration_matrix(FABRICATED, "I"), OFFSET, 1e-12 * np.eye(3), layout_code=1, pull=True)
+    )
+    return path
+
+
+def microstrain(P: float, phi_deg: float, theta_deg: float, offset: FloatArray = OFFSET) -> str:
+    V = A @ force_vector(P, np.radians(phi_deg), np.radians(theta_deg)) + offset
+    return ",".join(repr(float(value * 1e6)) for value in V)
+
+
+def estimated(
+    calibration: Path, text: str, capsys: pytest.CaptureFixture[str], *words: str
+) -> tuple[list[dict[str, str]], str]:
+    path = calibration.with_name("gauges.csv")
+    path.write_text(text)
+    assert main(["estimate", str(calibration), str(path), *words]) == 0
+    out, err = capsys.readouterr()
+    return list(csv.DictReader(io.StringIO(out))), err
+
+
+def test_one_row_for_each_row(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    loads = [(2.0, 30.0, 50.0), (0.5, -90.0, 90.0), (4.4, 100.0, 80.0)]
+    text = "SG1,SG2,SG3\n" + "\n".join(microstrain(*load) for load in loads) + "\n1,2\n"
+    rows, err = estimated(calibration, text, capsys)
+    assert tuple(rows[0]) == COLUMNS
+    assert [row["line"] for row in rows] == ["2", "3", "4", "5"]
+    for row, (P, phi, theta) in zip(rows[::2], loads[::2], strict=False):
+        assert float(row["P_N"]) == pytest.approx(P, rel=1e-6)
+        assert float(row["phi_deg"]) == pytest.approx(phi, rel=1e-6)
+        assert float(row["theta_deg"]) == pytest.approx(theta, rel=1e-6)
+        assert 0.005 < float(row["u_P_N"]) < 0.02
+        assert float(row["u_phi_deg"]) == pytest.approx(np.degrees(0.01 / P), rel=0.6)
+        assert row["status"] == "ok"
+    # The file says pull: pushing at 90 degrees is a pull from the other side of the tip.
+    assert rows[1]["status"] == "outside_pad"
+    assert float(rows[1]["theta_deg"]) == pytest.approx(-90, abs=1e-4)
+    assert list(rows[3].values()) == ["5", "", "", "", "", "", "", "bad: 2 cells, the header has 3"]
+    assert "1 of 4 rows are bad: line 5: 2 cells" in err
+    assert "no [fit] table" in err
+
+
+def test_the_mode_of_a_row_selects_the_branch(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    load = microstrain(2.0, -70.0, 90.0)
+    rows, _ = estimated(calibration, f"SG1,SG2,SG3,mode\n{load},push\n{load},pull\n{load},\n{load},tear\n", capsys)
+    assert [float(row["theta_deg"] or "nan") for row in rows[:3]] == pytest.approx([90.0, -50.0, -50.0], abs=1e-4)
+    assert [row["status"] for row in rows[:3]] == ["ok", "outside_pad", "outside_pad"]
+    assert rows[3]["status"] == "bad: mode is 'tear', allowed: push, pull, tare or blank"
+
+
+def test_tares_take_drift_off_by_time(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    drift = np.array([40e-6, 10e-6, -30e-6])
+    lines = ["t_s,SG1,SG2,SG3,mode"]
+    for t, mode in ((0, "tare"), (25, ""), (50, ""), (100, "tare"), (100, "tare"), (150, "")):
+        load = (0.0, 0.0, 0.0) if mode else (1.0, 45.0, 60.0)
+        lines.append(f"{t},{microstrain(*load, OFFSET + drift * min(t, 100) / 100)},{mode}")
+    rows, err = estimated(calibration, "\n".join(lines), capsys)
+    assert [row["status"] for row in rows] == ["tare", "ok", "ok", "tare", "tare", "ok"]
+    assert all(row["P_N"] == "" for row in rows if row["status"] == "tare")
+    for row in (rows[1], rows[2], rows[5]):
+        assert float(row["P_N"]) == pytest.approx(1.0, rel=1e-6)
+        assert float(row["theta_deg"]) == pytest.approx(60.0, rel=1e-6)
+    # The tares' own noise counts: a mean of two after the last, one and two weighted by distance between.
+    noise = [float(row["u_P_N"]) ** 2 for row in (rows[1], rows[2], rows[5])]
+    expected = [1 + 0.75**2 + 0.25**2 / 2, 1 + 0.5**2 + 0.5**2 / 2, 1 + 1 / 2]
+    np.testing.assert_allclose(np.array(noise) / noise[2], np.array(expected) / expected[2], rtol=1e-4)
+    untimed = "\n".join(line.split(",", 1)[1] for line in lines)
+    rows, err = estimated(calibration, untimed, capsys)
+    assert "interpolated between tares by row" in err
+    assert rows[1]["P_N"] != "1"
+
+
+def test_status_words_and_what_they_make_unknown(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    missing = A @ np.array([1.0, 1.5, 0.0]) + OFFSET
+    texts = [
+        microstrain(0.01, 30.0, 50.0),
+        microstrain(0.08, 30.0 + 88.0, 30.0),
+        ",".join(str(value * 1e6) for value in missing),
+        microstrain(2.0, 60.0 + 89.0, 60.0),
+        "900.1,0,0",
+    ]
+    text = "SG1,SG2,SG3\n" + "\n".join(texts)
+    rows, _ = estimated(calibration, text, capsys, "--saturation", "900")
+    statuses = [row["status"] for row in rows]
+    assert "no_contact" in statuses[0].split()
+    assert (rows[0]["phi_deg"], rows[0]["theta_deg"]) == ("", "")
+    assert rows[0]["P_N"] != ""
+    assert "beyond_first_order" in statuses[1].split()
+    assert "misses_tip" in statuses[2].split()
+    assert (rows[2]["theta_deg"], rows[2]["u_theta_deg"]) == ("", "")
+    assert rows[2]["phi_deg"] != ""
+    assert "beyond_first_order" in statuses[3].split()
+    assert (statuses[4], rows[4]["P_N"]) == ("saturated", "")
+
+
+def test_the_fit_table_widens_the_uncertainty(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sim = simulate("I", np.random.default_rng(3), Faults(outlier_share=0.0, saturation=None))
+    data, path = tmp_path / "data.csv", tmp_path / "cal.toml"
+    m = len(sim.strain)
+    load = sim.P_newtons, sim.phi_rad, sim.theta_rad
+    write_measurements(data, Measurements(np.arange(m) + 2, sim.strain, *load, sim.t_s, None, None, None, (), ()))
+    assert main(["calibrate", "fit", str(data), "-o", str(path), "-q"]) == 0
+    capsys.readouterr()
+    gauges = ",".join(str(value * 1e6) for value in sim.strain[3])
+    with_fit, err = estimated(path, f"SG1,SG2,SG3\n{gauges}\n", capsys)
+    assert err == ""
+    path.write_text(path.read_text().split("[fit]")[0])
+    without, _ = estimated(path, f"SG1,SG2,SG3\n{gauges}\n", capsys)
+    assert float(with_fit[0]["u_P_N"]) > 1.05 * float(without[0]["u_P_N"])
+    assert with_fit[0]["P_N"] == without[0]["P_N"]
+
+
+def test_chunks_carry_the_hysteresis(
+    calibration: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rng = np.random.default_rng(1)
+    loads = np.abs(rng.normal(size=200)) * 0.05
+    text = "SG1,SG2,SG3\n" + "\n".join(microstrain(float(P), 30.0, 50.0) for P in loads)
+    whole, _ = estimated(calibration, text, capsys)
+    monkeypatch.setattr(estimate_rows, "CHUNK", 7)
+    parts, _ = estimated(calibration, text, capsys)
+    assert parts == whole
+    assert {"no_contact" in row["status"].split() for row in whole} == {True, False}
+
+
+def test_json_and_output_file(calibration: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "gauges.csv"
+    path.write_text(f'SG1,SG2,SG3\n{microstrain(2.0, 30.0, 50.0)}\n"a,b",2,3\n')
+    out = tmp_path / "out.jsonl"
+    assert main(["estimate", str(calibration), str(path), "--json", "-o", str(out), "--strict", "-q"]) == 1
+    assert capsys.readouterr() == ("", "")
+    first, second = (json.loads(line) for line in out.read_text().splitlines())
+    assert first["P_N"] == pytest.approx(2.0)
+    assert first["status"] == "ok"
+    assert second["P_N"] is None
+    assert second["status"] == "bad: SG1 is 'a,b', not a number"
+    assert main(["estimate", str(calibration), str(path), "-q"]) == 0
+    rows = list(csv.reader(io.StringIO(capsys.readouterr().out)))
+    assert rows[2][-1] == "bad: SG1 is 'a,b', not a number"
+
+
+@pytest.mark.parametrize(
+    ("text", "words", "message"),
+    [
+        ("SG1,SG2,SG3,SG4\n1,2,3,4\n", [], "4 gauges, the calibration"),
+        ("SG1,SG2,SG3\n1,2,3\n", ["--saturation", "-5"], "--saturation -5: allowed is above 0"),
+        ("SG1,SG2,SG3\n1,2,3\n", ["-o", "/no/such/place/out.csv"], "--output /no/such/place/out.csv: No such file"),
+        ("SG1,SG2\n1,2\n", [], "allowed are SG1 to SGn"),
+    ],
+)
+def test_what_cannot_be_done(
+    text: str, words: list[str], message: str, calibration: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = calibration.with_name("gauges.csv")
+    path.write_text(text)
+    assert main(["estimate", str(calibration), str(path), *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_only_bad_rows(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows, err = estimated(calibration, "SG1,SG2,SG3\nx,2,3\n1,2,y\n", capsys)
+    assert [row["status"] for row in rows] == ["bad: SG1 is 'x', not a number", "bad: SG3 is 'y', not a number"]
+    assert "2 of 2 rows are bad" in err

@@ -1,0 +1,419 @@
+"""`tipforce calibrate guide`, walked through at a simulated node: by a person at the keys, and by itself."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+import re
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
+from tipforce.device.node import Device
+from tipforce.dictionary import objects as od
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
+from tipforce.fingertip.store import FileStore
+from tipforce.host.calibration_file import read_calibration, read_fit
+from tipforce.host.capture import Capture
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce.host.hand import Hand
+from tipforce.sensor.calibration import covariance_of_estimate
+from tipforce.sensor.contact import standard_uncertainties
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+from tipforce_tools.calibrate.guide_plan import Step
+from tipforce_tools.calibrate.guide_session import Session
+from tipforce_tools.main import main
+
+OFFSETS = (12.0, -8.5, 5.3)
+FEW = ("--grooves", "x30,x150,y45,y135", "--samples", 20)
+LOAD = r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|take every load off"
+QUICK = ("--period", 1)
+
+
+class Bench(NamedTuple):
+    """Node 5 on its bus, and what loads it."""
+
+    connection: Connection
+    channel: str
+    device: Device
+    source: SimulatedSource
+    folder: Path
+    capsys: pytest.CaptureFixture[str]
+
+    @property
+    def session(self) -> Path:
+        return self.folder / "session.csv"
+
+    @property
+    def file(self) -> Path:
+        return self.folder / "finger.toml"
+
+    def guide(self, *words: object, node: int = 5) -> int:
+        """Run the guide; its exit code."""
+        line = ["calibrate", "guide", "--node", node, "--session", self.session, *QUICK, *words]
+        try:
+            return main([*map(str, line), "-i", "virtual", "-c", self.channel])
+        except SystemExit as error:
+            return int(error.code or 0)
+
+    def auto(self, *words: object) -> tuple[int, str, str]:
+        """Run the guide by itself: (exit code, stdout, stderr)."""
+        code = self.guide("--auto", *FEW, *words)
+        return (code, *self.capsys.readouterr())
+
+    def rows(self) -> list[dict[str, str]]:
+        with self.session.open() as file:
+            return list(csv.DictReader(file))
+
+
+class Person:
+    """Reads what the guide says, hangs the weight, and presses a key: Enter, if ``key`` does not say another."""
+
+    def __init__(self, bench: Bench, key: Callable[[str], str] = lambda _question: "") -> None:
+        self._bench = bench
+        self._key = key
+        self.heard = ""
+        self.out = ""
+
+    def listen(self) -> str:
+        """What the guide has said since the last time."""
+        out, err = self._bench.capsys.readouterr()
+        self.out += out
+        self.heard += err
+        return str(err)
+
+    def readline(self) -> str:
+        question = self.listen()
+        loads = re.findall(
+            r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|take every load off", question
+        )
+        if loads:
+            P, theta, phi = (float(word or 0.0) for word in loads[-1])
+            self._bench.source.load = (P, phi, theta)
+        return self._key(question) + "\n"
+
+
+@pytest.fixture
+def bench(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Iterator[Bench]:
+    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 0.5, OFFSETS, seed=4)
+    store = FileStore(tmp_path / "node.json")
+    device = fingertip_node(5, source, serial=1005, save=store.save, load=store.load)
+    channel = new_channel()
+    with connected(device, channel=channel) as (connection, _):
+        yield Bench(connection, channel, device, source, tmp_path, capsys)
+
+
+@pytest.fixture
+def person(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> Callable[..., Person]:
+    """Seat a person at the keys."""
+
+    def seat(key: Callable[[str], str] = lambda _question: "") -> Person:
+        found = Person(bench, key)
+        monkeypatch.setattr(sys, "stdin", found)
+        return found
+
+    return seat
+
+
+# --- the whole walk ---------------------------------------------------------------------------------------------------
+
+
+def test_from_the_first_weight_to_the_stored_calibration(
+    bench: Bench, person: Callable[..., Person], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Quit at step 9, interrupted within the capture of a later one, resumed twice; then unseen loads."""
+    flags = ("--samples", 60, "--angle-scatter", 0.05, "--layout", "I", "-o", bench.file)
+    first = person(lambda question: "q" if "step 9 of 25" in question else "")
+    assert bench.guide(*flags) == 0
+    assert "8 of 25 steps are in" in first.listen()
+    assert [row["step"] for row in bench.rows()] == [str(k) for k in range(1, 9)]
+
+    before = bench.session.read_bytes()
+    syncs, sync = [0], Connection.sync
+
+    def interrupted_sync(connection: Connection) -> None:
+        syncs[0] += 1
+        if syncs[0] > 5 * 60:
+            raise KeyboardInterrupt
+        sync(connection)
+
+    second = person()
+    with monkeypatch.context() as patch:
+        patch.setattr(Connection, "sync", interrupted_sync)
+        assert bench.guide(*flags) == 130
+    second.listen()
+    assert "goes on: 8 of 25 steps are there, 17 to do" in second.heard
+    assert "the extra unloaded reading: take every load off" in second.heard
+    rows = bench.rows()
+    assert [row["step"] for row in rows[8:]] == ["extra", "9", "10", "11"][: len(rows) - 8]
+    assert bench.session.read_bytes().startswith(before)
+
+    third = person(lambda question: "y" if "apply this calibration" in question else "")
+    assert bench.guide(*flags) == 0
+    third.listen()
+    assert "read back: equal byte for byte" in third.heard
+    assert "node 5 (0x05): stored" in third.heard
+    assert "condition number 2.5" in third.out
+    assert "applied and stored, generation 1" in third.out
+    assert sorted({row["step"] for row in bench.rows()} - {"extra"}, key=int) == [str(k) for k in range(1, 26)]
+    _check_stored(bench)
+    _check_unseen_loads(bench)
+
+
+def _check_stored(bench: Bench) -> None:
+    bench.connection.buffer.clear()
+    bench.connection.nmt("reset-node", 5)
+    bench.connection.wait_for({0x705})
+    calibration = read_calibration(bench.file)
+    assert FingertipClient(bench.connection.sdo(5)).verify_calibration(calibration) == []
+    assert (calibration.serial, calibration.pull, calibration.layout_code) == (1005, True, 1)
+    noise = np.sqrt(np.diag(calibration.covariance_strain2)) * 1e6
+    np.testing.assert_allclose(noise, 0.5, rtol=0.1)
+    np.testing.assert_allclose(calibration.offset_strain * 1e6, OFFSETS, atol=0.4)
+
+
+def _check_unseen_loads(bench: Bench) -> None:
+    """The node's own estimates, against its uncertainty and the calibration's; z for 1 in a million over all."""
+    calibration, fit = read_calibration(bench.file), read_fit(bench.file)
+    assert fit is not None
+    hand = Hand(bench.connection, [5])
+    hand.start()
+    for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
+        apply_load(bench.connection, 5, P, phi, theta)
+        time.sleep(0.002)
+        row = fresh_sample(hand)
+        F = force_vector(P, *np.radians([phi, theta]))
+        covariance = covariance_of_estimate(
+            calibration.C, calibration.covariance_strain2, fit.parameter_covariance(), F[np.newaxis]
+        )
+        u = standard_uncertainties(F[np.newaxis], covariance, pull=True)[0] * [1.0, 180 / np.pi, 180 / np.pi]
+        error = np.array([row.P_newtons[0], row.phi_deg[0], row.theta_deg[0]]) - [P, phi, theta]
+        assert (np.abs(error) <= 5.3 * u + [0.0005, 0.005, 0.005]).all()
+
+
+def test_by_itself(bench: Bench) -> None:
+    apply_load(bench.connection, 5, 1.0, 20.0, 30.0)
+    code, out, err = bench.auto("-o", bench.file, "--json")
+    assert code == 0
+    assert "node 5 (0x05): simulated fingertip, 3 gauges, serial 1005; not calibrated yet; 23.00 degC" in err
+    assert "plan: 4 loads and 2 unloaded readings; by SYNC and TPDO1 (0x185)" in err
+    assert "step 2 of 6: hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)" in err
+    records = [json.loads(line) for line in out.splitlines()]
+    assert [record["step"] for record in records[:6]] == [1, 2, 3, 4, 5, 6]
+    assert records[2] | {"P_N": 4.4, "phi_deg": 180.0, "theta_deg": 150.0, "samples": 20} == records[2]
+    assert abs(records[6]["condition_number"] - 2.51) < 0.02
+    assert records[7]["node"] == 5
+    assert bench.source.load == (1.0, 20.0, 30.0)
+    # Once more: everything is there, so it fits and applies at once.
+    code, out, err = bench.auto()
+    assert code == 0
+    assert "step 1" not in err
+    assert "generation 2" in out
+
+
+def test_without_tpdo1_and_quietly(bench: Bench) -> None:
+    bench.connection.sdo(5).write(od.TPDO1_COB_ID, 0xC0000185)
+    code, out, err = bench.auto("-q")
+    assert (code, err) == (0, "")
+    assert "applied and stored" in out
+
+
+# --- keys -------------------------------------------------------------------------------------------------------------
+
+
+def test_skip_redo_and_nonsense(bench: Bench, person: Callable[..., Person]) -> None:
+    keys = iter(["r", "x", "", "", "r", "", "s", "", "", "", "", "", "r", "", "n"])
+    found = person(lambda _question: next(keys))
+    assert bench.guide("--samples", 20, "--grooves", "x30,x60,x150,y45,y135") == 0
+    found.listen()
+    assert "there is no capture to redo" in found.heard
+    assert "'x' is none of the keys" in found.heard
+    assert "step 2 of 8 is taken out" in found.heard
+    assert "step 8 of 8 is taken out" in found.heard
+    assert "1 steps were skipped" in found.heard
+    assert "node 5 (0x05) is as it was" in found.heard
+    assert [row["step"] for row in bench.rows()] == ["1", "2", "4", "5", "6", "7", "8"]
+    assert bench.connection.sdo(5).read(od.CALIBRATION_ACTIVE_CRC) == 0
+    assert next(keys, None) is None
+
+
+def test_nobody_at_the_keys(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
+    assert bench.guide(*FEW) == 2
+    err = bench.capsys.readouterr().err
+    assert "2 of 6 steps are in" in err
+    assert "the input ended: nobody is there to hang weights" in err
+
+
+def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Callable[..., Person]) -> None:
+    forgetful = {"step 2 of 6": (0.0, 0.0, 0.0), "step 6 of 6": (4.4, 90.0, 135.0)}
+
+    def key(question: str) -> str:
+        for title, load in forgetful.items():
+            if title in question:
+                bench.source.load = load
+        return "q" if "apply" in question else ""
+
+    found = person(key)
+    bench.guide(*FEW)
+    found.listen()
+    assert found.heard.count("does the weight hang? (r takes it again)") == 1
+    assert found.heard.count("is a load still on? (r takes it again)") == 1
+
+
+# --- refused captures -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("fault", "magnitude", "reason"),
+    [
+        (STUCK, 0.0, "stuck: SG2 gives the same value every time"),
+        (OPEN, 0.0, "front-end fault in .* wire break.*: check the wiring"),
+        (SATURATED, 0.0, "saturated: SG2 in up to .*: use a smaller weight"),
+        (SILENT, 0.0, "stale|no data"),
+        (DRIFT, 400.0, r"not quiet: SG2 (drifts|scatters) by .*: "),
+    ],
+)
+def test_a_refused_capture(
+    bench: Bench, person: Callable[..., Person], fault: int, magnitude: float, reason: str
+) -> None:
+    """It is not written, the person hears why, and once the fault is gone the same step goes on."""
+    asked = [0]
+    sdo = bench.connection.sdo(5)
+
+    def key(question: str) -> str:
+        if "step 3 of 6" in question:
+            asked[0] += 1
+            sdo.write(od.SIMULATION_GAUGE, 2)
+            sdo.write(od.SIMULATION_MAGNITUDE, magnitude)
+            sdo.write(od.SIMULATION_FAULT, fault if asked[0] == 1 else 0)
+        return "q" if "step 4 of 6" in question else ""
+
+    found = person(key)
+    assert bench.guide(*FEW, "--samples", 40) == 0
+    found.listen()
+    assert re.search(f"refused: .*({reason})", found.heard)
+    assert asked == [2]
+    assert [row["step"] for row in bench.rows()] == ["1", "2", "3"]
+
+
+def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
+    sdo = bench.connection.sdo(5)
+    sdo.write(od.SIMULATION_FAULT, SATURATED)
+    code, out, err = bench.auto()
+    assert (code, out) == (1, "")
+    assert err.count("refused: saturated: SG1") == 2
+    assert "nothing was captured" in err
+    assert not bench.session.exists()
+
+
+@pytest.mark.parametrize(
+    ("fault", "reason"), [(SILENT, "its sample counter (2121h) does not move"), (OPEN, "2124h = 0x0401 (wire break)")]
+)
+def test_a_faulty_node_is_refused_before_the_first_weight(bench: Bench, fault: int, reason: str) -> None:
+    bench.connection.sdo(5).write(od.SIMULATION_FAULT, fault)
+    code, _, err = bench.auto()
+    assert code == 12
+    assert reason in err
+
+
+def test_no_node_is_5(bench: Bench) -> None:
+    assert bench.guide("--auto", "--timeout", 0.05, "--retries", 0, node=9) == 5
+    assert "node 9 (0x09)" in bench.capsys.readouterr().err
+
+
+def _pull_the_plug(bench: Bench, monkeypatch: pytest.MonkeyPatch, out: bool) -> None:
+    def step(now_us: int, _frames: object) -> tuple[list[tuple[int, bytes]], int]:
+        return [], now_us + 1000
+
+    bench.device.__dict__.pop("step", None)
+    if out:
+        monkeypatch.setitem(bench.device.__dict__, "step", step)
+
+
+def test_a_node_that_goes_and_comes_back(
+    bench: Bench, person: Callable[..., Person], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = [0]
+
+    def key(question: str) -> str:
+        if "step 2 of 6" in question:
+            asked[0] += 1
+            _pull_the_plug(bench, monkeypatch, asked[0] == 1)
+        return "q" if "step 3 of 6" in question else ""
+
+    found = person(key)
+    assert bench.guide(*FEW, "--timeout", 0.05, "--retries", 0) == 0
+    found.listen()
+    assert "no capture: node 5 (0x05)" in found.heard
+    assert len(bench.rows()) == 2
+
+
+def test_a_node_that_goes_with_nobody_there_is_5(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    append = Session.append
+
+    def then_gone(session: Session, step: Step, capture: Capture) -> None:
+        append(session, step, capture)
+        _pull_the_plug(bench, monkeypatch, step.number == 3)
+
+    monkeypatch.setattr(Session, "append", then_gone)
+    code, _, err = bench.auto("--timeout", 0.05, "--retries", 0)
+    assert code == 5
+    assert "3 of 6 steps are in" in err
+
+
+# --- sessions ---------------------------------------------------------------------------------------------------------
+
+
+def test_a_line_that_was_cut_short(bench: Bench) -> None:
+    assert bench.auto()[0] == 0
+    lines = bench.session.read_text().splitlines(keepends=True)
+    bench.session.write_text("".join(lines[:4]) + lines[4][:30])
+    code, _, err = bench.auto()
+    assert code == 0
+    assert "its last line was cut short by an interruption and is taken out" in err
+    assert [row["step"] for row in bench.rows()] == ["1", "2", "3", "extra", "4", "5", "6"]
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        (",4.4,", ",4.5,", "line 3: step 2 is 4.5 N at phi 0, theta 30 degrees, pull, in this plan it is 4.4 N at"),
+        (",pull,2,", ",pull,7,", r"line 3: step 7 \(4.4 N .*\), this plan has 6 steps: another plan"),
+        (",pull,2,", ",pull,extra,", "line 3: an extra step is 4.4 N at phi 0, theta 30 degrees, pull"),
+        (",1005,", ",1006,", "it is of the node with serial 1006, this one has serial 1005"),
+        (",pull,2,", ",pull,two,", "line 3: not as the guide writes it"),
+        (",pull,2,", ",twist,2,", "line 3: mode is 'twist', allowed: push, pull, tare or blank; mend that line"),
+        ("SG1,SG2,SG3", "SG1,SG2,SG3,SG4", "it has 4 gauges, the node has 3"),
+        ("step,serial", "step,number", r"not a file that this guide began \(the column serial is missing\)"),
+        ("t_s,SG1", "SG1,t_s", "the columns are not as the guide writes them"),
+    ],
+)
+def test_a_session_that_does_not_belong_here(bench: Bench, old: str, new: str, reason: str) -> None:
+    assert bench.auto()[0] == 0
+    wrong = bench.session.read_text().replace(old, new)
+    bench.session.write_text(wrong)
+    code, _, err = bench.auto()
+    assert code == 2
+    assert re.search(f"session .*{reason}", err), err
+    assert bench.session.read_text() == wrong
+
+
+@pytest.mark.parametrize("content", [b"a,b\n1,2\n", b"hello", b"\xff\xfe\n"])
+def test_a_session_that_is_none(bench: Bench, content: bytes) -> None:
+    bench.session.write_bytes(content)
+    code, _, err = bench.auto()
+    assert code == 2
+    assert "session" in err
+    assert bench.session.read_bytes() == content

@@ -1,0 +1,165 @@
+"""The steps of a guided calibration, from flags and from a plan file; and flags that are refused before any weight."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+
+from host.bus_with_nodes import connected, finger, new_channel
+from tipforce.errors import InputError
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.source import Reading, Source
+from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
+from tipforce_tools.main import main
+
+RIG = """
+tare_every = 2
+[[step]]
+P_N = 1.5
+phi_deg = 10
+theta_deg = 40
+[[step]]
+P_N = 2
+phi_deg = -170
+theta_deg = 90
+mode = "push"
+instruction = "press with the stamp"
+[[step]]
+P_N = 2
+phi_deg = 90
+theta_deg = 20
+[[step]]
+P_N = 2
+phi_deg = -90
+theta_deg = 60
+"""
+
+
+def test_the_papers_grooves() -> None:
+    steps = groove_plan("4.4,2.2", "paper")
+    loads = [step for step in steps if step.mode != "tare"]
+    assert [step.number for step in steps] == list(range(1, len(steps) + 1))
+    assert len(loads) == 2 * 19
+    assert {step.P_newtons for step in loads} == {4.4, 2.2}
+    assert steps[0].mode == steps[-1].mode == "tare"
+    assert loads[2].load == (4.4, 0.0, 30.0, "pull")
+    assert loads[2].instruction == "hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)"
+    assert loads[9].load == (4.4, 180.0, 175.0, "pull")
+    assert loads[10].load == (4.4, 90.0, 30.0, "pull")
+    between = [k for k, step in enumerate(steps) if step.mode == "tare"]
+    assert all(b - a <= 5 for a, b in pairwise(between))
+
+
+@pytest.fixture
+def plan(tmp_path: Path) -> Callable[[str], Path]:
+    """Write a plan file."""
+
+    def write(text: str) -> Path:
+        path = tmp_path / "plan.toml"
+        path.write_text(text)
+        return path
+
+    return write
+
+
+def test_a_plan_file(plan: Callable[[str], Path]) -> None:
+    steps = file_plan(plan(RIG))
+    assert [step.mode for step in steps] == ["tare", "pull", "push", "tare", "pull", "pull", "tare"]
+    assert steps[1].instruction == "pull with 1.5 N at theta = 40 degrees (phi = 10)"
+    assert steps[2].instruction == "press with the stamp"
+    own = file_plan(plan(RIG + '[[step]]\nmode = "tare"\ninstruction = "lift the stamp"\n'))
+    assert [step.mode for step in own] == ["pull", "push", "pull", "pull", "tare"]
+    assert own[-1].instruction == "lift the stamp"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "reason"),
+    [
+        ("P_N = 1.5", "P_N = 0", "step 1: P_N = 0: allowed is above 0"),
+        ("P_N = 1.5", "P_N = nan", "step 1: P_N = nan: allowed is above 0"),
+        ("phi_deg = 10", "phi_deg = 1000", "step 1: phi_deg = 1000.0: allowed is -720 to 720"),
+        ("theta_deg = 90", "", "step 2: theta_deg = None"),
+        ('"push"', '"twist"', "Invalid enum value 'twist'"),
+        ('"push"', '"tare"', "step 2 is a tare, an unloaded reading"),
+        ("tare_every = 2", "tare_every = 0", "tare_every = 0: allowed is 1 or more"),
+        ("tare_every = 2", "tares = 2", "unknown field `tares`"),
+        ("phi_deg = 10", "phi_deg =", "plan "),
+    ],
+)
+def test_a_plan_file_that_is_wrong(plan: Callable[[str], Path], old: str, new: str, reason: str) -> None:
+    with pytest.raises(InputError, match=r"plan .*plan.toml: ") as caught:
+        file_plan(plan(RIG.replace(old, new, 1)))
+    assert reason in str(caught.value)
+
+
+def test_no_plan_file(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="No such file"):
+        file_plan(tmp_path / "plan.toml")
+    (tmp_path / "plan.toml").write_text('[[step]]\nmode = "tare"\n')
+    with pytest.raises(InputError, match="no step has a load"):
+        file_plan(tmp_path / "plan.toml")
+
+
+@pytest.mark.parametrize(
+    ("weights", "grooves", "reason"),
+    [
+        ("heavy", "paper", "--weights 'heavy': allowed are newtons above 0"),
+        ("4.4,-1", "paper", "--weights"),
+        ("4.4", "x30,z20", "'z20': allowed are paper, or grooves as x30,y60"),
+        ("4.4", "y190", "theta 0 to 180"),
+        ("4.4", "x30,x45", "cannot show"),
+    ],
+)
+def test_weights_and_grooves_that_do_not_do(weights: str, grooves: str, reason: str) -> None:
+    with pytest.raises(InputError) as caught:
+        groove_plan(weights, grooves)
+    assert reason in str(caught.value)
+
+
+class RealGauges(Source):
+    """A converter that is no simulation."""
+
+    def read(self, now_us: int) -> Reading:
+        return Reading((1, 2, now_us % 7), 0, 2300)
+
+
+def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    channel = new_channel()
+    with connected(fingertip_node(5, RealGauges()), channel=channel):
+        words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
+        assert main([*words, "-i", "virtual", "-c", channel]) == 2
+    assert "node 5 (0x05) has real gauges: --auto is for a simulated node" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["--samples", "5"], "--samples 5: allowed is 10 to 100000"),
+        (["--period", "0"], "--period 0: allowed is above 0"),
+        (["--max-std", "nan"], "--max-std nan: allowed is above 0"),
+        (["--max-drift", "-1"], "--max-drift -1: allowed is above 0"),
+        (["--plan", "a.toml", "--weights", "1"], "--plan and --weights: allowed is one of them"),
+        (["-o", "no/such/folder/a.toml"], "the directory does not exist; create it first"),
+        (["--session", "no/such/folder/a.csv"], "the directory does not exist; create it first"),
+        (["--layout", "IV"], "layout 'IV'"),
+        (["--saturation", "-3"], "--saturation -3: allowed is above 0"),
+        (["--angle-scatter", "30"], "--angle-scatter 30: allowed is 0 to 20 degrees"),
+        (["--prior", "beam"], "--prior beam needs --layout"),
+        (["--layout", "LAYOUT"], "layout.toml has 4 gauges, the node has 3"),
+    ],
+)
+def test_flags_are_checked_before_the_first_weight(
+    capsys: pytest.CaptureFixture[str], words: list[str], reason: str, tmp_path: Path
+) -> None:
+    (tmp_path / "layout.toml").write_text('points = ["L", "R", "T", "U"]')
+    words = [word.replace("LAYOUT", str(tmp_path / "layout.toml")) for word in words]
+    channel = new_channel()
+    line = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv"), *words]
+    with connected(finger(), channel=channel):
+        assert main([*line, "-i", "virtual", "-c", channel]) == 2
+    err = capsys.readouterr().err
+    assert reason in err
+    assert "step 1" not in err

@@ -1,0 +1,143 @@
+"""Layout files with gauges anywhere along the beams: read, written, and used by the node and by the calibration."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import new_channel
+from tipforce.device.node import Device
+from tipforce.errors import InputError
+from tipforce.fingertip import loop
+from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sensor.calibration import Readings, fit_calibration
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.gauge_shift import GaugePosition
+from tipforce.sensor.geometry import FABRICATED, Geometry
+from tipforce.sensor.layouts import LAYOUTS
+from tipforce_tools import layout_file
+from tipforce_tools.layout_file import layout_text, read_layout, write_layout
+from tipforce_tools.main import main
+
+ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
+PLACES: tuple[Gauge, ...] = (
+    GaugePosition("H", "left", 1.08e-3),
+    GaugePosition("H", "right", 7.123456789e-3, "upper"),
+    "U",
+    GaugePosition("V", "left", 16.5e-3),
+)
+
+
+@pytest.mark.parametrize("geometry", [FABRICATED, ODD])
+@pytest.mark.parametrize("gauges", [PLACES[:3], PLACES[1:], tuple(LAYOUTS["II"])])
+def test_what_is_written_reads_back(tmp_path: Path, geometry: Geometry, gauges: tuple[Gauge, ...]) -> None:
+    geometry = replace(geometry, d_m=17e-3)
+    path = tmp_path / "layout.toml"
+    write_layout(path, geometry, gauges, gauge_length_m=1e-3, comment="one\ntwo")
+    assert path.read_text().startswith("# one\n# two\npoints = [")
+    found_geometry, found = read_layout(str(path))
+    assert found_geometry == geometry
+    np.testing.assert_allclose(
+        gauge_matrix(found_geometry, found), gauge_matrix(geometry, gauges), rtol=1e-13, atol=0.0
+    )
+    assert [isinstance(gauge, str) for gauge in found] == [isinstance(gauge, str) for gauge in gauges]
+
+
+def test_the_old_form_is_read_as_before(tmp_path: Path) -> None:
+    path = tmp_path / "layout.toml"
+    path.write_text('points = ["K_H", "S_H", "U"]\n')
+    assert read_layout(str(path)) == (FABRICATED, ("K_H", "S_H", "U"))
+    assert read_layout("II'") == (FABRICATED, LAYOUTS["II'"])
+
+
+def test_the_examples_of_the_documentation(tmp_path: Path) -> None:
+    blocks = [block for block in (layout_file.__doc__ or "").split("\n\n") if block.startswith("    ")]
+    texts = [blocks[0], "\n\n".join(blocks[1:])]
+    for number, text in enumerate(texts):
+        path = tmp_path / f"{number}.toml"
+        path.write_text(text)
+        geometry, gauges = read_layout(str(path))
+        assert geometry == FABRICATED
+        assert len(gauges) == 3
+    assert gauges == (GaugePosition("H", "left", 1.08e-3), GaugePosition("H", "right", 1.08e-3), "U")
+
+
+@pytest.mark.parametrize(
+    ("point", "message"),
+    [
+        ('{ beam = "X", side = "left", position_mm = 1 }', "Invalid enum value 'X'"),
+        ('{ beam = "H", side = "up", position_mm = 1 }', "Invalid enum value 'up'"),
+        ('{ beam = "H", side = "left" }', "missing required field `position_mm`"),
+        ('{ beam = "H", side = "left", position_mm = 1, at = 2 }', "unknown field `at`"),
+        ('{ beam = "H", side = "left", position_mm = 15.1 }', "allowed is 0 to 0.015 m from the joint"),
+        ('{ beam = "V", side = "left", position_mm = -0.1 }', "allowed is 0 to 0.015 m from the joint"),
+        ('{ beam = "V", side = "left", position_mm = nan }', "allowed is 0 to 0.015 m from the joint"),
+        (
+            '{ beam = "V", side = "left", position_mm = 1, face = "upper" }',
+            "face = 'upper' on beam V: allowed on beam H",
+        ),
+        ('{ beam = "V", side = "right", position_mm = 15 }', "V right 15.00 is given more than once"),
+        ('"X"', "gauge point 'X' is not known"),
+    ],
+)
+def test_places_that_are_wrong(tmp_path: Path, point: str, message: str) -> None:
+    path = tmp_path / "layout.toml"
+    path.write_text(f'points = ["U", {{ beam = "H", side = "right", position_mm = 2 }}, {point}]\n')
+    with pytest.raises(InputError) as caught:
+        read_layout(str(path))
+    assert message in str(caught.value)
+    assert str(path) in str(caught.value)
+
+
+@pytest.mark.parametrize("length", ["0", "-1", "nan", "inf"])
+def test_a_gauge_length_that_is_wrong(tmp_path: Path, length: str) -> None:
+    path = tmp_path / "layout.toml"
+    path.write_text(f'points = ["K_H", "S_H", "U"]\ngauge_length_mm = {length}\n')
+    with pytest.raises(InputError, match=r"gauge_length_mm = .*allowed is a positive length"):
+        read_layout(str(path))
+
+
+def test_what_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="allowed are 3 to 8"):
+        layout_text(FABRICATED, PLACES[:2])
+    with pytest.raises(InputError, match=r"layout .*absent.*: No such file"):
+        write_layout(tmp_path / "absent" / "layout.toml", FABRICATED, PLACES[:3])
+
+
+def test_the_node_reads_what_the_layout_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found: list[Device] = []
+
+    def run(given: Sequence[Device], _port: loop.Port) -> None:
+        found.extend(given)
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(loop, "run", run)
+    path = tmp_path / "layout.toml"
+    write_layout(path, ODD, PLACES)
+    words = ["--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q", "--layout", str(path)]
+    assert main(["node", *words]) == 0
+    (device,) = found
+    assert device.od.get(0x1018, 2) == 0x54500104, "a product code for four gauges"
+    assert isinstance(device.application, Fingertip)
+    source = device.application.source
+    assert isinstance(source, SimulatedSource)
+    np.testing.assert_allclose(source.rows, gauge_matrix(ODD, PLACES), rtol=1e-13)
+
+
+def test_a_calibration_finds_the_matrix_of_the_layout(tmp_path: Path) -> None:
+    path = tmp_path / "layout.toml"
+    write_layout(path, ODD, PLACES)
+    A = gauge_matrix(*read_layout(str(path)))
+    rng = np.random.default_rng(11)
+    theta = np.radians(np.tile(np.arange(5.0, 180.0, 10.0), 4))
+    phi = theta + np.repeat(np.radians([-40.0, -15.0, 15.0, 40.0]), 18)
+    P = np.where(np.arange(theta.size) % 9 == 0, 0.0, 4.4)
+    strain = force_vector(P, phi, theta) @ A.T + 20e-6 + rng.normal(0.0, 0.5e-6, (theta.size, 4))
+    fit = fit_calibration(Readings(strain, P, phi, theta))
+    np.testing.assert_allclose(fit.C @ A, np.eye(3), atol=5e-3)

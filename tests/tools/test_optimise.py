@@ -1,0 +1,149 @@
+"""`tipforce design optimise`: what it prints, judges and writes."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from tipforce.sensor.gauge_positions import gauge_matrix
+from tipforce.sensor.merit import LoadSet, merit, worst_stress
+from tipforce_tools.layout_file import read_layout
+from tipforce_tools.main import main
+
+QUICK = ("--starts", "2")
+
+
+def records(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+    assert main(["design", "optimise", "--json", *QUICK, *words]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ""
+    return [json.loads(line) for line in captured.out.splitlines()]
+
+
+def test_the_papers_cases_stand_beside_the_designs(capsys: pytest.CaptureFixture[str]) -> None:
+    *entries, summary = records(capsys, "--starts", "6")
+    by_name = {entry["name"]: entry for entry in entries}
+    assert list(by_name)[:5] == ["I", "II", "III", "I glued", "best"]
+    assert [round(by_name[case]["condition_number"], 3) for case in ("I", "II", "III")] == [2.510, 2.610, 2.711]
+    assert by_name["I"]["gauges"] == ["K_H", "S_H", "U"]
+    assert by_name["best"]["u_theta_deg"] < 0.9 * by_name["I glued"]["u_theta_deg"]
+    assert summary["u_theta_against_case_I_glued"] == pytest.approx(
+        by_name["best"]["u_theta_deg"] / by_name["I glued"]["u_theta_deg"]
+    )
+    assert (summary["summary"], summary["agrees"], summary["agreement_limit"]) == (True, True, 0.03)
+    assert summary["condition_only_u_theta_against_case_I"] > 5.0
+    assert summary["condition_only_noise_against_case_I"] > 5.0
+    assert by_name["best"]["disagreement"] < 0.03
+    assert by_name["best"]["frame_u_theta_deg"] == pytest.approx(by_name["best"]["u_theta_deg"], rel=0.03)
+
+
+def test_the_same_seed_prints_the_same(capsys: pytest.CaptureFixture[str]) -> None:
+    assert records(capsys, "--seed", "3") == records(capsys, "--seed", "3")
+
+
+def test_the_layout_that_it_writes(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "four.toml"
+    words = ["--gauges", "4", "--load", "3", "--noise", "1", "-q", "-o", str(path)]
+    best = next(record for record in records(capsys, *words) if record["name"] == "best")
+    text = path.read_text()
+    assert text.startswith("# tipforce design optimise --objective theta --gauges 4 --seed 0\n")
+    geometry, gauges = read_layout(str(path))
+    assert geometry.a_m == best["a_m"]
+    got = merit(gauge_matrix(geometry, gauges), 1.0, LoadSet(3.0))
+    assert got.u_theta_deg == pytest.approx(best["u_theta_deg"], rel=1e-12)
+    assert got.condition_number == pytest.approx(best["condition_number"], rel=1e-12)
+    assert worst_stress(geometry, 3.0) == pytest.approx(best["worst_stress_pascals"])
+    assert np.linalg.matrix_rank(gauge_matrix(geometry, gauges)) == 3
+
+
+def test_for_people(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    path = tmp_path / "layout.toml"
+    assert main(["design", "optimise", *QUICK, "-o", str(path)]) == 0
+    captured = capsys.readouterr()
+    assert "Structures, mm" in captured.out
+    assert "K_H, S_H, U" in captured.out
+    assert "condition number alone: 1." in captured.out
+    assert "beam theory and the independent frame agree within 3 %: PASS (best 0." in captured.out
+    assert captured.err == f"wrote {path}\n"
+    assert all(len(line) <= 120 for line in captured.out.splitlines())
+
+
+def test_a_design_that_the_frame_does_not_confirm_fails(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "optimise", *QUICK, "--objective", "condition"]) == 1
+    out = capsys.readouterr().out
+    assert "agree within 3 %: FAIL (condition" in out
+    assert "condition: u(theta) +" in out
+
+
+@pytest.mark.parametrize("objective", ["noise", "singular"])
+def test_other_objectives(objective: str, capsys: pytest.CaptureFixture[str]) -> None:
+    *_, summary = records(capsys, "--objective", objective)
+    assert summary["objective"] == objective
+    assert summary["agrees"]
+
+
+def test_the_flags_reach_the_limits(capsys: pytest.CaptureFixture[str]) -> None:
+    words = (
+        "--envelope 24,28 --width 8 --radius 10 --wall 0.5 --min-h 0.3 --gauge-length 1.5 --clearance 0.2 --load 6 "
+        "--yield 600 --safety 2 --slit 0.2 --pad 30,150 --friction 0.3 --slender 12 --free-width --upper-face"
+    )
+    best = next(record for record in records(capsys, *words.split()) if record["name"] == "best")
+    assert best["r_m"] == pytest.approx(10e-3)
+    assert best["a_m"] <= 9.5e-3 + 1e-9
+    assert best["d_m"] + best["r_m"] + best["h1_m"] / 2 <= 28e-3 + 1e-8
+    assert min(best["h1_m"], best["h2_m"]) >= 0.3e-3 - 1e-9
+    assert 0.8e-3 - 1e-9 <= best["width_m"] <= 8e-3 + 1e-9
+    assert best["worst_stress_pascals"] <= 300e6 * (1 + 1e-6)
+    assert best["slit_load_newtons"] >= 6 * (1 - 1e-6)
+
+
+def test_more_stress_means_less_noise(capsys: pytest.CaptureFixture[str]) -> None:
+    def best(*words: str) -> dict[str, Any]:
+        return next(record for record in records(capsys, *words) if record["name"] == "best")
+
+    assert best("--max-stress", "400")["u_theta_deg"] < 0.6 * best()["u_theta_deg"]
+
+
+def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(capsys: pytest.CaptureFixture[str]) -> None:
+    words = ["--gauge-length", "15.5", "--envelope", "80,80", "--slit", "1"]
+    *entries, summary = records(capsys, *words)
+    assert "I glued" not in [entry["name"] for entry in entries]
+    assert summary["u_theta_against_case_I_glued"] is None
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("--gauges 2", "2 gauges: allowed are 3 to 5"),
+        ("--starts 0", "0 starts: allowed is 1 or more"),
+        ("--envelope 30", "--envelope '30': write two numbers"),
+        ("--envelope a,b", "--envelope 'a,b': write two numbers"),
+        ("--envelope 30,nan", "limit envelope_y_m = nan"),
+        ("--pad 20,10", "pad from 20.0 to 10.0 degrees"),
+        ("--load nan", "load = nan N: allowed"),
+        ("--load 0", "load = 0.0 N: allowed"),
+        ("--noise nan", "--noise nan: allowed is 0 or more"),
+        ("--noise -1", "--noise -1.0: allowed is 0 or more"),
+        ("--friction -1", "friction = -1.0: allowed"),
+        ("--min-h 0", "limit min_thickness_m = 0.0"),
+        ("--max-stress -5", "limit max_stress_pascals = -5000000.0"),
+        ("--yield 500 --safety 0", "--safety 0.0: allowed is above 0"),
+        ("--radius 16", "radius_m = 0.016"),
+        ("--gauge-length 100", "no design found inside the limits"),
+        ("-o absent/layout.toml", "-o absent/layout.toml: the folder absent does not exist"),
+    ],
+)
+def test_flags_that_are_wrong(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["design", "optimise", *QUICK, *words.split()]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_one_limit_of_stress_at_a_time(capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main(["design", "optimise", "--yield", "500", "--max-stress", "200"])
+    assert caught.value.code == 2
+    assert "not allowed with argument" in capsys.readouterr().err

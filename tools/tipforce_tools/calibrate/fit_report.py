@@ -1,0 +1,197 @@
+"""What `tipforce calibrate fit` tells about a fit: as text for people, as one JSON line for programs."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.calibration import Calibration
+from tipforce.host.measurements import Measurements
+from tipforce.sensor.calibration import Fit, LoadResidual, Model
+from tipforce.sensor.gauge_positions import gauge_matrix
+from tipforce_tools import common
+from tipforce_tools.layout_file import read_layout
+
+FloatArray = npt.NDArray[np.float64]
+
+UE = 1e6
+
+
+def facts(path: str, data: Measurements, fit: Fit) -> dict[str, object]:
+    """What the [fit] table says of the data: counts, and the lines that were left out."""
+    left = sorted({row for row, _ in (*fit.saturated, *fit.near_limit)})
+    return {
+        "data": str(path),
+        "rows": len(data.line),
+        "unloaded_rows": int(data.unloaded.sum()),
+        "bad_lines": [row.line for row in data.bad],
+        "outlier_lines": [int(data.line[row]) for row in fit.outliers],
+        "saturated_lines": [int(data.line[row]) for row in left],
+    }
+
+
+def notes(data: Measurements, fit: Fit, model: Model, layout: str | None) -> list[str]:
+    """What a person should look at before he trusts the fit."""
+    found = [f"column {name} is not used" for name in data.ignored_columns]
+    if fit.sigma0_loaded > 1.4 and (model.phi_scatter_rad or model.noise_strain is not None):
+        found.append(
+            f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or their directions are "
+            "less certain than stated (--angle-scatter, --noise)"
+        )
+    if fit.sigma0_loaded < 0.6 and model.phi_scatter_rad:
+        found.append(
+            f"loaded rows scatter only {fit.sigma0_loaded:.2g} times what the model expects: --angle-scatter is larger "
+            "than the data show, and the intervals are wider than they need be"
+        )
+    if model.saturation_strain is None:
+        found.extend(_repeated_extremes(data))
+    found.extend(
+        f"SG{gauge + 1}: its load response is opposite to beam theory for {layout}: is tension positive?"
+        for gauge in _opposite(fit, layout)
+    )
+    followed = [load for load in fit.loads if load.P_newtons > 0.0 and load.leverage > 0.9]
+    found.extend(
+        f"the fit follows {_load_words(load)} whatever it reads (leverage {load.leverage:.2f})" for load in followed
+    )
+    if not data.unloaded.any() and model.offset:
+        found.append("no unloaded readings: the offsets rest on the loads alone")
+    found.append(
+        "a direction of gravity that is off by the same angle in all x- or all y-loads shows in no residual: "
+        "1 degree costs about 1 % of P and 1 degree of phi or theta"
+    )
+    return found
+
+
+def print_text(path: str, data: Measurements, fit: Fit, model: Model, notes: list[str]) -> None:
+    """The account for people."""
+    unloaded = int(data.unloaded.sum())
+    print(f"{path}: {len(data.line) - unloaded} loaded and {unloaded} unloaded rows, {fit.A.shape[0]} gauges")
+    scatter = math.degrees(model.phi_scatter_rad)
+    prior = f", prior: beam theory within {model.prior.relative_scatter:.0%}" if model.prior else ""
+    print(f"drift {fit.drift}, loss {fit.loss.replace('_', '-')}, load directions {scatter:g} degree{prior}")
+    print(f"degrees of freedom {fit.dof:.4g}, sigma0 {fit.sigma0:.3g} (loaded {fit.sigma0_loaded:.3g}, unloaded "
+          f"{fit.sigma0_unloaded:.3g}), condition number {fit.condition_number:.4g} (rows equilibrated "
+          f"{fit.row_equilibrated_condition_number:.4g})")  # fmt: skip
+    _print_matrix(fit)
+    _print_loads(fit)
+    for line in left_out(data, fit):
+        print(line)
+    for row in data.bad:
+        print(f"bad: {row}")
+    for note in notes:
+        print(f"note: {note}")
+
+
+def left_out(data: Measurements, fit: Fit) -> list[str]:
+    """One line for each row that does not count in full, with its line in the file."""
+    kept = " (kept: loss none)" if fit.loss == "none" else ""
+    lines = []
+    for row in fit.outliers:
+        residual = ", ".join(f"SG{k + 1} {value * UE:+.1f}" for k, value in enumerate(fit.residual_strain[row]))
+        lines.append(
+            f"outlier{kept}: line {data.line[row]}: {fit.distance[row]:.1f} standard deviations off, residuals "
+            f"{residual} microstrain"
+        )
+    for what, places in (("saturated", fit.saturated), ("too near to the limit", fit.near_limit)):
+        lines.extend(f"{what}: line {data.line[row]}: SG{gauge + 1} is left out" for row, gauge in places)
+    return lines
+
+
+def print_json(path: str, data: Measurements, fit: Fit, calibration: Calibration, notes: list[str]) -> None:
+    """Everything as one JSON line; NaN becomes null."""
+    record = {
+        **facts(path, data, fit),
+        "matrix_newtons_per_strain": fit.C.tolist(),
+        "matrix_interval_95": fit.C_interval.tolist(),
+        "matrix_standard_uncertainty": fit.C_uncertainty.tolist(),
+        "offset_microstrain": (fit.offset_strain * UE).tolist(),
+        "noise_covariance_microstrain2": (fit.noise_covariance_strain2 * UE**2).tolist(),
+        "residual_covariance_microstrain2": (fit.residual_covariance_strain2 * UE**2).tolist(),
+        "normal_matrix": fit.N.tolist(),
+        "dof": fit.dof,
+        "coverage_factor": fit.coverage_factor,
+        "sigma0": fit.sigma0,
+        "sigma0_loaded": fit.sigma0_loaded,
+        "sigma0_unloaded": fit.sigma0_unloaded,
+        "condition_number": fit.condition_number,
+        "row_equilibrated_condition_number": fit.row_equilibrated_condition_number,
+        "drift": fit.drift,
+        "loss": fit.loss,
+        "load_sense": "pull" if calibration.pull else "push",
+        "crc32": f"0x{calibration.crc32():08X}",
+        "loads": [
+            {
+                "P_N": load.P_newtons,
+                "phi_deg": math.degrees(load.phi_rad),
+                "theta_deg": math.degrees(load.theta_rad),
+                "lines": [int(data.line[row]) for row in load.rows],
+                "mean_microstrain": (load.mean_strain * UE).tolist(),
+                "rms_microstrain": (load.rms_strain * UE).tolist(),
+                "rms_newtons": load.rms_newtons.tolist(),
+                "leverage": load.leverage,
+            }
+            for load in fit.loads
+        ],
+        "left_out": left_out(data, fit),
+        "bad": [{"line": row.line, "reason": row.reason} for row in data.bad],
+        "notes": notes,
+    }
+    common.print_json(record)
+
+
+def _print_matrix(fit: Fit) -> None:
+    n = fit.A.shape[0]
+    print("\nC, newtons per unit strain, +- half the 95 % interval")
+    print("    " + "".join(f"{f'SG{k + 1}':>30}" for k in range(n)))
+    for name, row, half in zip(("F1", "F2", "F3"), fit.C, fit.coverage_factor * fit.C_uncertainty, strict=True):
+        print(
+            f"{name}  " + "".join(f"{value:>18.10g} +- {spread:<8.2g}" for value, spread in zip(row, half, strict=True))
+        )
+    print("\ngauge   offset, microstrain   noise, microstrain")
+    noise = np.sqrt(np.diag(fit.noise_covariance_strain2))
+    offset_u = np.sqrt(fit.parameter_covariance[np.arange(n), 3, np.arange(n), 3]) * fit.coverage_factor
+    for k in range(n):
+        print(f"SG{k + 1}  {fit.offset_strain[k] * UE:13.3f} +- {offset_u[k] * UE:<8.2g}{noise[k] * UE:12.3g}")
+
+
+def _print_loads(fit: Fit) -> None:
+    n = fit.A.shape[0]
+    gauges = "".join(f"{f'SG{k + 1}':>8}" for k in range(n))
+    print("\nresiduals by load, root mean square (microstrain, then newtons)")
+    print(f"     P_N     phi   theta  rows{gauges}{'F1':>9}{'F2':>9}{'F3':>9}  leverage")
+    for load in fit.loads:
+        place = (
+            f"{math.degrees(load.phi_rad):8.1f}{math.degrees(load.theta_rad):8.1f}" if load.P_newtons else f"{'':16}"
+        )
+        strain = "".join(f"{value * UE:8.2f}" for value in load.rms_strain)
+        force = "".join(f"{value:9.4f}" for value in load.rms_newtons)
+        print(f"{load.P_newtons:8.3f}{place}{len(load.rows):6d}{strain}{force}{load.leverage:10.2f}")
+    print()
+
+
+def _load_words(load: LoadResidual) -> str:
+    phi, theta = math.degrees(load.phi_rad), math.degrees(load.theta_rad)
+    return f"the load of {load.P_newtons:g} N at phi {phi:g}, theta {theta:g}"
+
+
+def _repeated_extremes(data: Measurements) -> list[str]:
+    """A largest reading that comes again to the last digit is what a converter's limit looks like."""
+    found = []
+    for k, readings in enumerate(data.strain.T):
+        for extreme in (readings.max(), readings.min()):
+            lines = data.line[readings == extreme]
+            if len(lines) >= 3 and abs(extreme) > 0.5 * np.abs(data.strain).max():
+                found.append(
+                    f"SG{k + 1} reads exactly {extreme * UE:g} microstrain, its extreme, in {len(lines)} rows (lines "
+                    f"{', '.join(str(line) for line in lines[:5])}): is that the converter's limit? State --saturation"
+                )
+    return found
+
+
+def _opposite(fit: Fit, layout: str | None) -> list[int]:
+    if layout is None:
+        return []
+    theory = gauge_matrix(*read_layout(layout))
+    return [int(k) for k in np.flatnonzero((theory * fit.A).sum(axis=1) < 0.0)]

@@ -1,0 +1,171 @@
+"""`tipforce calibrate guide`: step by step at a node on the bus, from the first weight to the stored calibration."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, NamedTuple
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+from tipforce_tools.calibrate import fit
+
+if TYPE_CHECKING:
+    from tipforce.host.capture import GaugeReader
+    from tipforce.host.connection import Connection
+    from tipforce.host.fingertip import FingertipClient, Identity
+    from tipforce_tools.calibrate.guide_plan import Step
+
+DEFAULT_WEIGHTS = "4.4"
+AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.01, 0.5  # a simulated load points where it should
+MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
+
+
+class Found(NamedTuple):
+    """What the check of the node found."""
+
+    client: FingertipClient
+    reader: GaugeReader
+    identity: Identity
+    temperature_degC: float | None
+    text: str
+    """For people."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of guide."""
+    parser.epilog = (
+        "At each step: Enter captures, s skips it, r does the last one again, q saves and quits. Each capture is one\n"
+        "row of the session file, on the disk at once: the same command goes on where it stopped. At the end the\n"
+        "calibration is fitted, shown, and on your word written to the node, verified byte for byte and stored.\n"
+        "  tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0\n"
+        "  tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)\n"
+        "A plan of your own (TOML): a [[step]] for each load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
+        "tare) and instruction; tare_every = 4 says how often an unloaded reading comes between."
+    )
+    parser.add_argument("--node", type=common.node_id, required=True, metavar="ID")
+    parser.add_argument("--plan", metavar="PLAN.toml", help="steps of another rig")
+    parser.add_argument("--weights", metavar="N,N", help=f"newtons (default {DEFAULT_WEIGHTS})")
+    parser.add_argument("--grooves", metavar="paper|x30,y60,...", help="default: paper, its 19 grooves")
+    parser.add_argument("--session", metavar="FILE.csv", help="default: session-SERIAL.csv, serial of the node")
+    parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
+    parser.add_argument("--auto", action="store_true", help="a simulated node loads itself; nobody is asked")
+    group = parser.add_argument_group("capture")
+    group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
+    group.add_argument("--period", type=float, default=5.0, metavar="MS", help="between samples (default %(default)s)")
+    group.add_argument(
+        "--max-std", type=float, default=5.0, metavar="UE",
+        help="more scatter within a capture is refused, microstrain (default %(default)s)",
+    )  # fmt: skip
+    group.add_argument(
+        "--max-drift", type=float, default=2.0, metavar="UE",
+        help="more drift within a capture is refused, microstrain (default %(default)s)",
+    )  # fmt: skip
+    parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
+    fit.add_model_arguments(parser)
+    parser.set_defaults(angle_scatter=None, sense=None, date=None)
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Walk the plan: 0 when it is done or the person stops it, 1 when a capture of --auto was refused."""
+    steps = _plan(args)
+    _check(args)
+    with common.open_connection(args) as connection:
+        found = check_node(connection, args)
+        common.note(args, found.text)
+        try:
+            return _guided(args, steps, found)
+        finally:
+            found.reader.stop()
+
+
+def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> int:
+    from tipforce_tools.calibrate import guide_finish
+    from tipforce_tools.calibrate.guide_session import Session
+    from tipforce_tools.calibrate.guide_walk import Walk
+
+    identity, reader = found.identity, found.reader
+    args.serial = identity.serial
+    guide_finish.check_model(args, steps, identity.gauges)
+    path = Path(args.session or f"session-{identity.serial}.csv")
+    session = Session(path, steps, identity.serial, identity.gauges, found.temperature_degC is not None)
+    loads = sum(step.mode != "tare" for step in steps)
+    common.note(
+        args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
+    )
+    if session.cut:
+        common.note(args, f"session {path}: its last line was cut short by an interruption and is taken out")
+    walk = Walk(args, steps, session, reader, found.client.sdo)
+    try:
+        while (outcome := walk.run()) == "done":
+            if guide_finish.finish(args, session, found.client) != "redo":
+                return 0
+            walk.redo_last()
+    except (KeyboardInterrupt, Exception):
+        walk.say_where()
+        raise
+    walk.say_where()
+    return 0 if outcome == "quit" else 1
+
+
+def check_node(connection: Connection, args: argparse.Namespace) -> Found:
+    """Who the node is, and whether it measures.
+
+    Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
+    a node whose front end is faulty or whose samples do not come.
+    """
+    from tipforce.dictionary import objects as od
+    from tipforce.dictionary import table
+    from tipforce.errors import RefusedError
+    from tipforce.host.capture import GaugeReader
+    from tipforce.host.fingertip import FingertipClient
+
+    name = f"node {common.shown_id(args.node)}"
+    client = FingertipClient(connection.sdo(args.node))
+    identity = client.identity()
+    if not identity.is_fingertip:
+        raise InputError(f"{name}: product code 0x{identity.product:08X} is no fingertip of this dictionary")
+    if args.auto and not identity.simulated:
+        raise InputError(f"{name} has real gauges: --auto is for a simulated node; without it you hang the weights")
+    reader = GaugeReader(connection, args.node, identity.gauges, args.period * 1e-3)
+    if not reader.moves():
+        raise RefusedError(f"{name}: its sample counter (2121h) does not move: it does not measure; reset it")
+    faults = client.sdo.read(od.FAULTS)
+    if faults >> table.FAULT_NO_DATA:
+        names = ", ".join(word.replace("_", " ") for bit, word in table.FAULT_BITS if faults >> bit & 1)
+        raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): mend it before you calibrate")
+    temperature = reader.temperature_degC()
+    crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+    what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
+    held = f"holds a calibration (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
+    degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
+    text = f"{name}: {what}; {held}; {degrees}; measures, no fault"
+    return Found(client, reader, identity, temperature, text)
+
+
+def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
+    from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
+
+    if args.plan:
+        for flag in ("weights", "grooves"):
+            if getattr(args, flag) is not None:
+                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan says which loads there are")
+        return file_plan(args.plan)
+    return groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
+
+
+def _check(args: argparse.Namespace) -> None:
+    """Flags that would otherwise be found wrong after an hour of weights."""
+    if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
+        raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
+    for flag, value, most in (("period", args.period, 1000.0), ("max-std", args.max_std, 1e6),
+                              ("max-drift", args.max_drift, 1e6)):  # fmt: skip
+        if not 0.0 < value <= most:
+            raise InputError(f"--{flag} {value:g}: allowed is above 0, up to {most:g}")
+    if args.output and not Path(args.output).absolute().parent.is_dir():
+        raise InputError(f"-o {args.output}: the directory does not exist; create it first")
+    if args.angle_scatter is None:
+        args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG

@@ -1,0 +1,92 @@
+"""The end of a guided calibration: the fit, its account, and on the person's word the node's new calibration."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.calibration_file import fit_record, write_calibration
+from tipforce.host.fingertip import FingertipClient
+from tipforce.host.measurements import Measurements, read_measurements
+from tipforce.sensor.calibration import fit_calibration
+from tipforce_tools import common
+from tipforce_tools.calibrate import fit as fit_command
+from tipforce_tools.calibrate import fit_report
+from tipforce_tools.calibrate.guide_plan import Step
+from tipforce_tools.calibrate.guide_session import Session
+from tipforce_tools.calibrate.guide_walk import ask
+from tipforce_tools.layout_file import read_layout
+
+Answer = Literal["applied", "declined", "redo"]
+
+
+def check_model(args: argparse.Namespace, steps: Sequence[Step], gauges: int) -> None:
+    """Raise InputError for flags of the fit that are wrong, before somebody hangs weights for an hour."""
+    if args.layout and len(read_layout(args.layout)[1]) != gauges:
+        raise InputError(f"--layout {args.layout} has {len(read_layout(args.layout)[1])} gauges, the node has {gauges}")
+    m = len(steps)
+    planned = Measurements(
+        line=np.arange(m), strain=np.zeros((m, gauges)), P_newtons=np.array([step.P_newtons for step in steps]),
+        phi_rad=np.zeros(m), theta_rad=np.zeros(m), t_s=np.arange(m, dtype=np.float64), temperature_degC=None,
+        weight=None, mode=None, bad=(), ignored_columns=(),
+    )  # fmt: skip
+    fit_command.model_of(args, planned)
+
+
+def finish(args: argparse.Namespace, session: Session, client: FingertipClient) -> Answer:
+    """Fit the session, show it, write the file, and apply, verify and store it if the person says so.
+
+    Raises InputError where the rows do not determine a calibration, RefusedError where the node refuses it.
+    """
+    path = str(session.path)
+    data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
+    model = fit_command.model_of(args, data)
+    fit = fit_calibration(fit_command.readings_of(data), model)
+    # The residuals also hold what differs from hook to hook; what a single reading of the node scatters by is what
+    # the captures scattered by.
+    calibration = replace(
+        fit_command.calibration_of(args, data, fit), covariance_strain2=session.noise_covariance_strain2()
+    )
+    notes = fit_report.notes(data, fit, model, args.layout)
+    notes.append("the node gets the noise covariance of the captures' own scatter")
+    if fit.outliers:
+        notes.append("to do an outlier again: take its line out of the session and start the same command")
+    if args.json:
+        fit_report.print_json(path, data, fit, calibration, notes)
+    else:
+        fit_report.print_text(path, data, fit, model, notes)
+    name = f"node {common.shown_id(args.node)}"
+    if args.output:  # before anything else can go wrong
+        facts = fit_report.facts(path, data, fit) | {"angle_scatter_deg": args.angle_scatter}
+        write_calibration(args.output, calibration, fit_record(fit, **facts))
+        common.note(args, f"{args.output}: written, load sense {'pull' if calibration.pull else 'push'}")
+    answer = _asked(args, f"{name}: apply this calibration and store it there")
+    if answer == "declined":
+        common.note(args, f"{name} is as it was; the same command asks again")
+    if answer != "applied":
+        return answer
+    generation = client.apply_calibration(calibration, on_step=lambda step: common.note(args, f"{name}: {step}"))
+    if args.json:
+        common.print_json({"node": args.node, "generation": generation, "crc32": f"0x{calibration.crc32():08X}"})
+    else:
+        print(f"applied and stored, generation {generation}, CRC-32 0x{calibration.crc32():08X}")
+    return answer
+
+
+def _asked(args: argparse.Namespace, question: str) -> Answer:
+    if args.auto:
+        common.confirm(args, question)
+        return "applied"
+    if args.yes:
+        return "applied"
+    while True:
+        word = ask(f"{question}? y: yes, r: redo the last step, Enter: no >")
+        answers: dict[str, Answer] = {"y": "applied", "yes": "applied", "r": "redo", "": "declined", "n": "declined",
+                                      "no": "declined", "q": "declined"}  # fmt: skip
+        if word in answers:
+            return answers[word]

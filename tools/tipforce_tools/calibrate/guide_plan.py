@@ -1,0 +1,190 @@
+"""The steps of a guided calibration: which load where, with unloaded readings between; the paper's, or a file's.
+
+A plan file, in TOML::
+
+    tare_every = 4                # loads between unloaded readings (default 4); not used if a step is a tare
+
+    [[step]]
+    P_N = 4.4                     # newtons, above 0
+    phi_deg = 0.0                 # direction of the force
+    theta_deg = 30.0              # place of the contact
+    mode = "pull"                 # or push, or tare (an unloaded reading, without the three above)
+    instruction = "hang weight A on hook 3"      # optional
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import msgspec
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.measurement_rows import LARGEST_ANGLE_DEG
+from tipforce.sensor.fit_identify import FORCES, require_seen
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.grooves import paper_grooves
+
+GRAVITY = 9.80665  # m/s^2
+TARE_EVERY = 4
+EXTRA = 0
+"""Number of an unloaded reading beyond the plan, taken when a session goes on after a pause."""
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One thing to hang and to read. ``number`` counts from 1."""
+
+    number: int
+    P_newtons: float
+    phi_deg: float
+    theta_deg: float
+    mode: str
+    """pull, push or tare."""
+    instruction: str
+
+    @property
+    def load(self) -> tuple[float, float, float, str]:
+        """What identifies the step in a session."""
+        return self.P_newtons, self.phi_deg, self.theta_deg, self.mode
+
+    def __str__(self) -> str:
+        if self.mode == "tare":
+            return "unloaded"
+        return f"{self.P_newtons:g} N at phi {self.phi_deg:g}, theta {self.theta_deg:g} degrees, {self.mode}"
+
+
+EXTRA_TARE = Step(EXTRA, 0.0, 0.0, 0.0, "tare", "take every load off (after a pause the offsets may have moved)")
+
+
+class _FileStep(msgspec.Struct, forbid_unknown_fields=True):
+    P_N: float = 0.0
+    phi_deg: float | None = None
+    theta_deg: float | None = None
+    mode: Literal["pull", "push", "tare"] = "pull"
+    instruction: str = ""
+
+
+class _File(msgspec.Struct, forbid_unknown_fields=True):
+    step: list[_FileStep]
+    tare_every: int = TARE_EVERY
+    name: str = ""
+
+
+def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
+    """Steps of a rope in grooves: every weight ("4.4,2.2", newtons) in every groove ("paper", or "x30,y60").
+
+    Raises InputError for a weight or a groove that is not allowed, and for loads that leave something unseen.
+    """
+    places = _grooves(grooves)
+    loads = [
+        Step(0, P, phi, theta, "pull", _hang(P, along, phi, theta))
+        for P in _weights(weights)
+        for along, phi, theta in places
+    ]
+    return _numbered(_with_tares(loads, TARE_EVERY))
+
+
+def file_plan(path: str | Path) -> tuple[Step, ...]:
+    """The steps of a plan file. Raises InputError naming the file, the step and what is allowed."""
+    try:
+        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File)
+    except OSError as error:
+        raise InputError(f"plan {path}: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"plan {path}: {error}") from None
+    if content.tare_every < 1:
+        raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
+    try:
+        steps = [_step(k + 1, found) for k, found in enumerate(content.step)]
+        own_tares = any(step.mode == "tare" for step in steps)
+        return _numbered(steps if own_tares else _with_tares(steps, content.tare_every))
+    except InputError as error:
+        raise InputError(f"plan {path}: {error}") from None
+
+
+def _step(number: int, found: _FileStep) -> Step:
+    if found.mode == "tare":
+        if found.P_N or found.phi_deg or found.theta_deg:
+            raise InputError(f"step {number} is a tare, an unloaded reading: P_N, phi_deg and theta_deg must go")
+        return Step(0, 0.0, 0.0, 0.0, "tare", found.instruction or _UNLOAD)
+    if not 0.0 < found.P_N < math.inf:
+        raise InputError(f"step {number}: P_N = {found.P_N:g}: allowed is above 0 (an unloaded reading: mode = tare)")
+    for name, angle in (("phi_deg", found.phi_deg), ("theta_deg", found.theta_deg)):
+        if angle is None or not abs(angle) <= LARGEST_ANGLE_DEG:
+            raise InputError(
+                f"step {number}: {name} = {angle}: allowed is -{LARGEST_ANGLE_DEG:g} to {LARGEST_ANGLE_DEG:g}"
+            )
+    assert found.phi_deg is not None
+    assert found.theta_deg is not None
+    phi, theta = found.phi_deg, found.theta_deg
+    text = found.instruction or f"{found.mode} with {found.P_N:g} N at theta = {theta:g} degrees (phi = {phi:g})"
+    return Step(0, found.P_N, phi, theta, found.mode, text)
+
+
+_UNLOAD = "take every load off"
+
+
+def _hang(P: float, along: str, phi: float, theta: float) -> str:
+    grams = f"{P / GRAVITY * 1000:.4g} g"
+    return f"hang {P:g} N ({grams}) in the {along}-groove at theta = {theta:g} degrees (phi = {phi:g})"
+
+
+def _weights(text: str) -> list[float]:
+    try:
+        found = [float(word) for word in text.split(",")]
+    except ValueError:
+        found = []
+    if not found or not all(0.0 < P < math.inf for P in found):
+        raise InputError(f"--weights {text!r}: allowed are newtons above 0 with commas between, as 4.4,2.2")
+    return found
+
+
+def _grooves(text: str) -> list[tuple[str, float, float]]:
+    """(x or y, phi, theta) of each groove, degrees."""
+    if text == "paper":
+        paper = paper_grooves()
+        columns = (paper.along_x.tolist(), np.degrees(paper.phi_rad).tolist(), np.degrees(paper.theta_rad).tolist())
+        rows = zip(*columns, strict=True)
+        return [("x" if along_x else "y", round(phi, 9), round(theta, 9)) for along_x, phi, theta in rows]
+    found = []
+    for word in text.split(","):
+        parts = re.fullmatch(r"\s*([xy])(\d{1,3}(?:\.\d+)?)\s*", word)
+        if parts is None or float(parts[2]) > 180.0:
+            raise InputError(f"--grooves {text!r}: {word!r}: allowed are paper, or grooves as x30,y60 (theta 0 to 180)")
+        theta = float(parts[2])
+        # A rope can only pull away from the tip.
+        phi = 90.0 if parts[1] == "y" else 0.0 if theta < 90.0 else 180.0
+        found.append((parts[1], phi, theta))
+    return found
+
+
+def _with_tares(loads: Sequence[Step], every: int) -> list[Step]:
+    tare = Step(0, 0.0, 0.0, 0.0, "tare", _UNLOAD)
+    steps = [tare]
+    for k, load in enumerate(loads):
+        steps.append(load)
+        if (k + 1) % every == 0 or k + 1 == len(loads):
+            steps.append(tare)
+    return steps
+
+
+def _numbered(steps: Sequence[Step]) -> tuple[Step, ...]:
+    loads = [step for step in steps if step.mode != "tare"]
+    if not loads:
+        raise InputError("no step has a load: give at least one with P_N above 0")
+    _require_seen(steps, sum(step.P_newtons for step in loads) / len(loads))
+    return tuple(replace(step, number=k + 1) for k, step in enumerate(steps))
+
+
+def _require_seen(steps: Sequence[Step], typical_newtons: float) -> None:
+    """Loads that cannot determine the matrix are refused before anybody hangs them."""
+    P = np.array([step.P_newtons for step in steps])
+    phi, theta = (np.radians([getattr(step, name) for step in steps]) for name in ("phi_deg", "theta_deg"))
+    g = np.concatenate((force_vector(P, phi, theta) / typical_newtons, np.ones((len(steps), 1))), axis=1)
+    require_seen(g, np.ones((len(steps), 1), dtype=np.bool_), (*FORCES, "offset"), typical_newtons)

@@ -1,0 +1,262 @@
+"""The session of a guided calibration: a CSV of measurements, one row a step, on the disk before the next step begins.
+
+Beside the columns that every measurement file has (`tipforce calibrate fit` reads it as it is): ``step`` (number in
+the plan, or extra), ``serial`` (of the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
+"""
+
+from __future__ import annotations
+
+import csv
+import datetime
+import math
+import os
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.host.capture import Capture
+from tipforce.host.measurements import read_measurements
+from tipforce_tools.calibrate.guide_plan import EXTRA, Step
+
+FloatArray = npt.NDArray[np.float64]
+
+
+class Row(NamedTuple):
+    """What the guide needs of one line; the fit reads the file itself."""
+
+    start: int
+    """Where the line starts in the file, bytes."""
+    step: int
+    t_s: float
+    taken: datetime.datetime
+    mean_microstrain: FloatArray
+    covariance_microstrain2: FloatArray
+    """(n, n), of one reading."""
+    samples: int
+    unloaded: bool
+
+
+class Session:
+    """A session file of one node and one plan; it is made with the first row.
+
+    Raises InputError for a file that is no session, is damaged, or belongs to another node or plan; then nothing in
+    it has changed. A last line that an interruption cut short is taken out.
+    """
+
+    def __init__(self, path: str | Path, steps: Sequence[Step], serial: int, gauges: int, temperature: bool) -> None:
+        self.path = Path(path)
+        self.rows: list[Row] = []
+        self.cut = ""
+        """The last line if it was cut short and taken out, else empty."""
+        self._serial, self._n, self._temperature = serial, gauges, temperature
+        self._steps = {step.number: step for step in steps}
+        self._size = 0
+        content = self._read()
+        whole = content[: content.rfind(b"\n") + 1]
+        if whole:
+            self._load(whole)
+        elif not self._header().encode().startswith(content):
+            raise InputError(f"session {path}: not a file that this guide began; give another --session")
+        if whole != content:
+            self.cut = content[len(whole) :].decode("utf-8", "replace")
+            self._truncate(len(whole), len(content))
+        self._size = len(whole)
+
+    @property
+    def done(self) -> set[int]:
+        """Numbers of the steps that are there."""
+        return {row.step for row in self.rows if row.step != EXTRA}
+
+    def append(self, step: Step, capture: Capture) -> None:
+        """Write the row of a step; on the disk when this returns. Raises InputError where the disk refuses."""
+        now = datetime.datetime.now(datetime.UTC)
+        t_s = 0.0
+        if self.rows:
+            # Row by row in time order, whatever somebody does to the clock.
+            first = self.rows[0]
+            t_s = max(self.rows[-1].t_s, first.t_s + (now - first.taken).total_seconds())
+        head = b"" if self._size else self._header().encode()
+        line = self._line(step, capture, t_s, now).encode()
+        self._write(head + line)
+        row = Row(
+            self._size + len(head), step.number, round(t_s, 3), now, capture.mean, capture.covariance, capture.count,
+            step.mode == "tare",
+        )  # fmt: skip
+        self.rows.append(row)
+        self._size += len(head) + len(line)
+
+    def drop_last(self) -> int | None:
+        """Take the last row out of the file; the number of its step, None if there is no row."""
+        if not self.rows:
+            return None
+        row = self.rows[-1]
+        self._truncate(row.start, self._size)
+        self._size = row.start
+        self.rows.pop()
+        return row.step
+
+    def noise_covariance_strain2(self) -> FloatArray:
+        """Covariance of one reading from the scatter within all captures, (n, n), strain^2."""
+        freedom = [row.samples - 1 for row in self.rows]
+        found = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
+        return np.asarray(found * 1e-12, dtype=np.float64)
+
+    # --- the file -----------------------------------------------------------------------------------------------
+
+    def _columns(self, temperature: bool) -> list[str]:
+        gauges = [f"SG{k + 1}" for k in range(self._n)]
+        degrees = ["temperature_degC"] if temperature else []
+        variances = [f"var_{j + 1}_{k + 1}_ue2" for j, k in _upper(self._n)]
+        load = ["P_N", "phi_deg", "theta_deg"]
+        return ["t_s", *gauges, *load, *degrees, "weight", "mode", "step", "serial", "taken", *variances]
+
+    def _header(self) -> str:
+        return ",".join(self._columns(self._temperature)) + "\n"
+
+    def _line(self, step: Step, capture: Capture, t_s: float, now: datetime.datetime) -> str:
+        degrees = []
+        if self._temperature:
+            if capture.temperature_degC is None:
+                raise InputError("the node does not tell its temperature any more, which the session has: check it")
+            degrees = [f"{capture.temperature_degC:.2f}"]
+        covariance = capture.covariance
+        return ",".join(
+            [
+                f"{t_s:.3f}",
+                *(f"{value:.6f}" for value in capture.mean),
+                *(repr(value) for value in (step.P_newtons, step.phi_deg, step.theta_deg)),
+                *degrees,
+                str(capture.count),
+                step.mode,
+                str(step.number) if step.number != EXTRA else "extra",
+                str(self._serial),
+                now.isoformat(timespec="milliseconds"),
+                *(f"{covariance[j, k]:.8g}" for j, k in _upper(self._n)),
+            ]
+        ) + "\n"  # fmt: skip
+
+    def _read(self) -> bytes:
+        try:
+            return self.path.read_bytes()
+        except FileNotFoundError:
+            if not self.path.absolute().parent.is_dir():
+                raise InputError(f"session {self.path}: the directory does not exist; create it first") from None
+            return b""
+        except OSError as error:
+            raise InputError(f"session {self.path}: {error.strerror}") from error
+
+    def _load(self, content: bytes) -> None:
+        try:
+            text = content.decode("utf-8-sig")
+        except UnicodeDecodeError:
+            raise InputError(f"session {self.path}: not UTF-8: no file of this guide") from None
+        lines = text.splitlines(keepends=True)
+        self._check_header(next(csv.reader(lines[:1])))
+        bad = read_measurements(self.path, loads=True).bad if len(lines) > 1 else ()
+        faults = [row for row in bad if row.line <= len(lines)]  # the line that was cut short is not among them
+        if faults:
+            raise InputError(f"session {self.path}: {faults[0]}; mend that line, or take it out to do it again")
+        start = len(content) - len(text.encode()) + len(lines[0].encode())
+        for number, line in enumerate(lines[1:], 2):
+            self.rows.append(self._row(number, line, start))
+            start += len(line.encode())
+
+    def _check_header(self, names: list[str]) -> None:
+        gauges = sum(name.startswith("SG") for name in names)
+        self._temperature = "temperature_degC" in names
+        if {"step", "serial", "taken", "SG1"} <= set(names) and gauges != self._n:
+            raise InputError(f"session {self.path}: it has {gauges} gauges, the node has {self._n}")
+        missing = [name for name in self._columns(self._temperature) if name not in names]
+        if missing or names != self._columns(self._temperature):
+            what = f"the column {missing[0]} is missing" if missing else "the columns are not as the guide writes them"
+            raise InputError(f"session {self.path}: not a file that this guide began ({what}); give another --session")
+
+    def _row(self, number: int, text: str, start: int) -> Row:
+        place = f"session {self.path}: line {number}"
+        cells = dict(zip(self._columns(self._temperature), next(csv.reader([text])), strict=True))
+        try:
+            step = EXTRA if cells["step"] == "extra" else int(cells["step"])
+            serial, samples = int(cells["serial"]), round(float(cells["weight"]))
+            taken = datetime.datetime.fromisoformat(cells["taken"])
+            P, phi, theta = (float(cells[name]) for name in ("P_N", "phi_deg", "theta_deg"))
+            upper = [float(cells[f"var_{j + 1}_{k + 1}_ue2"]) for j, k in _upper(self._n)]
+            mean = np.array([float(cells[f"SG{k + 1}"]) for k in range(self._n)])
+            usable = taken.tzinfo is not None and samples >= 2 and all(map(math.isfinite, upper))
+        except ValueError:
+            usable = False
+        if not usable:
+            raise InputError(f"{place}: not as the guide writes it; mend that line, or take it out to do it again")
+        if serial != self._serial:
+            raise InputError(f"{place}: it is of the node with serial {serial}, this one has serial {self._serial}")
+        self._check_step(place, Step(step, P, phi, theta, cells["mode"], ""))
+        covariance = np.zeros((self._n, self._n))
+        for (j, k), value in zip(_upper(self._n), upper, strict=True):
+            covariance[j, k] = covariance[k, j] = value
+        return Row(start, step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
+
+    def _check_step(self, place: str, found: Step) -> None:
+        """A row must be what the plan says of its step."""
+        step = found.number
+        if step == EXTRA:
+            if found.mode != "tare":
+                raise InputError(f"{place}: an extra step is {found}, allowed is unloaded")
+            return
+        if step not in self._steps:
+            raise InputError(
+                f"{place}: step {step} ({found}), this plan has {len(self._steps)} steps: another plan; give the one "
+                "that the session began with, or another --session"
+            )
+        if found.load != self._steps[step].load:
+            raise InputError(
+                f"{place}: step {step} is {found}, in this plan it is {self._steps[step]}: another plan; give the one "
+                "that the session began with, or another --session"
+            )
+
+    def _write(self, data: bytes) -> None:
+        try:
+            with self.path.open("ab", buffering=0) as file:
+                self._check_size(file.tell())
+                try:
+                    if file.write(data) != len(data):
+                        raise OSError(0, "the disk took a part only")
+                    os.fsync(file.fileno())
+                except OSError:
+                    file.truncate(self._size)
+                    raise
+            if not self._size:
+                _sync_directory(self.path.absolute().parent)
+        except OSError as error:
+            raise InputError(f"session {self.path}: {error.strerror}; this capture is not saved") from error
+
+    def _truncate(self, size: int, expected: int) -> None:
+        try:
+            with self.path.open("r+b") as file:
+                self._size = expected
+                self._check_size(file.seek(0, os.SEEK_END))
+                file.truncate(size)
+                os.fsync(file.fileno())
+        except OSError as error:
+            raise InputError(f"session {self.path}: {error.strerror}") from error
+
+    def _check_size(self, size: int) -> None:
+        if size != self._size:
+            raise InputError(f"session {self.path}: somebody else has changed it; start again with the same command")
+
+
+def _upper(n: int) -> list[tuple[int, int]]:
+    return [(j, k) for j in range(n) for k in range(j, n)]
+
+
+def _sync_directory(folder: Path) -> None:
+    """A new name is on the disk only when its directory is."""
+    if os.name != "posix":
+        return
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

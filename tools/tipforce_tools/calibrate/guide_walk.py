@@ -1,0 +1,218 @@
+"""The walk through the steps: say what to hang, wait, capture, judge, write the row; on to the next."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import sys
+from collections import deque
+from collections.abc import Callable, Iterator, Sequence
+from typing import Literal
+
+import numpy as np
+
+from tipforce.dictionary import objects as od
+from tipforce.errors import InputError, NoResponseError, TipforceError
+from tipforce.host.capture import Capture, GaugeReader
+from tipforce.host.sdo import SdoChannel
+from tipforce_tools import common
+from tipforce_tools.calibrate.guide_plan import EXTRA, EXTRA_TARE, Step
+from tipforce_tools.calibrate.guide_refusals import Limits, refusals
+from tipforce_tools.calibrate.guide_session import Session
+
+Outcome = Literal["done", "quit", "refused"]
+
+KEYS = "Enter: capture, s: skip, r: redo the last, q: save and quit"
+_LOAD = (od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA)
+_MOVED_SHARE = 0.05  # of the largest reading: an unloaded reading that is further from the last one is remarked upon
+_UNMOVED_MICROSTRAIN = 0.5
+_AUTO_TRIES = 2
+
+
+def ask(question: str) -> str:
+    """What the person answers, in small letters without blanks. Raises InputError where the input ends."""
+    sys.stdout.flush()
+    print(question, end=" ", file=sys.stderr, flush=True)
+    line = sys.stdin.readline()
+    if not line:
+        print(file=sys.stderr)
+        raise InputError("the input ended: nobody is there to hang weights (--auto is for a simulated node)")
+    return line.strip().lower()
+
+
+class Walk:
+    """One sitting at the node; what it has done is in the session."""
+
+    def __init__(
+        self, args: argparse.Namespace, steps: Sequence[Step], session: Session, reader: GaugeReader, sdo: SdoChannel
+    ) -> None:
+        self._args = args
+        self._steps = steps
+        self._session = session
+        self._reader = reader
+        self._sdo = sdo
+        self._limits = Limits(args.max_std, args.max_drift)
+        self._skipped: set[int] = set()
+        missing = self._missing()
+        self._todo = deque(missing)
+        if session.rows and missing:
+            common.note(args, f"goes on: {len(session.done)} of {len(steps)} steps are there, {len(missing)} to do")
+            if missing[0].mode != "tare":
+                self._todo.appendleft(EXTRA_TARE)
+
+    def run(self) -> Outcome:
+        """Do what is left: "done", or "quit" by the person, or "refused" where --auto gets no good capture."""
+        with self._self_loading():
+            while self._todo:
+                step = self._todo[0]
+                self._say(self._title(step))
+                word = "" if self._args.auto else ask(f"  {KEYS} >")
+                if word == "q":
+                    return "quit"
+                if word == "s":
+                    self._skipped.add(step.number)
+                    self._todo.popleft()
+                elif word == "r":
+                    self.redo_last()
+                elif word:
+                    self._say(f"  {word!r} is none of the keys")
+                elif not self._captured(step) and self._args.auto:
+                    return "refused"
+        if self._skipped:
+            self._say(f"{len(self._skipped)} steps were skipped; the same command asks for them again")
+        return "done"
+
+    def redo_last(self) -> None:
+        """Take the last row back and make its step the next one."""
+        number = self._session.drop_last()
+        if number is None:
+            self._say("  there is no capture to redo")
+            return
+        step = next((step for step in self._steps if step.number == number), EXTRA_TARE)
+        self._say(f"  {self._name(step)} is taken out of {self._session.path}")
+        self._todo.appendleft(step)
+
+    def say_where(self) -> None:
+        """Where the session stands and how to go on; for the end, however it came."""
+        done, path = len(self._session.done), self._session.path
+        if not self._session.rows:
+            self._say("nothing was captured")
+        else:
+            self._say(f"{done} of {len(self._steps)} steps are in {path}; the same command goes on from there")
+
+    # --- one step -----------------------------------------------------------------------------------------------
+
+    def _captured(self, step: Step) -> bool:
+        """Capture until it is good, as often as --auto may try; a person is asked again for each."""
+        for _ in range(_AUTO_TRIES if self._args.auto else 1):
+            try:
+                self._apply(step)
+                with self._progress() as advance:
+                    capture = self._reader.capture(self._args.samples, advance)
+            except NoResponseError as error:
+                if self._args.auto:
+                    raise
+                self._say(f"  no capture: {error}")
+                return False
+            reasons = refusals(capture, self._limits)
+            if not reasons:
+                self._take(step, capture)
+                return True
+            for reason in reasons:
+                self._say(f"  refused: {reason}")
+        return False
+
+    def _take(self, step: Step, capture: Capture) -> None:
+        remarks = self._remarks(step, capture)
+        self._session.append(step, capture)
+        self._todo.popleft()
+        self._skipped.discard(step.number)
+        if self._args.json:
+            common.print_json(self._record(step, capture))
+        for k in range(len(capture.mean)):
+            common.note(
+                self._args,
+                f"  SG{k + 1} {capture.mean[k]:+10.2f} microstrain, standard deviation {capture.std[k]:.2f}, "
+                f"drift {capture.drift[k]:+.2f}",
+            )
+        common.note(self._args, f"  {capture.count} samples in {capture.duration_s:.2f} s: saved")
+        for remark in remarks:
+            self._say(f"  note: {remark} (r takes it again)")
+
+    def _remarks(self, step: Step, capture: Capture) -> list[str]:
+        """What looks like a weight that was forgotten, on the hook or off it."""
+        tares = [row.mean_microstrain for row in self._session.rows if row.unloaded]
+        if not tares:
+            return []
+        moved = float(np.abs(capture.mean - tares[-1]).max())
+        if step.mode != "tare":
+            u = float((capture.std / np.sqrt(capture.count)).max())
+            unmoved = moved < max(_UNMOVED_MICROSTRAIN, 5.0 * u)
+            return ["it reads as the last unloaded reading did: does the weight hang?"] if unmoved else []
+        loaded = [np.abs(row.mean_microstrain - tares[-1]).max() for row in self._session.rows if not row.unloaded]
+        if loaded and moved > _MOVED_SHARE * max(loaded):
+            return [f"it is {moved:.1f} microstrain from the last unloaded reading: is a load still on?"]
+        return []
+
+    def _record(self, step: Step, capture: Capture) -> dict[str, object]:
+        return {
+            "step": step.number if step.number != EXTRA else "extra",
+            "steps": len(self._steps),
+            "P_N": step.P_newtons,
+            "phi_deg": step.phi_deg,
+            "theta_deg": step.theta_deg,
+            "mode": step.mode,
+            "samples": capture.count,
+            "mean_microstrain": capture.mean.tolist(),
+            "std_microstrain": capture.std.tolist(),
+            "drift_microstrain": capture.drift.tolist(),
+            "temperature_degC": capture.temperature_degC,
+        }
+
+    # --- words, bars, and a node that loads itself ---------------------------------------------------------------
+
+    def _missing(self) -> list[Step]:
+        done = self._session.done
+        return [step for step in self._steps if step.number not in done]
+
+    def _name(self, step: Step) -> str:
+        return "the extra unloaded reading" if step.number == EXTRA else f"step {step.number} of {len(self._steps)}"
+
+    def _title(self, step: Step) -> str:
+        return f"{self._name(step)}: {step.instruction}"
+
+    def _say(self, text: str) -> None:
+        """To the person: shown even with -q while he is asked, because he cannot answer what he does not see."""
+        if not (self._args.quiet and self._args.auto):
+            print(text, file=sys.stderr)
+
+    @contextlib.contextmanager
+    def _progress(self) -> Iterator[Callable[[int], None]]:
+        if self._args.quiet or not sys.stderr.isatty():
+            yield lambda _count: None
+            return
+        from rich.console import Console
+        from rich.progress import Progress
+
+        with Progress(transient=True, console=Console(stderr=True)) as progress:
+            task = progress.add_task("  capture", total=self._args.samples)
+            yield lambda count: progress.update(task, completed=count)
+
+    def _apply(self, step: Step) -> None:
+        if self._args.auto:
+            for entry, value in zip(_LOAD, step.load[:3], strict=True):
+                self._sdo.write(entry, value)
+
+    @contextlib.contextmanager
+    def _self_loading(self) -> Iterator[None]:
+        """With --auto the node has afterwards the load that it had before."""
+        if not self._args.auto:
+            yield
+            return
+        before = [self._sdo.read(entry) for entry in _LOAD]
+        try:
+            yield
+        finally:
+            with contextlib.suppress(TipforceError):  # of a node that is gone, the first error is the one to tell
+                for entry, value in zip(_LOAD, before, strict=True):
+                    self._sdo.write(entry, value)

@@ -1,0 +1,58 @@
+"""`tipforce calibrate apply|verify`: a calibration file to a node, and the comparison with what a node holds."""
+
+from __future__ import annotations
+
+import argparse
+
+from tipforce_tools import common
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of apply and verify."""
+    parser.epilog = (
+        "apply stages the record, has the node check its CRC-32, commits, reads it back and compares it byte for\n"
+        "byte, and stores it. If the node refuses (exit code 12), what was active stays active.\n"
+        "verify exits 1 when the node's active calibration is not the file's, and names each difference.\n"
+        "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
+    )
+    parser.add_argument("file", metavar="CAL.toml")
+    parser.add_argument("--node", type=common.node_id, required=True, metavar="ID")
+    parser.add_argument("--no-store", action="store_true", help="apply until the next reset only")
+    common.add_confirm_argument(parser)
+    common.add_sdo_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Apply (0, or RefusedError) or verify (0 equal, 1 different)."""
+    from tipforce.host.calibration_file import read_calibration
+    from tipforce.host.fingertip import FingertipClient
+
+    calibration = read_calibration(args.file)
+    name = f"node {common.shown_id(args.node)}"
+    if args.action == "apply" and not args.no_store:
+        common.confirm(args, f"{name}: this replaces its stored calibration")
+    with common.open_connection(args) as connection:
+        client = FingertipClient(connection.sdo(args.node))
+        if args.action == "apply":
+            generation = client.apply_calibration(
+                calibration, not args.no_store, lambda step: common.note(args, f"{name}: {step}")
+            )
+            _say(args, {"node": args.node, "generation": generation, "crc32": f"0x{calibration.crc32():08X}"})
+            return 0
+        differences = client.verify_calibration(calibration)
+    _say(args, {"node": args.node, "equal": not differences, "differences": differences})
+    return 1 if differences else 0
+
+
+def _say(args: argparse.Namespace, record: dict[str, object]) -> None:
+    if args.json:
+        common.print_json(record)
+    elif "generation" in record:
+        print(f"applied, generation {record['generation']}, CRC-32 {record['crc32']}")
+    elif record["equal"]:
+        print("equal byte for byte")
+    else:
+        differences = record["differences"]
+        assert isinstance(differences, list)
+        print("\n".join(differences))

@@ -1,0 +1,106 @@
+"""`tipforce estimate`: gauge readings in, contact with its standard uncertainties out, one row for each row."""
+
+from __future__ import annotations
+
+import argparse
+import json
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from math import isnan
+from pathlib import Path
+from typing import TYPE_CHECKING, TextIO
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce.host.measurements import Measurements
+
+COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg", "status")
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce estimate`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "GAUGES.csv: SG1..SGn in microstrain; optional t_s, weight, and mode (push, pull, tare; blank: the\n"
+        "calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated between them,\n"
+        "by t_s or else by row; without, the calibration's offsets hold. A bad row gives an empty row whose status\n"
+        "says why. Status: ok, tare, saturated, or some of no_contact, theta_unresolved, misses_tip, outside_pad, and\n"
+        "beyond_first_order (the uncertainties are too small or too large: near a tangential contact, or in noise).\n"
+        "  tipforce estimate finger.toml readings.csv -o contact.csv"
+    )
+    parser.add_argument("calibration", metavar="CAL.toml")
+    parser.add_argument("gauges", metavar="GAUGES.csv")
+    parser.add_argument("-o", "--output", metavar="OUT", help="CSV file (default: stdout)")
+    parser.add_argument("--saturation", type=float, metavar="UE", help="converter limit in microstrain")
+    parser.add_argument("--strict", action="store_true", help="exit 1 if a row is bad")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Write one row for each row: 0; with --strict and bad rows 1."""
+    from tipforce.host.calibration_file import read_calibration, read_fit
+    from tipforce.host.measurements import read_measurements
+    from tipforce_tools.estimate_rows import estimates
+
+    if args.saturation is not None and not args.saturation > 0.0:
+        raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain")
+    calibration, fit = read_calibration(args.calibration), read_fit(args.calibration)
+    data = read_measurements(args.gauges, loads=False)
+    if data.strain.shape[1] != calibration.gauges:
+        raise InputError(
+            f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"
+        )
+    if fit is None:
+        common.note(args, f"{args.calibration} has no [fit] table: uncertainties are of gauge noise alone")
+    if data.unloaded.any() and data.t_s is None:
+        common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
+    rows = estimates(calibration, None if fit is None else fit.parameter_covariance(), data, args.saturation)
+    with _output(args.output) as stream:
+        _write(stream, _merged(rows, data), args.json)
+    if data.bad:
+        shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
+        common.note(args, f"{args.gauges}: {len(data.bad)} of {len(data.bad) + len(data.line)} rows are bad: {shown}")
+    return 1 if data.bad and args.strict else 0
+
+
+def _merged(rows: Iterator[tuple[int, list[float], str]], data: Measurements) -> Iterator[tuple[int, list[float], str]]:
+    """Good and bad rows in the order of the file."""
+    bad = iter(data.bad)
+    waiting = next(bad, None)
+    for row in rows:
+        while waiting is not None and waiting.line < row[0]:
+            yield waiting.line, [float("nan")] * 6, f"bad: {waiting.reason}"
+            waiting = next(bad, None)
+        yield row
+    while waiting is not None:
+        yield waiting.line, [float("nan")] * 6, f"bad: {waiting.reason}"
+        waiting = next(bad, None)
+
+
+@contextmanager
+def _output(path: str | None) -> Iterator[TextIO]:
+    if path is None or path == "-":
+        yield sys.stdout
+        return
+    try:
+        with Path(path).open("w", encoding="utf-8", newline="\n") as stream:
+            yield stream
+    except OSError as error:
+        raise InputError(f"--output {path}: {error.strerror}") from error
+
+
+def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json: bool) -> None:
+    """CSV or JSON lines; NaN is an empty cell or null."""
+    if as_json:
+        for line, values, status in rows:
+            cells = [None if isnan(x) else x for x in values]
+            stream.write(json.dumps(dict(zip(COLUMNS, (line, *cells, status), strict=True))) + "\n")
+        return
+    stream.write(",".join(COLUMNS) + "\n")
+    for line, values, status in rows:
+        cells_text = ",".join(["" if isnan(x) else f"{x:.9g}" for x in values])
+        quoted = f'"{status.replace(chr(34), chr(34) * 2)}"' if "," in status or '"' in status else status
+        stream.write(f"{line},{cells_text},{quoted}\n")
