@@ -136,7 +136,9 @@ def test_count_over_an_empty_entry_is_refused(talk: Conversation) -> None:
     assert talk.put("B", 0x1A01, 0, 2) == 0x06020000
 
 
-@pytest.mark.parametrize(("index", "sub"), [(0x1800, 1), (0x1800, 2), (0x1800, 3), (0x1800, 5), (0x1A01, 0), (0x1A01, 1)])
+@pytest.mark.parametrize(
+    ("index", "sub"), [(0x1800, 1), (0x1800, 2), (0x1800, 3), (0x1800, 5), (0x1A01, 0), (0x1A01, 1)]
+)
 def test_parameter_of_wrong_length(talk: Conversation, index: int, sub: int) -> None:
     data = talk.upload(index, sub)
     assert isinstance(data, bytes)

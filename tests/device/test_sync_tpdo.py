@@ -8,7 +8,9 @@ from device.tiny import Recorder, booted
 TPDO1 = "< 185#11FEFF"  # 2000h = 11h and 2001h = -2
 
 
-def with_tpdo(transmission: int = 1, *, overflow: int = 0, start: int = 0, recorder: Recorder | None = None) -> Conversation:
+def with_tpdo(
+    transmission: int = 1, *, overflow: int = 0, start: int = 0, recorder: Recorder | None = None
+) -> Conversation:
     """A node in OPERATIONAL whose TPDO1 is valid."""
     talk = booted(application=recorder)
     assert talk.put("B", 0x1019, 0, overflow) == 0

@@ -71,6 +71,19 @@ class Storage:
                     self.damaged.remove(name)
                 restore(self._read(name))
 
+    @property
+    def available(self) -> bool:
+        """True when there is somewhere to store."""
+        return self._save is not None
+
+    def save_blob(self, name: str, data: bytes) -> bool:
+        """Store ``data`` under a name of its own, outside the groups of 1010h."""
+        return self._save is not None and self._save(name, _with_crc(data))
+
+    def read_blob(self, name: str) -> "bytes | None":
+        """What ``save_blob`` stored; None if nothing was or if it is damaged."""
+        return self._read(name)
+
     def _read(self, name: str) -> "bytes | None":
         blob = self._load(name) if self._load is not None else None
         if not blob:

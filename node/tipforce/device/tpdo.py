@@ -80,6 +80,14 @@ class TransmitPdos:
         """True when TPDO ``number``, counted from 1, is sent at present."""
         return self._pdos[number - 1].active
 
+    def can_ids(self) -> "list[int]":
+        """The identifiers that this device sends TPDOs with."""
+        return [pdo.can_id for pdo in self._pdos if pdo.active]
+
+    def mapped(self) -> "list[tuple[int, int, list[tuple[int, int]]]]":
+        """(number, transmission type, mapped (index, sub)) of each TPDO that is sent at present."""
+        return [(k + 1, pdo.transmission, pdo.keys) for k, pdo in enumerate(self._pdos) if pdo.active]
+
     def on_sync(self, counter: int) -> None:
         """Send every synchronous TPDO that is due on this SYNC."""
         for pdo in self._pdos:
@@ -121,6 +129,7 @@ class TransmitPdos:
         return pdo.active and self._device.nmt.state == codes.OPERATIONAL
 
     def _changed(self) -> None:
+        self._device.settings_changed()
         for pdo in self._pdos:
             if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
                 pdo.due_us = self._device.now_us + pdo.event_us

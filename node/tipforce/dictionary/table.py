@@ -222,7 +222,7 @@ def _communication(n: int, simulated: bool) -> "tuple[Object, ...]":
             "Pre-defined error field",
             "error_history",
             (
-                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, 0, 0, ""),
+                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, None, None, ""),
                 (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
             ),
         ),

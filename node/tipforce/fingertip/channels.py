@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
+_HALF_TURN = 18000  # of an angle, in 0.01 degree
 _FORMS = ((0x7000, MAX_I16, table.UNKNOWN_I16), (0x9000, MAX_I32, table.UNKNOWN_I32))
 _SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 _FIELD_SETTINGS = (0x120, 0x122)  # in counts, so the integer forms have no decimal digits
@@ -38,13 +39,15 @@ class Channels:
         self._fingertip = fingertip
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
-        od.readers[0x6130] = self._exact
+        od.readers[0x6130] = self.exact
         od.readers[0x6150] = self._status
         od.readers[0x6100] = lambda sub: self._counts(sub, scalar.NAN)
         for base, highest, unknown in _FORMS:
             self._own_form(base, highest, unknown)
         for offset in (0x120, 0x121, 0x122, 0x123, 0x124):
             od.writers[0x6000 + offset] = self._scaling_writer(0x6000 + offset)
+        for index in (0x6133, 0x6134, 0x6135, 0x6136):
+            od.writers[index] = self._interrupt_writer(index)
         od.writers[0x6114] = self._write_period
         od.writers[0x6125] = self._write_autozero
         od.writers[0x61A0] = lambda _sub, value: codes.INVALID_VALUE if value else 0
@@ -69,7 +72,7 @@ class Channels:
         counts: "tuple[int, ...]" = reading.counts
         return counts[sub - 1]
 
-    def _exact(self, sub: int) -> float:
+    def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample, n = self._fingertip.sample, self._n
         unknown = sample.unknown()
@@ -92,9 +95,11 @@ class Channels:
 
     def _integer(self, sub: int, highest: int, unknown: int) -> int:
         """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range."""
-        value = self._exact(sub)
+        value = self.exact(sub)
         if value == value:  # noqa: PLR0124 (false for NaN alone)
-            return self._to_integer(value, self._per_unit[sub - 1], highest)
+            found = self._to_integer(value, self._per_unit[sub - 1], highest)
+            # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
+            return -found if found == -_HALF_TURN and sub > self._n + 4 else found
         over = self._overload(sub)
         return highest * over if over else unknown
 
@@ -106,7 +111,7 @@ class Channels:
 
     def _status(self, sub: int) -> int:
         """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
-        value = self._exact(sub)
+        value = self.exact(sub)
         if value == value:  # noqa: PLR0124
             scaled = value * self._per_unit[sub - 1]
             over = (scaled > MAX_I16) - (scaled < -MAX_I16)
@@ -156,6 +161,14 @@ class Channels:
                 self._od.values[index << 8 | sub] = before
                 return codes.INVALID_VALUE
             self.load()
+            return 0
+
+        return write
+
+    def _interrupt_writer(self, index: int) -> "Callable[[int, Value], int]":
+        def write(sub: int, value: "Value") -> int:
+            self._od.values[index << 8 | sub] = value
+            self._fingertip.on_settings()
             return 0
 
         return write

@@ -55,8 +55,9 @@ def _step(devices: Sequence[Device], port: Port, frames: list[Frame]) -> int:
         due_us = min(due_us, device_due_us)
         if sent:
             port.send(sent)
-        for request in device.requests:
-            _LOG.info("node %d: %s", device.node_id, request)
+        for what, value, delay_ms in device.requests:
+            _LOG.info("node %d: %s", device.node_id, what)
+            port.request(what, value, delay_ms)
         device.requests.clear()
     return due_us
 
