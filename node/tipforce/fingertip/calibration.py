@@ -89,7 +89,6 @@ class Calibration:
         od.readers[0x2105] = self._read_guard
         od.readers[0x2140] = lambda _sub: self.active_record()
         od.readers[0x2141] = lambda _sub: self.staged_record()
-        od.writers[0x2104] = self._write_commit
         od.writers[0x2105] = self._write_guard
         od.writers[0x2141] = self._write_record
 
@@ -168,7 +167,7 @@ class Calibration:
             self._locked = bool(value)
         return 0
 
-    def _write_commit(self, _sub: int, value: "Value") -> int:
+    def commit(self, value: "Value") -> int:
         """2104h: activate the staged record, or refuse and change nothing."""
         if value != table.SIGNATURE_COMMIT:
             return codes.NOT_TRANSFERRED

@@ -127,7 +127,7 @@ class SocketCanPort:
             _LOG.warning("%s: up again", self._interface)
 
     def _bind_again(self, timeout_s: float) -> None:
-        """The interface was removed; one of its name may have come. The kernel took the old socket's filter: a new one."""
+        """The interface was removed and one of its name may have come: a new socket, the old one lost its filter."""
         try:
             found = _bound_socket(self._interface)
         except OSError:
@@ -153,10 +153,11 @@ def _bound_socket(interface: str) -> socket.socket:
 
 
 class PythonCanPort:
-    """Any python-can bus."""
+    """Any python-can bus. One that fails is tried again; that is logged once, until a frame passes again."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
+        self._failing = False
 
     def receive(self, timeout_s: float) -> Frame | None:
         """The next classic frame, or None."""
@@ -165,19 +166,26 @@ class PythonCanPort:
         try:
             message = self._bus.recv(timeout_s)
         except can.CanError as error:
-            _LOG.warning("receive failed: %s", error)
+            self._fail("receive failed", error)
             time.sleep(_FULL_QUEUE_WAIT_S)
             return None
         if message is None or message.is_fd:
             return None
+        self._failing = False
         return raw_can_id(message), bytes(message.data)
 
     def send(self, frames: Iterable[Frame]) -> None:
-        """Send frames; one that the bus refuses is given up and logged."""
+        """Send frames; one that the bus refuses is given up."""
         import can
 
         for can_id, data in frames:
             try:
                 self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                self._failing = False
             except can.CanError as error:
-                _LOG.warning("a frame was not sent: %s", error)
+                self._fail("a frame was not sent", error)
+
+    def _fail(self, what: str, error: can.CanError) -> None:
+        if not self._failing:
+            self._failing = True
+            _LOG.warning("%s: %s; the node goes on when the bus works again", what, error)

@@ -1,0 +1,260 @@
+"""The one bulk decoder of tipforce's PDOs, for live frames and for logs: frames in, columns of signals out."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary.signals import Message, Signal, mapping_signals, tpdo_messages
+from tipforce.errors import InputError
+from tipforce.host.frames import FrameArray
+
+MAX_COB_ID = 0x7FF
+_NO_SLOT = 0
+_WORD = np.dtype("<u8")
+
+Key = tuple[int, str]  # node-id, message name
+Column = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an integer type (counter, register)
+Words = npt.NDArray[np.uint64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """What one message of one node said, k times, in the order of the input.
+
+    ``t_ns`` (k,) is the receive time of each; ``row`` (k,) says which of the input frames it was. ``columns`` holds
+    what was asked for by signal name, each (k,): measurements as float64 in the signal's unit with NaN for unknown,
+    flags as bool, counters and registers as integers. ``message`` tells units and resolutions.
+    """
+
+    node_id: int
+    message: Message
+    t_ns: npt.NDArray[np.int64]
+    row: npt.NDArray[np.intp]
+    columns: dict[str, Column]
+
+
+@dataclass(frozen=True, slots=True)
+class _Group:
+    """The slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded in one go."""
+
+    message: Message
+    signals: tuple[Signal, ...]
+    first: int
+    node_ids: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Plan:
+    """Where each identifier goes, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
+
+    slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for every longer identifier
+    length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
+    keys: tuple[Key, ...]  # of slot 1, 2, ...
+    groups: tuple[_Group, ...]
+
+
+class Decoder:
+    """Decodes the TPDOs of nodes with ``n`` gauges, by the default PDOs of OBJECTS.md unless told by ``remap``.
+
+    ``malformed`` counts, by (node-id, message name), the frames so far that were shorter than their mapping and
+    therefore not decoded (a node reports such an RPDO as EMCY 8210h). Of longer ones the first bytes count.
+    """
+
+    def __init__(self, n: int = 3, node_ids: Iterable[int] = range(1, 128)) -> None:
+        """Raises InputError for an ``n`` outside 3..8 or a node-id outside 1..127."""
+        self._n = n
+        self._messages: dict[Key, tuple[int, Message]] = {}
+        self._given: dict[int, Key] = {}  # identifiers that remap gave
+        self._remapped: dict[tuple[str, tuple[tuple[int, int, int], ...]], Message] = {}
+        self._plans: dict[frozenset[str] | None, _Plan] = {}
+        self.malformed: dict[Key, int] = {}
+        messages = tpdo_messages(n)
+        for node_id in node_ids:
+            if not 1 <= node_id <= 127:
+                raise InputError(f"node-id {node_id}: allowed are 1 to 127")
+            for message in messages:
+                can_id = message.cob_id_base + node_id if message.cob_id_base else 0
+                self._messages[node_id, message.name] = can_id, message
+
+    def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
+        """Take message ``name`` of one node from ``can_id`` (0: from nowhere) with ``mapping`` (index, sub, bits).
+
+        An identifier taken so no longer means the default PDO that has it, of a node that may not even exist.
+        Raises InputError for a node or message that this decoder does not have, an identifier that is not
+        1..0x7FF or was given to another message, and what ``mapping_signals`` refuses; then nothing has changed.
+        """
+        key = node_id, name
+        if key not in self._messages:
+            names = ", ".join(message.name for message in tpdo_messages(self._n))
+            raise InputError(f"node {node_id}, message {name!r}: allowed are this decoder's nodes and {names}")
+        if not 0 <= can_id <= MAX_COB_ID:
+            raise InputError(f"identifier 0x{can_id:X} of {name}: allowed are 0x001 to 0x7FF, or 0 for none")
+        owner = self._given.get(can_id, key)
+        if owner != key:
+            raise InputError(f"identifier 0x{can_id:03X} of {name}: node {owner[0]}'s {owner[1]} has it")
+        self._messages[key] = can_id, self._layout(self._messages[key][1], tuple(mapping))
+        self._given = {given: other for given, other in self._given.items() if other != key}
+        if can_id:
+            self._given[can_id] = key
+        self._plans.clear()
+
+    def _layout(self, message: Message, mapping: tuple[tuple[int, int, int], ...]) -> Message:
+        """``message`` with another mapping: the same object for the same mapping, so that nodes decode together."""
+        if (message.name, mapping) not in self._remapped:
+            length = (sum(bits for _, _, bits in mapping) + 7) // 8
+            signals = mapping_signals(mapping, self._n)
+            changed = replace(message, length_bytes=length, signals=signals, mapping=mapping)
+            self._remapped[message.name, mapping] = changed
+        return self._remapped[message.name, mapping]
+
+    def decode(self, frames: FrameArray, signals: Iterable[str] | None = None) -> dict[Key, Samples]:
+        """Decode FRAME array (n,): what each (node-id, message name) said, for those that said something.
+
+        ``signals`` names what is wanted; nothing else is computed, and messages without any of it are left out.
+        Remote, error and 29-bit frames and foreign identifiers are ignored. Raises InputError for a name that no
+        message has.
+        """
+        plan = self._plan(signals)
+        slot = plan.slot_of_id.take(frames["can_id"].astype(np.int64), mode="clip")
+        self._drop_short(plan, slot, frames["length"])
+        ends = np.cumsum(np.bincount(slot, minlength=len(plan.keys) + 1))
+        # Slots of one layout are neighbours: after a stable sort each layout is one run, and each node a slice of it.
+        order = np.argsort(slot, kind="stable")[ends[_NO_SLOT] :]
+        if not len(order):
+            return {}
+        # A FRAME has 21 bytes: one copy to aligned numbers is cheaper than a gather of unaligned ones.
+        words = frames["data"].view(_WORD)[:, 0].astype(np.uint64)[order]
+        t_ns = frames["t_ns"].astype(np.int64)[order]
+        ends -= ends[_NO_SLOT]
+        found: dict[Key, Samples] = {}
+        for group in plan.groups:
+            start, stop = ends[group.first - 1], ends[group.first + len(group.node_ids) - 1]
+            if start < stop:
+                columns = _columns(words[start:stop], group.signals)
+                found |= _split(group, columns, start, ends, t_ns, order)
+        return found
+
+    def _drop_short(self, plan: _Plan, slot: npt.NDArray[np.uint16], length: npt.NDArray[np.uint8]) -> None:
+        short = length < plan.length_of_slot[slot]
+        if not short.any():
+            return
+        counts = np.bincount(slot[short], minlength=len(plan.keys) + 1)
+        for number in np.flatnonzero(counts).tolist():
+            key = plan.keys[number - 1]
+            self.malformed[key] = self.malformed.get(key, 0) + int(counts[number])
+        slot[short] = _NO_SLOT
+
+    def _plan(self, signals: Iterable[str] | None) -> _Plan:
+        wanted = None if signals is None else frozenset(signals)
+        if wanted not in self._plans:
+            if len(self._plans) > 64:  # a caller that asks for something else each time must not fill the memory
+                self._plans.clear()
+            self._plans[wanted] = _make_plan(self._messages, self._given, wanted)
+        return self._plans[wanted]
+
+
+def unwrap_counter(counter: npt.ArrayLike) -> npt.NDArray[np.int64]:
+    """The 8-bit sample counter (k,) as a count that goes on where the counter wraps: (k,), from its first value."""
+    values = np.asarray(counter, dtype=np.uint8)
+    if not len(values):
+        return np.zeros(0, dtype=np.int64)
+    steps = np.diff(values)  # modulo 256, as the counter
+    return np.concatenate(([0], np.cumsum(steps, dtype=np.int64))) + int(values[0])
+
+
+def lost_samples(counter: npt.ArrayLike) -> int:
+    """How many samples are missing from the 8-bit counter (k,) of a PDO that is sent with every SYNC.
+
+    A repeated value is a SYNC without a new sample (status bit stale), not a loss. What an 8-bit counter can't show:
+    256 lost in a row; and a frame out of order counts as a loss of 254.
+    """
+    steps = np.diff(np.asarray(counter, dtype=np.uint8)).astype(np.int64)
+    return int(np.maximum(steps - 1, 0).sum())
+
+
+def _make_plan(
+    messages: Mapping[Key, tuple[int, Message]], given: Mapping[int, Key], wanted: frozenset[str] | None
+) -> _Plan:
+    known = {signal.name for _, message in messages.values() for signal in message.signals}
+    if wanted is not None and not wanted <= known:
+        missing = ", ".join(sorted(wanted - known))
+        raise InputError(f"no message has the signal {missing}: allowed are {', '.join(sorted(known))}")
+    layouts: dict[int, tuple[Message, list[tuple[int, int]]]] = {}  # one Message object per layout, shared by its nodes
+    for key, (can_id, message) in messages.items():
+        if can_id and given.get(can_id, key) == key:
+            layouts.setdefault(id(message), (message, []))[1].append((key[0], can_id))
+    groups: list[_Group] = []
+    slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint16)
+    lengths, keys = [0], list[Key]()
+    for message, members in layouts.values():
+        signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
+        if not signals:
+            continue
+        groups.append(_Group(message, signals, len(lengths), tuple(node_id for node_id, _ in members)))
+        for node_id, can_id in members:
+            slot_of_id[can_id] = len(lengths)
+            lengths.append(message.length_bytes)
+            keys.append((node_id, message.name))
+    return _Plan(slot_of_id, np.array(lengths, dtype=np.uint8), tuple(keys), tuple(groups))
+
+
+def _split(
+    group: _Group,
+    columns: dict[str, Column],
+    start: int,
+    ends: npt.NDArray[np.intp],
+    t_ns: npt.NDArray[np.int64],
+    order: npt.NDArray[np.intp],
+) -> dict[Key, Samples]:
+    """The columns of a layout, node by node: views, no copies."""
+    found: dict[Key, Samples] = {}
+    low = start
+    for number, node_id in enumerate(group.node_ids):
+        high = ends[group.first + number]
+        if low < high:
+            of_node = {name: column[low - start : high - start] for name, column in columns.items()}
+            key = node_id, group.message.name
+            found[key] = Samples(node_id, group.message, t_ns[low:high], order[low:high], of_node)
+        low = high
+    return found
+
+
+def _columns(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
+    """Each signal (k,) out of the eight data bytes (k,) as one little-endian number: any start bit will do."""
+    flags: dict[int, npt.NDArray[np.uint8]] = {}
+    columns: dict[str, Column] = {}
+    for signal in signals:
+        if signal.bits == 1:
+            byte = signal.start_bit // 8
+            if byte not in flags:
+                flags[byte] = (words >> np.uint64(8 * byte)).astype(np.uint8)
+            columns[signal.name] = (flags[byte] & np.uint8(1 << signal.start_bit % 8)).astype(np.bool_)
+        else:
+            columns[signal.name] = _number(words, signal)
+    return columns
+
+
+def _number(words: Words, signal: Signal) -> Column:
+    shifted = words >> np.uint64(signal.start_bit)
+    if signal.real:
+        with np.errstate(invalid="ignore"):  # a signalling NaN from the wire is a NaN, not a reason to warn
+            return shifted.astype(np.uint32).view(np.float32).astype(np.float64)
+    raw: Column = shifted.astype(f"{'i' if signal.signed else 'u'}{signal.bits // 8}")  # keeps the low bits
+    if signal.unknown is None:
+        return raw
+    values = raw.astype(np.float64)
+    divisor = round(1 / signal.scale)
+    # 474 / 1000 is the double nearest to 0.474; 474 x 0.001 is not.
+    if signal.scale < 1 and abs(signal.scale * divisor - 1) < 1e-9:
+        values /= divisor
+    elif signal.scale != 1:
+        values *= signal.scale
+    unknown = raw == signal.unknown
+    if unknown.any():
+        values[unknown] = np.nan
+    return values

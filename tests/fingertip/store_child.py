@@ -1,0 +1,57 @@
+"""Run by test_kill.py as a process of its own: calibrate, store, say so, again and again until it is killed.
+
+Arguments: the store file, the first serial number. Each line on stdout is a serial number whose store was confirmed.
+"""
+
+import binascii
+import struct
+import sys
+
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+
+ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
+PACKING = "<12fIIfB6f5fB"
+
+
+def record(k: int) -> bytes:
+    """Calibration k: every matrix element and offset tells which one it is."""
+    C = [1e4 * (row == column) + k + 0.25 * row + 0.5 * column for row in range(3) for column in range(3)]
+    noise = (1e-14, 0.0, 0.0, 1e-14, 0.0, 1e-14)
+    return struct.pack(PACKING, *C, k * 1e-9, 0.0, -k * 1e-9, k, 20240131, 23.0, 1, *noise, 0.01, -60, 60, 0.1, 0.05, 0)
+
+
+def main(path: str, first: int) -> None:
+    """Commit and store over SDO frames; ends by SIGKILL, or when nobody reads any more."""
+    store = FileStore(path)
+    device = fingertip_node(5, SimulatedSource(ROWS), save=store.save, load=store.load)
+    device.step(0)
+
+    def request(data: bytes) -> bytes:
+        sent, _ = device.step(0, [(0x605, data)])
+        answer = sent[-1][1]
+        if answer[0] == 0x80:
+            sys.exit(f"refused: {answer.hex()}")
+        return answer
+
+    def write(index: int, sub: int, value: int) -> None:
+        request(struct.pack("<BHBI", 0x23, index, sub, value))
+
+    k = first
+    while True:
+        data = record(k)
+        request(struct.pack("<BHBI", 0x21, 0x2141, 0, len(data)))
+        for offset in range(0, len(data), 7):
+            part = data[offset : offset + 7]
+            last = offset + 7 >= len(data)
+            request(bytes((offset // 7 % 2 << 4 | (7 - len(part)) << 1 | last,)) + part + bytes(7 - len(part)))
+        write(0x2103, 1, binascii.crc32(data))
+        write(0x2104, 0, 0x74696D63)
+        write(0x1010, 4, 0x65766173)
+        print(k, flush=True)
+        k += 1
+
+
+if __name__ == "__main__":
+    main(sys.argv[1], int(sys.argv[2]))

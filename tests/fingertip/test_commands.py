@@ -1,0 +1,260 @@
+"""Autozero (6125h), autotare (6139h) and the command object (2130h), by SDO and by RPDO."""
+
+import math
+
+import pytest
+
+from device.tiny import Memory
+from fingertip.finger import COMMIT, PUSH, SAVE, STALE, TARA, ZERO, Finger, finger, matrix, record
+
+REFUSED, SIGNATURE = 0x08000022, 0x08000020
+TARE, CLEAR, ZERO_GAUGES = 1, 2, 3
+OFFSETS = (12.0, -7.0, 30.0)  # microstrain: 0.34 N of force that is none
+
+
+def offsets(talk: Finger) -> list[float]:
+    """6124h of the three gauges."""
+    return [talk.get("f", 0x6124, sub) for sub in (1, 2, 3)]
+
+
+def tare(talk: Finger) -> list[float]:
+    """2111h: applied tare and age."""
+    return [talk.get("f", 0x2111, sub) for sub in (1, 2, 3)] + [talk.get("I", 0x2111, 4)]
+
+
+def drifted() -> Finger:
+    """A node without load and without calibration whose gauges have drifted off zero."""
+    return finger(calibrated=False, offset_microstrain=OFFSETS)
+
+
+def test_autozero_makes_one_gauge_read_zero_and_changes_its_offset_only() -> None:
+    talk = drifted()
+    scaling = [talk.upload(index, sub) for index in range(0x6120, 0x6124) for sub in (1, 2, 3)]
+    staged = talk.upload(0x2141)
+    assert talk.sync().gauges == (120, -70, 300)
+    assert talk.put("I", 0x6125, 2, ZERO) == 0
+    assert talk.sync().gauges == (120, 0, 300)
+    assert offsets(talk) == [0.0, 7.0, 0.0]
+    assert [talk.upload(index, sub) for index in range(0x6120, 0x6124) for sub in (1, 2, 3)] == scaling
+    assert talk.upload(0x2141) == staged
+    assert talk.get("h", 0x7124, 2) == 70
+
+
+def test_autozero_needs_its_signature_and_is_write_only() -> None:
+    talk = drifted()
+    talk.sync()
+    assert talk.put("I", 0x6125, 1, ZERO + 1) == SIGNATURE
+    assert talk.upload(0x6125, 1) == 0x06010001
+    assert talk.put("I", 0x6125, 4, ZERO) == 0x06090011
+    assert offsets(talk) == [0.0] * 3
+
+
+def test_autozero_adds_to_an_offset_that_is_there() -> None:
+    talk = drifted()
+    assert talk.put("f", 0x6124, 1, 100.0) == 0
+    talk.sync()
+    assert talk.put("I", 0x6125, 1, ZERO) == 0
+    assert talk.sync().gauges[0] == 0
+    assert offsets(talk)[0] == pytest.approx(-12.0)
+
+
+def test_autozero_twice_within_one_sample_is_the_same_as_once() -> None:
+    talk = drifted()
+    talk.sync()
+    for _ in range(3):
+        assert talk.put("I", 0x6125, 1, ZERO) == 0
+    assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == talk.put("H", 0x2130, 0, ZERO_GAUGES) == 0
+    assert offsets(talk) == [-OFFSETS[0], -OFFSETS[1], -OFFSETS[2]]
+    assert talk.sync().gauges == (0, 0, 0)
+
+
+def test_autozero_is_refused_with_contact() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("I", 0x6125, 1, ZERO) == REFUSED
+    assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == REFUSED
+    assert offsets(talk) == [0.0] * 3
+
+
+def test_autozero_without_sync_looks_at_the_load_of_now() -> None:
+    # Nothing was read since the start, or for a long time: the last sample says nothing about the present.
+    talk = finger(load=PUSH)
+    assert talk.put("I", 0x6125, 1, ZERO) == REFUSED
+    talk.source.load = (0.0, 0.0, 0.0)
+    talk.sync()
+    talk.source.load = PUSH
+    talk.advance(200_000)
+    assert talk.put("I", 0x6125, 1, ZERO) == REFUSED
+    assert offsets(talk) == [0.0] * 3
+
+
+def test_autozero_is_refused_while_any_gauge_is_saturated() -> None:
+    # What saturates one gauge is most likely a heavy load, which the others must not be zeroed under.
+    talk = finger(calibrated=False, load=(1.0, 0.0, 0.0))
+    talk.source.offset_microstrain[1] = 5000.0
+    talk.sync()
+    for sub in (1, 2, 3):
+        assert talk.put("I", 0x6125, sub, ZERO) == REFUSED
+    assert offsets(talk) == [0.0] * 3
+
+
+def test_autozero_is_refused_on_a_stale_sample() -> None:
+    talk = drifted()
+    talk.sync()
+    assert talk.sync(after_us=1).status & STALE
+    assert talk.put("I", 0x6125, 1, ZERO) == REFUSED
+
+
+def test_autozero_that_real32_cannot_hold_is_refused_and_changes_nothing() -> None:
+    talk = drifted()
+    for index, value in ((0x6121, -3e38), (0x6123, 3e38), (0x6122, 1.0)):
+        assert talk.put("f", index, 1, value) == 0
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == REFUSED
+    assert offsets(talk) == [0.0] * 3
+
+
+def test_zero_of_all_gauges_is_stored_with_the_application_parameters() -> None:
+    store = Memory()
+    talk = finger(calibrated=False, offset_microstrain=OFFSETS, store=store)
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == talk.put("I", 0x1010, 3, SAVE) == 0
+    again = finger(calibrated=False, offset_microstrain=OFFSETS, store=store)
+    assert again.sync().gauges == (0, 0, 0)
+
+
+@pytest.mark.parametrize("how", ["autotare", "command"])
+def test_tare_takes_the_present_force_as_zero(how: str) -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("I", 0x6139, 4, TARA) == 0 if how == "autotare" else talk.put("H", 0x2130, 0, TARE) == 0
+    pdos = talk.sync()
+    assert pdos.contact[0] == 0
+    assert pdos.contact[1:] == (-0x8000, -0x8000)  # no contact, no direction
+    F = (math.sin(math.radians(175)), math.sin(math.radians(165)), math.cos(math.radians(175)))
+    assert tare(talk)[:3] == pytest.approx(F, abs=1e-3)
+    assert talk.sync().gauges[2] == pytest.approx(-996, abs=1)  # gauges are not tared
+    assert talk.put("H", 0x2130, 0, CLEAR) == 0
+    assert talk.sync().contact[0] == pytest.approx(1000, abs=1)
+    assert tare(talk) == [0.0] * 3 + [0]
+
+
+def test_tare_again_within_one_sample_is_the_same_as_once() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("I", 0x6139, 4, TARA) == 0
+    first = tare(talk)
+    for _ in range(3):
+        assert talk.put("I", 0x6139, 4, TARA) == 0
+    assert tare(talk) == first
+    assert talk.sync().contact[0] == 0
+
+
+def test_tare_again_with_another_load() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    talk.source.load = (2.5, *PUSH[1:])
+    assert talk.sync().contact[0] == pytest.approx(1500, abs=2)
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    assert talk.sync().contact[0] == 0
+
+
+def test_tare_after_a_zero_or_a_commit_within_one_sample_uses_what_holds_now() -> None:
+    talk = finger(offset_microstrain=(1.0, 2.0, -1.0))  # 24 mN: no contact
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, ZERO_GAUGES) == talk.put("H", 0x2130, 0, TARE) == 0
+    assert talk.sync().contact[0] == 0
+    assert tare(talk)[:3] == pytest.approx([0.0] * 3, abs=1e-9)
+    talk.source.load = PUSH
+    talk.sync()
+    talk.stage(record(C=[[3.0 * value for value in row] for row in matrix()]))
+    assert talk.commit(COMMIT) == talk.put("H", 0x2130, 0, TARE) == 0
+    assert talk.sync().contact[0] == 0
+
+
+def test_tare_without_sync_uses_the_load_of_now() -> None:
+    talk = finger(load=PUSH)
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    talk.advance(200_000)
+    talk.source.load = (2.0, *PUSH[1:])
+    talk.advance(200_000)
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    assert math.hypot(tare(talk)[0], tare(talk)[2]) == pytest.approx(2.0, abs=2e-3)
+
+
+def test_age_of_the_tare() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    for seconds in range(4):
+        assert tare(talk)[3] == seconds
+        talk.advance(1_000_000)
+
+
+@pytest.mark.parametrize("why", ["uncalibrated", "stale", "saturated"])
+def test_tare_is_refused_while_the_force_is_unknown(why: str) -> None:
+    talk = finger(calibrated=why != "uncalibrated", load=PUSH)
+    if why == "saturated":
+        talk.source.offset_microstrain[0] = 5000.0
+    talk.sync()
+    if why == "stale":
+        talk.sync(after_us=1)
+    assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x6139, 4, TARA) == REFUSED
+    assert tare(talk) == [0.0] * 3 + [0]
+
+
+def test_autotare_has_one_sub_index_and_a_signature() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("I", 0x6139, 4, ZERO) == SIGNATURE
+    assert talk.put("I", 0x6139, 5, TARA) == 0x06090011
+    assert tare(talk) == [0.0] * 3 + [0]
+
+
+def test_tare_is_not_persistent() -> None:
+    talk = finger(load=PUSH, store=Memory())
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, TARE) == talk.put("I", 0x1010, 1, SAVE) == 0
+    talk.say("> 000#8105\n< 705#00")
+    assert tare(talk) == [0.0] * 3 + [0]
+
+
+def test_reset_communication_keeps_the_tare() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("H", 0x2130, 0, TARE) == 0
+    talk.say("> 000#8205\n< 705#00")
+    assert tare(talk)[2] == pytest.approx(-0.996, abs=1e-3)
+
+
+def test_unknown_command_is_refused() -> None:
+    assert finger().put("H", 0x2130, 0, 4) == 0x06090031
+
+
+def test_command_by_rpdo_runs_once_per_reception() -> None:
+    talk = finger(load=PUSH)
+    assert talk.put("I", 0x1400, 1, 0x205) == 0
+    talk.sync()
+    talk.say("> 205#0100")
+    assert talk.sync().contact[0] == 0
+    talk.source.load = (3.0, *PUSH[1:])
+    # The value stays in 2130h, but the command does not run again with each SYNC.
+    for _ in range(3):
+        assert talk.sync().contact[0] == pytest.approx(2000, abs=2)
+    talk.say("> 205#0100")
+    assert talk.sync().contact[0] == 0
+    talk.say("> 205#0200")
+    assert talk.sync().contact[0] == pytest.approx(3000, abs=2)
+    talk.say("> 205#01\n> 205#\n> 205#0400")
+    assert talk.sync().contact[0] == pytest.approx(3000, abs=2)
+
+
+def test_commit_clears_the_tare() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    assert talk.put("I", 0x6139, 4, TARA) == 0
+    assert tare(talk)[0] != 0.0
+    talk.stage(record(serial=2))
+    assert talk.commit(COMMIT) == 0
+    assert tare(talk) == [0.0] * 3 + [0]

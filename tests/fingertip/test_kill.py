@@ -1,0 +1,83 @@
+"""SIGKILL at any instant of commit and store leaves one complete calibration: the last confirmed, or the next one."""
+
+import binascii
+import random
+import signal
+import subprocess
+import sys
+import time
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import pytest
+
+from fingertip.finger import Finger
+from fingertip.store_child import ROWS, record
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+
+KILLS = 200
+AT_ONCE = 2
+LONGEST_US = 6000  # a few cycles of commit and store
+CHILD = Path(__file__).with_name("store_child.py")
+
+
+def restarted(path: Path) -> Finger:
+    """The node after a power cycle, on what the disk holds."""
+    store, source = FileStore(path), SimulatedSource(ROWS)
+    return Finger(fingertip_node(5, source, save=store.save, load=store.load), source)
+
+
+def survive(path: Path, first: int, wait_us: int) -> tuple[int, int]:
+    """Let a child store calibrations from ``first`` on and kill it; the last confirmed number, and the one found."""
+    with subprocess.Popen(
+        # -I -S: a start without site packages is twice as fast; the path of the package is handed over.
+        [sys.executable, "-I", "-S", "-c", start(), str(path), str(first)], stdout=subprocess.PIPE, text=True
+    ) as child:  # fmt: skip
+        assert child.stdout is not None
+        confirmed = int(child.stdout.readline())
+        until_ns = time.perf_counter_ns() + 1000 * wait_us
+        while time.perf_counter_ns() < until_ns:
+            pass  # sleep() is too coarse for an instant within a write
+        child.kill()
+        rest = child.stdout.read()
+        assert child.wait() < 0, "the child must have been killed, not have ended by itself"
+    # A number cut off in the middle was confirmed but not said; only whole lines count as said.
+    whole = rest[: rest.rfind("\n") + 1].split()
+    confirmed = int(whole[-1]) if whole else confirmed
+    talk = restarted(path)
+    active = talk.upload(0x2140)
+    assert isinstance(active, bytes)
+    found = int(talk.get("I", 0x2102, 1))
+    assert active == record(found)
+    assert talk.get("I", 0x2103, 3) == binascii.crc32(active)
+    assert talk.upload(0x2141) == active
+    assert talk.device.storage.damaged == []
+    return confirmed, found
+
+
+def start() -> str:
+    """The child's first statement: find the package, then run the script."""
+    package_root = Path(str(sys.modules["tipforce"].__file__)).parents[1]
+    run = f"runpy.run_path({str(CHILD)!r}, run_name='__main__')"
+    return f"import sys, runpy; sys.path.insert(0, {str(package_root)!r}); {run}"
+
+
+@pytest.mark.skipif(not hasattr(signal, "SIGKILL"), reason="SIGKILL is POSIX")
+def test_calibration_survives_sigkill_at_any_instant(tmp_path: Path) -> None:
+    rng = random.Random(200)
+    waits = [[rng.randrange(LONGEST_US) for _ in range(KILLS // AT_ONCE)] for _ in range(AT_ONCE)]
+
+    def series(worker: int) -> list[tuple[int, int]]:
+        path, first, seen = tmp_path / f"node-{worker}.json", 1, []
+        for wait_us in waits[worker]:
+            seen.append(survive(path, first, wait_us))
+            first = seen[-1][1] + 1  # each child goes on from what the one before left behind
+        return seen
+
+    with ThreadPoolExecutor(AT_ONCE) as pool:
+        results = [pair for seen in pool.map(series, range(AT_ONCE)) for pair in seen]
+    assert len(results) == KILLS
+    for confirmed, found in results:
+        assert found in (confirmed, confirmed + 1)

@@ -1,0 +1,220 @@
+"""One latched sample a SYNC: counter, stale samples, refresh without SYNC, and what each status bit makes unknown."""
+
+import math
+import struct
+
+import pytest
+
+from fingertip.finger import (
+    CALIBRATED,
+    CONTACT,
+    FAULT,
+    MISSES,
+    OUTSIDE,
+    PUSH,
+    SATURATED,
+    STALE,
+    UNKNOWN,
+    UNRESOLVED,
+    Finger,
+    finger,
+    matrix,
+    record,
+)  # fmt: skip
+from tipforce.sensor import scalar
+
+NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
+PULL_TIP = (0.015, -60.0, 60.0, 0.05, 0.02, 1)
+
+
+def enable_all(talk: Finger) -> None:
+    """TPDO3 and TPDO4, which are invalid by default, TPDO4 with every SYNC."""
+    assert talk.put("I", 0x1802, 1, 0x40000385) == 0
+    assert talk.put("B", 0x1803, 2, 1) == talk.put("I", 0x1803, 1, 0x40000485) == 0
+
+
+def test_all_pdos_of_a_sync_carry_one_counter() -> None:
+    talk = finger(load=PUSH, noise_microstrain=5.0)
+    enable_all(talk)
+    for _ in range(50):
+        talk.now_us += 1000
+        talk.step([(0x80, b"")])
+        sent = dict(talk.take())
+        assert sorted(sent) == [0x185, 0x285, 0x385, 0x485]
+        counters = {sent[can_id][7] for can_id in (0x185, 0x285, 0x385)} | {sent[0x485][6]}
+        assert len(counters) == 1
+        # F1, F2, F3 belong to the gauges of the same sample: with this C they are the same numbers.
+        assert sent[0x385][:6] == sent[0x185][:6]
+        F1, _F2, F3 = struct.unpack("<hhh", sent[0x385][:6])
+        assert struct.unpack("<h", sent[0x285][:2])[0] == pytest.approx(math.hypot(F1, F3), abs=0.6)
+
+
+def test_counter_counts_samples_and_wraps_at_256() -> None:
+    talk = finger()
+    first = talk.sync().counter
+    for k in range(1, 600):
+        assert talk.sync().counter == (first + k) % 256
+
+
+def test_sync_without_a_new_sample_is_stale_and_repeats_the_counter() -> None:
+    talk = finger(load=PUSH)
+    fresh = talk.sync()
+    stale = talk.sync(after_us=10)
+    assert (fresh.status & STALE, stale.status & STALE) == (0, STALE)
+    assert stale.counter == fresh.counter
+    assert stale.gauges == stale.contact == (UNKNOWN,) * 3
+    assert all(math.isnan(value) for value in talk.channels())
+    assert [talk.get("i", 0x9130, sub) for sub in range(1, 10)] == [-0x80000000] * 9
+    assert [talk.get("B", 0x6150, sub) for sub in range(1, 10)] == [1] * 9
+    assert talk.get("h", 0x7100, 1) == UNKNOWN
+    assert math.isnan(talk.get("f", 0x6100, 1))
+    assert (talk.get("H", 0x2123), talk.get("h", 0x2122)) == (0xFFFF, UNKNOWN)
+    again = talk.sync()
+    assert again[:3] == fresh[:3]
+    assert again.counter == (fresh.counter + 1) % 256
+
+
+def test_without_sync_a_read_brings_a_sample_of_at_most_100_ms() -> None:
+    talk = finger(load=PUSH)
+    assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=1e-3)
+    counter = talk.get("B", 0x2121)
+    talk.source.load = (2.0, *PUSH[1:])
+    talk.advance(99_999)
+    assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=1e-3)
+    talk.advance(1)
+    assert talk.get("f", 0x6130, 7) == pytest.approx(2.0, abs=2e-3)
+    assert talk.get("B", 0x2121) == counter + 1
+
+
+def test_event_driven_health_carries_the_last_latch() -> None:
+    talk = finger()
+    counter = talk.sync().counter
+    assert talk.put("I", 0x1803, 1, 0x40000485) == 0
+    # 23.00 degC, u(P) 1 mN, no front-end fault.
+    talk.say(f"> 000#8005\n> 000#0105\n< 485#FC08.0100.0000.{counter:02X}.00")
+    talk.advance(999_999)
+    talk.quiet()
+    talk.advance(1)
+    talk.say(f"< 485#FC08.0100.0000.{counter + 1:02X}.00")
+
+
+@pytest.mark.parametrize(
+    ("load", "tip", "set_", "unknown"),
+    [
+        (PUSH, None, CALIBRATED | CONTACT, ()),
+        ((0.0, 0.0, 0.0), None, CALIBRATED | UNRESOLVED, (1, 2)),  # no contact: no direction
+        ((0.04, 175.0, 10.0), None, CALIBRATED, (1, 2)),  # above contact-off, never above contact-on
+        ((1.0, -110.0, 70.0), None, CALIBRATED | CONTACT | OUTSIDE, ()),  # outside the pad hides nothing
+        ((1.0, 10.0, 10.0), PULL_TIP, CALIBRATED | CONTACT, ()),
+    ],
+)
+def test_status_bits_and_what_they_make_unknown(
+    load: tuple[float, float, float], tip: tuple[float, ...] | None, set_: int, unknown: tuple[int, ...]
+) -> None:
+    talk = finger(calibrated=record() if tip is None else record(tip=tip), load=load)
+    pdos = talk.sync()
+    assert pdos.status == set_
+    for k in range(3):
+        assert (pdos.contact[k] == UNKNOWN) == (k in unknown)
+        assert math.isnan(talk.get("f", 0x6130, 7 + k)) == (k in unknown)
+        assert talk.get("B", 0x6150, 7 + k) == (k in unknown)
+    assert UNKNOWN not in pdos.gauges
+
+
+def test_line_of_action_that_misses_the_tip_hides_theta_alone() -> None:
+    talk = finger()
+    talk.source.offset_microstrain[:] = [0.0, 150.0, -100.0]  # |F2| = 1.5 N where P = hypot(F1, F3) = 1 N
+    pdos = talk.sync()
+    assert pdos.status & (MISSES | CONTACT | CALIBRATED) == MISSES | CONTACT | CALIBRATED
+    assert pdos.contact[2] == UNKNOWN
+    assert pdos.contact[0] == pytest.approx(1250, abs=2)
+    assert pdos.contact[1] == pytest.approx(18000, abs=1)
+
+
+def test_theta_unresolved_hides_theta_alone() -> None:
+    # Noise of 1 N makes the angle worthless, not the force.
+    talk = finger(calibrated=record(noise_strain=1e-4), load=NORMAL)
+    pdos = talk.sync()
+    assert pdos.status == CALIBRATED | CONTACT | UNRESOLVED
+    assert pdos.contact[0] == pytest.approx(1000, abs=2)
+    assert pdos.contact[2] == UNKNOWN
+
+
+def test_uncalibrated_node_shows_gauges_alone() -> None:
+    talk = finger(calibrated=False, load=PUSH)
+    pdos = talk.sync()
+    assert pdos.status == 0
+    assert pdos.contact == (UNKNOWN,) * 3
+    assert UNKNOWN not in pdos.gauges
+    assert all(math.isnan(value) for value in talk.channels()[3:])
+    assert talk.get("H", 0x2123) == 0xFFFF
+    assert all(math.isnan(talk.get("f", 0x2107, sub)) for sub in (1, 2, 3))
+
+
+def test_contact_has_a_hysteresis() -> None:
+    talk = finger()
+    present = []
+    for P in (0.0, 0.04, 0.06, 0.04, 0.03, 0.01, 0.04, 0.06):
+        talk.source.load = (P, *NORMAL[1:])
+        present.append(talk.sync().status & CONTACT)
+    assert present == [0, 0, 1, 1, 1, 0, 0, 1]
+
+
+@pytest.mark.parametrize("gap", ["stale", "saturated"])
+def test_hysteresis_goes_on_over_a_sample_that_cannot_tell(gap: str) -> None:
+    talk = finger(load=NORMAL)
+    assert talk.sync().status & CONTACT
+    if gap == "saturated":
+        talk.source.offset_microstrain[0] = 5000.0
+        assert talk.sync().status & (CONTACT | SATURATED) == SATURATED
+        talk.source.offset_microstrain[0] = 0.0
+    else:
+        assert talk.sync(after_us=1).status & (CONTACT | STALE) == STALE
+    talk.source.load = (0.03, *NORMAL[1:])
+    assert talk.sync().status & CONTACT
+
+
+def test_contact_on_zero_without_load_has_no_direction_and_does_not_raise() -> None:
+    talk = finger(calibrated=record(tip=(0.0, 0.0, 0.0, 0.0, 0.0, 0)))
+    pdos = talk.sync()
+    assert pdos.status & (CONTACT | FAULT) == CONTACT
+    assert pdos.contact == (0, UNKNOWN, UNKNOWN)
+
+
+@pytest.mark.parametrize("load", [NORMAL, PUSH, (7.5, -150.0, 35.0), (0.3, 100.0, -60.0)])
+@pytest.mark.parametrize("pull", [0, 1])
+def test_uncertainty_is_that_of_the_sensor_model(load: tuple[float, float, float], pull: int) -> None:
+    sigma = 1e-6
+    talk = finger(calibrated=record(noise_strain=sigma, tip=(0.015, -180.0, 180.0, 0.05, 0.02, pull)), load=load)
+    talk.sync()
+    F = [talk.get("f", 0x6130, sub) for sub in (4, 5, 6)]
+    variance = struct.unpack("<f", struct.pack("<f", sigma**2))[0] * matrix()[0][0] ** 2
+    u_P, u_phi, u_theta = scalar.uncertainty(F[0], F[1], F[2], (variance, 0, 0, variance, 0, variance), bool(pull))
+    assert talk.get("f", 0x2107, 1) == pytest.approx(u_P, rel=1e-5)
+    assert talk.get("f", 0x2107, 2) == pytest.approx(math.degrees(u_phi), rel=1e-5)
+    assert talk.get("f", 0x2107, 3) == pytest.approx(math.degrees(u_theta), rel=1e-4)
+    assert talk.get("H", 0x2123) == round(1000 * u_P) == 10
+    P, phi, theta, _miss = scalar.contact(F[0], F[1], F[2], bool(pull))
+    for sub, value in ((7, P), (8, math.degrees(phi)), (9, math.degrees(theta))):
+        assert talk.get("f", 0x6130, sub) == pytest.approx(value, rel=1e-5, abs=1e-4)
+
+
+def test_uncertainty_beyond_its_object_is_held_below_the_unknown_mark() -> None:
+    talk = finger(calibrated=record(noise_strain=1.0), load=NORMAL)
+    talk.sync()
+    assert talk.get("f", 0x2107, 1) == pytest.approx(1e4, rel=1e-5)
+    assert talk.get("H", 0x2123) == 0xFFFE
+
+
+def test_uncertainty_and_real32_values_may_be_mapped() -> None:
+    talk = finger(load=NORMAL, calibrated=record(noise_strain=1e-6))
+    assert talk.put("I", 0x1802, 1, 0xC0000385) == talk.put("B", 0x1A02, 0, 0) == 0
+    assert talk.put("I", 0x1A02, 1, 0x21070120) == talk.put("I", 0x1A02, 2, 0x61300720) == 0
+    assert talk.put("B", 0x1A02, 0, 2) == talk.put("I", 0x1802, 1, 0x40000385) == 0
+    for _ in range(2):
+        talk.now_us += 1000
+        talk.step([(0x80, b"")])
+        u_P, P = struct.unpack("<ff", dict(talk.take())[0x385])
+        assert (u_P, P) == (pytest.approx(0.01, rel=1e-4), pytest.approx(1.0, abs=1e-3))
+    talk.step([(0x80, b"")])
+    assert all(math.isnan(value) for value in struct.unpack("<ff", dict(talk.take())[0x385]))  # stale

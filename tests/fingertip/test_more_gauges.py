@@ -1,0 +1,128 @@
+"""Nodes with five and with eight gauges: their channels, TPDO5 and TPDO6, calibration, product code."""
+
+import math
+import struct
+
+import pytest
+
+from fingertip.finger import CALIBRATED, CONTACT, PUSH, SATURATED, Finger, finger, matrix, record, strain_per_newton
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+
+F = tuple(PUSH[0] * math.sin(math.radians(a)) for a in (175.0, 165.0, 175.0 + 90.0))
+
+
+def gauges(n: int) -> list[float]:
+    """Microstrain of all gauges under PUSH."""
+    return [100.0 * F[k % 3] * (1, -1)[k // 3 % 2] for k in range(n)]
+
+
+def sync(talk: Finger) -> dict[int, bytes]:
+    """What one SYNC brings, by COB-ID."""
+    talk.now_us += 1000
+    talk.step([(0x80, b"")])
+    return dict(talk.take())
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 7, 8])
+def test_identity_and_number_of_channels(n: int) -> None:
+    talk = finger(n, load=PUSH)
+    assert talk.get("I", 0x1018, 2) == 0x54500100 | n  # bit 8: simulated
+    assert talk.get("I", 0x1018, 4) == 4711
+    for index, highest in ((0x6130, n + 6), (0x7100, n), (0x6125, n), (0x6139, n + 1), (0x2100, 3 * n), (0x2101, n)):
+        assert talk.get("B", index, 0) == highest
+    values = talk.channels(n)
+    assert values[:n] == pytest.approx(gauges(n), abs=0.051)
+    assert values[n:] == pytest.approx([*F, *PUSH], rel=5e-3, abs=1e-3)
+    assert talk.get("B", 0x2120) == CALIBRATED | CONTACT
+
+
+def test_three_gauges_have_four_tpdos() -> None:
+    talk = finger()
+    assert talk.upload(0x1804, 1) == talk.upload(0x1A04, 1) == 0x06020000
+
+
+@pytest.mark.parametrize(("n", "last"), [(5, 5), (8, 6)])
+def test_further_gauges_go_in_further_tpdos(n: int, last: int) -> None:
+    talk = finger(n, load=PUSH)
+    assert sorted(sync(talk)) == [0x185, 0x285]
+    assert talk.upload(0x1800 + last, 1) == 0x06020000
+    for number in range(5, last + 1):
+        # No COB-ID is assigned to them; the default itself cannot be made valid.
+        assert talk.get("I", 0x1800 + number - 1, 1) == 0xC0000000
+        assert talk.put("I", 0x1800 + number - 1, 1, 0x40000000) == 0x06090030
+        assert talk.put("I", 0x1800 + number - 1, 1, 0x40000000 | 0x195 + 0x100 * (number - 5)) == 0
+    sent = sync(talk)
+    wanted = [round(10 * value) for value in gauges(n)]
+    groups = {0x185: wanted[:3], 0x195: wanted[3:6]} | ({0x295: wanted[6:]} if n > 6 else {})
+    assert sorted(sent) == sorted([*groups, 0x285])
+    tails = set()
+    for can_id, values in groups.items():
+        assert list(struct.unpack(f"<{len(values)}h", sent[can_id][:-2])) == values
+        tails.add(sent[can_id][-2:])
+    assert tails == {sent[0x285][-2:]}
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_contact_of_more_gauges(n: int) -> None:
+    P, phi, theta = struct.unpack("<hhh", sync(finger(n, load=PUSH))[0x285][:6])
+    assert (P, phi, theta) == (
+        pytest.approx(1000, abs=1),
+        pytest.approx(17500, abs=6),
+        pytest.approx(1000, abs=20),
+    )
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_more_gauges_make_the_force_more_certain(n: int) -> None:
+    # With C the mean over k gauges the variance of a component is that of one gauge over k.
+    sigma = 1e-6
+    talk = finger(n, calibrated=record(n, noise_strain=sigma), load=(1.0, 90.0, -90.0))
+    sync(talk)
+    per_gauge = [len([None for value in row if value]) for row in matrix(n)]
+    assert talk.get("f", 0x2107, 1) == pytest.approx(sigma * 1e4 / math.sqrt(per_gauge[0]), rel=1e-5)
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_offsets_are_taken_off_before_the_matrix(n: int) -> None:
+    offsets = [1e-5 * k for k in range(1, n + 1)]
+    talk = finger(n, calibrated=record(n, offsets=offsets), offset_microstrain=[1e6 * value for value in offsets])
+    assert struct.unpack("<h", sync(talk)[0x285][:2]) == (0,)
+    assert talk.channels(n)[:n] == pytest.approx([1e6 * value for value in offsets], abs=0.01)
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_saturated_gauge_among_many(n: int) -> None:
+    talk = finger(n, load=PUSH)
+    talk.source.offset_microstrain[n - 1] = -5000.0
+    sent = sync(talk)
+    assert sent[0x285][6] & SATURATED
+    assert talk.get("h", 0x7130, n) == -32767
+    assert talk.get("B", 0x6150, n) == 5
+    assert talk.get("H", 0x2124) == 1 << n - 1
+    # OBJECTS.md allows values here where the gauges left have rank 3; a node that does not compute them without the
+    # saturated gauge must leave them unknown.
+    values = struct.unpack("<hhh", sent[0x285][:6])
+    assert values == (-0x8000,) * 3 or values[0] == pytest.approx(1000, abs=3)
+
+
+def test_condition_limit_counts_for_wide_matrices_as_well() -> None:
+    talk = finger(8)
+    C = [[1e4] * 8, [1e4] * 7 + [1e4 + 0.5], [0.0, 1e4] * 4]
+    talk.stage(record(8, C=C))
+    assert talk.commit() == 0x06090031
+    assert talk.upload(0x2140) == record(8)
+
+
+@pytest.mark.parametrize("eds", [b"x", bytes(range(256)) * 40])
+def test_node_gives_its_own_eds(eds: bytes) -> None:
+    source = SimulatedSource(strain_per_newton())
+    talk = Finger(fingertip_node(5, source, eds=eds), source)
+    assert talk.upload(0x1021) == eds
+    assert talk.get("H", 0x1022) == 0
+    assert talk.download(0x1021, 0, b"y") == 0x06010002
+
+
+def test_node_without_room_for_its_eds_omits_both_objects() -> None:
+    talk = finger()
+    assert talk.upload(0x1021) == talk.upload(0x1022) == 0x06020000

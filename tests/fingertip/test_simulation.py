@@ -1,0 +1,187 @@
+"""Faults of a simulated node (2200h): each shows as OBJECTS.md says, and nothing wrong is shown as live."""
+
+import math
+
+import pytest
+
+from fingertip.finger import CALIBRATED, CONTACT, FAULT, PUSH, SATURATED, STALE, UNKNOWN, Finger, finger, record
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.source import Reading, Source
+
+STUCK, OPEN, SATURATE, SILENT, DRIFT = 1, 2, 3, 4, 5
+NO_DATA, FROZEN, WIRE_BREAK = 0x100, 0x200, 0x400
+NOISE = 0.5  # microstrain: five counts
+
+
+def noisy(load: tuple[float, float, float] = PUSH) -> Finger:
+    """A node whose gauges have the noise that their calibration states."""
+    return finger(calibrated=record(noise_strain=NOISE * 1e-6), load=load, noise_microstrain=NOISE)
+
+
+def inject(talk: Finger, fault: int, gauge: int = 2, magnitude: float = 0.0) -> None:
+    """2200h, gauge and magnitude first."""
+    assert talk.put("B", 0x2200, 2, gauge) == talk.put("f", 0x2200, 3, magnitude) == 0
+    assert talk.put("H", 0x2200, 1, fault) == 0
+
+
+def test_no_fault_for_a_long_time() -> None:
+    talk = noisy()
+    for _ in range(2000):
+        assert talk.sync().status == CALIBRATED | CONTACT
+    assert talk.get("H", 0x2124) == 0
+
+
+def test_stuck_gauge_is_seen_after_32_equal_readings() -> None:
+    talk = noisy()
+    talk.sync()
+    inject(talk, STUCK)
+    for _ in range(31):
+        assert not talk.sync().status & FAULT
+    frozen = talk.sync()
+    assert frozen.status == CALIBRATED | FAULT
+    assert frozen.gauges == frozen.contact == (UNKNOWN,) * 3
+    assert talk.get("H", 0x2124) == FROZEN
+    inject(talk, 0)
+    assert talk.sync().status == CALIBRATED | CONTACT
+    assert talk.get("H", 0x2124) == 0
+
+
+def test_gauges_quieter_than_a_count_may_stand_still() -> None:
+    talk = finger(load=PUSH)
+    for _ in range(100):
+        assert talk.sync().status == CALIBRATED | CONTACT
+
+
+def test_open_gauge_is_a_wire_break() -> None:
+    talk = noisy()
+    inject(talk, OPEN)
+    pdos = talk.sync()
+    assert pdos.status == CALIBRATED | SATURATED | FAULT
+    assert pdos.gauges == pdos.contact == (UNKNOWN,) * 3
+    assert talk.get("H", 0x2124) == WIRE_BREAK | 0b10
+    assert [talk.get("B", 0x6150, sub) for sub in (1, 2, 3)] == [1, 1, 1]
+    # A SYNC that finds no new sample does not take the fault away.
+    assert talk.sync(after_us=1).status == CALIBRATED | SATURATED | FAULT | STALE
+    assert talk.get("H", 0x2124) == WIRE_BREAK | 0b10
+
+
+def test_saturated_gauge_stays_a_saturated_one() -> None:
+    # The end of the range repeats itself; that is no frozen gauge, and the reading stays +32767 with 6150h 03h.
+    talk = noisy()
+    inject(talk, SATURATE, 3)
+    for _ in range(100):
+        pdos = talk.sync()
+        assert pdos.status == CALIBRATED | SATURATED
+        assert pdos.gauges[2] == 32767
+        assert UNKNOWN not in pdos.gauges
+        assert pdos.contact == (UNKNOWN,) * 3
+    assert talk.get("H", 0x2124) == 0b100
+    assert talk.get("B", 0x6150, 3) == 3
+
+
+def test_silent_converter_is_stale_then_without_data() -> None:
+    talk = noisy()
+    counter = talk.sync().counter
+    inject(talk, SILENT)
+    for k in range(1, 301):
+        pdos = talk.sync()
+        assert pdos.counter == counter
+        assert pdos.gauges == pdos.contact == (UNKNOWN,) * 3
+        assert pdos.status == CALIBRATED | STALE | (FAULT if k > 100 else 0)
+        assert talk.get("H", 0x2124) == (NO_DATA if k > 100 else 0)
+    inject(talk, 0)
+    pdos = talk.sync()
+    assert (pdos.status, pdos.counter) == (CALIBRATED | CONTACT, (counter + 1) % 256)
+    assert talk.get("H", 0x2124) == 0
+
+
+def test_silent_from_the_start_is_unknown_and_then_a_fault() -> None:
+    talk = finger()
+    talk.source.fault = SILENT
+    talk.say("> 000#8105\n< 705#00\n> 000#0105")
+    assert talk.put("H", 0x1017, 0, 0) == 0
+    assert talk.sync().status & (STALE | FAULT) == STALE
+    assert talk.sync(after_us=200_000).status & (STALE | FAULT) == STALE | FAULT
+    assert all(math.isnan(value) for value in talk.channels())
+
+
+def test_drift_grows_with_time() -> None:
+    talk = finger(calibrated=False)
+    talk.sync()
+    inject(talk, DRIFT, 1, 50.0)  # microstrain per second
+    for _ in range(4):
+        before = talk.sync().gauges
+        after = talk.sync(after_us=1_000_000).gauges
+        assert (after[0] - before[0], after[1], after[2]) == (500, 0, 0)
+    inject(talk, 0)
+    assert talk.sync().gauges == (0, 0, 0)
+
+
+def test_applied_load_is_written_by_sdo() -> None:
+    talk = finger()
+    for sub, value in enumerate((2.5, -165.0, 20.0), 1):
+        assert talk.put("f", 0x2201, sub, value) == 0
+        assert talk.get("f", 0x2201, sub) == value
+    P, phi, theta = talk.sync().contact
+    assert pytest.approx(2500, abs=2) == P
+    assert phi == pytest.approx(-16500, abs=5)
+    assert theta == pytest.approx(2000, abs=10)
+
+
+@pytest.mark.parametrize(
+    ("kind", "sub", "value", "code"),
+    [("H", 1, 6, 0x06090031), ("B", 2, 0, 0x06090032), ("B", 2, 4, 0x06090031), ("f", 3, math.nan, 0x06090030)],
+)
+def test_simulation_has_limits(kind: str, sub: int, value: float, code: int) -> None:
+    assert finger().put(kind, 0x2200, sub, value) == code
+
+
+def test_enormous_load_and_drift_saturate_and_never_raise() -> None:
+    talk = finger()
+    for value in (3.4e38, -3.4e38):
+        inject(talk, DRIFT, 1, value)
+        for sub in (1, 2, 3):
+            assert talk.put("f", 0x2201, sub, value) == 0
+        for _ in range(3):
+            assert talk.sync().status & SATURATED
+
+
+class Bare(Source):
+    """A source of a real front end."""
+
+    def __init__(self) -> None:
+        self.next: Reading | None = Reading((1, 2, 3), 0, 2500)
+
+    def read(self, now_us: int) -> Reading | None:
+        """What the test put there."""
+        del now_us
+        return self.next
+
+
+def test_real_node_has_no_simulation_objects_and_another_product_code() -> None:
+    device = fingertip_node(5, Bare())
+    assert device.od.upload(0x2200, 1) == device.od.upload(0x2201, 1) == 0x06020000
+    assert device.od.integer(0x1018, 2) == 0x54500003
+
+
+def test_supply_fault_reported_by_the_front_end() -> None:
+    source = Bare()
+    device = fingertip_node(5, source)
+    device.step(0)
+    source.next = Reading((1, 2, 3), 0x800, -0x8000)
+    device.step(200_000, [(0, b"\1\5"), (0x80, b"")])
+    assert device.od.get(0x2124) == 0x800
+    assert device.od.get(0x2120) == FAULT
+    assert device.od.get(0x2122) == UNKNOWN
+
+
+@pytest.mark.parametrize("node_id", [0, 128, -1])
+def test_node_id_out_of_range(node_id: int) -> None:
+    with pytest.raises(ValueError, match="allowed 1 to 127"):
+        fingertip_node(node_id, Bare())
+
+
+@pytest.mark.parametrize("n", [2, 9])
+def test_number_of_gauges_out_of_range(n: int) -> None:
+    with pytest.raises(ValueError, match="allowed 3 to 8"):
+        fingertip_node(5, Bare(), n)

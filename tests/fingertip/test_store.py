@@ -1,0 +1,187 @@
+"""The store file of a node: replaced as a whole, readable or noted as damaged, and never a traceback."""
+
+import json
+import logging
+import os
+import shutil
+from pathlib import Path
+
+import pytest
+
+from fingertip.finger import SAVE, Finger, finger, record
+from tipforce.errors import InputError
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+
+
+def node(path: Path) -> Finger:
+    """A node on a file store."""
+    source = SimulatedSource([[1e-4, 0, 0], [0, 1e-4, 0], [0, 0, 1e-4]])
+    store = FileStore(path)
+    return Finger(fingertip_node(5, source, save=store.save, load=store.load), source)
+
+
+def stored(path: Path, serial: int = 1) -> Finger:
+    """A node that was calibrated, its calibration and a changed heartbeat time stored."""
+    talk = node(path)
+    talk.stage(record(serial=serial))
+    assert talk.commit() == talk.put("I", 0x1010, 1, SAVE) == 0
+    return talk
+
+
+def test_what_is_stored_is_there_after_a_restart(tmp_path: Path) -> None:
+    stored(tmp_path / "node.json")
+    again = node(tmp_path / "node.json")
+    assert again.upload(0x2140) == record()
+    assert again.device.storage.damaged == []
+    assert [path.name for path in tmp_path.iterdir()] == ["node.json"]
+
+
+def test_no_file_yet_is_no_damage(tmp_path: Path) -> None:
+    talk = node(tmp_path / "node.json")
+    assert talk.calibration()[1] == 0
+    assert talk.device.storage.damaged == []
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_groups_are_kept_apart(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "node.json")
+    assert store.save("a", b"\1\2")
+    assert store.save("b", b"")
+    assert store.save("a", b"\3")
+    assert (store.load("a"), store.load("b"), store.load("c")) == (b"\3", b"", None)
+
+
+def test_file_is_flushed_then_renamed_then_its_directory_is_flushed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    seen: list[str] = []
+    fsync, replace = os.fsync, os.replace
+
+    def note_fsync(number: int) -> None:
+        seen.append("fsync")
+        fsync(number)
+
+    def note_replace(old: Path, new: Path) -> None:
+        assert json.loads(old.read_bytes()) == {"a": "07"}
+        seen.append("rename")
+        replace(old, new)
+
+    monkeypatch.setattr(os, "fsync", note_fsync)
+    monkeypatch.setattr(os, "replace", note_replace)
+    assert FileStore(tmp_path / "node.json").save("a", b"\7")
+    assert seen == ["fsync", "rename", "fsync"] if os.name == "posix" else ["fsync", "rename"]
+
+
+@pytest.mark.parametrize("failing", ["fsync", "replace", "open"])
+def test_disk_that_refuses_leaves_the_old_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, failing: str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "node.json"
+    talk = stored(path)
+    before = path.read_bytes()
+
+    def refuse(*_arguments: object, **_names: object) -> None:
+        raise OSError(28, "No space left on device")
+
+    talk.stage(record(serial=2))
+    assert talk.commit() == 0
+    with monkeypatch.context() as patch:
+        if failing == "open":
+            patch.setattr("builtins.open", refuse)
+        else:
+            patch.setattr(os, failing, refuse)
+        assert talk.put("I", 0x1010, 4, SAVE) == 0x06060000
+    assert path.read_bytes() == before
+    assert "No space left on device" in caplog.text
+    # What is active stays active; it is only not stored.
+    assert talk.upload(0x2140) == record(serial=2)
+    assert talk.put("I", 0x1010, 4, SAVE) == 0
+    assert node(path).upload(0x2140) == record(serial=2)
+
+
+def test_directory_that_vanishes(tmp_path: Path) -> None:
+    directory = tmp_path / "nodes"
+    directory.mkdir()
+    talk = stored(directory / "node.json")
+    shutil.rmtree(directory)
+    assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
+    assert talk.put("I", 0x1011, 1, 0x64616F6C) == 0x06060000
+    # The node itself goes on.
+    assert talk.upload(0x2140) == record()
+
+
+@pytest.mark.parametrize(
+    "content",
+    [
+        b"",
+        b"{",
+        b"[]",
+        b"null",
+        b'"text"',
+        b"\xff\xfe\x00",
+        b"[" * 100_000,
+        b'{"calibration": 5, "application": "zz", "communication": null}',
+        b'{"calibration": "00", "application": "0", "communication": []}',
+    ],
+)
+def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes) -> None:
+    path = tmp_path / "node.json"
+    path.write_bytes(content)
+    talk = node(path)
+    assert talk.device.storage.damaged == ["communication", "application", "calibration"]
+    assert talk.calibration() == (bytes(106), 0, 0)
+    # Storing anew heals it.
+    assert talk.put("I", 0x1010, 1, SAVE) == 0
+    assert node(path).device.storage.damaged == []
+
+
+def test_one_damaged_group_leaves_the_others(tmp_path: Path) -> None:
+    path = tmp_path / "node.json"
+    stored(path)
+    content = json.loads(path.read_bytes())
+    content["application"] = "00" + content["application"]
+    path.write_text(json.dumps(content), encoding="utf-8")
+    talk = node(path)
+    assert talk.device.storage.damaged == ["application"]
+    assert talk.upload(0x2140) == record()
+
+
+def test_file_that_cannot_be_read_is_not_replaced(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    # A disk that fails for a moment must not cost the groups that a save does not carry.
+    path = tmp_path / "node.json"
+    stored(path)
+    store = FileStore(path)
+
+    def refuse(_path: Path) -> bytes:
+        raise PermissionError(13, "Permission denied")
+
+    with monkeypatch.context() as patch, caplog.at_level(logging.ERROR):
+        patch.setattr(Path, "read_bytes", refuse)
+        assert not store.save("application", b"\1")
+        assert node(path).device.storage.damaged == ["communication", "application", "calibration"]
+    assert "Permission denied" in caplog.text
+    assert node(path).upload(0x2140) == record()
+
+
+def test_path_that_cannot_be_a_store_is_refused_with_what_to_do(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="is a directory; give the name of a file"):
+        FileStore(tmp_path)
+    with pytest.raises(InputError, match="does not exist; create it first"):
+        FileStore(tmp_path / "missing" / "node.json")
+
+
+def test_a_rest_of_an_interrupted_write_is_overwritten(tmp_path: Path) -> None:
+    (tmp_path / "node.json.new").write_bytes(b"half a")
+    stored(tmp_path / "node.json")
+    assert node(tmp_path / "node.json").upload(0x2140) == record()
+
+
+def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Path) -> None:
+    stored(tmp_path / "node.json")
+    store = FileStore(tmp_path / "node.json")
+    talk = finger(4, calibrated=False, store=store)  # type: ignore[arg-type]
+    assert talk.calibration() == (bytes(138), 0, 0)

@@ -1,0 +1,180 @@
+"""candump's text read and written: round trips, every kind of bad line, blocks."""
+
+from itertools import islice
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.errors import InputError
+from tipforce.host.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
+from tipforce.host.candump_errors import error_text
+from tipforce.host.candump_format import CandumpFormat, identifier_text
+from tipforce.host.frames import RawFrame, frame_array
+
+STANDARD = st.integers(0, 0x7FF)
+EXTENDED = st.integers(0, 0x1FFFFFFF).map(lambda number: number | EXTENDED_FLAG)
+ERROR = st.integers(0, 0x1FFFFFFF).map(lambda number: number | ERROR_FLAG)
+T_NS = st.integers(0, 9_223_372_036_854_775).map(lambda t_us: t_us * 1000)
+DATA_FRAMES = st.tuples(T_NS, st.one_of(STANDARD, EXTENDED, ERROR), st.binary(max_size=8))
+REMOTE_FRAMES = st.tuples(
+    T_NS, st.one_of(STANDARD, EXTENDED).map(lambda can_id: can_id | REMOTE_FLAG), st.integers(0, 8).map(bytes)
+)
+ROWS = st.lists(st.tuples(st.one_of(DATA_FRAMES, REMOTE_FRAMES), st.sampled_from(["vcan0", "can10", "c"])), max_size=12)
+
+
+def block_of(rows: list[tuple[RawFrame, str]]) -> CandumpBlock:
+    names = tuple(dict.fromkeys(name for _, name in rows))
+    interface = np.array([names.index(name) for _, name in rows], dtype=np.uint16)
+    return CandumpBlock(
+        frame_array([frame for frame, _ in rows]), interface, names, np.zeros(len(rows), dtype=np.bool_)
+    )
+
+
+@settings(derandomize=True, max_examples=200, deadline=None)
+@given(rows=ROWS, log=st.booleans(), extra=st.booleans(), timestamps=st.sampled_from(["", "a"]))
+def test_what_is_written_reads_back(rows: list[tuple[RawFrame, str]], log: bool, extra: bool, timestamps: str) -> None:
+    block = block_of(rows)
+    parser = CandumpParser(strict=True)
+    back = parser.parse(CandumpFormat(timestamps, log=log, extra=extra).lines(block))
+    for field in ("can_id", "length", "data"):
+        np.testing.assert_array_equal(back.frames[field], block.frames[field])
+    assert [back.names[k] for k in back.interface] == [name for _, name in rows]
+    assert back.timed == (bool(timestamps) or log or not rows)
+    np.testing.assert_array_equal(back.frames["t_ns"], block.frames["t_ns"] if back.timed else 0)
+
+
+BAD = [
+    ("hello", "no candump line"),
+    ("(1700000000.123456) vcan0", "no candump line"),
+    ("  vcan0  181   8  00", "no candump line"),
+    ("(1700000000.12345) vcan0 181#00", "timestamp"),
+    ("(yesterday) vcan0 181#00", "timestamp"),
+    ("(2023-13-01 00:00:00.000000) vcan0 181#00", "timestamp"),
+    ("(99999999999.000000) vcan0 181#00", "timestamp"),
+    ("(9223372036.854776) vcan0 181#00", "timestamp"),
+    ("(1700000000.123456) vcan0 18#00", "identifier"),
+    ("(1700000000.123456) vcan0 1 81#00", "no candump line"),
+    ("(1700000000.123456) vcan0 800#00", "identifier"),
+    ("(1700000000.123456) vcan0 18G#00", "identifier"),
+    ("(1700000000.123456) vcan0 40000000#00", "identifier"),
+    ("(1700000000.123456) vcan0 181#0", "data"),
+    ("(1700000000.123456) vcan0 181#0G", "data"),
+    ("(1700000000.123456) vcan0 181#000102030405060708", "length"),
+    ("(1700000000.123456) vcan0 181#R9", "length"),
+    ("(1700000000.123456) vcan0 181#RX", "data"),
+    ("  vcan0  181   [2]  00", "length"),
+    ("  vcan0  181   [9]  00", "length"),
+    ("  vcan0  181   [1]  0", "data"),
+    ("  vcan0  181   [2]  02`01", "data"),
+    ("  vcan0  181   [1]  00000001", "data"),
+    ("  vcan0  1811  [1]  00", "identifier"),
+    ("\N{REPLACEMENT CHARACTER}\0", "no candump line"),
+]
+
+
+@pytest.mark.parametrize(("line", "reason"), BAD)
+def test_a_bad_line_is_counted_by_reason_and_number(line: str, reason: str) -> None:
+    good = "(1700000000.123456) vcan0 181#0102"
+    parser = CandumpParser()
+    assert len(parser.parse([good, "", line, good]).frames) == 2
+    assert parser.bad == {reason: 1}
+    assert [(bad.number, bad.text) for bad in parser.bad_lines] == [(3, line)]
+
+
+@pytest.mark.parametrize(("line", "reason"), BAD)
+def test_strict_says_where_what_and_what_was_expected(line: str, reason: str) -> None:
+    good = "(1700000000.123456) vcan0 181#0102\n"
+    with pytest.raises(BadLineError) as caught:
+        CandumpParser(strict=True).parse([good, line + "\n", good])
+    assert isinstance(caught.value, InputError)
+    assert str(caught.value).startswith(f"line 2: {line!r}: {reason}: expected ")
+    assert EXPECTED[reason] in str(caught.value)
+    assert len(caught.value.block.frames) == 1
+
+
+def test_many_bad_lines_are_counted_and_few_kept() -> None:
+    parser = CandumpParser()
+    parser.parse(f"bad {k}" * 200 for k in range(1000))
+    assert parser.bad == {"no candump line": 1000}
+    assert len(parser.bad_lines) == 100
+    assert len(str(parser.bad_lines[0])) < 300
+
+
+def test_what_is_no_classic_frame_is_counted() -> None:
+    parser = CandumpParser(strict=True)
+    lines = [
+        "(1700000000.123456) vcan0 123##5000102030405060708090A0B",
+        "  vcan0  123  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B",
+        "  vcan0  123  [08]  00 01 02 03 04 05 06 07",
+        "DROPCOUNT: dropped 7 CAN frames on 'vcan0' socket (total drops 9)",
+        "DROPCOUNT: dropped 1 CAN frame on 'vcan0' socket (total drops 10)",
+        "\tcontroller-problem{rx-error-warning}",
+        "",
+    ]
+    assert len(parser.parse(lines).frames) == 0
+    assert (parser.fd_frames, parser.dropped, parser.bad) == (3, 8, {})
+
+
+def test_other_writers_of_the_log_format() -> None:
+    lines = [
+        "(1700000000.123456789) can0 123#00.11.22",  # nanoseconds; the separators that cansend takes
+        "(1700000000.123456) can0 123#1122334455667788_E",  # the raw DLC of can-utils' -8
+        "(1700000000.123456) can0 123#aabb R\r\n",  # python-can
+        "(0000000000.000001) can0 123#r",
+    ]
+    block = CandumpParser(strict=True).parse(lines)
+    assert block.frames["t_ns"].tolist()[0] == 1700000000_123456789
+    assert block.frames["length"].tolist() == [3, 8, 2, 0]
+    assert block.frames["data"][2].tolist() == [0xAA, 0xBB, 0, 0, 0, 0, 0, 0]
+    assert block.frames["can_id"][3] == 0x123 | REMOTE_FLAG
+
+
+def test_too_many_interfaces_are_refused() -> None:
+    parser = CandumpParser()
+    block = parser.parse(f"(1700000000.123456) name{k} 123#" for k in range(5000))
+    assert (len(block.names), parser.bad) == (4096, {"interface": 904})
+
+
+def test_blocks_bound_the_memory_and_line_numbers_go_on() -> None:
+    def lines() -> "list[str]":
+        return [f"(1700000000.{k:06d}) vcan0 181#{k % 256:02X}" if k != 777 else "x" for k in range(1000)]
+
+    parser = CandumpParser()
+    blocks = list(read_candump(lines(), parser, block_lines=300))
+    assert [len(block.frames) for block in blocks] == [300, 300, 299, 100]
+    assert parser.bad_lines[0].number == 778
+    endless = read_candump((line for line in iter(lambda: "  vcan0  181   [1]  00", "")), block_lines=10)
+    assert [len(block.frames) for block in islice(endless, 3)] == [10, 10, 10]
+
+
+def test_frames_of_a_block_can_be_changed_and_taken() -> None:
+    block = CandumpParser().parse(["  vcan0  181   [1]  07", "  can1  182   [0] "])
+    block.frames["t_ns"] = 5
+    second = block.take(slice(1, None))
+    assert (second.frames["can_id"][0], second.names[second.interface[0]]) == (0x182, "can1")
+
+
+def test_time_that_goes_back_shows_as_zero_not_as_garbage() -> None:
+    block = block_of([((5_000_000_000, 0x181, b""), "c"), ((4_000_000_000, 0x181, b""), "c")])
+    for kind in "zd":
+        assert CandumpFormat(kind).lines(block)[1].startswith(" (000.000000)  c")
+
+
+def test_format_refuses_an_unknown_timestamp() -> None:
+    with pytest.raises(InputError, match="allowed are a, z, d, A"):
+        CandumpFormat("b")
+
+
+def test_identifier_text() -> None:
+    assert identifier_text(0x81) == "081"
+    assert identifier_text(0x81 | EXTENDED_FLAG | REMOTE_FLAG) == "00000081"
+    assert identifier_text(0x81 | ERROR_FLAG) == "20000081"
+
+
+def test_an_error_class_that_candump_does_not_know() -> None:
+    assert error_text(ERROR_FLAG | 0x400, b"") == "error class 0x400 is unknown"
+    assert error_text(ERROR_FLAG | 8, bytes([0, 0, 1, 0x10])) == "protocol-violation{{single-bit-error}{unspecified}}"
+    assert error_text(ERROR_FLAG | 8, bytes([0, 0, 0, 0x20])) == "protocol-violation{{}{}}"

@@ -1,0 +1,267 @@
+"""`tipforce dump` on text: what it prints, what it leaves out, and how it ends."""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tipforce_tools.main import main
+
+GOOD = """\
+(1700000000.000000) vcan0 285#2E1129239A110303
+(1700000000.000500) vcan0 285#0080008000800204
+(1700000000.001000) vcan1 185#0A0014001E000206
+(1700000000.250000) vcan0 080#
+(1700000000.250001) vcan0 181#R8
+(1700000001.000000) vcan0 20000004#0004000000000000
+(1700000001.000001) vcan0 12345678#AB
+"""
+DUMP = [sys.executable, "-m", "tipforce_tools.main", "dump"]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    path.write_text(GOOD)
+    return path
+
+
+def piped(text: str, *words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run([*DUMP, *words], input=text, capture_output=True, text=True, timeout=60, check=False)
+
+
+def records(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_text_of_candump(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", str(log)]) == 0
+    assert capsys.readouterr().out == (
+        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n"
+        "  vcan0  285   [8]  00 80 00 80 00 80 02 04\n"
+        "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06\n"
+        "  vcan0  080   [0] \n"
+        "  vcan0  181   [8]  remote request\n"
+        "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n"
+        "  vcan0  12345678   [1]  AB\n"
+    )
+
+
+def test_log_format_is_the_same_again(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "-L", str(log)]) == 0
+    assert capsys.readouterr() == (GOOD, "")
+
+
+@pytest.mark.parametrize(
+    ("flag", "starts"),
+    [
+        ("-ta", [" (1700000000.000000)  vcan0", " (1700000000.000500)  vcan0"]),
+        ("-tz", [" (000.000000)  vcan0", " (000.000500)  vcan0", " (000.001000)  vcan1", " (000.250000)  vcan0"]),
+        ("-td", [" (000.000000)  vcan0", " (000.000500)  vcan0", " (000.000500)  vcan1", " (000.249000)  vcan0"]),
+    ],
+)
+def test_timestamps(flag: str, starts: list[str], log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", flag, str(log)]) == 0
+    for line, start in zip(capsys.readouterr().out.splitlines(), starts, strict=False):
+        assert line.startswith(start + "  ")
+
+
+def test_errors_in_words(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "-e", str(log), "any,0~0,#FFFFFFFF"]) == 0
+    assert capsys.readouterr().out == (
+        "  vcan0  20000004   [8]  00 04 00 00 00 00 00 00   ERRORFRAME\n\tcontroller-problem{rx-error-warning}\n"
+    )
+
+
+def test_decoded(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "--decode", str(log)]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[:4] == [
+        "  vcan0  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
+        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3",
+        "  vcan0  285   [8]  00 80 00 80 00 80 02 04  node 5 (0x05) Contact  "
+        "P=unknown phi=unknown theta=unknown calibrated #4",
+        "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06  node 5 (0x05) Gauges  "
+        "SG1=1.0 microstrain SG2=2.0 microstrain SG3=3.0 microstrain calibrated #6",
+        "  vcan0  080   [0] ",
+    ]
+
+
+def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "--json", "--decode", str(log)]) == 0
+    found = records(capsys.readouterr().out)
+    assert found[0] == {
+        "t": 1700000000.0,
+        "interface": "vcan0",
+        "id": "285",
+        "data": "2E1129239A110303",
+        "node": 5,
+        "message": "Contact",
+        "values": {"P": 4.398, "phi": 90.01, "theta": 45.06},
+        "status": ["contact", "calibrated"],
+        "counter": 3,
+    }
+    assert found[1]["values"] == {"P": None, "phi": None, "theta": None}
+    assert found[3] == {"t": 1700000000.25, "interface": "vcan0", "id": "080", "data": ""}
+    assert (found[4]["remote"], found[4]["length"], found[5]["error"]) == (True, 8, True)
+    assert found[6]["id"] == "12345678"
+
+
+def test_json_without_decode_and_without_time() -> None:
+    done = piped("  vcan0  285   [8]  2E 11 29 23 9A 11 03 03\n", "--json", "-")
+    assert records(done.stdout) == [{"t": None, "interface": "vcan0", "id": "285", "data": "2E1129239A110303"}]
+
+
+def test_health_and_more_gauges() -> None:
+    health = "(1700000000.000000) vcan0 485#FFFFFFFF01080701\n"
+    done = piped(health, "--decode", "--gauges", "8", "-L", "-")
+    assert done.stdout == health[:-1] + (
+        "  node 5 (0x05) Health  temperature=-0.01 degC u_P=unknown error_register=1 SG1_fault fault_supply #7\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("targets", "shown"),
+    [
+        (["vcan0"], 6),
+        (["vcan1"], 1),
+        (["any"], 7),
+        (["vcan0,285:7FF"], 2),
+        (["vcan0,285:7FF", "vcan1"], 3),
+        (["any,285~7FF"], 4),
+        (["any,285:7FF,080:7FF"], 3),
+        (["any,285~7FF,080~7FF,j"], 3),
+        (["any,0~0,#4"], 1),
+        (["any,0~0,#3"], 0),
+        (["any,12345678:DFFFFFFF"], 1),
+        (["any,181:C00007FF"], 0),
+        (["can7"], 0),
+    ],
+)
+def test_filters(targets: list[str], shown: int, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", *targets, str(log)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == shown
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["vcan0,18G:7FF", "-"], "filter '18G:7FF' of vcan0"),
+        ([",181:7FF", "-"], "no channel"),
+        (["missing.log"], "missing.log: no such file"),
+        (["-", "-"], "only one"),
+        (["-L", "-e", "-"], "-L and -e"),
+    ],
+)
+def test_usage_errors(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", *words]) == 2
+    assert message in capsys.readouterr().err
+
+
+def test_timestamps_that_the_text_has_not(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "screen.txt"
+    path.write_text("  vcan0  285   [0] \n")
+    assert main(["dump", "-ta", str(path)]) == 2
+    assert "no timestamps" in capsys.readouterr().err
+
+
+def test_count(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "-n", "2", str(log)]) == 0
+    assert len(capsys.readouterr().out.splitlines()) == 2
+
+
+def test_what_was_left_out_is_told_at_the_end() -> None:
+    text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
+    done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 8)
+    lines = done.stderr.splitlines()
+    assert lines[0].startswith(
+        "tipforce dump: 3 bad lines left out (2 no candump line, 1 timestamp), first line 8: 'rubbish': "
+    )
+    assert lines[1:] == [
+        "tipforce dump: 1 CAN FD frame left out",
+        "tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded",
+    ]
+    assert piped(text, "-q", "-").stderr == ""
+
+
+def test_verbose_counts_messages_and_lost_samples() -> None:
+    text = "".join(f"(1700000000.{k:06d}) vcan0 285#00000000000002{k:02X}\n" for k in (0, 1, 1, 5))
+    lines = piped(text, "-v", "-").stderr.splitlines()
+    assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 4 frames, 3 samples lost"
+
+
+def test_strict_stops_at_the_first_bad_line() -> None:
+    good = GOOD.splitlines(keepends=True)
+    done = piped(good[0] + "rubbish\n" + good[1], "--strict", "-L", "-")
+    assert (done.returncode, done.stdout) == (1, good[0])
+    assert done.stderr.startswith("tipforce dump: line 2: 'rubbish': no candump line: expected ")
+    assert piped(GOOD, "--strict", "-").returncode == 0
+
+
+def test_bytes_that_are_no_text() -> None:
+    noise = bytes(range(256)) * 1000
+    done = subprocess.run([*DUMP, "-"], input=noise, capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stdout) == (0, b"")
+    assert b"bad lines left out" in done.stderr
+
+
+def test_a_last_line_without_its_end() -> None:
+    assert piped(GOOD.rstrip("\n"), "-L", "-").stdout == GOOD
+
+
+def test_a_closed_pipe_ends_quietly(tmp_path: Path) -> None:
+    path = tmp_path / "long.log"
+    path.write_text(GOOD * 20_000)
+    with subprocess.Popen([*DUMP, str(path)], stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        assert process.stdout is not None
+        assert process.stderr is not None
+        assert process.stdout.readline().startswith(b"  vcan0  285")
+        process.stdout.close()
+        assert process.stderr.read() == b""
+        assert process.wait(timeout=60) == 0
+
+
+def test_a_live_pipe_is_shown_at_once() -> None:
+    with subprocess.Popen([*DUMP, "--decode", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        for count in range(3):
+            line = f"(1700000000.000000) vcan0 285#2E1129239A1103{count:02X}\n".encode()
+            os.write(process.stdin.fileno(), line[:20])
+            os.write(process.stdin.fileno(), line[20:])
+            assert process.stdout.readline().endswith(f"#{count}\n".encode())  # stdin is still open
+        process.stdin.close()
+        assert process.wait(timeout=60) == 0
+
+
+def test_silence_ends_it() -> None:
+    with subprocess.Popen([*DUMP, "-T", "200", "-"], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        start = time.monotonic()
+        os.write(process.stdin.fileno(), GOOD.encode())
+        assert process.wait(timeout=60) == 0
+        assert time.monotonic() - start >= 0.2
+
+
+def test_help_needs_no_numpy() -> None:
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\n"
+        "try:\n    main(['dump', '--help'])\nexcept SystemExit:\n    pass\n"
+        "assert 'numpy' not in sys.modules, 'numpy was imported'\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)
+
+
+def test_text_needs_no_canopen(log: Path) -> None:
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\n"
+        f"main(['dump', '--decode', {str(log)!r}])\n"
+        "assert 'canopen' not in sys.modules, 'canopen was imported'\n"
+    )
+    subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, timeout=60)

@@ -1,0 +1,219 @@
+"""A raw socket that shares no code with what is tested, and commands whose processes end with their test."""
+
+from __future__ import annotations
+
+import contextlib
+import itertools
+import multiprocessing
+import os
+import signal
+import socket
+import struct
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from multiprocessing.context import ForkServerProcess
+from pathlib import Path
+from typing import Protocol, Self
+
+WAIT_S = 30.0  # only a test that fails waits so long: in User-mode Linux everything is slow
+BUS = ("-i", "socketcan", "-c", "vcan0")
+REPOSITORY = Path(__file__).parents[2]
+NODE_ID = 5
+SYNC, NMT = 0x80, 0x000
+SDO_REQUEST, SDO_ANSWER, HEARTBEAT = 0x600, 0x580, 0x700
+_FRAME = struct.Struct("=IB3x8s")  # struct can_frame, linux/can.h
+_numbers = itertools.count()
+
+# In User-mode Linux a command of `tipforce` takes 3 s, nearly all of it for its imports. So they are imported once, in
+# a server that forks a process for each command; some tests start a fresh interpreter all the same.
+_context = multiprocessing.get_context("forkserver")
+_context.set_forkserver_preload(
+    [
+        "numpy", "can.cli", "can.interfaces.socketcan", "canopen",
+        "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find", "tipforce.host.hand",
+        "tipforce.fingertip.loop", "tipforce.fingertip.node", "tipforce.fingertip.store", "tipforce.dictionary.eds",
+        "tipforce.sensor.strain",
+        *(f"tipforce_tools.{name}" for name in ("main", "node", "sdo", "scan", "config", "calibrate", "layout_file")),
+        *(f"tipforce_tools.dump.{name}" for name in ("command", "session", "live_source")),
+    ]
+)  # fmt: skip
+
+Frame = tuple[int, bytes]
+
+
+class RawBus:
+    """A raw CAN socket: frames as (can_id with the flags of linux/can.h, data)."""
+
+    def __init__(self, channel: str = "vcan0") -> None:
+        self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        self._socket.bind((channel,))
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def send(self, can_id: int, data: bytes = b"") -> None:
+        """Send one frame."""
+        self._socket.send(_FRAME.pack(can_id, len(data), data))
+
+    def receive(self, timeout_s: float = WAIT_S) -> Frame:
+        """The next frame. Raises TimeoutError."""
+        self._socket.settimeout(timeout_s)
+        can_id, length, data = _FRAME.unpack(self._socket.recv(_FRAME.size))
+        return can_id, data[:length]
+
+    def until(self, wanted: Callable[[Frame], bool], timeout_s: float = WAIT_S) -> list[Frame]:
+        """Every frame up to the first that is ``wanted``, and that one. Raises TimeoutError."""
+        deadline = time.monotonic() + timeout_s
+        frames: list[Frame] = []
+        while not frames or not wanted(frames[-1]):
+            frames.append(self.receive(max(0.001, deadline - time.monotonic())))
+        return frames
+
+    def answers(self, node_id: int = NODE_ID) -> list[Frame]:
+        """What the node has sent so far: all before its answer to one SDO request, because it answers in order."""
+        self.send(SDO_REQUEST + node_id, bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0)))
+        return self.until(lambda frame: frame[0] == SDO_ANSWER + node_id)[:-1]
+
+
+def is_boot_up(node_id: int) -> Callable[[Frame], bool]:
+    """Is it the boot-up message of this node (CiA 301, 7.2.8.3.3)?"""
+    return lambda frame: frame == (HEARTBEAT + node_id, b"\0")
+
+
+class Command:
+    """One `tipforce` command in a process of its own; its stdout and stderr go to files."""
+
+    def __init__(self, words: Sequence[str], folder: Path, *, fresh: bool = False) -> None:
+        number = next(_numbers)
+        self.words = tuple(words)
+        self._outputs = [folder / f"{number}.{stream}" for stream in ("stdout", "stderr")]
+        for path in self._outputs:
+            path.touch()
+        self._popen: subprocess.Popen[bytes] | None = None
+        self._forked: ForkServerProcess | None = None
+        if fresh:
+            with contextlib.ExitStack() as opened:
+                out, err = (opened.enter_context(path.open("wb")) for path in self._outputs)
+                self._popen = subprocess.Popen(tipforce(*words), stdin=subprocess.DEVNULL, stdout=out, stderr=err)
+        else:
+            self._forked = _context.Process(target=_run_here, args=(self.words, [str(p) for p in self._outputs]))
+            self._forked.start()
+
+    @property
+    def pid(self) -> int:
+        """The id of the process."""
+        pid = self._popen.pid if self._popen else self._forked.pid if self._forked else None
+        assert pid is not None
+        return pid
+
+    @property
+    def stdout(self) -> str:
+        """What it has written so far."""
+        return self._outputs[0].read_text()
+
+    @property
+    def stderr(self) -> str:
+        """What it has written so far."""
+        return self._outputs[1].read_text()
+
+    def wait(self, timeout_s: float = WAIT_S) -> int:
+        """Its exit code, or minus the number of the signal that ended it. Raises AssertionError after the time."""
+        code: int | None = None
+        if self._popen is not None:
+            with contextlib.suppress(subprocess.TimeoutExpired):
+                code = self._popen.wait(timeout_s)
+        elif self._forked is not None:
+            self._forked.join(timeout_s)
+            code = self._forked.exitcode
+        assert code is not None, f"tipforce {' '.join(self.words)} still runs after {timeout_s:g} s\n{self.stderr}"
+        return code
+
+    def send_signal(self, number: int) -> None:
+        """A signal to this process."""
+        os.kill(self.pid, number)
+
+    def end(self, number: int = signal.SIGTERM) -> int:
+        """Send a signal and return the exit code."""
+        self.send_signal(number)
+        return self.wait()
+
+    def close(self) -> None:
+        """End the process if it still runs."""
+        ended = self._popen.poll() if self._popen else self._forked.exitcode if self._forked else 0
+        if ended is None:
+            self.end(signal.SIGKILL)
+        if self._forked is not None:
+            self._forked.close()
+            self._forked = None
+
+
+class Launch(Protocol):
+    """The fixture that starts commands."""
+
+    def __call__(self, *words: str, fresh: bool = False) -> Command:
+        """Start `tipforce WORDS`; ``fresh`` by a new interpreter."""
+
+
+def tipforce(*words: str) -> list[str]:
+    """The command line of `tipforce WORDS`."""
+    return [sys.executable, "-m", "tipforce_tools.main", *words]
+
+
+def _run_here(words: Sequence[str], outputs: Sequence[str]) -> None:
+    """In the forked process: be `tipforce WORDS`."""
+    from tipforce_tools.main import main
+
+    for fd, path in zip((1, 2), outputs, strict=True):
+        file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
+        os.dup2(file, fd)
+        os.close(file)
+    sys.exit(main(words))
+
+
+@contextlib.contextmanager
+def running_node(
+    folder: Path, *flags: str, node_id: int = NODE_ID, channel: str = "vcan0", fresh: bool = False
+) -> Iterator[Command]:
+    """A node that has sent its boot-up message, ended by SIGTERM unless the test ended it."""
+    words = ["node", "--node-id", str(node_id), "-i", "socketcan", "-c", channel, "--layout", "I", *flags]
+    with RawBus(channel) as bus:
+        command = Command(words, folder, fresh=fresh)
+        try:
+            bus.until(is_boot_up(node_id))
+        except TimeoutError:
+            raise AssertionError(f"node {node_id} sent no boot-up message\n{command.stderr}") from None
+        finally:
+            if sys.exc_info()[0] is not None:
+                command.close()
+    try:
+        yield command
+    finally:
+        command.close()
+
+
+@contextlib.contextmanager
+def peer(*words: str, output: Path) -> Iterator[subprocess.Popen[bytes]]:
+    """Another program (can-utils) that writes to a file until the test ends it."""
+    with output.open("wb") as file:
+        process = subprocess.Popen(words, stdin=subprocess.DEVNULL, stdout=file, stderr=subprocess.STDOUT)
+    try:
+        yield process
+    finally:
+        process.terminate()
+        process.wait(WAIT_S)
+
+
+def wait_until(condition: Callable[[], bool], what: str, again: Callable[[], object] = lambda: None) -> None:
+    """Poll until the condition holds, doing ``again`` before each look. Raises AssertionError after WAIT_S."""
+    deadline = time.monotonic() + WAIT_S
+    while True:
+        again()
+        if condition():
+            return
+        assert time.monotonic() < deadline, what
+        time.sleep(0.02)

@@ -1,0 +1,177 @@
+"""The node as a process: how it ends, what it keeps, and what it does when its interface goes away."""
+
+from __future__ import annotations
+
+import random
+import signal
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tipforce.dictionary import objects as od
+from tipforce.errors import SdoAbortError
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce_tools.demo.job import case_calibration
+from vcan.support import HEARTBEAT, NODE_ID, SDO_REQUEST, SYNC, WAIT_S, Command, RawBus, running_node, wait_until
+
+STORE_CALIBRATION = b"\x23\x10\x10\x04save"  # SDO download, expedited, 1010h:4
+OWN_BUS = "tipforce0"
+KILLS = 5
+
+
+def receivers(channel: str) -> int:
+    """How many sockets listen on a bus, as the kernel lists them (each of ours without a filter)."""
+    lines = Path("/proc/net/can/rcvlist_all").read_text().splitlines()
+    return sum(line.split()[:1] == [channel] for line in lines)
+
+
+def active_crc(connection: Connection) -> int:
+    return connection.sdo(NODE_ID).read(od.CALIBRATION_ACTIVE_CRC)
+
+
+# Its end
+
+
+@pytest.mark.parametrize(("number", "fresh"), [(signal.SIGTERM, False), (signal.SIGINT, True)])
+def test_sigterm_and_ctrl_c_end_the_node_and_free_the_socket(tmp_path: Path, number: int, fresh: bool) -> None:
+    before = receivers("vcan0")
+    with running_node(tmp_path, fresh=fresh) as node:
+        assert receivers("vcan0") == before + 1
+        assert node.end(number) == 0
+        assert receivers("vcan0") == before
+        assert "Traceback" not in node.stderr
+        assert node.stdout == ""
+
+
+def test_interface_that_does_not_exist_is_said_at_once(launch_node: list[Command], tmp_path: Path) -> None:
+    launch_node.append(Command(["node", "--node-id", "5", "-i", "socketcan", "-c", "nosuchbus0"], tmp_path))
+    assert launch_node[0].wait() == 2
+    assert "nosuchbus0" in launch_node[0].stderr
+    assert "Traceback" not in launch_node[0].stderr
+
+
+@pytest.fixture
+def launch_node() -> Iterator[list[Command]]:
+    """Nodes that are not expected to boot; ended with the test."""
+    started: list[Command] = []
+    yield started
+    for command in started:
+        command.close()
+
+
+# What it keeps
+
+
+def test_stored_calibration_is_active_again_after_a_kill(host: Connection, tmp_path: Path) -> None:
+    store = ("--store", str(tmp_path / "store.json"))
+    client = FingertipClient(host.sdo(NODE_ID))
+    stored, unstored = case_calibration("I", pull=True), case_calibration("II", pull=True)
+    with running_node(tmp_path, *store) as node:
+        generation = client.apply_calibration(stored)
+        assert client.apply_calibration(unstored, store=False) == generation + 1
+        assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    with running_node(tmp_path, *store):
+        assert active_crc(host) == stored.crc32()
+        assert host.sdo(NODE_ID).read(od.CALIBRATION_GENERATION) == generation
+        assert client.verify_calibration(stored) == []
+
+
+def test_node_without_a_store_refuses_to_store(host: Connection, tmp_path: Path) -> None:
+    client = FingertipClient(host.sdo(NODE_ID))
+    with running_node(tmp_path):
+        client.apply_calibration(case_calibration("I", pull=True), store=False)
+        with pytest.raises(SdoAbortError) as refused:
+            client.store(calibration=True)
+        assert refused.value.code == 0x06060000
+
+
+def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Connection, tmp_path: Path) -> None:
+    store = ("--store", str(tmp_path / "store.json"))
+    client = FingertipClient(host.sdo(NODE_ID))
+    calibrations = [case_calibration("I", pull=True), case_calibration("II", pull=True)]
+    chance = random.Random(20261121)
+    with running_node(tmp_path, *store):
+        client.apply_calibration(calibrations[0], store=False)
+        begin_s = time.monotonic()
+        client.store(calibration=True)
+        duration_s = time.monotonic() - begin_s
+    allowed = {calibrations[0].crc32()}
+    for _ in range(KILLS):
+        with running_node(tmp_path, *store) as node:
+            found = active_crc(host)
+            assert found in allowed, node.stderr
+            new = calibrations[1] if found == calibrations[0].crc32() else calibrations[0]
+            allowed = {found, new.crc32()}
+            client.apply_calibration(new, store=False)
+            host.send(SDO_REQUEST + NODE_ID, STORE_CALIBRATION)
+            time.sleep(chance.uniform(0.0, duration_s))
+            assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    with running_node(tmp_path, *store) as node:
+        assert active_crc(host) in allowed, node.stderr
+
+
+# Its interface
+
+
+def ip(*words: str) -> None:
+    subprocess.run(["ip", "link", *words], check=True, capture_output=True, timeout=WAIT_S)
+
+
+@pytest.fixture
+def own_bus() -> Iterator[str]:
+    """A bus of its own, that the test may take down and away."""
+    try:
+        ip("add", "dev", OWN_BUS, "type", "vcan")
+    except subprocess.CalledProcessError as error:
+        if b"not permitted" in error.stderr:
+            pytest.skip("taking an interface down needs CAP_NET_ADMIN; `tipforce vcan --uml -- ...` has it")
+        raise
+    ip("set", OWN_BUS, "up")
+    yield OWN_BUS
+    subprocess.run(["ip", "link", "del", OWN_BUS], check=False, capture_output=True, timeout=WAIT_S)
+
+
+def start_with_fast_heartbeats(channel: str) -> None:
+    """Operational, and 1017h = 20 ms, so that the node soon notices that it can't send."""
+    with RawBus(channel) as bus:
+        bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0\x14\0\0\0")
+        bus.until(lambda frame: frame[0] == 0x580 + NODE_ID)
+        bus.send(0x000, bytes((1, NODE_ID)))
+        bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
+
+
+def still_operational(channel: str, node: Command) -> None:
+    """It sends heartbeats in the state that it was in (so it was not restarted), and answers a SYNC."""
+    with RawBus(channel) as bus:
+        bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
+        bus.send(SYNC)
+        assert {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+    wait_until(lambda: "up again" in node.stderr, "no word that the interface is up again")
+    assert node.end() == 0
+
+
+def test_node_outlives_its_interface_going_down_and_up(own_bus: str, tmp_path: Path) -> None:
+    with running_node(tmp_path, channel=own_bus) as node:
+        start_with_fast_heartbeats(own_bus)
+        ip("set", own_bus, "down")
+        wait_until(lambda: "Network is down" in node.stderr, "no word that the interface is down")
+        time.sleep(0.2)  # ten heartbeats that can't be sent
+        ip("set", own_bus, "up")
+        still_operational(own_bus, node)
+        assert node.stderr.count("Network is down") == 1
+
+
+def test_node_outlives_its_interface_going_away_and_coming_back(own_bus: str, tmp_path: Path) -> None:
+    with running_node(tmp_path, channel=own_bus) as node:
+        start_with_fast_heartbeats(own_bus)
+        ip("del", own_bus)
+        wait_until(lambda: "goes on when it is up again" in node.stderr, "no word that the interface is gone")
+        time.sleep(0.2)
+        ip("add", "dev", own_bus, "type", "vcan")
+        ip("set", own_bus, "up")
+        still_operational(own_bus, node)
+        assert node.stderr.count("goes on when it is up again") == 1

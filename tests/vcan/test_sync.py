@@ -1,0 +1,77 @@
+"""What `cansend` (can-utils) makes a node do: NMT start, and one coherent sample per SYNC."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+
+import pytest
+
+from vcan.support import HEARTBEAT, NODE_ID, Command, Frame, RawBus
+
+pytestmark = pytest.mark.usefixtures("node")
+GAUGES, CONTACT = 0x180 + NODE_ID, 0x280 + NODE_ID
+
+
+def cansend(frame: str) -> None:
+    subprocess.run(["cansend", "vcan0", frame], check=True, timeout=30)
+
+
+def pdos(frames: list[Frame]) -> list[Frame]:
+    """The node's frames without its heartbeats and without what the hosts sent."""
+    return [frame for frame in frames if frame[0] not in (HEARTBEAT + NODE_ID, 0x000, 0x080, 0x600 + NODE_ID)]
+
+
+def sync_by_cansend(bus: RawBus) -> list[Frame]:
+    cansend("080#")
+    bus.until(lambda frame: frame[0] == 0x080)
+    return pdos(bus.answers())
+
+
+def test_no_pdo_before_nmt_start(bus: RawBus, node: Command) -> None:
+    assert sync_by_cansend(bus) == [], node.stderr
+
+
+def test_nmt_start_makes_the_node_operational(bus: RawBus) -> None:
+    cansend("000#0105")
+    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x05"))
+    assert pdos(frames) == []
+
+
+def test_a_sync_gives_one_tpdo1_and_one_tpdo2_of_one_sample_and_nothing_else(bus: RawBus) -> None:
+    cansend("000#0105")
+    frames = sync_by_cansend(bus)
+    assert [can_id for can_id, _ in frames] == [GAUGES, CONTACT]
+    (_, gauges), (_, contact) = frames
+    assert len(gauges) == len(contact) == 8
+    assert gauges[6:] == contact[6:], "status and counter are those of one sample"
+
+
+def test_ten_syncs_give_ten_pairs_with_successive_counters(bus: RawBus) -> None:
+    cansend("000#0105")
+    pairs = [sync_by_cansend(bus) for _ in range(10)]
+    assert all([can_id for can_id, _ in pair] == [GAUGES, CONTACT] for pair in pairs)
+    assert all(gauges[7] == contact[7] for (_, gauges), (_, contact) in pairs)
+    counters = [pair[0][1][7] for pair in pairs]
+    assert all((later - earlier) & 0xFF == 1 for earlier, later in itertools.pairwise(counters)), counters
+
+
+def test_command_to_another_node_changes_nothing(bus: RawBus) -> None:
+    cansend("000#0105")
+    cansend("000#0206")
+    bus.until(lambda frame: frame == (0x000, b"\x02\x06"))
+    assert len(sync_by_cansend(bus)) == 2
+
+
+def test_stopped_node_is_silent_and_heartbeats_say_so(bus: RawBus) -> None:
+    cansend("000#0205")
+    cansend("080#")
+    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
+    assert pdos(frames) == []
+
+
+def test_reset_communication_gives_a_boot_up_message(bus: RawBus) -> None:
+    cansend("000#8205")
+    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\0"))
+    assert pdos(frames) == []
+    assert sync_by_cansend(bus) == []

@@ -1,0 +1,1 @@
+"""`tipforce dump`: candump's text, with the contact that the frames carry."""

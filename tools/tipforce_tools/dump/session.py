@@ -1,0 +1,161 @@
+"""One run of `tipforce dump`: from a source through filters and decoder to stdout, and the report at the end."""
+
+import os
+import sys
+from argparse import Namespace
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.candump import BadLineError, CandumpBlock, CandumpParser
+from tipforce.host.candump_format import CandumpFormat
+from tipforce.host.decode import Decoder, Key, Samples, lost_samples
+from tipforce_tools import common
+from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
+from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
+from tipforce_tools.dump.text_source import text_blocks
+
+
+class Tally:
+    """Counts frames and lost samples per message, over all blocks."""
+
+    def __init__(self) -> None:
+        self.frames: dict[Key, int] = {}
+        self.lost: dict[Key, int] = {}
+        self._last: dict[Key, npt.NDArray[np.uint8]] = {}
+
+    def add(self, key: Key, samples: Samples) -> None:
+        """Count a block's samples of one message."""
+        self.frames[key] = self.frames.get(key, 0) + len(samples.row)
+        if COUNTER in samples.columns and 1 <= samples.message.transmission_type <= 240:  # cyclic: none is left out
+            counter = samples.columns[COUNTER]
+            joined = np.concatenate((self._last.get(key, counter[:0]), counter))
+            self.lost[key] = self.lost.get(key, 0) + lost_samples(joined)
+            self._last[key] = counter[-1:].copy()
+
+
+class Session:
+    """What a run prints and what it counts."""
+
+    def __init__(self, args: Namespace, targets: tuple[Target, ...]) -> None:
+        self._args = args
+        self.decoder = Decoder(args.gauges) if args.decode or args.verbose else None
+        self.tally = Tally()
+        self._left = args.count
+        self._needs_time = not args.json and (args.log or bool(args.timestamps))
+        self._writer: Writer = JsonWriter()
+        if not args.json:
+            width = max((len(target.channel) for target in targets), default=0)
+            text = CandumpFormat(args.timestamps, log=args.log, extra=args.extra, errors=args.errors, width=width)
+            self._writer = TextWriter(text, aligned=not args.log)
+
+    def show(self, block: CandumpBlock) -> bool:
+        """Print a block; False once all the frames that were asked for are shown."""
+        if self._needs_time and not block.timed:
+            raise InputError("the text has no timestamps, and -t and -L show them: record it with candump -L, or -ta")
+        if self._left is not None:
+            block = block.take(slice(self._left))
+            self._left -= len(block.frames)
+        decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
+        for key, samples in decoded.items():
+            self.tally.add(key, samples)
+        text = self._writer.text(block, decoded if self._args.decode else {})
+        if text:
+            sys.stdout.write(text)
+            sys.stdout.flush()
+        return self._left is None or self._left > 0
+
+
+def dump(args: Namespace) -> int:
+    """Print frames until the source ends, or -n or -T ends it. 0, or 1 for a bad line with --strict.
+
+    Raises InputError for targets that are not usable, EnvironmentLackError when a bus can't be opened or fails.
+    """
+    if args.log and args.errors and not args.json:
+        raise InputError("-L and -e: the log format has no room for words; leave one out")
+    source, targets = split_targets(args.targets)
+    session = Session(args, targets)
+    if source is not None:
+        return _dump_text(args, source, targets, session)
+    _dump_buses(args, targets, session)
+    return 0
+
+
+def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...], session: Session) -> int:
+    parser = CandumpParser(strict=args.strict)
+    with ExitStack() as opened:
+        if source == STDIN:
+            descriptor = sys.stdin.fileno()
+        else:
+            descriptor = _open_file(str(source))
+            opened.callback(os.close, descriptor)
+        blocks = text_blocks(descriptor, parser, args.timeout_ms)
+        try:
+            _show_all(session, (select(block, targets) for block in blocks))
+        except BadLineError as error:
+            print(f"tipforce dump: {error}", file=sys.stderr)
+            return 1
+        finally:
+            _report(args, session, parser.fd_frames, parser)
+    return 0
+
+
+def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
+    import can
+
+    from tipforce_tools.dump.live_source import LiveSource
+    from tipforce_tools.main import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    with LiveSource(targets, args) as source:
+        try:
+            _show_all(session, source.blocks(args.timeout_ms))
+        except can.CanError as error:
+            raise EnvironmentLackError(f"the bus failed: {error}; `ip -details link` shows its state") from None
+        finally:
+            _report(args, session, source.fd_frames, None)
+
+
+def _show_all(session: Session, blocks: Iterable[CandumpBlock]) -> None:
+    iterator: Iterator[CandumpBlock] = iter(blocks)
+    for block in iterator:
+        if not session.show(block):
+            break
+
+
+def _open_file(path: str) -> int:
+    try:
+        return os.open(path, os.O_RDONLY)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" if number == 1 else f"{number} {what}s"
+
+
+def _report(args: Namespace, session: Session, fd_frames: int, parser: CandumpParser | None) -> None:
+    """Say on stderr what was left out, and with -v what was counted."""
+    notes = []
+    if parser is not None and parser.bad:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in parser.bad.items())
+        notes.append(
+            f"{_count(sum(parser.bad.values()), 'bad line')} left out ({reasons}), first {parser.bad_lines[0]}"
+        )
+    if parser is not None and parser.dropped:
+        notes.append(f"candump had dropped {_count(parser.dropped, 'frame')}")
+    if fd_frames:
+        notes.append(f"{_count(fd_frames, 'CAN FD frame')} left out")
+    for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
+        short = _count(count, "frame")
+        notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")
+    if args.verbose:
+        for key, count in session.tally.frames.items():
+            lost = f", {_count(session.tally.lost[key], 'sample')} lost" if key in session.tally.lost else ""
+            notes.append(f"node {common.shown_id(key[0])} {key[1]}: {_count(count, 'frame')}{lost}")
+    for text in notes:
+        common.note(args, f"tipforce dump: {text}")

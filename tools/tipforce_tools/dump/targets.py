@@ -1,0 +1,115 @@
+"""What candump's positional arguments say: a channel and the filters of its socket, or where text comes from."""
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from tipforce.errors import InputError
+from tipforce.host.candump import CandumpBlock
+
+ANY = "any"
+STDIN = "-"
+
+_FILTER = re.compile(r"(?:0[xX])?([0-9A-Fa-f]{1,8})([:~])(?:0[xX])?([0-9A-Fa-f]{1,8})")
+_ERROR_FILTER = re.compile(r"#(?:0[xX])?([0-9A-Fa-f]{1,8})")
+
+
+@dataclass(frozen=True, slots=True)
+class Filter:
+    """A frame passes when ((its can_id ^ ``can_id``) & ``mask``) is zero, or is not, where ``inverse``."""
+
+    can_id: int
+    mask: int
+    inverse: bool
+
+    def passes(self, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Which of these can_ids (n,), flags included, pass: (n,)."""
+        differs: npt.NDArray[np.bool_] = ((can_id ^ np.uint32(self.can_id)) & np.uint32(self.mask)).astype(np.bool_)
+        return differs if self.inverse else ~differs
+
+
+@dataclass(frozen=True, slots=True)
+class Target:
+    """A channel and its socket's filters; no filter passes every data frame, an error mask of 0 no error frame."""
+
+    channel: str
+    filters: tuple[Filter, ...] = ()
+    join: bool = False
+    error_mask: int = 0
+
+    def passes(self, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
+        """Which of these can_ids (n,), flags included, the kernel would hand to candump's socket: (n,)."""
+        error = can_id & np.uint32(ERROR_FLAG) != 0
+        passed = [one.passes(can_id) for one in self.filters] or [np.ones(len(can_id), dtype=np.bool_)]
+        data = np.logical_and.reduce(passed) if self.join else np.logical_or.reduce(passed)
+        wanted: npt.NDArray[np.bool_] = np.where(error, can_id & np.uint32(self.error_mask) != 0, data)
+        return wanted
+
+
+def parse_target(text: str) -> Target:
+    """`vcan0,181:7FF,182~7FF,#FF,j` as a Target. Raises InputError naming the filter that is not one."""
+    channel, *rules = text.split(",")
+    filters: list[Filter] = []
+    join, error_mask = False, 0
+    if not channel:
+        raise InputError(f"{text!r}: no channel before the first comma; for instance vcan0,181:7FF, or any,181:7FF")
+    for rule in rules:
+        match, error = _FILTER.fullmatch(rule), _ERROR_FILTER.fullmatch(rule)
+        if match is not None:
+            filters.append(_filter(match[1], match[3], match[2] == "~"))
+        elif error is not None:
+            error_mask = int(error[1], 16) & ~ERROR_FLAG
+        elif rule in {"j", "J"}:
+            join = True
+        else:
+            raise InputError(f"filter {rule!r} of {channel}: expected ID:MASK, ID~MASK or #MASK in hexadecimal, or j")
+    return Target(channel, tuple(filters), join, error_mask)
+
+
+def _filter(id_digits: str, mask_digits: str, inverse: bool) -> Filter:
+    can_id, mask = int(id_digits, 16), int(mask_digits, 16) & ~ERROR_FLAG
+    if len(id_digits) == 8:
+        can_id |= EXTENDED_FLAG
+    if mask & EXTENDED_FLAG and not can_id & EXTENDED_FLAG:  # the kernel: a filter for 11 bits looks at 11 bits
+        mask &= STANDARD_MASK | EXTENDED_FLAG | REMOTE_FLAG
+    return Filter(can_id, mask, inverse)
+
+
+def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
+    """The frames of a text that some target asks for: all with no target; a bare channel takes all of its frames."""
+    if not targets:
+        return block
+    wanted = np.zeros(len(block.frames), dtype=np.bool_)
+    can_id = block.frames["can_id"].astype(np.uint32)
+    for target in targets:
+        here = np.array([target.channel in {name, ANY} for name in block.names], dtype=np.bool_)[block.interface]
+        bare = not target.filters and not target.error_mask
+        wanted |= here if bare else here & target.passes(can_id)
+    return block.take(wanted)
+
+
+def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target, ...]]:
+    """Where text comes from (a file, STDIN, or None: from buses), and the channels.
+
+    Raises InputError for two sources, and for a file that is not there.
+    """
+    sources: list[Path | str] = []
+    targets: list[Target] = []
+    for text in texts:
+        path = Path(text)
+        if text == STDIN:
+            sources.append(text)
+        elif path.is_file() or path.is_fifo():
+            sources.append(path)
+        elif path.suffix in {".log", ".txt"} or ("/" in text and "," not in text and not path.exists()):
+            raise InputError(f"{text}: no such file")
+        else:
+            targets.append(parse_target(text))
+    if len(sources) > 1:
+        raise InputError(f"{' and '.join(map(str, sources))}: only one can be the source of the text")
+    return (sources[0] if sources else None), tuple(targets)
