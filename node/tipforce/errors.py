@@ -26,4 +26,4 @@ class RefusedError(TipforceError):
 
 
 class EnvironmentLackError(TipforceError):
-    """The machine lacks something (an interface, a kernel module, a program, a permission); the text says what to do."""
+    """The machine lacks an interface, a kernel module, a program or a permission; the text says what to do."""

@@ -51,6 +51,11 @@ class BusFaults:
             self._device.emcy.cure(ERROR_PASSIVE)
         self._schedule()
 
+    def heard(self) -> None:
+        """A frame came: whatever the controller said last, the bus is back."""
+        self._came_back()
+        self._schedule()
+
     def collision(self, can_id: int) -> "Callable[[bytes], None]":
         """Handler of an identifier that only this node may send."""
         return lambda _data: self._device.emcy.raise_error(COB_ID_COLLISION, COMMUNICATION, can_id)

@@ -102,11 +102,14 @@ class Device:
             self._restart(True)
         for can_id, data in frames:
             # 29-bit and remote frames carry their flags above bit 28: only guarding has a route with a flag.
+            if can_id & codes.ERROR_FLAG:
+                self.bus_faults.receive(can_id, data)
+                continue
+            if self.bus_faults.off:
+                self.bus_faults.heard()
             handler = self._routes.get(can_id)
             if handler is not None:
                 handler(data)
-            elif can_id & codes.ERROR_FLAG:
-                self.bus_faults.receive(can_id, data)
         due_us = self._expire(now_us)
         sent, self._outbox = self._outbox, []
         return sent, due_us

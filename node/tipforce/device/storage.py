@@ -81,17 +81,19 @@ class Storage:
         return self._save is not None and self._save(name, _with_crc(data))
 
     def read_blob(self, name: str) -> "bytes | None":
-        """What ``save_blob`` stored; None if nothing was or if it is damaged."""
-        return self._read(name)
-
-    def _read(self, name: str) -> "bytes | None":
+        """What ``save_blob`` stored, empty if nothing was; None if it is damaged."""
         blob = self._load(name) if self._load is not None else None
         if not blob:
-            return None
-        if len(blob) < 4 or struct.unpack("<I", blob[:4])[0] != binascii.crc32(blob[4:]) & 0xFFFFFFFF:
+            return b""
+        sound = len(blob) >= 4 and struct.unpack("<I", blob[:4])[0] == binascii.crc32(blob[4:]) & 0xFFFFFFFF
+        return blob[4:] if sound else None
+
+    def _read(self, name: str) -> "bytes | None":
+        """The stored bytes of a group, None where its defaults hold; a damaged one is noted."""
+        data = self.read_blob(name)
+        if data is None:
             self.damaged.append(name)
-            return None
-        return blob[4:]
+        return data or None
 
     def _write_store(self, sub: int, value: "Value") -> int:
         if value != SAVE:

@@ -128,7 +128,7 @@ class Fingertip(Application):
             self.interrupts.check()
 
     def _report_faults(self, before: int, now: int) -> None:
-        """EMCY for each bit of 2124h that came or went: gauge saturated, with its number, or front end, with the bit."""
+        """EMCY for each bit of 2124h that came or went: a saturated gauge by its number, the front end by the bit."""
         for bit in range(16):
             code, detail = (GAUGE_SATURATED, bit + 1) if bit < table.FAULT_NO_DATA else (FRONT_END, bit)
             if now & ~before & 1 << bit:

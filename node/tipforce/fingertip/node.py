@@ -23,7 +23,9 @@ def fingertip_node(
     load: "Callable[[str], bytes | None] | None" = None,
     eds: bytes = b"",
 ) -> Device:
-    """A device with node-id 1..127, or 255 (it waits for LSS to give it one), that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
+    """A device that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
+
+    ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
 
     Objects 2200h and 2201h exist when the source is a simulated one. ``save`` and ``load`` keep parameter groups;
     without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
