@@ -9,6 +9,7 @@ import math
 import os
 import re
 import sys
+import threading
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
@@ -68,7 +69,7 @@ def bus_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """The bus that the flags, python-can's configuration files and the environment name."""
-    from tipforce.host.connection import open_bus as open_bus_by_options
+    from tipforce.host.bus import open_bus as open_bus_by_options
 
     return open_bus_by_options(**bus_options(args))
 
@@ -77,8 +78,10 @@ def open_connection(args: argparse.Namespace) -> Connection:
     """A host connection on that bus."""
     from tipforce.host.connection import Connection
 
-    if args.timeout <= 0 or args.retries < 0:
-        raise InputError("--timeout must be positive and --retries not negative")
+    if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
+        raise InputError(
+            f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
+        )
     return Connection(open_bus(args), args.timeout, args.retries)
 
 
@@ -115,12 +118,14 @@ def shown_id(number: int) -> str:
 
 def print_json(record: dict[str, Any]) -> None:
     """One JSON line; NaN and infinity become null, because JSON has none."""
-    print(json.dumps({key: _plain(value) for key, value in record.items()}))
+    print(json.dumps(_plain(record)))
 
 
 def _plain(value: Any) -> Any:
     if isinstance(value, float) and not math.isfinite(value):
         return None
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in value.items()}
     return [_plain(item) for item in value] if isinstance(value, (list, tuple)) else value
 
 

@@ -26,11 +26,11 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[str, ...]]:
     path = Path(name_or_path)
     try:
         content = msgspec.toml.decode(path.read_bytes(), type=_File)
+        return content.geometry, layout(content.points)
     except FileNotFoundError:
         raise InputError(
             f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
             'a layout file has a line like points = ["K_H", "S_H", "U"]'
         ) from None
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, InputError) as error:
         raise InputError(f"layout {path}: {error}") from None
-    return content.geometry, layout(content.points)

@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import argparse
-import difflib
-import importlib
 import os
-import signal
 import sys
 from collections.abc import Sequence
 
@@ -57,6 +53,23 @@ exit codes: 0 ok, 1 the check that was asked for failed, 2 usage, 5 no response,
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line; returns the exit code. No traceback for anything that a user can cause."""
     words = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _answer(words)
+        sys.stdout.flush()
+        return code
+    except TipforceError as error:
+        return _failed(str(error), _exit_code(error))
+    except KeyboardInterrupt:
+        return INTERRUPTED
+    except BrokenPipeError:
+        # The reader (head, less) has seen enough. Python would complain again when it flushes stdout at exit.
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
+    except OSError as error:  # a full disk behind stdout, a file that vanished
+        return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
+
+
+def _answer(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         lines = (f"  {name:10} {summary}" for name, (_, summary) in COMMANDS.items())
         print(USAGE.format(commands="\n".join(lines)), end="")
@@ -68,34 +81,40 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     try:
         return _run(words[0], words[1:])
-    except TipforceError as error:
-        return _failed(str(error), _exit_code(error))
-    except KeyboardInterrupt:
-        return INTERRUPTED
-    except BrokenPipeError:
-        # The reader (head, less) has seen enough. Python would complain again when it flushes stdout at exit.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
-        return 0
+    except SystemExit:
+        sys.stdout.flush()  # of argparse's help: a reader that left is noticed here, not when Python ends
+        raise
 
 
 def _run(name: str, words: list[str]) -> int:
     if name not in COMMANDS:
+        import difflib
+
         near = difflib.get_close_matches(name, COMMANDS, 3)
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
+    import argparse
+    import importlib
+    import re
+
     module_name, summary = COMMANDS[name]
     module = importlib.import_module(module_name)
     parser = argparse.ArgumentParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
+    # argparse itself takes -1.5e-3 and -1,0,0 for flags that it does not know.
+    parser._negative_number_matcher = re.compile(r"-\.?\d")
     module.add_arguments(parser)
-    args = parser.parse_args(words)
-    code: int = module.run(args)
-    sys.stdout.flush()
-    return code
+    # Flags may stand between the positional words, but not inside another program's command line.
+    passes_on = any(action.nargs == argparse.REMAINDER for action in parser._actions)
+    args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
+    return int(module.run(args))
 
 
 def _exit_code(error: TipforceError) -> int:
-    if isinstance(error.__cause__, PermissionError) or "not permitted" in str(error):
-        return PERMISSION
+    cause: BaseException | None = error
+    while cause is not None:
+        if isinstance(cause, PermissionError):
+            return PERMISSION
+        cause = cause.__cause__ or cause.__context__  # "from None" hides the context from print, not from here
     return next((code for kind, code in EXIT_CODES.items() if isinstance(error, kind)), 1)
 
 
@@ -106,6 +125,8 @@ def _failed(message: str, code: int) -> int:
 
 def terminate_as_interrupt() -> None:
     """Let SIGTERM end a long-running command as Ctrl-C does, so that it closes what it opened."""
+
+    import signal
 
     def interrupt(_number: int, _frame: object) -> None:
         raise KeyboardInterrupt

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import math
 import sys
 from typing import TYPE_CHECKING
 
@@ -68,7 +69,7 @@ def _device(args: argparse.Namespace) -> Device:
     geometry, points = read_layout(args.layout)
     load = _numbers("--load", args.load, 3)
     offset = _numbers("--offset", args.offset, len(points)) if args.offset else [0.0] * len(points)
-    if args.noise < 0:
+    if not 0 <= args.noise < math.inf:
         raise InputError(f"--noise {args.noise}: allowed is 0 or more")
     source = SimulatedSource(strain_matrix(geometry, points).tolist(), args.noise, offset, args.seed)
     source.load = (load[0], load[1], load[2])
@@ -89,7 +90,7 @@ def _numbers(flag: str, text: str, count: int) -> list[float]:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
-    if len(found) != count:
+    if len(found) != count or not all(map(math.isfinite, found)):
         raise InputError(f"{flag} {text!r}: write {count} numbers with commas between them")
     return found
 

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import argparse
+import threading
 from dataclasses import asdict
 
+from tipforce.errors import InputError
 from tipforce_tools import common
 
 
@@ -26,6 +28,8 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.find import find_nodes
 
     common.set_up_logging(args)
+    if not 0 <= args.wait < threading.TIMEOUT_MAX:
+        raise InputError(f"--wait {args.wait:g}: allowed is 0 s or more")
     with common.open_connection(args) as connection:
         found = find_nodes(connection, args.nodes, args.wait)
     for node in found:

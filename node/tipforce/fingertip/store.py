@@ -23,11 +23,11 @@ class FileStore:
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
         self._path = Path(path).absolute()
-        self._temporary = self._path.with_name(self._path.name + ".new")
         if self._path.is_dir():
             raise InputError(f"store {self._path}: is a directory; give the name of a file, for example node-5.json")
         if not self._path.parent.is_dir():
             raise InputError(f"store {self._path}: the directory {self._path.parent} does not exist; create it first")
+        self._temporary = self._path.with_name(self._path.name + ".new")
 
     def save(self, group: str, data: bytes) -> bool:
         """Replace one group; False, with the reason in the log, when the disk refuses."""

@@ -10,12 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.dictionary import table
+from tipforce.dictionary import table, types
 from tipforce.errors import InputError
 
 FloatArray = npt.NDArray[np.float64]
-
-MAX_REAL32 = 3.4028234663852886e38
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,16 +51,19 @@ class Calibration:
         return self.C @ self.covariance_strain2 @ self.C.T
 
     def record(self) -> bytes:
-        """The calibration record as the node holds it (OBJECTS.md). Raises InputError for what REAL32 cannot hold."""
+        """The calibration record as the node holds it (OBJECTS.md). Raises InputError for what a field cannot hold."""
         upper = self.covariance_strain2[np.triu_indices(self.gauges)]
         facts = (self.serial, self.date, self.reference_temperature_degC, self.layout_code)
         pad = (self.tip_radius_m, self.theta_min_deg, self.theta_max_deg)
         thresholds = (self.contact_on_newtons, self.contact_off_newtons)
         values = (*self.C.ravel(), *self.offset_strain, *facts, *upper, *pad, *thresholds, int(self.pull))
+        fields = bytearray()
         for (index, sub, kind), value in zip(table.staged(self.gauges), values, strict=True):
-            if kind == "f" and np.isfinite(value) and abs(value) > MAX_REAL32:
-                raise InputError(f"calibration 0x{index:04X}:{sub:02X}: {value} is beyond REAL32 ({MAX_REAL32:g})")
-        return struct.pack(_packing(self.gauges), *values)
+            try:
+                fields += types.encode(kind, value)
+            except InputError as error:
+                raise InputError(f"calibration 0x{index:04X}:{sub:02X}: {error}") from None
+        return bytes(fields)
 
     def crc32(self) -> int:
         """CRC-32 (IEEE) of the record: what 2103h:3 shows once it is active."""
@@ -86,8 +87,8 @@ def _from_values(n: int, values: Sequence[float]) -> Calibration:
     serial, date, temperature, layout = values[4 * n : 4 * n + 4]
     upper = values[4 * n + 4 : -6]
     covariance = np.zeros((n, n))
-    covariance[np.triu_indices(n)] = upper
-    covariance = np.triu(covariance) + np.triu(covariance, 1).T
+    rows, columns = np.triu_indices(n)
+    covariance[rows, columns] = covariance[columns, rows] = upper
     radius, theta_min, theta_max, on, off, sense = values[-6:]
     return Calibration(
         matrix, offsets, covariance, int(serial), int(date), temperature, int(layout),

@@ -55,9 +55,13 @@ def read_calibration(path: str | Path) -> Calibration:
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
         raise InputError(f"calibration {path}: {error}") from None
     found = _checked(content, path)
-    if content.crc32 is not None and content.crc32.lower() != f"0x{found.crc32():08x}":
+    try:
+        crc = found.crc32()
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+    if content.crc32 is not None and content.crc32.lower() != f"0x{crc:08x}":
         raise InputError(
-            f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{found.crc32():08X}; "
+            f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{crc:08X}; "
             "the file was changed: restore it, or take out the crc32 line to accept the change"
         )
     return found
@@ -97,9 +101,25 @@ def _matrix(path: str | Path, name: str, rows: object) -> FloatArray:
         raise InputError(f"calibration {path}: the rows of {name} differ in length") from None
 
 
+def _date(path: str | Path, number: int) -> datetime.date:
+    try:
+        return datetime.date(number // 10000, number // 100 % 100, number % 100)
+    except ValueError:
+        raise InputError(
+            f"calibration {path}: date {number}, allowed is YYYYMMDD of a day that there was, or 0"
+        ) from None
+
+
 def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str, object] | None = None) -> None:
-    """Write a calibration file that reads back to the same record. Raises InputError when the disk refuses."""
+    """Write a calibration file that reads back to the same record.
+
+    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
+    """
     names = {code: name for name, code in _LAYOUT_CODES.items()}
+    if calibration.layout_code not in names:
+        raise InputError(
+            f"calibration {path}: layout code {calibration.layout_code}, allowed: {', '.join(map(str, names))}"
+        )
     content: dict[str, object] = {
         "matrix_newtons_per_strain": calibration.C.tolist(),
         "offset_microstrain": (calibration.offset_strain * 1e6).tolist(),
@@ -107,7 +127,7 @@ def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str,
         "load_sense": "pull" if calibration.pull else "push",
         "serial": calibration.serial,
         "reference_temperature_degC": calibration.reference_temperature_degC,
-        "layout": names.get(calibration.layout_code, "custom"),
+        "layout": names[calibration.layout_code],
         "tip_radius_m": calibration.tip_radius_m,
         "theta_min_deg": calibration.theta_min_deg,
         "theta_max_deg": calibration.theta_max_deg,
@@ -116,8 +136,7 @@ def write_calibration(path: str | Path, calibration: Calibration, fit: dict[str,
         "crc32": f"0x{calibration.crc32():08X}",
     }
     if calibration.date:
-        day = str(calibration.date)
-        content["date"] = datetime.date(int(day[:4]), int(day[4:6]), int(day[6:]))
+        content["date"] = _date(path, calibration.date)
     document: dict[str, object] = {"calibration": content}
     if fit is not None:
         document["fit"] = fit

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import msgspec
 
-from tipforce.dictionary import names, types
+from tipforce.dictionary import names, table, types
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError
@@ -20,7 +20,7 @@ _INVALID = 0x80000000  # COB-ID bit 31
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
-    objects: dict[str, int | float | str | list[str | int]]
+    objects: dict[str, int | float | str | list[int | float | str]]
 
 
 def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Configuration:
@@ -61,20 +61,28 @@ def _read_toml(path: str | Path, gauges: int) -> Configuration:
 
 
 def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Value], Value]]:
-    """A value, or a list for the sub-indices of an array; a list of names in a PDO mapping also sets its length."""
+    """A value, or a list for the sub-indices of an array from 1; a list for a PDO mapping also sets its length."""
     if not isinstance(value, list):
         entry = names.resolve(name, gauges)
-        if isinstance(value, str) and types.data_type(entry.type).python is not str:
-            value = types.parse_value(entry.type, value)
-        elif types.data_type(entry.type).python is float and isinstance(value, int):
-            value = float(value)
-        return [(entry, value)]  # type: ignore[list-item]
-    entries = [names.resolve(f"{name}:{k + 1}", gauges) for k in range(len(value))]
-    values = [_mapped(item, gauges) if isinstance(item, str) else item for item in value]
-    found: list[tuple[Entry[Value], Value]] = list(zip(entries, values, strict=True))
-    if entries and _is_mapping(entries[0].index):
-        found.insert(0, (names.resolve(f"0x{entries[0].index:04X}:00", gauges), len(values)))
-    return found
+        return [(entry, _typed(entry, value))]
+    first = names.resolve(f"{name}:1", gauges)
+    # By number from here on: after a dotted name a sub-index is decimal, after an index it is hexadecimal.
+    entries = [names.resolve(f"0x{first.index:04X}:{k + 1:02X}", gauges) for k in range(len(value))]
+    if not _is_mapping(first.index):
+        return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
+    words = [_mapped(item, gauges) if isinstance(item, str) else item for item in value]
+    return [(names.resolve(f"0x{first.index:04X}:00", gauges), len(words)), *zip(entries, words, strict=True)]
+
+
+def _typed(entry: Entry[Value], value: object) -> Value:
+    """What TOML has no type for may be written as text: hex bytes, "nan", "0x0A"."""
+    kind = types.data_type(entry.type).python
+    if isinstance(value, str) and kind is not str:
+        try:
+            return types.parse_value(entry.type, value)
+        except InputError as error:
+            raise InputError(f"{entry.name} ({entry}): {error}") from None
+    return value  # type: ignore[return-value]  # the check of its type is entry.encode
 
 
 def _mapped(name: str, gauges: int) -> int:
@@ -99,7 +107,10 @@ def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
         for variable in variables:
             value = getattr(variable, "value", None)
             if value is not None and getattr(variable, "value_raw", None) is not None:
-                entry = names.resolve(f"0x{variable.index:04X}:{variable.subindex:02X}", gauges)
+                try:
+                    entry = names.resolve(f"0x{variable.index:04X}:{variable.subindex:02X}", gauges)
+                except InputError as error:
+                    raise InputError(f"{path}: {error}") from None
                 if entry.access in ("rw", "wo"):
                     found[entry.index, entry.sub] = entry, value
     return found
@@ -118,8 +129,9 @@ def _apply_pdo(
     sdo: SdoChannel, communication: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]
 ) -> None:
     mapping = communication + 0x200
-    cob_id = names.resolve(f"0x{communication:04X}:01")
-    count = names.resolve(f"0x{mapping:04X}:00")
+    # In the largest dictionary: TPDO5 and TPDO6 exist with more than three gauges only.
+    cob_id = names.resolve(f"0x{communication:04X}:01", table.MAX_GAUGES)
+    count = names.resolve(f"0x{mapping:04X}:00", table.MAX_GAUGES)
     final = wanted[communication, 1][1] if (communication, 1) in wanted else sdo.read(cob_id)
     assert isinstance(final, int)
     sdo.write(cob_id, final | _INVALID)

@@ -11,12 +11,14 @@ import can
 import canopen
 
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
+from tipforce.host.bus import open_bus
 from tipforce.host.frames import FrameArray, FrameBuffer
 from tipforce.host.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
 
 NMT_COMMANDS = {"start": 1, "stop": 2, "preop": 128, "reset-node": 129, "reset-comm": 130}
 NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 SYNC_COB_ID = 0x80
+_RECEIVE_CYCLE_S = 0.05  # how long close() waits for the receiver at most; canopen's own is a second
 
 
 class Connection:
@@ -31,6 +33,7 @@ class Connection:
         self._channels: dict[int, SdoChannel] = {}
         self._lock = threading.Lock()
         self.network = canopen.Network(bus)
+        self.network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
         self.buffer = FrameBuffer()
         self.network.listeners.append(self.buffer)  # type: ignore[arg-type]
         self.network.connect()
@@ -105,16 +108,3 @@ class Connection:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
-
-
-def open_bus(**options: Any) -> can.BusABC:
-    """python-can's bus, with an error that says what to do when it cannot be opened."""
-    given = {key: value for key, value in options.items() if value is not None}
-    try:
-        return can.Bus(**given)
-    except (can.CanError, OSError, ImportError, ValueError) as error:
-        interface = given.get("interface", "from python-can's configuration")
-        raise EnvironmentLackError(
-            f"interface {interface}, channel {given.get('channel', '(default)')}: {error}; "
-            "check -i and -c (`ip -br link` lists interfaces), or run on a kernel with vcan: `tipforce vcan -- ...`"
-        ) from None

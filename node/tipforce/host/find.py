@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.table import REVISION
-from tipforce.errors import SdoAbortError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.connection import NMT_STATES, Connection
 from tipforce.host.fingertip import FingertipClient, Identity
 
@@ -56,18 +56,26 @@ def _describe(connection: Connection, node_id: int, state: int | None, answers: 
     state_name = "no heartbeat" if state is None else NMT_STATES.get(state, f"state {state}")
     if not answers:
         return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown")
-    client = FingertipClient(connection.sdo(node_id))
     try:
-        identity = client.identity()
+        return _identified(FingertipClient(connection.sdo(node_id)), state_name)
     except SdoAbortError:
-        return FoundNode(node_id, state_name, "no identity object", 0, "unknown", "unknown")
+        device = "no identity object"
+    except NoResponseError:
+        device = "stopped answering"
+    except InputError:  # a foreign device whose objects have other lengths
+        device = "not understood"
+    return FoundNode(node_id, state_name, device, 0, "unknown", "unknown")
+
+
+def _identified(client: FingertipClient, state_name: str) -> FoundNode:
+    identity = client.identity()
     if not identity.is_fingertip:
         device = f"product 0x{identity.product:08X}"
-        return FoundNode(node_id, state_name, device, identity.serial, "not a fingertip", "no: another device")
+        return FoundNode(client.node_id, state_name, device, identity.serial, "not a fingertip", "no: another device")
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = client.sdo.read(od.CALIBRATION_GENERATION)
     calibration = f"0x{crc:08X} generation {generation}" if crc else "not calibrated"
-    return FoundNode(node_id, state_name, _device(identity), identity.serial, calibration, _eds_match(identity))
+    return FoundNode(client.node_id, state_name, _device(identity), identity.serial, calibration, _eds_match(identity))
 
 
 def _device(identity: Identity) -> str:

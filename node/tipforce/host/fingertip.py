@@ -4,17 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TypeVar
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.calibration import Calibration, difference
 from tipforce.host.sdo import SdoChannel
 
+T = TypeVar("T", bound=Value)
+
 _REFUSALS = {
     0x08000022: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
     0x06040043: "the CRC-32 of what it received is not the expected one; nothing was activated, try again",
-    0x06090030: "a value is not finite, theta minimum is over maximum, or contact-off over contact-on",
+    0x06090030: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over contact-on",
     0x06090031: "the condition number of C is over the limit 2105h:1",
 }
 
@@ -85,10 +90,10 @@ class FingertipClient:
                 f"the calibration has {calibration.gauges}"
             )
         record, crc = calibration.record(), calibration.crc32()
-        self.sdo.write(od.CALIBRATION_STAGED_RECORD, record)
-        self.sdo.write(od.CALIBRATION_EXPECTED_CRC, crc)
+        self._write_refusable(od.CALIBRATION_STAGED_RECORD, record)
+        self._write_refusable(od.CALIBRATION_EXPECTED_CRC, crc)
         on_step(f"staged {len(record)} bytes, CRC-32 0x{crc:08X}")
-        self._commit()
+        self._write_refusable(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
         generation = self.sdo.read(od.CALIBRATION_GENERATION)
         on_step(f"committed, generation {generation}")
         self._compare(record)
@@ -113,9 +118,9 @@ class FingertipClient:
         """Store all parameters (1010h:1), or the calibration alone (1010h:4)."""
         self.sdo.write(od.STORE[4 if calibration else 1], table.SIGNATURE_SAVE)
 
-    def _commit(self) -> None:
+    def _write_refusable(self, entry: Entry[T], value: T) -> None:
         try:
-            self.sdo.write(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
+            self.sdo.write(entry, value)
         except SdoAbortError as error:
             reason = _REFUSALS.get(error.code)
             if reason is None:

@@ -65,11 +65,11 @@ class FrameBuffer(can.Listener):
         taken: list[RawFrame] = []
         with self._arrived:
             while True:
-                while self._frames:
-                    frame = self._frames.pop(0)
-                    taken.append(frame)
-                    if complete(frame[1]):
-                        return frame_array(taken)
+                end = next((k + 1 for k, frame in enumerate(self._frames) if complete(frame[1])), None)
+                taken += self._frames[:end]
+                del self._frames[:end]
+                if end is not None:
+                    return frame_array(taken)
                 remaining_s = deadline - time.monotonic()
                 if remaining_s <= 0 or not self._arrived.wait(remaining_s):
                     return frame_array(taken)

@@ -148,7 +148,7 @@ class LiveSource:
 
 
 def _open_bus(target: Target, args: Namespace, named: bool) -> can.BusABC:
-    from tipforce.host.connection import open_bus
+    from tipforce.host.bus import open_bus
 
     options = common.bus_options(args)
     if named:

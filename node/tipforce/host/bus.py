@@ -1,0 +1,22 @@
+"""Opening a bus: python-can's, with errors that say what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+
+from tipforce.errors import EnvironmentLackError
+
+
+def open_bus(**options: Any) -> can.BusABC:
+    """python-can's bus, with an error that says what to do when it cannot be opened."""
+    given = {key: value for key, value in options.items() if value is not None}
+    try:
+        return can.Bus(**given)
+    except (can.CanError, OSError, ImportError, ValueError) as error:
+        interface = given.get("interface", "from python-can's configuration")
+        raise EnvironmentLackError(
+            f"interface {interface}, channel {given.get('channel', '(default)')}: {error}; "
+            "check -i and -c (`ip -br link` lists interfaces), or run on a kernel with vcan: `tipforce vcan -- ...`"
+        ) from None

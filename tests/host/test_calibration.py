@@ -1,0 +1,233 @@
+"""Calibration as numbers, record and file: nothing is lost, and every error says where and what is allowed."""
+
+from __future__ import annotations
+
+import binascii
+import itertools
+import struct
+from datetime import date
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
+from tipforce.dictionary import table
+from tipforce.errors import InputError
+from tipforce.host.calibration import Calibration, difference
+from tipforce.host.calibration_file import read_calibration, write_calibration
+
+REAL32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
+U32 = st.integers(0, 0xFFFFFFFF)
+DATE = st.one_of(st.just(0), st.dates().map(lambda d: d.year * 10000 + d.month * 100 + d.day))
+
+
+@st.composite
+def records(draw: st.DrawFn) -> bytes:
+    """Any record of finite numbers that a file has words for, n = 3 to 8."""
+    n = draw(st.integers(table.MIN_GAUGES, table.MAX_GAUGES))
+    fields: list[float] = []
+    for index, sub, kind in table.staged(n):
+        if kind == "f":
+            fields.append(draw(REAL32))
+        elif index == 0x2102:
+            fields.append(draw({1: U32, 2: DATE, 4: st.sampled_from([1, 2, 3, 255])}[sub]))
+        else:
+            fields.append(draw(st.integers(0, 1)))
+    return struct.pack("<" + "".join(kind for _, _, kind in table.staged(n)), *fields)
+
+
+@settings(max_examples=100, deadline=None, derandomize=True)
+@given(records())
+def test_a_record_survives_numbers(record: bytes) -> None:
+    found = Calibration.from_record(record)
+    assert found.record() == record
+    assert found.crc32() == binascii.crc32(record)
+    assert difference(record, found.record()) == []
+
+
+@settings(
+    max_examples=100, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture]
+)
+@given(records())
+def test_a_record_survives_a_file(tmp_path: Path, record: bytes) -> None:
+    path = tmp_path / "cal.toml"
+    write_calibration(path, Calibration.from_record(record))
+    assert read_calibration(path).record() == record
+
+
+@settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(st.lists(st.floats(-1e30, 1e30), min_size=12, max_size=12))
+def test_what_a_fit_gives_survives_a_file(tmp_path: Path, values: list[float]) -> None:
+    """Doubles, not REAL32: what is read back gives the record, hence the CRC-32, that was written."""
+    numbers = np.array(values)
+    calibration = beam_calibration(C=numbers[:9].reshape(3, 3), offset_strain=numbers[9:])
+    path = tmp_path / "cal.toml"
+    write_calibration(path, calibration)
+    assert read_calibration(path).record() == calibration.record()
+
+
+def test_an_offset_between_two_real32_survives_a_file(tmp_path: Path) -> None:
+    """Half way between two REAL32 numbers the scaling to microstrain would decide: the CRC-32 must not depend on it."""
+    ties = [struct.unpack("<f", struct.pack("<I", 0x358637BD + k))[0] for k in range(100)]
+    for low, high in itertools.pairwise(ties):
+        tie = (low + high) / 2
+        calibration = beam_calibration(offset_strain=np.array([tie, np.nextafter(tie, 0), np.nextafter(tie, 1)]))
+        path = tmp_path / "cal.toml"
+        write_calibration(path, calibration)
+        assert read_calibration(path).record() == calibration.record()
+
+
+def test_the_record_is_106_bytes_in_the_order_of_the_dictionary() -> None:
+    calibration = beam_calibration(offset_strain=np.array([1e-6, 2e-6, 3e-6]), tip_radius_m=0.012)
+    record = calibration.record()
+    assert len(record) == 106
+    np.testing.assert_allclose(struct.unpack_from("<9f", record), calibration.C.ravel(), rtol=1e-6)
+    np.testing.assert_allclose(struct.unpack_from("<3f", record, 36), [1e-6, 2e-6, 3e-6], rtol=1e-6)
+    assert struct.unpack_from("<IIfB", record, 48) == (7, 20260102, 20.0, 1)
+    assert struct.unpack_from("<f", record, 85)[0] == pytest.approx(0.012)
+    assert record[105] == 1
+
+
+def test_covariance_of_force() -> None:
+    calibration = beam_calibration()
+    np.testing.assert_allclose(calibration.covariance_F, ROUNDING_STRAIN2 * calibration.C @ calibration.C.T)
+
+
+@pytest.mark.parametrize("length", [0, 105, 107, 1000])
+def test_a_record_of_no_length(length: int) -> None:
+    with pytest.raises(InputError, match=rf"a calibration record of {length} bytes: with 3 gauges it has 106"):
+        Calibration.from_record(bytes(length))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"C": np.diag([1.0, 1.0, 1e39])}, r"0x2100:09: 1e\+39 does not fit REAL32: allowed are"),
+        ({"offset_strain": np.array([0.0, -1e39, 0.0])}, r"0x2101:02: -1e\+39 does not fit REAL32"),
+        ({"serial": -1}, r"0x2102:01: -1 does not fit UNSIGNED32: allowed are 0 to 4294967295"),
+        ({"serial": 1 << 32}, r"0x2102:01: 4294967296 does not fit UNSIGNED32"),
+        ({"layout_code": 256}, r"0x2102:04: 256 does not fit UNSIGNED8: allowed are 0 to 255"),
+    ],
+)
+def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        beam_calibration(**changes).record()
+
+
+# --- the file -------------------------------------------------------------------------------------------------------
+
+GOOD = """[calibration]
+matrix_newtons_per_strain = [[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]
+offset_microstrain = [1, 2.5, -3]
+covariance_microstrain2 = [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]
+load_sense = "pull"
+"""
+
+
+def read_text(tmp_path: Path, text: str) -> Calibration:
+    path = tmp_path / "cal.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_calibration(path)
+
+
+def test_a_short_file_by_hand(tmp_path: Path) -> None:
+    found = read_text(tmp_path, GOOD + 'date = 2026-01-02\nlayout = "II"\nserial = 5\ntip_radius_m = 0.01\n')
+    np.testing.assert_array_equal(found.C, np.diag([1.0, 2.0, 3.0]))
+    np.testing.assert_allclose(found.offset_strain, [1e-6, 2.5e-6, -3e-6])
+    np.testing.assert_allclose(found.covariance_strain2, np.eye(3) * 0.25e-12)
+    assert (found.serial, found.date, found.layout_code, found.pull) == (5, 20260102, 2, True)
+    assert read_text(tmp_path, GOOD).layout_code == table.CUSTOM_LAYOUT
+
+
+def test_fit_statistics_are_kept_out_of_the_record(tmp_path: Path) -> None:
+    path = tmp_path / "cal.toml"
+    write_calibration(path, beam_calibration(), fit={"condition_number": 4.2, "rows": 57})
+    assert "[fit]" in path.read_text()
+    assert read_calibration(path).record() == beam_calibration().record()
+
+
+def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
+    path = tmp_path / "cal.toml"
+    write_calibration(path, beam_calibration())
+    text = path.read_text().replace("serial = 7", "serial = 8")
+    with pytest.raises(InputError) as caught:
+        read_text(tmp_path, text)
+    assert f"crc32 is 0x{beam_calibration().crc32():08X}" in str(caught.value)
+    assert f"0x{beam_calibration(serial=8).crc32():08X}" in str(caught.value)
+    assert "take out the crc32 line" in str(caught.value)
+    without = "".join(line for line in text.splitlines(keepends=True) if not line.startswith("crc32"))
+    assert read_text(tmp_path, without).serial == 8
+    assert read_text(tmp_path, path.read_text().replace("crc32 = ", "#").replace("serial = 8", "serial = 7"))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0], [0, 2.0], [0, 0]]", r"has shape \(3, 2\), allowed \(3, 3\)"),
+        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
+        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
+        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[], [], []]", r"has shape \(3, 0\)"),
+        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2], [0]]", r"the rows of matrix_\w+ differ in length"),
+        (
+            "[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]",
+            '[["a"]]',
+            r"Expected `float`, got `str` - at `\$\.cal",
+        ),
+        ("[1, 2.5, -3]", "[1, 2]", r"offset_microstrain has 2 entries, the matrix 3 gauges"),
+        ("[1, 2.5, -3]", "3", r"Expected `array`, got `int` - at `\$\.calibration\.offset_microstrain`"),
+        ("[[0.25, 0, 0]", "[[0.25, 0.1, 0]", r"covariance_microstrain2 must be 3 x 3 and symmetric"),
+        ("[[0.25, 0, 0], ", "[", r"covariance_microstrain2 must be 3 x 3 and symmetric"),
+        ("[[0.25, 0, 0], ", "[[0.25], ", r"the rows of covariance_microstrain2 differ in length"),
+        ('"pull"', '"sideways"', r"load_sense is 'sideways', allowed: push, pull"),
+        ("load_sense", "sense", r"(unknown field `sense`|missing required field `load_sense`)"),
+        ('"pull"', '"pull"\nlayout = "IV"', r"layout is 'IV', allowed: I, II, III, custom"),
+        ('"pull"', '"pull"\nserial = -4', r"0x2102:01: -4 does not fit UNSIGNED32"),
+        ('"pull"', '"pull"\nserial = 1.5', r"Expected `int`, got `float` - at `\$\.calibration\.serial`"),
+        ('"pull"', '"pull"\ntip_radius_m = 1e300', r"0x2110:01: 1e\+300 does not fit REAL32"),
+        ('"pull"', '"pull"\ndate = "today"', r"at `\$\.calibration\.date`"),
+        ('"pull"', '"pull"\ncrc32 = "0x0"', r"crc32 is 0x0, but the numbers give 0x[0-9A-F]{8}"),
+        ("[calibration]", "[calibration", r"cal\.toml: "),
+        ("[calibration]", "[other]", r"unknown field `other`|missing required field `calibration`"),
+        ("load_sense", "# \ufffd\nload_sense =", r"cal\.toml: "),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, old: str, new: str, text: str) -> None:
+    assert old in GOOD
+    with pytest.raises(InputError, match=text) as caught:
+        read_text(tmp_path, GOOD.replace(old, new))
+    assert str(caught.value).startswith(f"calibration {tmp_path / 'cal.toml'}: ")
+
+
+def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"calibration .*absent\.toml: No such file or directory"):
+        read_calibration(tmp_path / "absent.toml")
+    with pytest.raises(InputError, match=r"Is a directory"):
+        read_calibration(tmp_path)
+    (tmp_path / "cal.toml").write_bytes(b"\xff\xfe\x00")
+    with pytest.raises(InputError, match=r"cal\.toml: "):
+        read_calibration(tmp_path / "cal.toml")
+    with pytest.raises(InputError, match=r"calibration .*: No such file or directory"):
+        write_calibration(tmp_path / "absent" / "cal.toml", beam_calibration())
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"layout_code": 7}, r"layout code 7, allowed: 1, 2, 3, 255"),
+        ({"date": 7}, r"date 7, allowed is YYYYMMDD of a day that there was, or 0"),
+        ({"date": 20260230}, r"date 20260230, allowed is YYYYMMDD"),
+    ],
+)
+def test_what_a_file_has_no_words_for_is_not_written(tmp_path: Path, changes: dict[str, int], text: str) -> None:
+    """Such numbers may stand in a node: written as something else, the file would not read back."""
+    with pytest.raises(InputError, match=text):
+        write_calibration(tmp_path / "cal.toml", beam_calibration(**changes))
+    assert not (tmp_path / "cal.toml").exists()
+
+
+def test_the_date_is_a_toml_date(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.toml", beam_calibration(date=20260102))
+    assert f"date = {date(2026, 1, 2).isoformat()}\n" in (tmp_path / "cal.toml").read_text()

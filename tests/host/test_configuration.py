@@ -1,0 +1,348 @@
+"""Configuration files: what they say, in which order it goes to the node, and what is wrong with them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from host.bus_with_nodes import FaultyBus, connected, finger
+from tipforce.dictionary import objects as od
+from tipforce.dictionary import types
+from tipforce.dictionary.eds import dcf_text
+from tipforce.dictionary.rows import rows
+from tipforce.errors import InputError, SdoAbortError
+from tipforce.host.configuration import (
+    Configuration,
+    apply_configuration,
+    read_configuration,
+    verify_configuration,
+)
+from tipforce.host.connection import Connection
+from tipforce.host.sdo import SdoChannel
+
+NODE = 5
+
+
+def read_text(tmp_path: Path, text: str, gauges: int = 3) -> Configuration:
+    path = tmp_path / "finger.toml"
+    path.write_text(text, encoding="utf-8")
+    return read_configuration(path, NODE, gauges)
+
+
+def values(configuration: Configuration) -> dict[tuple[int, int], types.Value]:
+    return {place: value for place, (_, value) in configuration.items()}
+
+
+class Recorder(SdoChannel):
+    """Keeps the writes; reads what was written last, or zeros."""
+
+    def __init__(self) -> None:
+        self.node_id = NODE
+        self.writes: list[tuple[int, int, int]] = []
+        self.reads: list[tuple[int, int]] = []
+
+    def upload(self, index: int, sub: int) -> bytes:
+        self.reads.append((index, sub))
+        found = [value for i, s, value in self.writes if (i, s) == (index, sub)]
+        size = types.data_type(rows(8, True)[index, sub].letter).size or 0
+        return (found[-1] if found else 3).to_bytes(size, "little")
+
+    def download(self, index: int, sub: int, data: bytes) -> None:
+        self.writes.append((index, sub, int.from_bytes(data, "little")))
+
+
+@pytest.fixture(scope="module")
+def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Connection, FaultyBus]]:
+    with connected(finger(NODE, store=tmp_path_factory.mktemp("store") / "node.json")) as both:
+        yield both
+
+
+@pytest.fixture
+def sdo(bus: tuple[Connection, FaultyBus]) -> SdoChannel:
+    connection, _ = bus
+    connection.buffer.clear()
+    connection.nmt("reset-node", NODE)
+    connection.wait_for({0x700 + NODE})
+    return connection.sdo(NODE)
+
+
+# --- what a file says -----------------------------------------------------------------------------------------------
+
+
+def test_names_indices_and_lists(tmp_path: Path) -> None:
+    found = read_text(
+        tmp_path,
+        """[objects]
+"tpdo2.cob_id" = "0x80000285"
+"heartbeat.producer_ms" = 500
+"0x6114:01" = 1000
+"calibration.offset" = [1e-6, 2, "0.5"]
+"0x2100" = [1, 2, 3, 4, 5, 6, 7, 8, 9]
+"0x6133:01" = "nan"
+""",
+    )
+    assert values(found) == {
+        (0x1017, 0): 500,
+        (0x1801, 1): 0x80000285,
+        (0x2101, 1): 1e-6,
+        (0x2101, 2): 2,
+        (0x2101, 3): 0.5,
+        (0x6114, 1): 1000,
+        (0x6133, 1): pytest.approx(float("nan"), nan_ok=True),
+        **{(0x2100, k): k for k in range(1, 10)},
+    }
+    assert list(found) == sorted(found)
+
+
+@pytest.mark.parametrize("name", ["calibration.matrix", "0x2100", "2100h"])
+def test_a_list_of_more_than_nine_counts_on_in_decimal(tmp_path: Path, name: str) -> None:
+    """After an index a sub-index is hexadecimal, so "0x2100:10" would be the sixteenth."""
+    found = read_text(tmp_path, f'[objects]\n"{name}" = {list(range(1, 13))}\n', gauges=4)
+    assert values(found) == {(0x2100, k): k for k in range(1, 13)}
+
+
+def test_a_mapping_by_names_or_numbers_has_its_length(tmp_path: Path) -> None:
+    found = read_text(
+        tmp_path, '[objects]\n"tpdo1.mapping" = ["process_value_int16:7", "status", 0x21210008, "process_value:8"]\n'
+    )
+    assert values(found) == {
+        (0x1A00, 0): 4,
+        (0x1A00, 1): 0x71300710,
+        (0x1A00, 2): 0x21200008,
+        (0x1A00, 3): 0x21210008,
+        (0x1A00, 4): 0x61300820,
+    }
+
+
+def test_an_empty_mapping_maps_nothing(tmp_path: Path) -> None:
+    assert values(read_text(tmp_path, '[objects]\n"tpdo1.mapping" = []\n')) == {(0x1A00, 0): 0}
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", "missing required field `objects`"),
+        ("[objects]\n", "no object is set"),
+        ('[objects]\n"0x6124" = []\n', "no object is set"),
+        ("[objects\n", "finger.toml: "),
+        ("[things]\n", "finger.toml: "),
+        ('[objects]\n"heartbeat.producer_ms" = true\n', "got `bool` - at `$.objects[...]`"),
+        ('[objects]\n"heartbeat.producer_ms" = 70000\n', "heartbeat.producer_ms (0x1017:00): 70000 does not fit"),
+        ('[objects]\n"heartbeat.producer_ms" = 70000\n', "allowed are 0 to 65535"),
+        ('[objects]\n"heartbeat.producer_ms" = 0.5\n', "(0x1017:00): 0.5 is not UNSIGNED16: allowed are integers"),
+        ('[objects]\n"heartbeat.producer_ms" = "soon"\n', "(0x1017:00): 'soon' is not UNSIGNED16: write a number"),
+        ('[objects]\n"heartbeat.producer" = 1\n', "no object is called 'heartbeat.producer'; close to it: heartbeat"),
+        ('[objects]\n"0x5000" = 1\n', "0x5000: no object 0x5000 with 3 gauges; the nearest are"),
+        ('[objects]\n"0x2100:0A" = 1\n', "no sub-index 10 (0x0A); allowed, in hex, with 3 gauges: 00-09"),
+        ('[objects]\n"0x2100" = 1.0\n', "0x2100 has several sub-indices: write 0x2100:SS"),
+        ('[objects]\n"calibration.offset" = [1, 2, 3, 4]\n', "allowed, in hex, with 3 gauges: 00-03"),
+        ('[objects]\n"calibration.offset" = [1, "x"]\n', "calibration.offset:2 (0x2101:02): 'x' is not REAL32"),
+        (
+            '[objects]\n"calibration.offset" = [1, 1e39]\n',
+            "calibration.offset:2 (0x2101:02): 1e+39 does not fit",
+        ),
+        ('[objects]\n"heartbeat.producer_ms" = [1]\n', "heartbeat.producer_ms:1"),
+        ('[objects]\n"tpdo1.mapping" = ["speed"]\n', "no object is called 'speed'"),
+        ('[objects]\n"tpdo1.mapping" = [-1]\n', "tpdo1.mapping:1 (0x1A00:01): -1 does not fit UNSIGNED32"),
+        ('[objects]\n"status" = 1\n', "status (0x2120:00) is ro and cannot be configured"),
+        ('[objects]\n"device_name" = "x"\n', "device_name (0x1008:00) is const and cannot be configured"),
+        ('[objects]\n"calibration.staged_record" = 5\n', "(0x2141:00): 5 is not DOMAIN: allowed are bytes"),
+        ('[objects]\n"calibration.staged_record" = "xy"\n', "'xy' is not DOMAIN: write hex bytes"),
+    ],
+)
+def test_what_is_wrong_in_a_file_is_named(tmp_path: Path, text: str, expected: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read_text(tmp_path, text)
+    assert expected in str(caught.value)
+    assert str(caught.value).startswith(str(tmp_path / "finger.toml") + ": ")
+
+
+def test_files_that_cannot_be_read(tmp_path: Path) -> None:
+    for name in ("absent.toml", "absent.dcf"):
+        with pytest.raises(InputError, match=rf"{name}: No such file or directory"):
+            read_configuration(tmp_path / name, NODE)
+    (tmp_path / "bad.dcf").write_text("nothing of the kind\n")
+    with pytest.raises(InputError, match=r"bad\.dcf: not a DCF \(\w+: "):
+        read_configuration(tmp_path / "bad.dcf", NODE)
+    (tmp_path / "bad.toml").write_bytes(b"\xff\xfe")
+    with pytest.raises(InputError, match=r"bad\.toml: "):
+        read_configuration(tmp_path / "bad.toml", NODE)
+
+
+def test_more_gauges_have_more_objects(tmp_path: Path) -> None:
+    text = '[objects]\n"tpdo5.cob_id" = 0x585\n"tpdo5.transmission_type" = 1\n'
+    with pytest.raises(InputError, match="tpdo5"):
+        read_text(tmp_path, text)
+    recorder = Recorder()
+    apply_configuration(recorder, read_text(tmp_path, text, gauges=4))
+    assert recorder.writes == [(0x1804, 1, 0x80000585), (0x1804, 2, 1), (0x1804, 1, 0x585)]
+
+
+# --- the order of the writes (CiA 301, 7.5.2.36) --------------------------------------------------------------------
+
+
+def test_a_pdo_is_made_invalid_remapped_and_made_valid_again(tmp_path: Path) -> None:
+    recorder = Recorder()
+    text = """[objects]
+"tpdo1.transmission_type" = 5
+"tpdo1.cob_id" = 0x40000185
+"tpdo1.inhibit_100us" = 7
+"tpdo1.mapping" = ["status", "counter"]
+"heartbeat.producer_ms" = 500
+"""
+    apply_configuration(recorder, read_text(tmp_path, text))
+    assert recorder.writes == [
+        (0x1800, 1, 0xC0000185),
+        (0x1A00, 0, 0),
+        (0x1A00, 1, 0x21200008),
+        (0x1A00, 2, 0x21210008),
+        (0x1A00, 0, 2),
+        (0x1800, 2, 5),
+        (0x1800, 3, 7),
+        (0x1800, 1, 0x40000185),
+        (0x1017, 0, 500),
+    ]
+    assert recorder.reads == []
+
+
+def test_what_the_file_leaves_out_is_kept_from_the_node(tmp_path: Path) -> None:
+    recorder = Recorder()
+    apply_configuration(recorder, read_text(tmp_path, '[objects]\n"0x1A01:02" = 0x21200008\n'))
+    assert recorder.reads == [(0x1801, 1), (0x1A01, 0)]
+    assert recorder.writes == [
+        (0x1801, 1, 0x80000003),
+        (0x1A01, 0, 0),
+        (0x1A01, 2, 0x21200008),
+        (0x1A01, 0, 3),
+        (0x1801, 1, 3),
+    ]
+
+
+def test_a_pdo_that_the_file_switches_off_stays_off(tmp_path: Path) -> None:
+    recorder = Recorder()
+    apply_configuration(recorder, read_text(tmp_path, '[objects]\n"rpdo1.cob_id" = 0x80000205\n'))
+    assert recorder.writes == [(0x1400, 1, 0x80000205), (0x1400, 1, 0x80000205)]
+
+
+# --- on a node ------------------------------------------------------------------------------------------------------
+
+REMAP = """[objects]
+"heartbeat.producer_ms" = 250
+"tpdo1.transmission_type" = 2
+"tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]
+"rpdo1.cob_id" = 0x205
+"""
+
+
+def test_apply_then_verify_on_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
+    wanted = read_text(tmp_path, REMAP)
+    before = verify_configuration(sdo, wanted)
+    assert {str(line["object"]) for line in before} >= {
+        "heartbeat.producer_ms (0x1017:00)",
+        "tpdo1.transmission_type (0x1800:02)",
+    }
+    assert {"object": "heartbeat.producer_ms (0x1017:00)", "expected": "250", "found": "1000"} in before
+    apply_configuration(sdo, wanted)
+    assert verify_configuration(sdo, wanted) == []
+
+
+def test_the_remapped_pdo_comes(tmp_path: Path, sdo: SdoChannel, bus: tuple[Connection, FaultyBus]) -> None:
+    connection, _ = bus
+    apply_configuration(sdo, read_text(tmp_path, REMAP))
+    connection.nmt("start", NODE)
+    connection.sync()
+    connection.sync()
+    frame = connection.wait_for({0x180 + NODE})[-1]
+    assert frame["length"] == 4
+    assert struct.unpack_from("<h", frame["data"].tobytes())[0] == -0x8000, "uncalibrated: P is unknown"
+
+
+def test_a_write_only_object_is_applied_and_not_compared(tmp_path: Path, sdo: SdoChannel) -> None:
+    wanted = read_text(tmp_path, '[objects]\n"calibration.unlock" = 0x6E65706F\n')
+    apply_configuration(sdo, wanted)
+    assert verify_configuration(sdo, wanted) == []
+
+
+def test_what_the_node_refuses_is_named(tmp_path: Path, sdo: SdoChannel) -> None:
+    with pytest.raises(SdoAbortError, match=r"write of 0x1800:02: abort 0x06090030"):
+        apply_configuration(sdo, read_text(tmp_path, '[objects]\n"tpdo1.transmission_type" = 252\n'))
+    with pytest.raises(SdoAbortError, match=r"write of 0x1A00:01: abort 0x06040041"):
+        apply_configuration(sdo, read_text(tmp_path, '[objects]\n"tpdo1.mapping" = ["heartbeat.producer_ms"]\n'))
+
+
+# --- DCF ------------------------------------------------------------------------------------------------------------
+
+PLACES = {
+    place: row.letter
+    for place, row in rows(3, False).items()
+    if row.access == "rw" and row.letter in "bBhHiIf" and place[0] not in (0x1010, 0x1011)
+}
+NUMBERS = {
+    letter: st.integers(*limits)
+    if (limits := types.data_type(letter).limits)
+    else st.floats(-(2.0**99), 2.0**99, width=32)
+    for letter in set(PLACES.values())
+}
+
+
+@st.composite
+def settings_of_a_node(draw: st.DrawFn) -> dict[tuple[int, int], types.Value]:
+    chosen = draw(st.lists(st.sampled_from(sorted(PLACES)), min_size=1, max_size=6, unique=True))
+    found: dict[tuple[int, int], types.Value] = {}
+    for place in chosen:
+        row = rows(3, False)[place]
+        if row.low is None and row.high is None:
+            found[place] = draw(NUMBERS[PLACES[place]])
+        else:
+            bounds = types.data_type(row.letter).limits or (-1e30, 1e30)
+            found[place] = bounds[0] if row.low is None else row.low
+    return found
+
+
+@settings(max_examples=10, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(settings_of_a_node())
+def test_our_own_dcf_reads_back(tmp_path: Path, wanted: dict[tuple[int, int], types.Value]) -> None:
+    path = tmp_path / "node.dcf"
+    path.write_text(dcf_text(3, NODE, wanted), encoding="utf-8")
+    found = read_configuration(path, NODE)
+    assert {place: entry.encode(value) for place, (entry, value) in found.items()} == {
+        place: types.encode(PLACES[place], value) for place, value in wanted.items()
+    }
+
+
+def test_a_dcf_goes_to_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
+    wanted: dict[tuple[int, int], types.Value] = {
+        (0x1017, 0): 123,
+        (0x1800, 1): 0xC0000185,  # bit 30: no remote requests, which this device does not answer
+        (0x2105, 1): 500.0,
+        (0x6134, 2): -12.5,
+        (0x7134, 3): -5,
+    }
+    path = tmp_path / "node.dcf"
+    path.write_text(dcf_text(3, NODE, wanted), encoding="utf-8")
+    configuration = read_configuration(path, NODE)
+    apply_configuration(sdo, configuration)
+    assert verify_configuration(sdo, configuration) == []
+    assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 123
+    assert sdo.read(od.TPDO1_COB_ID) == 0xC0000185
+
+
+def test_an_eds_sets_nothing(tmp_path: Path) -> None:
+    path = tmp_path / "node.eds"
+    path.write_bytes((Path(__file__).parents[2] / "eds" / "tipforce-3.eds").read_bytes())
+    with pytest.raises(InputError, match=r"node\.eds: no object is set"):
+        read_configuration(path, NODE)
+
+
+def test_a_foreign_dcf_names_the_file_and_the_object(tmp_path: Path) -> None:
+    text = dcf_text(4, NODE, {(0x2100, 12): 1.0})
+    path = tmp_path / "four.dcf"
+    path.write_text(text, encoding="utf-8")
+    with pytest.raises(InputError, match=r"four\.dcf: 0x2100:0C: no sub-index 12 .* with 3 gauges"):
+        read_configuration(path, NODE)
+    assert values(read_configuration(path, NODE, gauges=4)) == {(0x2100, 12): 1.0}

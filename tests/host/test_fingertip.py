@@ -1,0 +1,265 @@
+"""A calibration on its way into a node: taken whole, or refused with nothing changed."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import (
+    ROUNDING_STRAIN2,
+    FaultyBus,
+    apply_load,
+    beam_calibration,
+    connected,
+    finger,
+    fresh_sample,
+)
+from tipforce.dictionary import objects as od
+from tipforce.dictionary import table
+from tipforce.errors import InputError, RefusedError, SdoAbortError
+from tipforce.host.calibration import Calibration, FloatArray, difference
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce.host.hand import Hand
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import calibration_matrix
+
+NODE = 5
+LOAD = (4.4, 90.0, 60.0)
+
+
+@dataclass
+class Bench:
+    """One calibrated, loaded, operational node."""
+
+    connection: Connection
+    bus: FaultyBus
+    client: FingertipClient
+    hand: Hand
+    active: Calibration
+
+    def state(self) -> tuple[object, ...]:
+        """All that must stay as it is when a node refuses: CRC, record, generation, and what the PDO says."""
+        sdo = self.client.sdo
+        row = fresh_sample(self.hand)
+        assert not row.missing.any()
+        return (
+            sdo.read(od.CALIBRATION_ACTIVE_CRC),
+            sdo.read(od.CALIBRATION_ACTIVE_RECORD),
+            sdo.read(od.CALIBRATION_GENERATION),
+            (float(row.P_newtons[0]), float(row.phi_deg[0]), float(row.theta_deg[0])),
+        )
+
+
+@pytest.fixture
+def bench(tmp_path: Path) -> Iterator[Bench]:
+    with connected(finger(NODE, store=tmp_path / "node.json")) as (connection, bus):
+        client = FingertipClient(connection.sdo(NODE))
+        active = beam_calibration()
+        client.apply_calibration(active)
+        apply_load(connection, NODE, *LOAD)
+        hand = Hand(connection, [NODE])
+        hand.start()
+        yield Bench(connection, bus, client, hand, active)
+
+
+def assert_contact(state: tuple[object, ...], P: float, phi: float, theta: float) -> None:
+    # Half a count of each gauge is the only error of a noiseless finger.
+    assert state[3] == pytest.approx((P, phi, theta), abs=0.05)
+
+
+def test_taken(bench: Bench) -> None:
+    before = bench.state()
+    assert before[:3] == (bench.active.crc32(), bench.active.record(), 1)
+    assert_contact(before, *LOAD)
+    steps: list[str] = []
+    doubled = beam_calibration(C=2.0 * bench.active.C, serial=8)
+    assert bench.client.apply_calibration(doubled, on_step=steps.append) == 2
+    assert [step.split()[0].rstrip(",") for step in steps] == ["staged", "committed", "read", "stored"]
+    assert f"0x{doubled.crc32():08X}" in steps[0]
+    after = bench.state()
+    assert after[:3] == (doubled.crc32(), doubled.record(), 2)
+    assert_contact(after, 2 * LOAD[0], *LOAD[1:])
+    assert bench.client.verify_calibration(doubled) == []
+
+
+def test_stored_or_not(bench: Bench) -> None:
+    bench.client.apply_calibration(beam_calibration(serial=9), store=False)
+    bench.connection.buffer.clear()
+    bench.connection.nmt("reset-node", NODE)
+    bench.connection.wait_for({0x700 + NODE})
+    assert bench.client.verify_calibration(bench.active) == []
+
+
+def test_read_back_as_numbers(bench: Bench) -> None:
+    found = bench.client.calibration()
+    assert found is not None
+    assert found.record() == bench.active.record()
+    np.testing.assert_allclose(found.C, bench.active.C, rtol=1e-6)
+
+
+@pytest.mark.parametrize("field", ["C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons"])
+@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
+def test_not_finite_is_refused(bench: Bench, field: str, value: float) -> None:
+    before = bench.state()
+    present = getattr(bench.active, field)
+    if isinstance(present, np.ndarray):
+        present = present.copy()
+        present.flat[0] = value
+    else:
+        present = value
+    with pytest.raises(RefusedError, match=r"node 5 refused the calibration \(0x06090030\): a value is not finite"):
+        bench.client.apply_calibration(beam_calibration(**{field: present}))
+    assert bench.state() == before
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [{"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02}],
+)
+def test_limits_that_cross_are_refused(bench: Bench, changes: dict[str, float]) -> None:
+    before = bench.state()
+    with pytest.raises(RefusedError, match=r"0x06090030\): .*theta minimum over maximum, contact-off over"):
+        bench.client.apply_calibration(beam_calibration(**changes))
+    assert bench.state() == before
+
+
+@pytest.mark.parametrize("matrix", [np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5])])
+def test_an_ill_conditioned_matrix_is_refused(bench: Bench, matrix: FloatArray) -> None:
+    before = bench.state()
+    with pytest.raises(RefusedError, match=r"\(0x06090031\): the condition number of C is over the limit 2105h:1"):
+        bench.client.apply_calibration(beam_calibration(C=matrix))
+    assert bench.state() == before
+    bench.client.sdo.write(od.CALIBRATION_CONDITION_LIMIT, 1.0)
+    with pytest.raises(RefusedError, match="06090031"):
+        bench.client.apply_calibration(bench.active)
+
+
+def test_locked_is_refused_and_says_how_to_unlock(bench: Bench) -> None:
+    before = bench.state()
+    bench.client.sdo.write(od.CALIBRATION_LOCK, 1)
+    with pytest.raises(RefusedError, match=r"0x08000022\): it is locked .*tipforce sdo write ID calibration\.unlock"):
+        bench.client.apply_calibration(beam_calibration(serial=9))
+    assert bench.state() == before
+    bench.client.sdo.write(od.CALIBRATION_UNLOCK, table.SIGNATURE_OPEN)
+    assert bench.client.apply_calibration(beam_calibration(serial=9)) == 2
+
+
+def test_an_abort_that_is_no_refusal_stays_an_abort(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A commit whose signature was corrupted on the way says nothing about the calibration."""
+    send = bench.bus.send
+
+    def corrupting(message: can.Message, timeout: float | None = None) -> None:
+        if message.data[:4] == b"\x23\x04\x21\x00":
+            message.data[7] ^= 0x01
+        send(message, timeout)
+
+    monkeypatch.setattr(bench.bus, "send", corrupting)
+    with pytest.raises(SdoAbortError, match="08000020"):
+        bench.client.apply_calibration(beam_calibration())
+
+
+@pytest.mark.parametrize("segment", range(16))
+def test_a_frame_corrupted_on_the_way_is_noticed(bench: Bench, monkeypatch: pytest.MonkeyPatch, segment: int) -> None:
+    """What left the host is not what the node got: its CRC-32 differs from the expected one, so it refuses."""
+    before = bench.state()
+    send = bench.bus.send
+    segments = iter(range(1000))
+
+    def corrupting(message: can.Message, timeout: float | None = None) -> None:
+        if message.arbitration_id == 0x600 + NODE and message.data[0] >> 5 == 0 and next(segments) == segment:
+            message.data[1] ^= 0x10
+        send(message, timeout)
+
+    monkeypatch.setattr(bench.bus, "send", corrupting)
+    # The last byte is the load sense, which the node checks at once.
+    code = "0x06040043): the CRC-32 of what it received is not" if segment < 15 else "0x06090030): "
+    with pytest.raises(RefusedError, match=re.escape(code)):
+        bench.client.apply_calibration(beam_calibration(serial=9))
+    assert bench.state() == before
+
+
+def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
+    """iCub's updater reads back and does not compare (TRAPS.md). Here a read-back segment is corrupted."""
+    seen = iter(range(1000))
+
+    def corrupting(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x580 + NODE and message.data[0] >> 5 == 0 and next(seen) == 2:
+            message.data[3] ^= 0x40
+        return message
+
+    bench.bus.fault = corrupting
+    with pytest.raises(RefusedError, match=r"the active calibration is not what was sent: 0x2100:0\d: expected"):
+        bench.client.apply_calibration(bench.active)
+
+
+def test_another_number_of_gauges_never_leaves_the_host(bench: Bench) -> None:
+    layout = ("K_H", "S_H", "U", "L")
+    four = Calibration(calibration_matrix(FABRICATED, layout), np.zeros(4), np.eye(4) * 1e-12)
+    bench.bus.sent.clear()
+    with pytest.raises(InputError, match=r"product code 0x54500103 has 3 gauges, the calibration has 4"):
+        bench.client.apply_calibration(four)
+    assert {data[0] for _, data in bench.bus.sent} == {0x40}, "only reads"
+
+
+def test_storing_that_fails_is_an_abort_and_the_calibration_active() -> None:
+    """No --store: the node refuses 1010h. Active is what was committed, and the error says that storing failed."""
+    with connected(finger(NODE)) as (connection, _):
+        client = FingertipClient(connection.sdo(NODE))
+        with pytest.raises(SdoAbortError, match="write of 0x1010:04"):
+            client.apply_calibration(beam_calibration())
+        assert client.verify_calibration(beam_calibration()) == []
+        with pytest.raises(SdoAbortError, match="write of 0x1010:01"):
+            client.store()
+
+
+# --- verify ---------------------------------------------------------------------------------------------------------
+
+
+def changed_C(k: int) -> Callable[[Calibration], dict[str, object]]:
+    def change(calibration: Calibration) -> dict[str, object]:
+        C = calibration.C.copy()
+        C.flat[k] *= 1.001
+        return {"C": C}
+
+    return change
+
+
+@pytest.mark.parametrize(
+    ("change", "place"),
+    [
+        (changed_C(0), "0x2100:01"),
+        (changed_C(8), "0x2100:09"),
+        (lambda _: {"offset_strain": np.array([0.0, 1e-6, 0.0])}, "0x2101:02"),
+        (lambda _: {"serial": 99}, "0x2102:01"),
+        (lambda _: {"date": 20250101}, "0x2102:02"),
+        (lambda _: {"layout_code": 3}, "0x2102:04"),
+        (lambda _: {"covariance_strain2": np.eye(3) * ROUNDING_STRAIN2 + np.eye(3)[::-1] * 1e-17}, "0x2106:03"),
+        (lambda _: {"tip_radius_m": 0.016}, "0x2110:01"),
+        (lambda _: {"pull": False}, "0x2110:06"),
+    ],
+)
+def test_verify_names_the_field_and_both_values(
+    bench: Bench, change: Callable[[Calibration], dict[str, object]], place: str
+) -> None:
+    lines = bench.client.verify_calibration(beam_calibration(**change(bench.active)))
+    assert any(line.startswith(f"{place}: expected ") and "the node has" in line for line in lines), lines
+    assert len(lines) <= 2
+
+
+def test_verify_of_an_uncalibrated_node() -> None:
+    with connected(finger(NODE)) as (connection, _):
+        client = FingertipClient(connection.sdo(NODE))
+        assert client.calibration() is None
+        assert client.verify_calibration(beam_calibration()) == ["the node has no active calibration"]
+
+
+def test_records_of_different_length() -> None:
+    assert difference(bytes(106), bytes(106)) == []
+    assert difference(bytes(106), bytes(105)) == ["length: expected 106 bytes, the node has 105"]

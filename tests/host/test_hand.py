@@ -1,0 +1,131 @@
+"""A hand: one row per SYNC, of one instant, with the missing finger marked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import can
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import FaultyBus, apply_load, beam_calibration, connected, finger, fresh_sample
+from tipforce.dictionary import objects as od
+from tipforce.errors import InputError
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce.host.hand import Hand
+
+PATIENCE_S = 0.25  # for a row that stays incomplete
+FINGERS = {1: "I", 2: "II", 7: "III"}
+
+
+@pytest.fixture(scope="module")
+def bus() -> Iterator[tuple[Connection, FaultyBus]]:
+    with connected(*(finger(n, case) for n, case in FINGERS.items())) as (connection, faulty):
+        for node_id, case in FINGERS.items():
+            FingertipClient(connection.sdo(node_id)).apply_calibration(beam_calibration(case), store=False)
+        yield connection, faulty
+
+
+@pytest.fixture
+def hand(bus: tuple[Connection, FaultyBus]) -> Iterator[Hand]:
+    hand = Hand(bus[0], list(FINGERS), messages=("Gauges", "Contact"))
+    hand.start()
+    yield hand
+    bus[1].fault = lambda message: message
+    hand.stop()
+
+
+def test_every_finger_in_the_order_of_its_node_id(hand: Hand) -> None:
+    for k, node_id in enumerate(FINGERS):
+        apply_load(hand.connection, node_id, 1.0 + k, 90.0, 60.0 + 10 * k)
+    row = fresh_sample(hand)
+    assert not row.missing.any()
+    np.testing.assert_allclose(row.P_newtons, [1.0, 2.0, 3.0], atol=0.02)
+    np.testing.assert_allclose(row.phi_deg, 90.0, atol=1.0)
+    np.testing.assert_allclose(row.theta_deg, [60.0, 70.0, 80.0], atol=2.0)
+
+
+def test_the_pdos_of_a_sync_are_of_one_sample(hand: Hand) -> None:
+    """Gauges and contact carry the same counter, and the counter goes up by one from SYNC to SYNC."""
+    counters = []
+    for _ in range(30):
+        row = hand.sample(timeout_s=2.0)
+        for node_id in FINGERS:
+            gauges, contact = row.messages[node_id, "Gauges"], row.messages[node_id, "Contact"]
+            assert len(gauges.t_ns) == len(contact.t_ns) == 1
+            assert gauges.columns["counter"][0] == contact.columns["counter"][0]
+        counters.append([int(row.messages[n, "Contact"].columns["counter"][0]) for n in FINGERS])
+    steps = np.diff(np.array(counters), axis=0) % 256
+    # A SYNC that comes before the next conversion repeats the counter and is marked stale.
+    assert set(steps.ravel().tolist()) <= {0, 1}
+
+
+def test_a_missing_finger(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+    bus[1].fault = lambda m: None if m.arbitration_id == 0x282 else m
+    row = fresh_sample(hand, PATIENCE_S)
+    assert row.missing.tolist() == [False, True, False]
+    assert np.isnan([row.P_newtons[1], row.phi_deg[1], row.theta_deg[1]]).all()
+    assert not np.isnan(row.P_newtons[[0, 2]]).any()
+    assert (2, "Gauges") in row.messages
+
+
+def test_a_truncated_pdo_is_a_missing_finger(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+    def short(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x281:
+            message.data = message.data[:5]
+            message.dlc = 5
+        return message
+
+    bus[1].fault = short
+    assert hand.sample(PATIENCE_S).missing.tolist() == [True, False, False]
+
+
+def test_a_sample_never_shows_what_came_before_its_sync(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+    apply_load(hand.connection, 1, 1.0, 90.0, 60.0)
+    hand.connection.sync()
+    hand.connection.wait_for({0x281, 0x282, 0x287})
+    apply_load(hand.connection, 1, 3.0, 90.0, 60.0)
+    assert fresh_sample(hand).P_newtons[0] == pytest.approx(3.0, abs=0.02)
+    bus[1].fault = lambda m: None if m.arbitration_id == 0x281 else m
+    assert hand.sample(PATIENCE_S).missing[0]
+
+
+def test_no_load_is_a_known_force_without_direction(hand: Hand) -> None:
+    apply_load(hand.connection, 7, 0.0, 0.0, 0.0)
+    row = fresh_sample(hand)
+    assert not row.missing[2]
+    assert row.P_newtons[2] == pytest.approx(0.0, abs=0.02)
+    assert np.isnan([row.phi_deg[2], row.theta_deg[2]]).all()
+
+
+def test_a_silent_converter_is_unknown_not_frozen(hand: Hand) -> None:
+    apply_load(hand.connection, 7, 2.0, 90.0, 60.0)
+    assert not np.isnan(fresh_sample(hand).P_newtons[2])
+    sdo = hand.connection.sdo(7)
+    sdo.write(od.SIMULATION_FAULT, 4)
+    hand.sample(timeout_s=2.0)
+    row = hand.sample(timeout_s=2.0)
+    sdo.write(od.SIMULATION_FAULT, 0)
+    assert not row.missing[2]
+    assert np.isnan(row.P_newtons[2])
+    assert row.messages[7, "Contact"].columns["stale"][0]
+
+
+def test_stopped_fingers_are_missing(hand: Hand) -> None:
+    hand.stop()
+    assert hand.sample(PATIENCE_S).missing.all()
+
+
+@pytest.mark.parametrize(
+    ("node_ids", "messages", "text"),
+    [
+        ([], ("Contact",), r"node-ids \[\]: give each finger's once"),
+        ([1, 2, 1], ("Contact",), r"node-ids \[1, 2, 1\]: give each finger's once"),
+        ([1], ("Angles",), r"message 'Angles': allowed are Gauges, Contact, Force, Health"),
+        ([128], ("Contact",), r"node-id 128: allowed are 1 to 127"),
+    ],
+)
+def test_what_is_not_a_hand(hand: Hand, node_ids: list[int], messages: tuple[str, ...], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        Hand(hand.connection, node_ids, messages=messages)

@@ -1,0 +1,256 @@
+"""SdoChannel against real nodes: values, aborts, lost and damaged answers, many threads."""
+
+from __future__ import annotations
+
+import struct
+import threading
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import can
+import pytest
+
+from host.bus_with_nodes import FaultyBus, connected, finger
+from tipforce.dictionary import objects as od
+from tipforce.dictionary.entries import Entry
+from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
+from tipforce.host.connection import Connection
+
+NODE = 5
+ANSWER = 0x580 + NODE
+
+
+@pytest.fixture(scope="module")
+def shared() -> Iterator[tuple[Connection, FaultyBus]]:
+    with connected(finger(NODE), timeout_s=0.2) as both:
+        yield both
+
+
+@pytest.fixture
+def connection(shared: tuple[Connection, FaultyBus]) -> Iterator[Connection]:
+    connection, bus = shared
+    channel = connection.sdo(NODE)
+    retries = channel.retries
+    bus.sent.clear()
+    yield connection
+    bus.fault = lambda message: message
+    channel.retries = retries
+
+
+@pytest.fixture
+def bus(shared: tuple[Connection, FaultyBus]) -> FaultyBus:
+    return shared[1]
+
+
+def only_first(change: Callable[[can.Message], can.Message | None]) -> Callable[[can.Message], can.Message | None]:
+    """Apply ``change`` to the first SDO answer, leave the others."""
+    seen: list[int] = []
+
+    def fault(message: can.Message) -> can.Message | None:
+        if message.arbitration_id != ANSWER or seen:
+            return message
+        seen.append(1)
+        return change(message)
+
+    return fault
+
+
+def lost(message: can.Message) -> can.Message | None:
+    return None if message.arbitration_id == ANSWER else message
+
+
+def with_data(message: can.Message, data: bytes) -> can.Message:
+    return can.Message(
+        timestamp=message.timestamp, arbitration_id=message.arbitration_id, data=data, is_extended_id=False
+    )
+
+
+def test_values_of_every_kind(connection: Connection) -> None:
+    sdo = connection.sdo(NODE)
+    assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
+    assert sdo.read(od.DEVICE_NAME)  # a string: more than four bytes, segmented
+    assert len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) == 106
+    sdo.write(od.HEARTBEAT_PRODUCER_MS, 500)
+    assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 500
+    sdo.write(od.CALIBRATION_OFFSET[2], 1.5e-6)
+    assert sdo.read(od.CALIBRATION_OFFSET[2]) == pytest.approx(1.5e-6, rel=1e-6)
+    record = bytes(range(100)) + bytes(6)
+    sdo.write(od.CALIBRATION_STAGED_RECORD, record)
+    assert sdo.read(od.CALIBRATION_STAGED_RECORD) == record
+
+
+@pytest.mark.parametrize(
+    ("entry", "value", "code", "text"),
+    [
+        (Entry[int](0x3000, 0, "B", "nothing", "rw", ""), 1, 0x06020000, "0x3000:00"),
+        (od.CALIBRATION_ACTIVE_CRC, 1, 0x06010002, "write of 0x2103:03"),
+        (od.CALIBRATION_LOCK, 2, 0x06090031, "write of 0x2105:02"),
+        (od.CALIBRATION_STAGED_RECORD, b"", 0x06070013, "write of 0x2141:00"),
+        (od.CALIBRATION_STAGED_RECORD, bytes(107), 0x06070012, "write of 0x2141:00"),
+        (od.CALIBRATION_STAGED_RECORD, bytes(105), 0x06070013, "write of 0x2141:00"),
+    ],
+)
+def test_an_abort_names_place_code_and_meaning(
+    connection: Connection, bus: FaultyBus, entry: Entry[Any], value: int | bytes, code: int, text: str
+) -> None:
+    with pytest.raises(SdoAbortError) as caught:
+        connection.sdo(NODE).write(entry, value)
+    assert caught.value.code == code
+    assert "node 5 (0x05)" in str(caught.value)
+    assert f"abort 0x{code:08X}, " in str(caught.value)
+    assert text in str(caught.value)
+    starts = [data for can_id, data in bus.sent if can_id == 0x600 + NODE and data[0] >> 5 == 1]
+    assert len(starts) == 1, "an abort is an answer, so nothing is tried again"
+
+
+def test_after_an_abort_the_channel_works(connection: Connection) -> None:
+    sdo = connection.sdo(NODE)
+    for _ in range(3):
+        with pytest.raises(SdoAbortError):
+            sdo.write(od.CALIBRATION_STAGED_RECORD, bytes(200))
+        assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [
+        lost,
+        lambda message: with_data(message, b""),
+        lambda message: with_data(message, bytes(message.data[:1])),
+        lambda message: with_data(message, b"\x80\x18\x10\x04"),  # an abort without its code
+        lambda message: with_data(message, bytes(message.data[:3])),
+        lambda message: with_data(message, b"\xff" * 8),
+        lambda message: with_data(message, b"\x43\x00\x10\x00\0\0\0\0"),  # the answer to another question
+    ],
+    ids=["lost", "empty", "one byte", "half an abort", "three bytes", "nonsense", "another object"],
+)
+def test_one_bad_answer_is_made_good_by_a_retry(
+    connection: Connection, bus: FaultyBus, damage: Callable[[can.Message], can.Message | None]
+) -> None:
+    sdo = connection.sdo(NODE)
+    sdo.retries = 1
+    bus.fault = only_first(damage)
+    assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
+    bus.fault = only_first(damage)
+    sdo.write(od.HEARTBEAT_PRODUCER_MS, 700)
+    assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 700
+
+
+@pytest.mark.parametrize("answer", range(4))
+def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Connection, bus: FaultyBus, answer: int) -> None:
+    sdo = connection.sdo(NODE)
+    sdo.retries = 1
+    record = bytes(range(16)) + bytes(90)
+
+    def losing() -> Callable[[can.Message], can.Message | None]:
+        count = iter(range(1000))
+        return lambda m: None if m.arbitration_id == ANSWER and next(count) == answer else m
+
+    bus.fault = losing()
+    sdo.write(od.CALIBRATION_STAGED_RECORD, record)
+    bus.fault = losing()
+    assert sdo.read(od.CALIBRATION_STAGED_RECORD) == record
+
+
+@pytest.mark.parametrize(("retries", "tries"), [(0, "1 try"), (2, "3 tries")])
+def test_no_answer_at_all(connection: Connection, bus: FaultyBus, retries: int, tries: str) -> None:
+    sdo = connection.sdo(NODE)
+    sdo.retries = retries
+    bus.fault = lost
+    with pytest.raises(NoResponseError) as caught:
+        sdo.read(od.IDENTITY_SERIAL)
+    assert str(caught.value) == (
+        f"node 5 (0x05), read of 0x1018:04: no response after {tries} of 0.2 s; "
+        "is the node powered, on this bus, at this bit rate, and is its node-id right? `tipforce scan` lists nodes"
+    )
+    requests = [data for can_id, data in bus.sent if can_id == 0x600 + NODE and data[0] == 0x40]
+    assert len(requests) == retries + 1
+    with pytest.raises(NoResponseError, match=r"write of 0x1017:00: no response"):
+        sdo.write(od.HEARTBEAT_PRODUCER_MS, 100)
+    bus.fault = lambda message: message
+    assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
+
+
+def test_a_late_answer_is_not_taken_for_the_next_one(connection: Connection, bus: FaultyBus) -> None:
+    """The answer to a request that was given up arrives before the answer to the next request."""
+    sdo = connection.sdo(NODE)
+    sdo.retries = 0
+    bus.fault = lost
+    with pytest.raises(NoResponseError):
+        sdo.read(od.IDENTITY_SERIAL)
+    bus.fault = lambda message: message
+    connection.buffer.clear()
+    stale = struct.pack("<BHBI", 0x43, 0x1018, 4, 1000 + NODE)
+    with can.Bus(interface="virtual", channel=bus.channel_id) as other:
+        other.send(can.Message(arbitration_id=ANSWER, data=stale, is_extended_id=False))
+    connection.wait_for({ANSWER})
+    assert sdo.read(od.IDENTITY_PRODUCT) == 0x54500103
+
+
+def test_a_wrong_length_is_an_error_not_a_value(connection: Connection, bus: FaultyBus) -> None:
+    bus.fault = only_first(lambda m: with_data(m, struct.pack("<BHBI", 0x4F, 0x1018, 4, 7)))
+    with pytest.raises(InputError, match=r"identity\.serial \(0x1018:04\): 1 bytes \(07\) for UNSIGNED32: allow"):
+        connection.sdo(NODE).read(od.IDENTITY_SERIAL)
+
+
+def test_a_value_that_does_not_fit_sends_nothing(connection: Connection, bus: FaultyBus) -> None:
+    with pytest.raises(InputError, match=r"heartbeat\.producer_ms \(0x1017:00\): 70000 .* allowed are 0 to 65535"):
+        connection.sdo(NODE).write(od.HEARTBEAT_PRODUCER_MS, 70000)
+    assert not bus.sent
+
+
+def test_a_bus_that_refuses_is_named(connection: Connection, bus: FaultyBus, monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(_message: can.Message, timeout: float | None = None) -> None:
+        raise can.CanOperationError(f"transmit queue is full {timeout or ''}")
+
+    monkeypatch.setattr(bus, "send", refuse)
+    with pytest.raises(EnvironmentLackError, match=r"node 5 .*the bus refused the frame: transmit queue is full"):
+        connection.sdo(NODE).read(od.IDENTITY_SERIAL)
+    with pytest.raises(EnvironmentLackError, match=r"frame 0x080: the bus refused it: transmit queue is full"):
+        connection.sync()
+
+
+def test_four_threads_read_at_once(connection: Connection) -> None:
+    """TRAPS.md: canopen's own client gives 28 to 58 errors here."""
+    sdo = connection.sdo(NODE)
+    places = (od.IDENTITY_SERIAL, od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.DEVICE_TYPE)
+    expected = [sdo.read(entry) for entry in places]
+    wrong: list[object] = []
+
+    def work(k: int) -> None:
+        for _ in range(100):
+            try:
+                if sdo.read(places[k]) != expected[k]:
+                    wrong.append(k)
+            except Exception as error:
+                wrong.append(error)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong
+
+
+def test_four_threads_with_a_domain_among_them(connection: Connection) -> None:
+    """A segmented transfer is many frames: none of another thread's may come between."""
+    sdo = connection.sdo(NODE)
+    wrong: list[object] = []
+
+    def work(k: int) -> None:
+        for count in range(20):
+            try:
+                if k == 0:
+                    sdo.write(od.CALIBRATION_STAGED_RECORD, bytes((count,)) * 36 + bytes(70))
+                elif len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) != 106:
+                    wrong.append(k)
+            except Exception as error:
+                wrong.append(error)
+
+    threads = [threading.Thread(target=work, args=(k,)) for k in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    assert not wrong

@@ -1,0 +1,21 @@
+"""What running commands in this process leaves behind is put back."""
+
+from __future__ import annotations
+
+import logging
+import signal
+from collections.abc import Iterator
+
+import pytest
+
+
+@pytest.fixture(autouse=True)
+def put_back_process_state() -> Iterator[None]:
+    """Log levels and the handler of SIGTERM belong to the process: a command has it to itself, a test has not."""
+    loggers = [logging.getLogger(name) for name in ("", "can", "canopen")]
+    levels = [logger.level for logger in loggers]
+    on_sigterm = signal.getsignal(signal.SIGTERM)
+    yield
+    signal.signal(signal.SIGTERM, on_sigterm)
+    for logger, level in zip(loggers, levels, strict=True):
+        logger.setLevel(level)

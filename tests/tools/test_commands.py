@@ -1,0 +1,348 @@
+"""scan, sdo, config, calibrate and export, run in this process against nodes on the in-process bus."""
+
+from __future__ import annotations
+
+import io
+import json
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
+from tipforce.dictionary import objects as od
+from tipforce.dictionary.eds import dcf_text, eds_text
+from tipforce.host.calibration_file import write_calibration
+from tipforce.host.connection import Connection
+from tipforce_tools.main import main
+
+ROOT = Path(__file__).parents[2]
+Tipforce = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture(scope="module")
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Connection, str]]:
+    """Nodes 5 (with a store) and 6 (without), and the name of their bus."""
+    store = tmp_path_factory.mktemp("store") / "node.json"
+    channel = new_channel()
+    with connected(finger(5, store=store), finger(6), channel=channel) as (connection, _):
+        for node_id in (5, 6):
+            connection.sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
+        yield connection, channel
+
+
+@pytest.fixture
+def tipforce(bench: tuple[Connection, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
+    """Run a command line on that bus: (exit code, stdout, stderr)."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        line = [str(word) for word in words]
+        try:
+            code = main([*line, "-i", "virtual", "-c", bench[1]])
+        except SystemExit as error:
+            code = int(error.code or 0)
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+# --- scan -----------------------------------------------------------------------------------------------------------
+
+
+def test_scan(tipforce: Tipforce) -> None:
+    code, out, err = tipforce("scan", "--wait", "0.3")
+    assert (code, err) == (0, "")
+    lines = out.splitlines()
+    assert len(lines) == 2
+    assert lines[0].split() == [
+        "5", "(0x05)", "pre-operational", "simulated", "fingertip,", "3", "gauges", "serial", "1005", "not",
+        "calibrated", "EDS", "match",
+    ]  # fmt: skip
+
+
+def test_scan_as_json(tipforce: Tipforce) -> None:
+    code, out, _ = tipforce("scan", "--wait", "0.3", "--nodes", "6,10-12", "--json")
+    assert code == 0
+    (record,) = (json.loads(line) for line in out.splitlines())
+    assert record == {
+        "node_id": 6,
+        "state": "pre-operational",
+        "device": "simulated fingertip, 3 gauges",
+        "serial": 1006,
+        "calibration": "not calibrated",
+        "eds": "match",
+    }
+
+
+def test_scan_of_an_empty_bus_is_5(tipforce: Tipforce) -> None:
+    code, out, err = tipforce("scan", "--wait", "0.01", "--nodes", "50-60")
+    assert (code, out) == (5, "")
+    assert "no node answered: is the bus powered and terminated, is the bit rate right?" in err
+    assert tipforce("scan", "--wait", "0", "--nodes", "50", "-q") == (5, "", "")
+
+
+@pytest.mark.parametrize("wait", ["-1", "nan", "inf"])
+def test_scan_for_no_time(tipforce: Tipforce, wait: str) -> None:
+    code, _, err = tipforce("scan", f"--wait={wait}")
+    assert code == 2
+    assert err == f"tipforce: --wait {wait}: allowed is 0 s or more\n"
+
+
+# --- sdo ------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("words", "shown"),
+    [
+        ("0x1018 2 u32", "1414529283"),
+        ("0x1018 0x02", "1414529283"),
+        ("4120 2", "1414529283"),
+        ("identity.product", "1414529283"),
+        ("0x1018:02", "1414529283"),
+        ("1018h:02", "1414529283"),
+        ("0x1018 4 u32", "1005"),
+        ("calibration.generation", "0"),
+        ("calibration.matrix:3", "0.0"),
+        ("0x2100:03 ", "0.0"),
+        ("0x1017 0 d", "14 00"),
+        ("heartbeat.producer_ms", "20"),
+    ],
+)
+def test_sdo_read(tipforce: Tipforce, words: str, shown: str) -> None:
+    assert tipforce("sdo", "read", "0x05", *words.split()) == (0, shown + "\n", "")
+
+
+def test_sdo_read_as_json(tipforce: Tipforce) -> None:
+    code, out, _ = tipforce("sdo", "read", 5, "identity.serial", "--json")
+    assert code == 0
+    assert json.loads(out) == {"node": 5, "index": "0x1018", "sub": 4, "name": "identity.serial", "value": 1005}
+    code, out, _ = tipforce("sdo", "read", 5, "0x1018", 4, "d", "--json")
+    assert json.loads(out)["value"] == "ED 03 00 00"
+
+
+@pytest.mark.parametrize(
+    ("words", "value", "shown"),
+    [
+        ("simulation.P", "-1.5e-3", "-0.0015"),
+        ("simulation.phi", "-90", "-90.0"),
+        ("0x2101 2 r32", "nan", "nan"),
+        ("0x1800 3", "0x64", "100"),
+        ("tpdo1.inhibit_100us", "7", "7"),
+    ],
+)
+def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: str) -> None:
+    tipforce("sdo", "write", 5, "tpdo1.cob_id", "0xC0000185")  # an inhibit time changes in an invalid PDO only
+    code, out, err = tipforce("sdo", "write", 5, *words.split(), value)
+    assert (code, out) == (0, "")
+    assert err.startswith("node 5 (0x05) 0x")
+    assert tipforce("sdo", "read", 5, *words.split())[1] == shown + "\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("read 5 0x1017 0 u16 5", "'0x1017 0 u16 5' is too much; write NAME, or INDEX SUB [TYPE]"),
+        ("read 5 x 0 u16", "'x' '0' is no INDEX SUB; write 0x1017 0, or one NAME"),
+        ("read 5 0x1017 y", "'0x1017' 'y' is no INDEX SUB"),
+        ("read 5 0x10000 0 u8", "index 0x10000 sub 0: allowed are 0 to 0xFFFF and 0 to 0xFF"),
+        ("read 5 0x1000 256 u8", "sub 256: allowed are"),
+        ("read 5 -1 0 u8", "index -1 sub 0: allowed are"),
+        ("read 5 0x1017 0 u17", "data type 'u17': allowed are b, i8, i16"),
+        ("read 5 0x3000 0", "0x3000:00 is not in the dictionary; add its type, for example u16"),
+        ("read 5 heartbeat", "no object is called 'heartbeat'"),
+        ("read 5 calibration.matrix:10", "with 3 gauges SUB is 1-9"),
+        ("read 5 calibration.matrix:10 --gauges 9", "9"),
+        ("write 5 heartbeat.producer_ms", "write NAME VALUE, or INDEX SUB TYPE VALUE"),
+        ("write 5 heartbeat.producer_ms 70000", "70000 does not fit UNSIGNED16: allowed are 0 to 65535"),
+        ("write 5 heartbeat.producer_ms soon", "'soon' is not UNSIGNED16: write a number as 10 or 0x0A"),
+        ("write 5 0x2141 0 xx", "'xx' is not DOMAIN: write hex bytes"),
+    ],
+)
+def test_sdo_words_that_are_wrong(tipforce: Tipforce, words: str, message: str) -> None:
+    code, out, err = tipforce("sdo", *words.split())
+    assert (code, out) == (2, "")
+    assert err.startswith("tipforce: ")
+    assert message in err
+    assert "Traceback" not in err
+
+
+@pytest.mark.parametrize("node", ["0", "128", "x"])
+def test_sdo_of_no_node(tipforce: Tipforce, node: str) -> None:
+    code, _, err = tipforce("sdo", "read", node, "0x1000", "0")
+    assert code == 2
+    assert f"argument ID: node-id '{node}': allowed are 1 to 127 (10 or 0x0A)" in err
+
+
+def test_sdo_exit_codes(tipforce: Tipforce) -> None:
+    code, _, err = tipforce("sdo", "read", 9, "0x1000", 0, "--timeout", "0.01", "--retries", 0)
+    assert code == 5
+    assert "node 9 (0x09), read of 0x1000:00: no response after 1 try of 0.01 s" in err
+    code, _, err = tipforce("sdo", "read", 5, "0x3000", 0, "u8")
+    assert code == 11
+    assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, Object does not exist\n"
+
+
+@pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])
+def test_sdo_asks_before_something_persists(
+    capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+    name: str,
+    what: str,
+) -> None:
+    """On a bus that counts as real; nobody is there to say yes."""
+    monkeypatch.setattr("tipforce_tools.common.open_connection", lambda _args: pytest.fail("the bus was opened"))
+    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
+    assert main(["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]) == 2
+    assert what in capsys.readouterr().err
+
+
+# --- calibrate ------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def cal(tmp_path: Path) -> Path:
+    path = tmp_path / "cal.toml"
+    write_calibration(path, beam_calibration())
+    return path
+
+
+def test_calibrate_apply_then_verify(tipforce: Tipforce, cal: Path, tmp_path: Path) -> None:
+    code, out, err = tipforce("calibrate", "apply", cal, "--node", 5)
+    crc = f"0x{beam_calibration().crc32():08X}"
+    assert code == 0
+    assert out.startswith("applied, generation ")
+    assert out.endswith(f", CRC-32 {crc}\n")
+    assert [line.split(": ")[0] for line in err.splitlines()] == ["node 5 (0x05)"] * 4
+    assert tipforce("calibrate", "verify", cal, "--node", 5) == (0, "equal byte for byte\n", "")
+    code, out, _ = tipforce("calibrate", "verify", cal, "--node", 5, "--json")
+    assert json.loads(out) == {"node": 5, "equal": True, "differences": []}
+
+    write_calibration(tmp_path / "other.toml", beam_calibration(serial=8))
+    code, out, _ = tipforce("calibrate", "verify", tmp_path / "other.toml", "--node", 5)
+    assert (code, out) == (1, "0x2102:01: expected 8, the node has 7\n")
+    code, out, _ = tipforce("calibrate", "verify", cal, "--node", 6)
+    assert (code, out) == (1, "the node has no active calibration\n")
+
+
+def test_calibrate_refused_is_12(tipforce: Tipforce, tmp_path: Path) -> None:
+    C = beam_calibration().C * [1.0, 1.0, 1e-9]
+    write_calibration(tmp_path / "bad.toml", beam_calibration(C=C))
+    code, out, err = tipforce("calibrate", "apply", tmp_path / "bad.toml", "--node", 6, "--no-store", "-q")
+    assert (code, out) == (12, "")
+    assert err == (
+        "tipforce: node 6 refused the calibration (0x06090031): the condition number of C is over the limit 2105h:1\n"
+    )
+
+
+def test_calibrate_where_storing_is_refused(tipforce: Tipforce, cal: Path) -> None:
+    code, _, err = tipforce("calibrate", "apply", cal, "--node", 6)
+    assert code == 11
+    assert "write of 0x1010:04" in err
+    assert tipforce("calibrate", "apply", cal, "--node", 6, "--no-store", "--json", "-q")[0] == 0
+
+
+def test_calibrate_with_a_file_that_is_not_there(tipforce: Tipforce) -> None:
+    code, _, err = tipforce("calibrate", "verify", "absent.toml", "--node", 5)
+    assert code == 2
+    assert err == "tipforce: calibration absent.toml: No such file or directory\n"
+
+
+# --- config ---------------------------------------------------------------------------------------------------------
+
+
+def test_config_apply_then_verify(tipforce: Tipforce, tmp_path: Path) -> None:
+    path = tmp_path / "finger.toml"
+    path.write_text('[objects]\n"interrupt_delta:1" = 2.5\n"tpdo1.mapping" = ["status", "counter"]\n')
+    code, out, err = tipforce("config", "verify", 5, path)
+    assert code == 1
+    assert "interrupt_delta:1 (0x6133:01): expected 2.5, the node has 0.0\n" in out
+    assert err == "node 5 (0x05): 4 objects, 4 different\n"
+    assert tipforce("config", "apply", 5, path, "--store", "-q") == (0, "", "")
+    assert tipforce("config", "verify", 5, path, "--json", "-q") == (0, "", "")
+    code, out, _ = tipforce("config", "verify", 6, path, "--json", "-q")
+    assert code == 1
+    assert json.loads(out.splitlines()[-1]) == {
+        "object": "interrupt_delta:1 (0x6133:01)",
+        "expected": "2.5",
+        "found": "0.0",
+    }
+
+
+def test_config_of_a_dcf(tipforce: Tipforce, tmp_path: Path) -> None:
+    path = tmp_path / "finger.dcf"
+    path.write_text(dcf_text(3, 6, {(0x1015, 0): 33}), encoding="utf-8")
+    code, _, err = tipforce("config", "apply", 6, path)
+    assert (code, err) == (0, "node 6 (0x06): 1 objects, 0 different\n")
+
+
+def test_config_that_is_wrong(tipforce: Tipforce, tmp_path: Path) -> None:
+    path = tmp_path / "finger.toml"
+    path.write_text('[objects]\n"interrupt_delta:1" = "much"\n')
+    code, _, err = tipforce("config", "apply", 5, path)
+    assert code == 2
+    assert err == (
+        f"tipforce: {path}: interrupt_delta:1 (0x6133:01): 'much' is not REAL32: write a number, nan or inf\n"
+    )
+
+
+# --- export ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def export(capsys: pytest.CaptureFixture[str]) -> Tipforce:
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main(["export", *(str(word) for word in words)])
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.mark.parametrize(("kind", "committed"), [("eds", "eds/tipforce-3.eds"), ("dbc", "dbc/tipforce.dbc")])
+def test_export_is_the_committed_file(export: Tipforce, tmp_path: Path, kind: str, committed: str) -> None:
+    expected = (ROOT / committed).read_bytes()
+    assert export(kind) == (0, expected.decode(), "")
+    assert export(kind, "-o", "-") == (0, expected.decode(), "")
+    code, out, err = export(kind, "-o", tmp_path / "file")
+    assert (code, out) == (0, "")
+    assert err == f"{tmp_path / 'file'}: {len(expected.splitlines())} lines\n"
+    assert (tmp_path / "file").read_bytes() == expected
+
+
+def test_export_of_others(export: Tipforce) -> None:
+    assert export("eds", "--gauges", 5)[1] == eds_text(5)
+    assert export("eds", "--simulated")[1] == eds_text(3, simulated=True)
+    dbc = export("dbc", "--nodes", "1-2")[1]
+    assert "TIP02_Contact" in dbc
+    assert "TIP03_Contact" not in dbc
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        ("eds --gauges 2", "2"),
+        ("dbc --gauges 9", "9"),
+        ("eds -o absent/x.eds", "--output absent/x.eds: No such file or directory"),
+    ],
+)
+def test_export_that_cannot_be(export: Tipforce, words: str, message: str) -> None:
+    code, out, err = export(*words.split())
+    assert (code, out) == (2, "")
+    assert message in err
+
+
+def test_a_bus_that_is_not_there(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["scan", "-i", "socketcan", "-c", "no-such-bus0"]) == 2
+    err = capsys.readouterr().err
+    assert "interface socketcan, channel no-such-bus0: " in err
+    assert "`tipforce vcan -- ...`" in err
+
+
+def test_a_bus_that_may_not_be_opened_is_9(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(**_options: Any) -> None:
+        raise PermissionError(13, "Permission denied")
+
+    monkeypatch.setattr("can.Bus", refuse)
+    assert main(["scan", "-i", "slcan", "-c", "somewhere"]) == 9
+    assert "Permission denied" in capsys.readouterr().err

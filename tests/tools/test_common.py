@@ -1,0 +1,193 @@
+"""What the subcommands share: node-ids, buses, JSON, asking before something persists."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import sys
+from typing import Any
+
+import pytest
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [("1", 1), ("10", 10), ("0x0A", 10), ("0x7f", 127), ("127", 127), (" 5 ", 5), ("0b101", 5)]
+)
+def test_a_node_id(text: str, number: int) -> None:
+    assert common.node_id(text) == number
+
+
+@pytest.mark.parametrize("text", ["0", "128", "-1", "0x80", "", "x", "1.0", "1e1", "0A", "010"])
+def test_what_is_no_node_id(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match=r"allowed are 1 to 127 \(10 or 0x0A\)") as caught:
+        common.node_id(text)
+    assert repr(text) in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "numbers"),
+    [
+        ("5", [5]),
+        ("1,2,5-9", [1, 2, 5, 6, 7, 8, 9]),
+        ("0x0A-0x0C, 3", [3, 10, 11, 12]),
+        ("9,1,9,1-2", [1, 2, 9]),
+        ("7-7", [7]),
+        ("1-127", list(range(1, 128))),
+        (" 1 - 3 ", [1, 2, 3]),
+    ],
+)
+def test_a_set_of_node_ids(text: str, numbers: list[int]) -> None:
+    assert common.node_ids(text) == numbers
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "write 1,2,5-9"),
+        ("1,,2", "write 1,2,5-9"),
+        ("1-", "write 1,2,5-9"),
+        ("-3", "write 1,2,5-9"),
+        ("1-2-3", "write 1,2,5-9"),
+        ("1;2", "write 1,2,5-9"),
+        ("9-5", "the second is smaller than the first"),
+        ("0-5", "node-id '0': allowed are 1 to 127"),
+        ("1-128", "node-id '128': allowed are 1 to 127"),
+        ("x", "node-id 'x': allowed are 1 to 127"),
+    ],
+)
+def test_what_is_no_set_of_node_ids(text: str, message: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError, match=message):
+        common.node_ids(text)
+
+
+def test_a_node_id_is_shown_twice() -> None:
+    assert common.shown_id(10) == "10 (0x0A)"
+
+
+def test_json_has_no_nan(capsys: pytest.CaptureFixture[str]) -> None:
+    values = [1.0, math.nan, (math.inf, -math.inf)]
+    common.print_json({"x": math.nan, "list": values, "nested": {"y": math.inf, "z": 1}, "text": "NaN"})
+    line = capsys.readouterr().out
+    assert line.count("\n") == 1
+    found = json.loads(line, parse_constant=lambda name: pytest.fail(f"{name} is no JSON"))
+    assert found == {"x": None, "list": [1.0, None, [None, None]], "nested": {"y": None, "z": 1}, "text": "NaN"}
+
+
+def bus_arguments(*words: str) -> argparse.Namespace:
+    parser = argparse.ArgumentParser()
+    common.add_sdo_arguments(parser)
+    common.add_confirm_argument(parser)
+    common.add_output_arguments(parser)
+    return parser.parse_args(words)
+
+
+def test_only_what_was_said_goes_to_python_can() -> None:
+    assert common.bus_options(bus_arguments()) == {}
+    words = ["-i", "socketcan", "-c", "vcan0", "-b", "500000", "--bus-kwargs", "receive_own_messages=True"]
+    assert common.bus_options(bus_arguments(*words)) == {
+        "interface": "socketcan",
+        "channel": "vcan0",
+        "bitrate": 500000,
+        "receive_own_messages": True,
+    }
+
+
+@pytest.mark.parametrize("words", ["--timeout 0", "--timeout -1", "--timeout nan", "--timeout inf", "--retries -1"])
+def test_times_and_retries_that_make_no_sense(words: str) -> None:
+    with pytest.raises(InputError, match=r"allowed are a time over 0 s and 0 or more retries"):
+        common.open_connection(bus_arguments("-i", "virtual", *words.split()))
+
+
+class Terminal(io.StringIO):
+    """A stdin with a person at it."""
+
+    def isatty(self) -> bool:
+        return True
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--yes -i socketcan -c can0",
+        "-y",
+        "-i virtual -c x",
+        "-i udp_multicast -c 239.0.0.1",
+        "-i socketcan -c vcan0",
+    ],
+)
+def test_nobody_is_asked(words: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO())
+    common.confirm(bus_arguments(*words.split()), "this persists")
+    assert capsys.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    ("answer", "done"), [("y\n", True), ("YES\n", True), ("n\n", False), ("\n", False), ("", False)]
+)
+def test_on_a_real_bus_a_person_is_asked(
+    answer: str, done: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr(sys, "stdin", Terminal(answer))
+    args = bus_arguments("-i", "socketcan", "-c", "can0")
+    if done:
+        common.confirm(args, "this persists")
+    else:
+        with pytest.raises(InputError, match="not done"):
+            common.confirm(args, "this persists")
+    assert capsys.readouterr() == ("", "this persists. Go on? [y/N] ")
+
+
+@pytest.mark.parametrize("words", ["-i socketcan -c can0", ""])
+def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
+    with pytest.raises(InputError, match=r"this persists; nobody is there to ask: add --yes to do it"):
+        common.confirm(bus_arguments(*words.split()), "this persists")
+
+
+def test_notes_go_to_stderr_and_not_with_quiet(capsys: pytest.CaptureFixture[str]) -> None:
+    common.note(bus_arguments(), "hello")
+    common.note(bus_arguments("-q"), "silence")
+    assert capsys.readouterr() == ("", "hello\n")
+
+
+@pytest.mark.parametrize(
+    ("words", "environment", "coloured"),
+    [
+        ([], {}, False),
+        (["--color", "always"], {}, True),
+        (["--color", "always"], {"NO_COLOR": "1"}, True),
+        (["--color", "never"], {"FORCE_COLOR": "1"}, False),
+        ([], {"NO_COLOR": "1", "FORCE_COLOR": "1"}, False),
+    ],
+)
+def test_colour(
+    words: list[str],
+    environment: dict[str, str],
+    coloured: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    for name in ("NO_COLOR", "FORCE_COLOR"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    for name, value in environment.items():
+        monkeypatch.setenv(name, value)
+    common.console(bus_arguments(*words)).print("[red]x")
+    assert ("\x1b[31m" in capsys.readouterr().out) is coloured
+
+
+def test_set_up_logging_silences_the_libraries(monkeypatch: pytest.MonkeyPatch) -> None:
+    import logging
+
+    calls: list[dict[str, Any]] = []
+    monkeypatch.setattr(logging, "basicConfig", lambda **options: calls.append(options))
+    for words in ([], ["-q"], ["-v"]):
+        common.set_up_logging(bus_arguments(*words))
+    assert [call["level"] for call in calls] == [logging.WARNING, logging.ERROR, logging.DEBUG]
+    assert all(call["stream"] is sys.stderr for call in calls)
+    assert logging.getLogger("canopen").level == logging.CRITICAL

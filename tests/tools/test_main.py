@@ -1,0 +1,269 @@
+"""The command `tipforce` itself: help, unknown commands, what is imported, exit codes, pipes that close."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+from collections.abc import Callable, Sequence
+from types import SimpleNamespace
+
+import pytest
+
+from tipforce.dictionary.table import SOFTWARE_VERSION
+from tipforce.errors import (
+    EnvironmentLackError,
+    InputError,
+    NoResponseError,
+    RefusedError,
+    SdoAbortError,
+    TipforceError,
+)
+from tipforce_tools import main as module
+from tipforce_tools.main import COMMANDS, EXIT_CODES, main
+
+HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "hypothesis")
+
+
+def run_python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=False)
+
+
+def imported_by(*words: str) -> set[str]:
+    """Top-level modules in memory after `tipforce WORDS`."""
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
+    )
+    done = run_python(code, *words)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.rpartition("MODULES ")[2].split())
+
+
+def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--help"], ["-h"], ["help"]):
+        assert main(words) == 0
+        out, err = capsys.readouterr()
+        assert not err
+        for name, (_, summary) in COMMANDS.items():
+            assert f"  {name:10} {summary}\n" in out
+        assert "exit codes: 0 ok, 1 " in out
+
+
+def test_no_word_is_a_usage_error(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([]) == 2
+    assert "usage: tipforce COMMAND" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("flag", ["--version", "-V"])
+def test_version(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([flag]) == 0
+    assert capsys.readouterr().out == f"tipforce {SOFTWARE_VERSION}\n"
+
+
+@pytest.mark.parametrize(
+    ("word", "hint"),
+    [
+        ("scna", "did you mean scan?"),
+        ("calibrat", "did you mean calibrate?"),
+        ("DEMO!", "there are: demo, node, scan"),
+        ("--json", "there are: demo, node, scan"),
+    ],
+)
+def test_an_unknown_command(word: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([word]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith(f"tipforce: {word!r} is not a command; ")
+    assert hint in err
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_help_of_each_command(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as caught:
+        main([name, "--help"])
+    assert caught.value.code == 0
+    out, err = capsys.readouterr()
+    assert out.startswith(f"usage: tipforce {name} ")
+    assert not err
+
+
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"demo", "vcan", "dump", "export"}))
+def test_what_is_missing_is_a_usage_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    words = [name, "--no-such-flag"] if name == "scan" else [name]
+    with pytest.raises(SystemExit) as caught:
+        main(words)
+    assert caught.value.code == 2
+    assert f"tipforce {name}: error: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [(), ("--help",), ("--version",), ("nonsense",)])
+def test_the_bare_command_imports_nothing_heavy(words: tuple[str, ...]) -> None:
+    assert not imported_by(*words) & set(HEAVY)
+
+
+@pytest.mark.parametrize(
+    ("words", "left_out"),
+    [
+        (("export", "--help"), HEAVY),
+        (("export", "eds"), HEAVY),
+        (("demo", "--help"), HEAVY),
+        (("vcan", "--help"), HEAVY),
+        (("dump", "--help"), ("numpy", "canopen", "cantools", "rich")),
+        (("scan", "--help"), ("numpy", "canopen", "cantools", "rich")),
+        (("sdo", "--help"), ("numpy", "canopen", "cantools", "rich")),
+        (("node", "--help"), ("numpy", "canopen", "cantools", "rich")),
+        (("config", "--help"), ("numpy", "canopen", "cantools", "rich")),
+        (("calibrate", "--help"), ("numpy", "canopen", "cantools", "rich")),
+    ],
+)
+def test_a_command_imports_what_it_needs(words: tuple[str, ...], left_out: Sequence[str]) -> None:
+    assert not imported_by(*words) & set(left_out)
+
+
+# --- errors and exit codes ------------------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def run_command(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse.Namespace], int]], int]:
+    """Run `tipforce probe`, a command whose run() is what the test says."""
+
+    def run(body: Callable[[argparse.Namespace], int]) -> int:
+        probe = SimpleNamespace(add_arguments=lambda parser: parser.add_argument("values", nargs="*"), run=body)
+        monkeypatch.setitem(sys.modules, "tipforce_probe", probe)
+        monkeypatch.setitem(COMMANDS, "probe", ("tipforce_probe", "a test's own"))
+        return main(["probe", "-1.5e-3", "-1,0,0", "-.5"])
+
+    return run
+
+
+Run = Callable[[Callable[[argparse.Namespace], int]], int]
+
+
+def raising(error: BaseException, cause: BaseException | None = None) -> Callable[[argparse.Namespace], int]:
+    def body(_args: argparse.Namespace) -> int:
+        if cause is None:
+            raise error
+        try:
+            raise cause
+        except BaseException:
+            raise error from None
+
+    return body
+
+
+@pytest.mark.parametrize(
+    ("error", "code"),
+    [
+        (InputError("x"), 2),
+        (EnvironmentLackError("x"), 2),
+        (NoResponseError("x"), 5),
+        (SdoAbortError("x", 0x06020000), 11),
+        (RefusedError("x"), 12),
+        (TipforceError("x"), 1),
+    ],
+)
+def test_each_error_has_its_exit_code(
+    run_command: Run, error: TipforceError, code: int, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert run_command(raising(error)) == code
+    assert capsys.readouterr() == ("", "tipforce: x\n")
+
+
+def test_every_error_class_is_mapped() -> None:
+    assert set(EXIT_CODES) == set(TipforceError.__subclasses__())
+
+
+def wrapped(inner: BaseException) -> OSError:
+    """As python-can does: its own error, caused by the system's."""
+    outer = OSError("could not open")
+    outer.__cause__ = inner
+    return outer
+
+
+@pytest.mark.parametrize(
+    "cause",
+    [
+        PermissionError(13, "Permission denied"),
+        PermissionError(1, "Operation not permitted"),
+        wrapped(PermissionError()),
+    ],
+)
+@pytest.mark.parametrize("error", [EnvironmentLackError("x"), InputError("x")])
+def test_a_lack_of_permission_is_9(run_command: Run, error: TipforceError, cause: BaseException) -> None:
+    assert run_command(raising(error, cause)) == 9
+
+
+def test_a_permission_error_itself_is_9(run_command: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(raising(PermissionError(13, "Permission denied", "x.toml"))) == 9
+    assert capsys.readouterr().err == "tipforce: [Errno 13] Permission denied: 'x.toml'\n"
+
+
+@pytest.mark.parametrize("cause", [FileNotFoundError(2, "x"), ValueError("x")])
+def test_another_cause_changes_nothing(run_command: Run, cause: BaseException) -> None:
+    assert run_command(raising(EnvironmentLackError("an operation is not permitted in this text"), cause)) == 2
+
+
+def test_interrupted_is_130(run_command: Run, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run_command(raising(KeyboardInterrupt())) == 130
+    assert capsys.readouterr() == ("", "")
+
+
+def test_sigterm_ends_as_ctrl_c_does(run_command: Run) -> None:
+    def body(_args: argparse.Namespace) -> int:
+        module.terminate_as_interrupt()
+        os.kill(os.getpid(), signal.SIGTERM)
+        return 0
+
+    assert run_command(body) == 130
+
+
+def test_a_fault_of_ours_keeps_its_traceback(run_command: Run) -> None:
+    with pytest.raises(ZeroDivisionError):
+        run_command(raising(ZeroDivisionError()))
+
+
+def test_the_code_of_a_command_is_the_exit_code(run_command: Run) -> None:
+    assert run_command(lambda _args: 3) == 3
+
+
+def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
+    seen: list[list[str]] = []
+
+    def body(args: argparse.Namespace) -> int:
+        seen.append(args.values)
+        return 0
+
+    assert run_command(body) == 0
+    assert seen == [["-1.5e-3", "-1,0,0", "-.5"]]
+
+
+def run_into(stdout: int, command: str) -> tuple[int, str]:
+    """Exit code and stderr of `tipforce COMMAND` with its output going to a file descriptor."""
+    words = [sys.executable, "-m", "tipforce_tools.main", *command.split()]
+    done = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
+    return done.returncode, done.stderr
+
+
+@pytest.mark.parametrize("command", ["export eds", "export dbc", "--help", "scan --help", "demo --json -q"])
+def test_a_reader_that_left_ends_it_quietly(command: str) -> None:
+    """As `| head` does: also what is still buffered when Python ends must not bring a complaint."""
+    reader, writer = os.pipe()
+    os.close(reader)
+    try:
+        assert run_into(writer, command) == (0, "")
+    finally:
+        os.close(writer)
+
+
+@pytest.mark.skipif(not os.path.exists("/dev/full"), reason="no device that is always full")
+@pytest.mark.parametrize("command", ["export eds", "--version"])
+def test_a_full_disk_is_told_without_a_traceback(command: str) -> None:
+    with open("/dev/full", "wb") as full:
+        code, err = run_into(full.fileno(), command)
+    assert code != 0
+    assert "tipforce: [Errno 28] No space left on device" in err
+    assert "Traceback" not in err
