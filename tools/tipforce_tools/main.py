@@ -24,6 +24,7 @@ COMMANDS = {
     "config": ("tipforce_tools.config", "apply or verify a configuration file (TOML or DCF)"),
     "calibrate": ("tipforce_tools.calibrate", "apply or verify a calibration file"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
+    "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
     "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
 }

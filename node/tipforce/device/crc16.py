@@ -6,9 +6,20 @@ _NIBBLE = (
 )  # fmt: skip
 
 
-def crc16(data: "bytes | bytearray", crc: int = 0) -> int:
+def crc16_by_nibbles(data: "bytes | bytearray", crc: int = 0) -> int:
     """Continue ``crc`` over ``data``. Sixteen entries instead of 256: a microcontroller has little memory to spare."""
     for byte in data:
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte >> 4]
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte & 15]
     return crc
+
+
+try:
+    from binascii import crc_hqx
+except ImportError:  # MicroPython has none
+    crc_hqx = None  # type: ignore[assignment]
+
+
+def crc16(data: "bytes | bytearray", crc: int = 0) -> int:
+    """Continue ``crc`` over ``data``, with the interpreter's own function where it has one."""
+    return crc_hqx(data, crc) if crc_hqx is not None else crc16_by_nibbles(data, crc)

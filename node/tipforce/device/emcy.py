@@ -28,19 +28,25 @@ class Emcy:
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._history: "list[int]" = []
-        self.reset()
+        self._active: "dict[tuple[int, int], int]" = {}
+        self.reset(True)
         od = device.od
         od.readers[0x1001] = lambda _sub: self.register
         od.readers[0x1003] = self._read_history
         od.writers[0x1003] = self._write_history
         od.writers[0x1014] = self._write_cob_id
 
-    def reset(self) -> None:
-        """Forget what is active and what waits; the history stays until power goes or 1003h:0 is written with 0."""
-        self._active: "dict[tuple[int, int], int]" = {}
+    def reset(self, whole: bool) -> None:
+        """Forget what waits, and each active error whose watcher starts anew with this reset.
+
+        The bus controller goes on through any reset, the application through one of communication: what they reported
+        still holds. The history stays until power goes or 1003h:0 is written with 0.
+        """
+        lowest = CAN_OVERRUN if whole else 0
+        self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
         self._waiting: "list[bytes]" = []
         self._free_us = 0
-        self.register = 0
+        self._update_register()
         self.due_us = codes.NEVER_US
 
     def raise_error(self, code: int, bits: int, detail: int = 0) -> None:
@@ -54,10 +60,16 @@ class Emcy:
 
     def cure(self, code: int, detail: int = 0) -> None:
         """Report that an active error is gone: code 0000h, the cured code and its detail in the data."""
-        if self._active.pop((code, detail), None) is None:
+        if not self._active or self._active.pop((code, detail), None) is None:
             return
         self._update_register()
         self._queue(struct.pack("<HBHHx", 0, self.register, code, detail))
+
+    def cure_all_but(self, code: int, details: "list[int]") -> None:
+        """Cure the active errors of a code whose detail is not in ``details``: nobody watches for their end."""
+        for found, detail in sorted(self._active):  # in one order everywhere: MicroPython's dicts keep none
+            if found == code and detail not in details:
+                self.cure(code, detail)
 
     def report(self, code: int, detail: int = 0) -> None:
         """Report an event that has no end of its own: history and message, no bit in the register."""
@@ -87,12 +99,18 @@ class Emcy:
     def _may_send(self) -> bool:
         cob_id = self._device.od.integer(0x1014)
         valid = cob_id & codes.STANDARD_MASK and not cob_id & codes.COB_ID_INVALID
-        return bool(valid) and self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
+        # While the bus is off a message would be lost: it waits.
+        talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
+        return bool(valid) and talking and not self._device.bus_faults.off
 
     def _update_register(self) -> None:
         self.register = 0
         for bits in self._active.values():
             self.register |= bits
+
+    def is_empty(self, sub: int) -> bool:
+        """True for an entry of 1003h that holds no error: it is not there to be read (7.5.2.4)."""
+        return len(self._history) < sub <= HISTORY_LENGTH
 
     def _read_history(self, sub: int) -> "Value":
         if sub == 0:

@@ -7,7 +7,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-_MASTER = 0  # detail of the EMCY: the node that is missing is the one that guards
+MASTER = 0  # detail of the EMCY: the node that is missing is the one that guards
 
 
 class NodeGuarding:
@@ -34,10 +34,13 @@ class NodeGuarding:
         self._toggle ^= 0x80
         life_ms = od.integer(0x100C) * od.integer(0x100D)
         self.due_us = self._device.now_us + 1000 * life_ms if life_ms else codes.NEVER_US
-        self._device.emcy.cure(HEARTBEAT_LOST, _MASTER)
+        self._device.emcy.cure(HEARTBEAT_LOST, MASTER)
 
     def expire(self, _now_us: int) -> None:
         """The life time is over without a remote frame."""
         self.due_us = codes.NEVER_US
-        self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, _MASTER)
+        od = self._device.od
+        if od.integer(0x1017) or not od.integer(0x100C) * od.integer(0x100D):
+            return  # guarding was switched off since the last remote frame
+        self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
         self._device.communication_failed()

@@ -1,7 +1,8 @@
-"""Heartbeat consumer (CiA 301, 7.2.8.3.2.2 and 7.5.2.20): object 1016h."""
+"""Heartbeat consumer (CiA 301, 7.2.8.3.2.2 and 7.5.2.19): object 1016h."""
 
 from . import codes
 from .emcy import COMMUNICATION, HEARTBEAT_LOST
+from .guarding import MASTER
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -33,6 +34,7 @@ class HeartbeatConsumer:
                 self._periods[node_id] = 1000 * period_ms
         self._deadlines = {n: due for n, due in self._deadlines.items() if n in self._periods}
         self._lost = [n for n in self._lost if n in self._periods]
+        self._device.emcy.cure_all_but(HEARTBEAT_LOST, [MASTER] + self._lost)
         self._schedule()
 
     def forget(self) -> None:
@@ -47,7 +49,7 @@ class HeartbeatConsumer:
 
     def expire(self, now_us: int) -> None:
         """Report each node whose heartbeat is overdue."""
-        for node_id in list(self._deadlines):
+        for node_id in sorted(self._deadlines):  # one order everywhere: MicroPython's dicts keep none
             if self._deadlines[node_id] <= now_us:
                 del self._deadlines[node_id]
                 self._lost.append(node_id)
@@ -77,7 +79,7 @@ class HeartbeatConsumer:
             return codes.INVALID_VALUE
         others = [_split(od.integer(0x1016, k)) for k in od.subs(0x1016)[1:] if k != sub]
         if node_id and period_ms and node_id in [n for n, period in others if period]:
-            return codes.INCOMPATIBLE  # two times for one node (7.5.2.20)
+            return codes.INCOMPATIBLE  # two times for one node (7.5.2.19)
         od.values[0x101600 | sub] = value
         self._deadlines.pop(node_id, None)
         self.reset()

@@ -29,7 +29,7 @@ class ReceivePdo(Pdo):
 
 
 class ReceivePdos:
-    """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.33)."""
+    """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
 
     __slots__ = ("_device", "_pdos", "due_us")
 
@@ -37,7 +37,7 @@ class ReceivePdos:
         self._device = device
         self.due_us = codes.NEVER_US
         self._pdos = [
-            ReceivePdo(device.od, index, index + 0x200, RPDO, device.routes_changed)
+            ReceivePdo(device.od, index, index + 0x200, RPDO, self._changed)
             for index in device.od.indices(0x1400, 0x15FF)
         ]
 
@@ -46,6 +46,13 @@ class ReceivePdos:
         for pdo in self._pdos:
             pdo.load()
         self._schedule()
+
+    def _changed(self) -> None:
+        """A PDO that moved to another identifier, or is not valid any more, has no error to end."""
+        for code in (PDO_LENGTH, RPDO_TIMEOUT):
+            self._device.emcy.cure_all_but(code, self.can_ids())
+        self._schedule()
+        self._device.routes_changed()
 
     def can_ids(self) -> "list[int]":
         """The identifiers that this device listens to for RPDOs."""

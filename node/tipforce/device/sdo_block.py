@@ -92,12 +92,13 @@ class BlockDownload:
 class BlockUpload:
     """The client reads: blocks go out, the client says how far it could follow, the rest goes out again."""
 
-    __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started")
+    __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started", "_with_crc")
 
-    def __init__(self, server: "SdoServer", data: bytes, block_size: int) -> None:
+    def __init__(self, server: "SdoServer", data: bytes, block_size: int, with_crc: bool) -> None:
         self._server = server
         self._data = data
         self._block_size = block_size
+        self._with_crc = with_crc
         self._offset = 0
         self._sent = 0
         self._crc = 0
@@ -150,7 +151,8 @@ class BlockUpload:
             return
         self._block_size = block_size
         done = self._data[self._offset : self._offset + 7 * received]
-        self._crc = crc16(done, self._crc)
+        if self._with_crc:  # otherwise 0 stands in its place (7.2.4.3.16)
+            self._crc = crc16(done, self._crc)
         self._offset += 7 * received
         if self._offset < len(self._data) or (received == 0 and not self._data):
             self._send_block()

@@ -72,7 +72,7 @@ class SdoServer:
         elif specifier == _UPLOAD:
             self._upload_initiate(None)
         elif specifier == _BLOCK_UPLOAD and data[0] & 3 == 0:
-            self._block_upload_initiate(data[4], data[5])
+            self._block_upload_initiate(data[4], data[5], bool(data[0] & 4))
         elif specifier == _BLOCK_DOWNLOAD and data[0] & 1 == 0:
             self._block_download_initiate(data)
         else:
@@ -139,17 +139,18 @@ class SdoServer:
             self.reset()
         self.answer(bytes((command,)) + part)
 
-    def _block_upload_initiate(self, block_size: int, switch_bytes: int) -> None:
+    def _block_upload_initiate(self, block_size: int, switch_bytes: int, with_crc: bool) -> None:
         data = self._device.upload(self._index, self._sub)
         if isinstance(data, int):
             self.abort(data)
         elif not 1 <= block_size <= MAX_BLOCK:
             self.abort(codes.BLOCK_SIZE)
-        elif len(data) <= switch_bytes:
-            self._upload_initiate(data)  # protocol switch (pst): so little goes faster the other way (7.2.4.3.13)
+        elif switch_bytes and len(data) <= switch_bytes:
+            # Protocol switch (pst): so little goes faster the other way (7.2.4.3.13); pst 0 forbids it.
+            self._upload_initiate(data)
         else:
             self._transfer = _BLOCK_UPLOAD
-            self._block = BlockUpload(self, data, block_size)
+            self._block = BlockUpload(self, data, block_size, with_crc)
 
     # --- download: the client writes ------------------------------------------------------------------------
 

@@ -138,8 +138,11 @@ def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes 
     while data and offset + size <= len(data):
         index, sub, length = struct.unpack(_HEAD, data[offset : offset + size])
         offset += size + length
-        if first <= index <= last and not od.writable(index, sub, length):
+        if offset <= len(data) and first <= index <= last and not od.writable(index, sub, length):
             entry = od.find(index, sub)
-            value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+            try:
+                value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+            except UnicodeError:
+                continue
             if not check(entry, value):  # type: ignore[arg-type]
                 od.values[index << 8 | sub] = value

@@ -8,8 +8,6 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-_PRODUCER = 0x40000000  # 1005h bit 30
-
 
 class SyncConsumer:
     """On each SYNC the application latches one sample, then the synchronous PDOs go out."""
@@ -47,10 +45,12 @@ class SyncConsumer:
         return not window_us or self._device.now_us - self.last_us <= window_us
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
-        if value & ~codes.STANDARD_MASK or codes.restricted(value):  # type: ignore[operator, arg-type]
-            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered.
+        can_id = int(value) & codes.STANDARD_MASK
+        if int(value) & codes.COB_ID_RESERVED or codes.restricted(can_id):
+            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered. Bit 31
+            # has no meaning here.
             return codes.INVALID_VALUE
-        self.cob_id = value  # type: ignore[assignment]
+        self.cob_id = can_id
         self._device.routes_changed()
         return 0
 

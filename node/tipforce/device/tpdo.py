@@ -103,8 +103,10 @@ class TransmitPdos:
             self._reschedule()
 
     def started(self) -> None:
-        """The device became operational: every event-driven TPDO says its first values at once."""
+        """The device became operational: SYNCs count from here, every event-driven TPDO says its first values."""
         for pdo in self._pdos:
+            pdo.syncs = 0
+            pdo.pending = False
             if pdo.transmission > _SYNCHRONOUS:
                 pdo.due_us = max(self._device.now_us, pdo.free_us)
         self._reschedule()
@@ -130,6 +132,7 @@ class TransmitPdos:
 
     def _changed(self) -> None:
         self._device.settings_changed()
+        self._device.routes_changed()  # an identifier that is left may be another node's
         for pdo in self._pdos:
             if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
                 pdo.due_us = self._device.now_us + pdo.event_us

@@ -77,6 +77,7 @@ class Fingertip(Application):
     def on_reset(self, now_us: int) -> None:
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
+        self.device.od.values[0x213000] = 0
         self._tare = NO_TARE
         self._read_us = now_us
         self._equal = [0] * self.n

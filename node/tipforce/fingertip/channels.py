@@ -57,7 +57,7 @@ class Channels:
         """The integer objects of one form: views of the REAL32 values."""
         readers, writers = self._od.readers, self._od.writers
         readers[base + 0x100] = lambda sub: self._counts(sub, unknown)
-        readers[base + 0x130] = lambda sub: self._integer(sub, highest, unknown)
+        readers[base + 0x130] = self._integer_reader(highest, unknown)
         for offset in _SETTINGS:
             readers[base + offset] = self._setting_reader(offset, highest)
             writers[base + offset] = self._setting_writer(offset)
@@ -93,15 +93,26 @@ class Channels:
         live = sub <= self._n and not sample.unknown() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
 
-    def _integer(self, sub: int, highest: int, unknown: int) -> int:
-        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range."""
-        value = self.exact(sub)
-        if value == value:  # noqa: PLR0124 (false for NaN alone)
-            found = self._to_integer(value, self._per_unit[sub - 1], highest)
-            # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
-            return -found if found == -_HALF_TURN and sub > self._n + 4 else found
-        over = self._overload(sub)
-        return highest * over if over else unknown
+    def _integer_reader(self, highest: int, unknown: int) -> "Callable[[int], int]":
+        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range.
+
+        Six of these fill the PDOs of each SYNC, which is why they are written as closures over what does not change.
+        """
+        exact, per_unit, last_force = self.exact, self._per_unit, self._n + 4
+
+        def read(sub: int) -> int:
+            value = exact(sub)
+            if value == value:  # noqa: PLR0124 (false for NaN alone)
+                scaled = value * per_unit[sub - 1]
+                if -highest < scaled < highest:
+                    found = round(scaled)
+                    # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
+                    return -found if found == -_HALF_TURN and sub > last_force else found
+                return highest if scaled > 0.0 else -highest
+            over = self._overload(sub)
+            return highest * over if over else unknown
+
+        return read
 
     def _to_integer(self, value: float, per_unit: float, highest: int) -> int:
         scaled = value * per_unit
@@ -124,6 +135,10 @@ class Channels:
         """Work the scaling out anew from 6120h-6124h and hand the sample period to the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
+            if values[0x612000 | sub] == values[0x612200 | sub]:
+                # No write leaves two scaling points at one field value, but a store of another making may.
+                for index in range(0x6120, 0x6124):
+                    values[index << 8 | sub] = self._od.default(index, sub)
             f1, p1, f2, p2, offset = [values[index << 8 | sub] for index in range(0x6120, 0x6125)]
             gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]

@@ -8,7 +8,7 @@ if TYPE_CHECKING:
 
     from tipforce.device.node import Device
 
-_EVENT_DRIVEN = 254
+_ON_SYNC_AFTER_EVENT, _EVENT_DRIVEN = 0, 254
 _CHANNEL_VALUES = (0x6130, 0x7130, 0x9130)
 _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
@@ -16,8 +16,9 @@ _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 class Interrupts:
     """Compares each latched sample with what was sent last.
 
-    A TPDO of type 254 or 255 that maps a channel is sent when the channel moved by 6133h or more (0: off), left or
-    re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became known or unknown.
+    A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a channel is sent when the channel moved by 6133h or more
+    (0: off), left or re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became
+    known or unknown.
     """
 
     __slots__ = ("_device", "_n", "_sent", "_value", "_watched", "_zones")
@@ -34,7 +35,7 @@ class Interrupts:
         """Find out anew which channels are watched; called when settings or PDOs may have changed."""
         self._watched = {}
         for number, transmission, keys in self._device.tpdos.mapped():
-            if transmission >= _EVENT_DRIVEN:
+            if transmission == _ON_SYNC_AFTER_EVENT or transmission >= _EVENT_DRIVEN:
                 for index, sub in keys:
                     if index in _CHANNEL_VALUES and self._configured(sub):
                         self._watched.setdefault(sub, []).append(number)

@@ -62,25 +62,32 @@ class SocketCanPort:
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames; a full transmit queue is waited for shortly, then the frame is given up and logged."""
         for can_id, data in frames:
-            self._send(CAN_FRAME.pack(can_id, len(data), data))
-
-    def _send(self, frame: bytes) -> None:
-        for attempt in (1, 2):
+            frame = CAN_FRAME.pack(can_id, len(data), data)
             try:
                 self._socket.send(frame)
             except OSError as error:
-                if error.errno in _INTERFACE_LOST:
-                    self._lose(error)
-                    return
-                if error.errno != errno.ENOBUFS or attempt == 2:
-                    self._overflow = self._overflow or error.errno == errno.ENOBUFS
-                    _LOG.warning("a frame was not sent: %s", error.strerror)
-                    return
-                # ENOBUFS is not cleared by poll() on CAN sockets: give the queue time to drain.
-                time.sleep(_FULL_QUEUE_WAIT_S)
+                self._send_again(frame, error)
+            else:
+                if self._lost:
+                    self._find()
+
+    def _send_again(self, frame: bytes, error: OSError) -> None:
+        """The second and last try of a frame, where one makes sense."""
+        if error.errno == errno.ENOBUFS:
+            # ENOBUFS is not cleared by poll() on CAN sockets: give the queue time to drain.
+            time.sleep(_FULL_QUEUE_WAIT_S)
+            try:
+                self._socket.send(frame)
+            except OSError as again:
+                error = again
             else:
                 self._find()
                 return
+        if error.errno in _INTERFACE_LOST:
+            self._lose(error)
+            return
+        self._overflow = self._overflow or error.errno == errno.ENOBUFS
+        _LOG.warning("a frame was not sent: %s", error.strerror)
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
         """Restart the controller after bus-off, or switch the bit rate, as ``ip link`` does it; needs its rights."""
