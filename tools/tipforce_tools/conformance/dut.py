@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from tipforce_tools.conformance.case import CheckError, NotApplicableError
-from tipforce_tools.conformance.frames import Frames, Link, Wanted, as_bytes
+from tipforce_tools.conformance.frames import Frame, Frames, Link, Wanted, as_bytes
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
@@ -33,8 +33,16 @@ class Dut(Frames):
         """Reset the device and hear its boot-up; nothing is remembered of what it said before."""
         self.forget()
         self.nmt(command)
-        self.expect(0x700 + self.node_id, "00", BOOT_MS)
+        self.boot_up()
         self._pending.clear()  # what came before the boot-up message was said by the life before
+
+    def boot_up(self) -> Frame:
+        """The boot-up message; a heartbeat that was under way when the reset came may stand before it."""
+        limit_us = self.now_us + 1000 * BOOT_MS
+        while True:
+            frame = self.expect(0x700 + self.node_id, within_ms=max(0, limit_us - self.now_us) / 1000)
+            if frame.data == b"\0":
+                return frame
 
     def beat(self) -> None:
         """Let the device show its NMT state by a fast heartbeat."""

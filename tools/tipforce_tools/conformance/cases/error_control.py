@@ -72,7 +72,7 @@ def first_period(dut: Dut) -> None:
     ms = dut.integer("H", 0x1017)
     dut.forget()
     dut.nmt(RESET_COMMUNICATION)
-    boot = dut.expect(0x700 + dut.node_id, "00", 5000)
+    boot = dut.boot_up()
     beat = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
     dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
 

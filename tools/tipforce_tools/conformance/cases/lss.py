@@ -230,7 +230,7 @@ def node_id_changed(dut: Dut) -> None:
     try:
         dut.nmt(RESET_COMMUNICATION)
         dut.node_id = OTHER_ID
-        dut.expect(0x700 + OTHER_ID, "00", 5000)
+        dut.boot_up()
         dut.ask("40 00 10 00", "43 00 10 00 *")
         dut.holds("I", 0x1014, 0, 0x80 + OTHER_ID)
         dut.holds("I", 0x1200, 1, 0x600 + OTHER_ID)
@@ -250,7 +250,7 @@ def restore_node_id(dut: Dut, own: list[int], node_id: int) -> None:
     if dut.node_id != UNCONFIGURED:
         dut.nmt(RESET_COMMUNICATION)
     dut.node_id = node_id
-    dut.expect(0x700 + node_id, "00", 5000)
+    dut.boot_up()
 
 
 @case("CiA 305 6.4.2", "configure bit timing, table {0}, index {1}: error {2}", needs=IDENTITY, persistent=True, each=[

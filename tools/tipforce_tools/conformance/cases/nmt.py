@@ -60,7 +60,7 @@ def reset(dut: Dut, before: int, command: int, _in: str, _what: str, target: str
     dut.enter(before)
     dut.forget()
     dut.nmt(command, None if target == TARGETS[0] else 0)
-    dut.expect(0x700 + dut.node_id, "00", 5000)
+    dut.boot_up()
     dut.beat()
     dut.state(PRE_OPERATIONAL)
 
@@ -115,7 +115,7 @@ def boot_up_first(dut: Dut) -> None:
     dut.nmt(RESET_NODE)
     for can_id in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580):
         dut.silence(can_id + dut.node_id, ms=0)
-    dut.expect(0x700 + dut.node_id, "00", 5000)
+    dut.boot_up()
 
 
 @case(
