@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -28,6 +28,15 @@ lint-types:
 
 lint-imports:
 	.venv/bin/lint-imports --no-logo
+
+long: bootstrap-test ## the full counts of every long check, and the reports; about an hour
+	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
+	$(PYTHON) -m bench.device
+	$(PYTHON) -m bench.micropython
+	$(PYTHON) -m bench.startup
+	$(PYTHON) -m bench.tshark
+	.venv/bin/tipforce vcan -- $(PYTHON) -m tipforce_tools.conformance.document > docs/conformance.md.new
+	mv docs/conformance.md.new docs/conformance.md
 
 generate: bootstrap-test ## write the committed files that come from the object dictionary
 	@$(PYTHON) -m tipforce.dictionary.generate

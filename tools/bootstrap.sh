@@ -1,13 +1,14 @@
 #!/bin/bash
 # Set up what `make demo` and `make test` need, and nothing when it is there already.
 #   tools/bootstrap.sh demo   .venv with tipforce in it
-#   tools/bootstrap.sh test   the same with the developers' tools, and the system packages for a vcan
+#   tools/bootstrap.sh test   the same with the developers' tools, MicroPython, and the system packages for these
 # Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others are told how.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export PATH="$PATH:/usr/sbin:/sbin" PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 DEBIAN_FRONTEND=noninteractive
 unset PYTHONHOME PYTHONPATH
 log=.venv/bootstrap.log
+micropython=@micropython/micropython-webassembly-pyscript@1.27.0
 
 say() { printf 'bootstrap: %s\n' "$*" >&2; }
 
@@ -84,6 +85,16 @@ kernel_has_vcan() {
     unshare --net ip link add dev vcan0 type vcan 2>/dev/null
 }
 
+# It lies in .venv, so what makes .venv anew, or removes it, does so with this too.
+have_micropython() { [ "$(cat .venv/micropython/stamp 2>/dev/null)" = "$micropython" ]; }
+
+install_micropython() {
+    have_micropython && return
+    logged "npm install $micropython" npm install --prefix .venv/micropython --no-audit --no-fund \
+        --no-update-notifier "$micropython"
+    printf '%s\n' "$micropython" >.venv/micropython/stamp
+}
+
 install_system_packages() {
     local missing=()
     command -v ip >/dev/null || missing+=(iproute2)
@@ -92,6 +103,9 @@ install_system_packages() {
     if ! command -v linux.uml >/dev/null && ! kernel_has_vcan; then
         missing+=(user-mode-linux)
     fi
+    # MicroPython runs under Node.js; npm is needed to fetch it only.
+    command -v node >/dev/null || missing+=(nodejs)
+    have_micropython || command -v npm >/dev/null || missing+=(npm)
     [ ${#missing[@]} = 0 ] || apt_install "${missing[@]}"
 }
 
@@ -100,6 +114,7 @@ demo) install_project demo ;;
 test)
     install_project test
     install_system_packages
+    install_micropython
     ;;
 *) die "usage: tools/bootstrap.sh demo|test" ;;
 esac

@@ -148,7 +148,7 @@ def test_reset_communication_returns_only_the_communication_area() -> None:
     talk.say("> 000#8205\n< 705#00")
     assert talk.device.nmt.state == 127
     assert (talk.get("I", 0x1005), talk.get("H", 0x6000), talk.get("B", 0x2000)) == (0x80, 7, 9)
-    assert talk.device.requests == ["reset-communication"]
+    assert talk.device.requests == [("reset-communication", 0, 0)]
     assert [call for call in recorder.calls if call.startswith("reset")] == ["reset 0"]
 
 
@@ -158,7 +158,7 @@ def test_reset_node_returns_the_application_area_too() -> None:
     assert talk.put("I", 0x1005, 0, 0x90) == talk.put("H", 0x6000, 0, 7) == 0
     talk.say("+ 30\n> 000#8100\n< 705#00")
     assert (talk.get("I", 0x1005), talk.get("H", 0x6000)) == (0x80, 100)
-    assert talk.device.requests == ["reset-node"]
+    assert talk.device.requests == [("reset-node", 0, 0)]
     assert "reset 30" in recorder.calls
 
 

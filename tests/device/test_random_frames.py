@@ -66,6 +66,8 @@ def test_random_frames_never_raise_nor_change_the_active_calibration() -> None:
         frame = random_frame(rng, objects)
         if k % 20 == 0:
             # A true commit; whether it is accepted depends on what was staged by chance. Now and then start afresh.
+            talk.step([(0x605, b"\x80" + bytes(7))])  # an abort: a block download takes every frame as a segment
+            talk.take()
             if rng.random() < 0.3:
                 talk.download(0x2141, 0, record(serial=k)) if talk.device.nmt.state != 4 else None
             crc = binascii.crc32(talk.device.od.upload(0x2141, 0))  # type: ignore[arg-type]

@@ -11,7 +11,7 @@ import pytest
 import tipforce
 
 ROOT = Path(str(tipforce.__file__)).parent
-CPYTHON_ONLY = {"store.py", "loop.py"}  # files and sockets of a PC
+CPYTHON_ONLY = {"store.py", "loop.py", "ports.py"}  # files and sockets of a PC
 ON_NODE = sorted(ROOT.glob("device/*.py")) + sorted(
     path for path in ROOT.glob("fingertip/*.py") if path.name not in CPYTHON_ONLY
 )

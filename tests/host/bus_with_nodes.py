@@ -17,6 +17,7 @@ from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.ports import PythonCanPort
 from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
@@ -65,7 +66,7 @@ def running(devices: Sequence[Device], channel: str) -> Iterator[None]:
 
         def work() -> None:
             try:
-                loop.run(devices, loop.PythonCanPort(bus), stopped.is_set)
+                loop.run(devices, PythonCanPort(bus), stopped.is_set)
             except BaseException as error:
                 failures.append(error)
 

@@ -27,6 +27,7 @@ COMMANDS = {
     "budget": ("tipforce_tools.budget", "the error budget of P, phi and theta, by cause"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
     "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
+    "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
     "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
 }

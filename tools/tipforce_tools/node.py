@@ -98,7 +98,7 @@ def _numbers(flag: str, text: str, count: int) -> list[float]:
 def _port(args: argparse.Namespace) -> tuple[Port, str]:
     """The shortest way to the bus: the kernel's own sockets for SocketCAN, python-can for every other interface."""
     from tipforce.errors import EnvironmentLackError
-    from tipforce.fingertip.loop import PythonCanPort, SocketCanPort
+    from tipforce.fingertip.ports import PythonCanPort, SocketCanPort
 
     options = common.bus_options(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:

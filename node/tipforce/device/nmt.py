@@ -30,7 +30,8 @@ class Nmt:
         """Send the boot-up message and leave INITIALISING (7.2.8.3.3), as 1F80h says."""
         self._device.send(0x700 + self._device.node_id, b"\0")
         self.enter(codes.PRE_OPERATIONAL)
-        if not self._device.od.integer(0x1F80) & SELF_START_OFF:
+        od = self._device.od
+        if od.indices(0x1F80, 0x1F80) and not od.integer(0x1F80) & SELF_START_OFF:
             self.enter(codes.OPERATIONAL)
 
     def receive(self, data: bytes) -> None:

@@ -1,12 +1,17 @@
 """A CANopen device as a pure state machine (CiA 301): frames and time in, frames and the next due time out."""
 
-from . import codes
+from . import codes, lss
+from .bus_faults import BusFaults
+from .emcy import Emcy
+from .guarding import NodeGuarding
 from .heartbeat import HeartbeatProducer
+from .heartbeat_consumer import HeartbeatConsumer
 from .nmt import Nmt
 from .rpdo import ReceivePdos
 from .sdo_server import SdoServer
-from .storage import Storage
+from .storage import COMMUNICATION, Storage
 from .sync import SyncConsumer
+from .time_stamp import TimeConsumer
 from .tpdo import TransmitPdos
 
 TYPE_CHECKING = False
@@ -16,18 +21,26 @@ if TYPE_CHECKING:
     from .object_dictionary import ObjectDictionary
 
     Frame = tuple[int, bytes]
+    Request = tuple[str, int, int]
+
+_TALKING = (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
 
 
 class Application:
     """What a device does besides CANopen. Every method may be overridden; this one does nothing.
 
     ``live`` holds the indices whose values change by themselves: ``refresh`` is called before one is uploaded.
+    ``due_us`` is when ``expire`` is wanted.
     """
 
     live: "frozenset[int]" = frozenset()
+    due_us = codes.NEVER_US
 
     def on_reset(self, now_us: int) -> None:
         """All parameters are restored; the boot-up message is about to go out."""
+
+    def on_settings(self) -> None:
+        """A PDO parameter or the NMT state is another one."""
 
     def on_sync(self, now_us: int) -> None:
         """A SYNC came: latch what the PDOs are to carry."""
@@ -35,12 +48,17 @@ class Application:
     def refresh(self, now_us: int) -> None:
         """A live value is about to be read outside a SYNC (SDO upload, event-driven PDO)."""
 
+    def expire(self, now_us: int) -> None:
+        """``due_us`` has come."""
+
 
 class Device:
     """One node. Call ``step`` with the frames that came and with the time; send what it returns.
 
     ``now_us`` is a count of microseconds that never wraps and never goes back. ``requests`` collects what the loop
-    must do for the device ("reset-node", "reset-communication"); the loop empties it.
+    must do for the device, as (what, value, milliseconds); the loop empties it: ("reset-node", 0, 0) and
+    ("reset-communication", 0, 0) have been done and are only told, ("bit-rate", bit/s, delay) asks for a switch of
+    the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) asks to bring the controller back after bus-off.
     """
 
     def __init__(
@@ -53,50 +71,80 @@ class Device:
         self.node_id = od.node_id
         self.now_us = 0
         self.application: "Application | None" = None
-        self.requests: "list[str]" = []
+        self.requests: "list[Request]" = []
         self._outbox: "list[Frame]" = []
         self._routes: "dict[int, Callable[[bytes], None]]" = {}
         self._booted = False
         self.storage = Storage(self, save, load)
         self.nmt = Nmt(self)
+        self.emcy = Emcy(self)
+        self.bus_faults = BusFaults(self)
         self.heartbeat = HeartbeatProducer(self)
+        self.heartbeat_consumer = HeartbeatConsumer(self)
+        self.guarding = NodeGuarding(self)
         self.sdo = SdoServer(self)
+        self.time = TimeConsumer(self)
+        self.lss = lss.LssSlave(self)
         self.sync = SyncConsumer(self)
         self.rpdos = ReceivePdos(self)
         self.tpdos = TransmitPdos(self)
+        self._timed = (
+            self.heartbeat, self.heartbeat_consumer, self.guarding, self.sdo, self.rpdos, self.tpdos,
+            self.bus_faults, self.emcy,
+        )  # fmt: skip
 
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
         """Take ``frames`` as (SocketCAN can_id, data); return the frames to send and the next due time."""
         self.now_us = now_us
         if not self._booted:
             self._booted = True
+            self.lss.restore(self.storage.read_blob(lss.GROUP))
             self._restart(True)
         for can_id, data in frames:
-            # Error, 29-bit and remote frames carry their flags above bit 28, so no route matches them.
+            # 29-bit and remote frames carry their flags above bit 28: only guarding has a route with a flag.
+            if can_id & codes.ERROR_FLAG:
+                self.bus_faults.receive(can_id, data)
+                continue
+            if self.bus_faults.off:
+                self.bus_faults.heard()
             handler = self._routes.get(can_id)
             if handler is not None:
                 handler(data)
-        due_us = codes.NEVER_US
-        for service in (self.heartbeat, self.sdo, self.tpdos):
-            if service.due_us <= now_us:
-                service.expire(now_us)
-            due_us = min(due_us, service.due_us)
+        due_us = self._expire(now_us)
         sent, self._outbox = self._outbox, []
         return sent, due_us
 
+    def _expire(self, now_us: int) -> int:
+        """Run the services whose time has come; the next due time of all."""
+        due_us = codes.NEVER_US
+        application = self.application
+        if application is not None:
+            if application.due_us <= now_us:
+                application.expire(now_us)
+            due_us = application.due_us
+        for service in self._timed:
+            if service.due_us <= now_us:
+                service.expire(now_us)
+            if service.due_us < due_us:  # noqa: PLR1730 (min() would double the cost of an idle step)
+                due_us = service.due_us
+        return due_us
+
     def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame; services call this."""
-        self._outbox.append((can_id, data))
+        """Queue a frame; services call this. While the bus is off, a frame would be stale when the bus returns."""
+        if not self.bus_faults.off:
+            self._outbox.append((can_id, data))
 
     def upload(self, index: int, sub: int) -> "bytes | int":
         """What an SDO client reads, after the application had the chance to bring live values up to date."""
         if self.application is not None and index in self.application.live:
             self.application.refresh(self.now_us)
+        if index == 0x1003 and self.emcy.is_empty(sub):
+            return codes.NO_DATA
         return self.od.upload(index, sub)
 
     def reset(self, whole: bool) -> None:
         """NMT reset: the communication area, or the whole node."""
-        self.requests.append("reset-node" if whole else "reset-communication")
+        self.requests.append(("reset-node" if whole else "reset-communication", 0, 0))
         self._restart(whole)
 
     def state_changed(self) -> None:
@@ -108,31 +156,67 @@ class Device:
             self.rpdos.forget()
         if self.nmt.state == codes.STOPPED:
             self.sdo.reset()
+        self.emcy.allowed()
+        self.settings_changed()
         self.routes_changed()
+
+    def settings_changed(self) -> None:
+        """Tell the application that PDOs may be other ones now."""
+        if self.application is not None:
+            self.application.on_settings()
+
+    def communication_failed(self) -> None:
+        """Error behaviour (1029h:1) after a lost heartbeat, life guarding or bus-off; it concerns OPERATIONAL only."""
+        if self.nmt.state == codes.OPERATIONAL:
+            behaviour = self.od.integer(0x1029, 1)
+            if behaviour != 1:
+                self.nmt.enter(codes.STOPPED if behaviour == 2 else codes.PRE_OPERATIONAL)
 
     def routes_changed(self) -> None:
         """Work out anew which identifiers are listened to in this state (7.3.2.3, table 38)."""
-        routes: "dict[int, Callable[[bytes], None]]" = {0x000: self.nmt.receive}
-        state = self.nmt.state
-        if state == codes.OPERATIONAL:
+        routes: "dict[int, Callable[[bytes], None]]" = {}
+        if self.node_id != lss.UNCONFIGURED:
+            # What only this node may send; a service that listens to the same identifier takes precedence.
+            for can_id in self.tpdos.can_ids() + [0x580 + self.node_id, 0x700 + self.node_id]:
+                routes[can_id] = self.bus_faults.collision(can_id)
+            routes[0x700 + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
+            for can_id, handler in self.heartbeat_consumer.routes():
+                routes[can_id] = handler
+            self._add_state_routes(routes)
+            routes[0x000] = self.nmt.receive
+        routes[lss.REQUEST_ID] = self.lss.receive
+        self._routes = routes
+
+    def _add_state_routes(self, routes: "dict[int, Callable[[bytes], None]]") -> None:
+        if self.nmt.state == codes.OPERATIONAL:
             for can_id in self.rpdos.can_ids():
                 routes[can_id] = self._rpdo_route(can_id)
-        if state in (codes.OPERATIONAL, codes.PRE_OPERATIONAL):
+        if self.nmt.state in _TALKING:
+            if self.time.can_id is not None:
+                routes[self.time.can_id] = self.time.receive
             routes[self.sync.cob_id] = self.sync.receive
             routes[0x600 + self.node_id] = self.sdo.receive
-        self._routes = routes
 
     def _rpdo_route(self, can_id: int) -> "Callable[[bytes], None]":
         return lambda data: self.rpdos.receive(can_id, data)
 
     def _restart(self, whole: bool) -> None:
         self.nmt.state = codes.INITIALISING
-        self.storage.restore(None if whole else [2])
+        self.node_id = self.od.node_id = self.lss.pending_node_id
+        self.lss.leave()
+        self.emcy.reset(whole)
+        self.storage.restore(None if whole else [COMMUNICATION])
+        self.heartbeat_consumer.forget()
+        self.guarding.reset()
         self.sdo.reset()
         self.sync.reset()
         self.rpdos.reset()
         self.tpdos.reset()
         if whole and self.application is not None:
             self.application.on_reset(self.now_us)
-        self.heartbeat.reset()
-        self.nmt.boot()
+        if self.node_id == lss.UNCONFIGURED:
+            self.heartbeat.due_us = codes.NEVER_US
+            self.routes_changed()
+        else:
+            self.heartbeat.reset()
+            self.nmt.boot()

@@ -120,13 +120,13 @@ class ObjectDictionary:
     def get(self, index: int, sub: int = 0) -> "Value":
         """The present value of an entry that exists."""
         reader = self.readers.get(index)
-        if reader is not None and (sub or index << 8 | 1 not in self.values):
+        if reader is not None and (sub or self._entries[index][0][1] != "const"):
             return reader(sub)
         return self.values[index << 8 | sub]
 
     def integer(self, index: int, sub: int = 0) -> int:
-        """The stored value of an integer entry."""
-        return self.values[index << 8 | sub]  # type: ignore[return-value]
+        """The stored value of an integer entry; 0, which switches most services off, where there is no such entry."""
+        return self.values.get(index << 8 | sub, 0)  # type: ignore[return-value]
 
     def upload(self, index: int, sub: int) -> "bytes | int":
         """What an SDO upload reads: the bytes, or an abort code."""

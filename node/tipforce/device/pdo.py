@@ -11,22 +11,10 @@ if TYPE_CHECKING:
 
     from .object_dictionary import ObjectDictionary, Value
 
-INVALID, NO_RTR = 0x80000000, 0x40000000  # bits 31 and 30 of a COB-ID
-_OTHER_BITS = 0x3FFFF800  # bit 29 (29-bit identifier, not offered) and the bits of such an identifier
+NO_RTR = 0x40000000  # bit 30 of a COB-ID
+_OTHER_BITS = codes.COB_ID_RESERVED & ~NO_RTR
 MAX_MAPPED, MAX_BYTES = 8, 8
 _DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: placeholders in an RPDO
-
-
-def restricted(can_id: int) -> bool:
-    """True for an identifier that no configurable object may have (7.3.5, table 41)."""
-    return (
-        can_id <= 0x7F
-        or 0x101 <= can_id <= 0x180
-        or 0x581 <= can_id <= 0x5FF
-        or 0x601 <= can_id <= 0x67F
-        or 0x6E0 <= can_id <= 0x6FF
-        or can_id >= 0x701
-    )
 
 
 class Pdo:
@@ -66,8 +54,8 @@ class Pdo:
         count = self._od.integer(self.mapping, 0)
         words = [self._od.integer(self.mapping, sub) for sub in range(1, count + 1)]
         usable = self._compile(words) == 0 and self.length > 0
-        self.valid = not cob_id & INVALID
-        self.active = self.valid and usable and not restricted(self.can_id)
+        self.valid = not cob_id & codes.COB_ID_INVALID
+        self.active = self.valid and usable and not codes.restricted(self.can_id)
 
     def parameter(self, sub: int) -> int:
         """A communication parameter, 0 where this PDO has no such sub-index."""
@@ -124,10 +112,10 @@ class Pdo:
         can_id = cob_id & codes.STANDARD_MASK
         if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & NO_RTR):
             return codes.INVALID_VALUE
-        if cob_id & INVALID:
+        if cob_id & codes.COB_ID_INVALID:
             return 0
         # An existing PDO keeps its identifier; it must be made invalid first (7.5.2.35).
-        if restricted(can_id) or (self.valid and can_id != self.can_id):
+        if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
             return codes.INVALID_VALUE
         return 0
 

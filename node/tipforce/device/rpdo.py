@@ -1,5 +1,7 @@
 """Receive PDOs (CiA 301, 7.2.2): taken at once, or on the next SYNC for synchronous types."""
 
+from . import codes
+from .emcy import COMMUNICATION, PDO_LENGTH, RPDO_TIMEOUT
 from .object_dictionary import RPDO, SIZES
 from .pdo import Pdo
 
@@ -11,25 +13,31 @@ _SYNCHRONOUS = 240
 
 
 class ReceivePdo(Pdo):
-    """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC."""
+    """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
 
-    __slots__ = ("waiting",)
+    __slots__ = ("deadline_us", "waiting")
 
     def load(self) -> None:
         """Compile the parameters and forget what was waiting."""
         Pdo.load(self)
+        self.forget()
+
+    def forget(self) -> None:
+        """What waited for a SYNC is not to act at some later start; nothing is missed before a first reception."""
         self.waiting = b""
+        self.deadline_us = codes.NEVER_US
 
 
 class ReceivePdos:
-    """All RPDOs of a device."""
+    """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
 
-    __slots__ = ("_device", "_pdos")
+    __slots__ = ("_device", "_pdos", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
+        self.due_us = codes.NEVER_US
         self._pdos = [
-            ReceivePdo(device.od, index, index + 0x200, RPDO, device.routes_changed)
+            ReceivePdo(device.od, index, index + 0x200, RPDO, self._changed)
             for index in device.od.indices(0x1400, 0x15FF)
         ]
 
@@ -37,6 +45,14 @@ class ReceivePdos:
         """Take the parameter objects as they stand, after a boot-up."""
         for pdo in self._pdos:
             pdo.load()
+        self._schedule()
+
+    def _changed(self) -> None:
+        """A PDO that moved to another identifier, or is not valid any more, has no error to end."""
+        for code in (PDO_LENGTH, RPDO_TIMEOUT):
+            self._device.emcy.cure_all_but(code, self.can_ids())
+        self._schedule()
+        self._device.routes_changed()
 
     def can_ids(self) -> "list[int]":
         """The identifiers that this device listens to for RPDOs."""
@@ -45,11 +61,30 @@ class ReceivePdos:
     def receive(self, can_id: int, data: bytes) -> None:
         """Take the frame of an RPDO. One that is shorter than its mapping changes nothing (7.2.2.5.1)."""
         for pdo in self._pdos:
-            if pdo.active and pdo.can_id == can_id and len(data) >= pdo.length:
-                if pdo.transmission <= _SYNCHRONOUS:
-                    pdo.waiting = bytes(data)
+            if pdo.active and pdo.can_id == can_id:
+                if len(data) < pdo.length:
+                    self._device.emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
                 else:
-                    self._apply(pdo, data)
+                    self._device.emcy.cure(PDO_LENGTH, can_id)
+                    self._accept(pdo, data)
+        self._schedule()
+
+    def _accept(self, pdo: ReceivePdo, data: bytes) -> None:
+        event_ms = pdo.parameter(5)
+        pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
+        self._device.emcy.cure(RPDO_TIMEOUT, pdo.can_id)
+        if pdo.transmission > _SYNCHRONOUS:
+            self._apply(pdo, data)
+        elif self._device.sync.in_window():
+            pdo.waiting = bytes(data)
+
+    def expire(self, now_us: int) -> None:
+        """Report each RPDO that is overdue."""
+        for pdo in self._pdos:
+            if pdo.deadline_us <= now_us:
+                pdo.deadline_us = codes.NEVER_US
+                self._device.emcy.raise_error(RPDO_TIMEOUT, COMMUNICATION, pdo.can_id)
+        self._schedule()
 
     def on_sync(self) -> None:
         """Apply what synchronous RPDOs brought since the last SYNC."""
@@ -59,9 +94,13 @@ class ReceivePdos:
                 self._apply(pdo, data)
 
     def forget(self) -> None:
-        """The device is not operational any more: what waited for a SYNC is not to act at some later start."""
+        """The device is not operational any more."""
         for pdo in self._pdos:
-            pdo.waiting = b""
+            pdo.forget()
+        self._schedule()
+
+    def _schedule(self) -> None:
+        self.due_us = min([pdo.deadline_us for pdo in self._pdos], default=codes.NEVER_US)
 
     def _apply(self, pdo: ReceivePdo, data: bytes) -> None:
         offset = 0

@@ -1,15 +1,17 @@
-"""SDO server (CiA 301, 7.2.4): expedited and segmented transfers, one at a time."""
+"""SDO server (CiA 301, 7.2.4): expedited, segmented and block transfers, one at a time."""
 
 import struct
 
 from . import codes
+from .sdo_block import MAX_BLOCK, BlockDownload, BlockUpload
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
 TIMEOUT_US = 1000000  # a client that says nothing for so long has lost its transfer
-_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT = 0, 1, 2, 3, 4  # client command specifiers
+# Client command specifiers.
+_DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 0, 1, 2, 3, 4, 5, 6
 _IDLE = 0
 MAX_DOWNLOAD_BYTES = 4096  # bound on memory where an object itself states no length
 
@@ -17,7 +19,7 @@ MAX_DOWNLOAD_BYTES = 4096  # bound on memory where an object itself states no le
 class SdoServer:
     """The default SDO server: frames of 8 bytes in on 0x600 + id, answers out on 0x580 + id."""
 
-    __slots__ = ("_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us")
+    __slots__ = ("_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -26,6 +28,7 @@ class SdoServer:
     def reset(self) -> None:
         """Forget any transfer."""
         self._transfer = _IDLE
+        self._block: "BlockDownload | BlockUpload | None" = None
         self._buffer: "bytes | bytearray" = b""
         self._index = self._sub = self._offset = self._toggle = 0
         self._size: "int | None" = None
@@ -35,13 +38,12 @@ class SdoServer:
         """Act on a request. A frame that has not 8 bytes is no SDO and is ignored (7.2.4.3)."""
         if len(data) != 8:
             return
+        if self._block is not None and self._block.takes(data[0]):
+            self._block.receive(data)
+            return
         specifier = data[0] >> 5
-        if specifier == _DOWNLOAD:
-            self._begin(data)
-            self._download_initiate(data)
-        elif specifier == _UPLOAD:
-            self._begin(data)
-            self._upload_initiate()
+        if specifier in (_DOWNLOAD, _UPLOAD, _BLOCK_DOWNLOAD, _BLOCK_UPLOAD):
+            self._begin(specifier, data)
         elif specifier == _ABORT:
             self.reset()
         elif self._transfer == _DOWNLOAD and specifier == _DOWNLOAD_SEGMENT:
@@ -51,45 +53,82 @@ class SdoServer:
         else:
             if self._transfer == _IDLE:
                 # No transfer to name: answer with the multiplexer that the request itself carries.
-                self._begin(data)
-            self._abort(codes.UNKNOWN_COMMAND)
+                self._name(data)
+            self.abort(codes.UNKNOWN_COMMAND)
 
     def expire(self, _now_us: int) -> None:
         """The client was silent for too long: end the transfer and say so."""
-        self._abort(codes.TIMEOUT)
+        if self._block is not None:
+            self._block.expire()
+        else:
+            self.abort(codes.TIMEOUT)
 
-    def _begin(self, data: bytes) -> None:
+    def _begin(self, specifier: int, data: bytes) -> None:
+        """An initiate request: a transfer that was going on is given up (7.2.4.2)."""
         self.reset()
+        self._name(data)
+        if specifier == _DOWNLOAD:
+            self._download_initiate(data)
+        elif specifier == _UPLOAD:
+            self._upload_initiate(None)
+        elif specifier == _BLOCK_UPLOAD and data[0] & 3 == 0:
+            self._block_upload_initiate(data[4], data[5], bool(data[0] & 4))
+        elif specifier == _BLOCK_DOWNLOAD and data[0] & 1 == 0:
+            self._block_download_initiate(data)
+        else:
+            self.abort(codes.UNKNOWN_COMMAND)
+
+    def _name(self, data: bytes) -> None:
         self._index, self._sub = data[1] | data[2] << 8, data[3]
 
-    def _answer(self, data: bytes) -> None:
-        self._device.send(0x580 + self._device.node_id, data + bytes(8 - len(data)))
-        if self._transfer != _IDLE:
-            self.due_us = self._device.now_us + TIMEOUT_US
+    # --- what the block transfers use too -------------------------------------------------------------------
 
-    def _head(self, command: int) -> bytes:
+    def head(self, command: int) -> bytes:
+        """Command byte, index and sub-index of the transfer."""
         return struct.pack("<BHB", command, self._index, self._sub)
 
-    def _abort(self, code: int) -> None:
-        head = self._head(0x80)
+    def answer(self, data: bytes) -> None:
+        """Send an answer, filled up to 8 bytes, and wait for the client while a transfer goes on."""
+        self._device.send(0x580 + self._device.node_id, data + bytes(8 - len(data)))
+        if self._transfer != _IDLE:
+            self.wait()
+
+    def wait(self) -> None:
+        """Give the client its time anew; a block download is asked after half of it what it lacks."""
+        patience_us = TIMEOUT_US // 2 if self._transfer == _BLOCK_DOWNLOAD else TIMEOUT_US
+        self.due_us = self._device.now_us + patience_us
+
+    def abort(self, code: int) -> None:
+        """End the transfer and tell the client why."""
+        head = self.head(0x80)
         self.reset()
-        self._answer(head + struct.pack("<I", code))
+        self.answer(head + struct.pack("<I", code))
+
+    def finish(self, data: bytes, confirmation: bytes) -> None:
+        """Hand the complete data over; confirm it, or abort if the object refuses it."""
+        abort = self._device.od.download(self._index, self._sub, data)
+        if abort:
+            self.abort(abort)
+        else:
+            self.reset()
+            self.answer(confirmation)
 
     # --- upload: the client reads ---------------------------------------------------------------------------
 
-    def _upload_initiate(self) -> None:
-        data = self._device.upload(self._index, self._sub)
+    def _upload_initiate(self, data: "bytes | int | None") -> None:
+        if data is None:
+            data = self._device.upload(self._index, self._sub)
         if isinstance(data, int):
-            self._abort(data)
+            self.abort(data)
         elif 0 < len(data) <= 4:
-            self._answer(self._head(0x43 | (4 - len(data)) << 2) + data)
+            self.answer(self.head(0x43 | (4 - len(data)) << 2) + data)
         else:
             self._transfer, self._buffer = _UPLOAD, data
-            self._answer(self._head(0x41) + struct.pack("<I", len(data)))
+            self.answer(self.head(0x41) + struct.pack("<I", len(data)))
 
     def _upload_segment(self, data: bytes) -> None:
         if data[0] >> 4 & 1 != self._toggle:
-            self._abort(codes.TOGGLE)
+            self.abort(codes.TOGGLE)
             return
         part = bytes(self._buffer[self._offset : self._offset + 7])
         self._offset += len(part)
@@ -98,7 +137,20 @@ class SdoServer:
         self._toggle ^= 1
         if last:
             self.reset()
-        self._answer(bytes((command,)) + part)
+        self.answer(bytes((command,)) + part)
+
+    def _block_upload_initiate(self, block_size: int, switch_bytes: int, with_crc: bool) -> None:
+        data = self._device.upload(self._index, self._sub)
+        if isinstance(data, int):
+            self.abort(data)
+        elif not 1 <= block_size <= MAX_BLOCK:
+            self.abort(codes.BLOCK_SIZE)
+        elif switch_bytes and len(data) <= switch_bytes:
+            # Protocol switch (pst): so little goes faster the other way (7.2.4.3.13); pst 0 forbids it.
+            self._upload_initiate(data)
+        else:
+            self._transfer = _BLOCK_UPLOAD
+            self._block = BlockUpload(self, data, block_size, with_crc)
 
     # --- download: the client writes ------------------------------------------------------------------------
 
@@ -108,15 +160,24 @@ class SdoServer:
             self._download_expedited(data)
             return
         # Bit 0 says that the size stands in the data; without it the size is known at the end only.
-        self._size = struct.unpack("<I", data[4:])[0] if command & 1 else None
-        abort = self._device.od.writable(self._index, self._sub, self._size)
-        if not abort and self._size is not None and self._size > self._limit():
+        if self._may_download(struct.unpack("<I", data[4:])[0] if command & 1 else None):
+            self._transfer, self._buffer = _DOWNLOAD, bytearray()
+            self.answer(self.head(0x60))
+
+    def _block_download_initiate(self, data: bytes) -> None:
+        if self._may_download(struct.unpack("<I", data[4:])[0] if data[0] & 2 else None):
+            self._transfer = _BLOCK_DOWNLOAD
+            self._block = BlockDownload(self, self._size, self._limit(), bool(data[0] & 4))
+
+    def _may_download(self, size: "int | None") -> bool:
+        """Whether ``size`` bytes (None: unknown) may be written; if not, the client is told at once."""
+        self._size = size
+        abort = self._device.od.writable(self._index, self._sub, size)
+        if not abort and size is not None and size > self._limit():
             abort = codes.TOO_LONG
         if abort:
-            self._abort(abort)
-            return
-        self._transfer, self._buffer = _DOWNLOAD, bytearray()
-        self._answer(self._head(0x60))
+            self.abort(abort)
+        return not abort
 
     def _download_expedited(self, data: bytes) -> None:
         length = 4
@@ -125,34 +186,23 @@ class SdoServer:
         elif not self._device.od.writable(self._index, self._sub, None):
             # No size stated: the object's own length decides, as far as four bytes can carry it.
             length = min(4, self._device.od.expected_size(self._index, self._sub) or 4)
-        self._finish(data[4 : 4 + length])
+        self.finish(data[4 : 4 + length], self.head(0x60))
 
     def _download_segment(self, data: bytes) -> None:
         if data[0] >> 4 & 1 != self._toggle:
-            self._abort(codes.TOGGLE)
+            self.abort(codes.TOGGLE)
             return
-        part = data[1 : 8 - (data[0] >> 1 & 7)]
-        self._buffer += part
+        self._buffer += data[1 : 8 - (data[0] >> 1 & 7)]
+        confirmation = bytes((0x20 | self._toggle << 4,))
+        self._toggle ^= 1
         if len(self._buffer) > (self._limit() if self._size is None else self._size):
-            self._abort(codes.TOO_LONG)
+            self.abort(codes.TOO_LONG)
         elif not data[0] & 1:
-            command = 0x20 | self._toggle << 4
-            self._toggle ^= 1
-            self._answer(bytes((command,)))
+            self.answer(confirmation)
         elif self._size is not None and len(self._buffer) < self._size:
-            self._abort(codes.TOO_SHORT)
+            self.abort(codes.TOO_SHORT)
         else:
-            self._finish(bytes(self._buffer), 0x20 | self._toggle << 4)
+            self.finish(bytes(self._buffer), confirmation)
 
     def _limit(self) -> int:
         return self._device.od.expected_size(self._index, self._sub) or MAX_DOWNLOAD_BYTES
-
-    def _finish(self, data: bytes, command: "int | None" = None) -> None:
-        """Hand the complete data over; the answer says whether it was taken."""
-        head = self._head(0x60) if command is None else bytes((command,))
-        abort = self._device.od.download(self._index, self._sub, data)
-        if abort:
-            self._abort(abort)
-        else:
-            self.reset()
-            self._answer(head)

@@ -71,14 +71,29 @@ class Storage:
                     self.damaged.remove(name)
                 restore(self._read(name))
 
-    def _read(self, name: str) -> "bytes | None":
+    @property
+    def available(self) -> bool:
+        """True when there is somewhere to store."""
+        return self._save is not None
+
+    def save_blob(self, name: str, data: bytes) -> bool:
+        """Store ``data`` under a name of its own, outside the groups of 1010h."""
+        return self._save is not None and self._save(name, _with_crc(data))
+
+    def read_blob(self, name: str) -> "bytes | None":
+        """What ``save_blob`` stored, empty if nothing was; None if it is damaged."""
         blob = self._load(name) if self._load is not None else None
         if not blob:
-            return None
-        if len(blob) < 4 or struct.unpack("<I", blob[:4])[0] != binascii.crc32(blob[4:]) & 0xFFFFFFFF:
+            return b""
+        sound = len(blob) >= 4 and struct.unpack("<I", blob[:4])[0] == binascii.crc32(blob[4:]) & 0xFFFFFFFF
+        return blob[4:] if sound else None
+
+    def _read(self, name: str) -> "bytes | None":
+        """The stored bytes of a group, None where its defaults hold; a damaged one is noted."""
+        data = self.read_blob(name)
+        if data is None:
             self.damaged.append(name)
-            return None
-        return blob[4:]
+        return data or None
 
     def _write_store(self, sub: int, value: "Value") -> int:
         if value != SAVE:
@@ -123,8 +138,11 @@ def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes 
     while data and offset + size <= len(data):
         index, sub, length = struct.unpack(_HEAD, data[offset : offset + size])
         offset += size + length
-        if first <= index <= last and not od.writable(index, sub, length):
+        if offset <= len(data) and first <= index <= last and not od.writable(index, sub, length):
             entry = od.find(index, sub)
-            value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+            try:
+                value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+            except UnicodeError:
+                continue
             if not check(entry, value):  # type: ignore[arg-type]
                 od.values[index << 8 | sub] = value

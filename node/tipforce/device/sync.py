@@ -1,23 +1,23 @@
 """SYNC consumer (CiA 301, 7.2.5), objects 1005h, 1007h and 1019h."""
 
 from . import codes
+from .emcy import COMMUNICATION, SYNC_LENGTH
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-_PRODUCER = 0x40000000  # 1005h bit 30
-
 
 class SyncConsumer:
     """On each SYNC the application latches one sample, then the synchronous PDOs go out."""
 
-    __slots__ = ("_device", "cob_id")
+    __slots__ = ("_device", "cob_id", "last_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.cob_id = 0x80
+        self.last_us = 0
         device.od.writers[0x1005] = self._write_cob_id
         device.od.writers[0x1019] = self._write_overflow
 
@@ -26,21 +26,31 @@ class SyncConsumer:
         self.cob_id = self._device.od.integer(0x1005) & codes.STANDARD_MASK
 
     def receive(self, data: bytes) -> None:
-        """Act on a SYNC frame: no data, or one byte with the counter when 1019h is set; others are ignored."""
-        if len(data) != (1 if self._device.od.integer(0x1019) else 0):
-            return
+        """Act on a SYNC frame: no data, or one byte with the counter when 1019h is set; any other is an error."""
         device = self._device
+        if len(data) != (1 if device.od.integer(0x1019) else 0):
+            device.emcy.raise_error(SYNC_LENGTH, COMMUNICATION)
+            return
+        device.emcy.cure(SYNC_LENGTH)
+        self.last_us = device.now_us
         if device.application is not None:
             device.application.on_sync(device.now_us)
         if device.nmt.state == codes.OPERATIONAL:
             device.rpdos.on_sync()
             device.tpdos.on_sync(data[0] if data else 0)
 
+    def in_window(self) -> bool:
+        """True while synchronous RPDOs count: for 1007h microseconds after a SYNC, always where 1007h is 0."""
+        window_us = self._device.od.integer(0x1007)
+        return not window_us or self._device.now_us - self.last_us <= window_us
+
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
-        if value & ~codes.STANDARD_MASK or codes.restricted(value):  # type: ignore[operator, arg-type]
-            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered.
+        can_id = int(value) & codes.STANDARD_MASK
+        if int(value) & codes.COB_ID_RESERVED or codes.restricted(can_id):
+            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered. Bit 31
+            # has no meaning here.
             return codes.INVALID_VALUE
-        self.cob_id = value  # type: ignore[assignment]
+        self.cob_id = can_id
         self._device.routes_changed()
         return 0
 

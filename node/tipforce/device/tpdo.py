@@ -80,6 +80,14 @@ class TransmitPdos:
         """True when TPDO ``number``, counted from 1, is sent at present."""
         return self._pdos[number - 1].active
 
+    def can_ids(self) -> "list[int]":
+        """The identifiers that this device sends TPDOs with."""
+        return [pdo.can_id for pdo in self._pdos if pdo.active]
+
+    def mapped(self) -> "list[tuple[int, int, list[tuple[int, int]]]]":
+        """(number, transmission type, mapped (index, sub)) of each TPDO that is sent at present."""
+        return [(k + 1, pdo.transmission, pdo.keys) for k, pdo in enumerate(self._pdos) if pdo.active]
+
     def on_sync(self, counter: int) -> None:
         """Send every synchronous TPDO that is due on this SYNC."""
         for pdo in self._pdos:
@@ -95,8 +103,10 @@ class TransmitPdos:
             self._reschedule()
 
     def started(self) -> None:
-        """The device became operational: every event-driven TPDO says its first values at once."""
+        """The device became operational: SYNCs count from here, every event-driven TPDO says its first values."""
         for pdo in self._pdos:
+            pdo.syncs = 0
+            pdo.pending = False
             if pdo.transmission > _SYNCHRONOUS:
                 pdo.due_us = max(self._device.now_us, pdo.free_us)
         self._reschedule()
@@ -121,6 +131,8 @@ class TransmitPdos:
         return pdo.active and self._device.nmt.state == codes.OPERATIONAL
 
     def _changed(self) -> None:
+        self._device.settings_changed()
+        self._device.routes_changed()  # an identifier that is left may be another node's
         for pdo in self._pdos:
             if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
                 pdo.due_us = self._device.now_us + pdo.event_us

@@ -142,7 +142,7 @@ def objects(n: int = 3, simulated: bool = False) -> "tuple[Object, ...]":
 def staged(n: int) -> "tuple[tuple[int, int, str], ...]":
     """The fields of the calibration record in order, as (index, sub, type)."""
     fields: list[tuple[int, int, str]] = []
-    for index, _code, _name, _slug, entries in objects(n):
+    for index, _code, _name, _slug, entries in _calibration(n):
         for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
             if flags & STAGED:
                 fields += [(index, sub, kind) for sub in range(first, first + count)]
@@ -222,7 +222,7 @@ def _communication(n: int, simulated: bool) -> "tuple[Object, ...]":
             "Pre-defined error field",
             "error_history",
             (
-                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, 0, 0, ""),
+                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, None, None, ""),
                 (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
             ),
         ),

@@ -1,12 +1,13 @@
 """The fingertip as the application of a CANopen device: latch a sample, answer for the live objects (CiA 404)."""
 
-from tipforce.device import codes
+from tipforce.device import codes, emcy
 from tipforce.device.node import Application, Device
 from tipforce.dictionary import table
 from tipforce.sensor import scalar
 
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
+from .interrupts import Interrupts
 from .sample import NO_TARE, Sample
 from .source import COUNT_MAX, COUNT_MIN
 
@@ -20,8 +21,12 @@ if TYPE_CHECKING:
 
 REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
 NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
+COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, the gauges' own glue and coefficients are not vouched for
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
+
+# EMCY error codes (OBJECTS.md) and their bits in the error register.
+FRONT_END, GAUGE_SATURATED, TEMPERATURE, CALIBRATION_INVALID = 0x5030, 0x5010, 0x4210, 0x6320
 
 _LIVE = (0x1002, 0x2107, 0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x6150)
 _LIVE_FORMS = (0x6100, 0x6130, 0x7100, 0x7130, 0x9100, 0x9130)
@@ -43,7 +48,9 @@ class Fingertip(Application):
         self._counter = 0
         self._read_us = 0
         self._equal = [0] * n
+        self._synced_us = -REFRESH_US
         self.sample = Sample(None, self.channels.scaling, None)
+        self.interrupts = Interrupts(device, n, self.channels.exact)
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
         self._own_live_objects(device.od)
@@ -70,13 +77,38 @@ class Fingertip(Application):
     def on_reset(self, now_us: int) -> None:
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
+        self.device.od.values[0x213000] = 0
         self._tare = NO_TARE
         self._read_us = now_us
         self._equal = [0] * self.n
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
+        if "calibration" in self.device.storage.damaged:
+            self.device.emcy.raise_error(CALIBRATION_INVALID, emcy.MANUFACTURER)
+
+    def on_settings(self) -> None:
+        """Find out anew which channels have interrupts to watch for."""
+        self.interrupts.load()
+        watching = self.device.nmt.state == codes.OPERATIONAL and self.interrupts.watching
+        self.due_us = self.device.now_us if watching else codes.NEVER_US
 
     def on_sync(self, now_us: int) -> None:
-        """Latch the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
+        """Latch a sample for the PDOs of this SYNC."""
+        self._synced_us = now_us
+        self._latch(now_us)
+
+    def refresh(self, now_us: int) -> None:
+        """A live value is read with no SYNC about: latch a sample if the last one is old."""
+        if now_us - self.sample.latched_us >= REFRESH_US:
+            self._latch(now_us)
+
+    def expire(self, now_us: int) -> None:
+        """Interrupts are watched: without a SYNC that brings samples, take one each sample period."""
+        self.due_us = now_us + self.device.od.integer(0x6114, 1)
+        if now_us - self._synced_us >= REFRESH_US:
+            self._latch(now_us)
+
+    def _latch(self, now_us: int) -> None:
+        """Take the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
         reading = self.source.read(now_us)
         faults = self._watch(reading, now_us)
         stale = reading is None
@@ -85,15 +117,33 @@ class Fingertip(Application):
         else:
             self._counter = (self._counter + 1) & 0xFF
         was_present = self.sample.present()
+        before = self.sample
         self.sample = Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
             self._counter, now_us,
         )  # fmt: skip
+        if self.sample.faults != before.faults:
+            self._report_faults(before.faults, self.sample.faults)
+        self._watch_temperature(reading)
+        if self.interrupts.watching:
+            self.interrupts.check()
 
-    def refresh(self, now_us: int) -> None:
-        """A live value is read with no SYNC about: latch a sample if the last one is old."""
-        if now_us - self.sample.latched_us >= REFRESH_US:
-            self.on_sync(now_us)
+    def _report_faults(self, before: int, now: int) -> None:
+        """EMCY for each bit of 2124h that came or went: a saturated gauge by its number, the front end by the bit."""
+        for bit in range(16):
+            code, detail = (GAUGE_SATURATED, bit + 1) if bit < table.FAULT_NO_DATA else (FRONT_END, bit)
+            if now & ~before & 1 << bit:
+                self.device.emcy.raise_error(code, emcy.PROFILE, detail)
+            elif before & ~now & 1 << bit:
+                self.device.emcy.cure(code, detail)
+
+    def _watch_temperature(self, reading: "Reading | None") -> None:
+        if reading is None or reading.temperature == table.UNKNOWN_I16:
+            return
+        if COLDEST <= reading.temperature <= HOTTEST:
+            self.device.emcy.cure(TEMPERATURE)
+        else:
+            self.device.emcy.raise_error(TEMPERATURE, emcy.TEMPERATURE)
 
     def _watch(self, reading: "Reading | None", now_us: int) -> int:
         """The front-end faults that show in the readings themselves, joined to those the source reports."""

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
-_CONDITION_LIMIT = 0x210501
+_CONDITION_LIMIT, _EXPECTED_CRC = 0x210501, 0x210301
 
 
 def crc32(data: bytes) -> int:
@@ -111,6 +111,7 @@ class Calibration:
         """Take what was stored; None, or a record of another length, leaves the node uncalibrated."""
         self.active = None
         self._generation = 0
+        self._od.values[_EXPECTED_CRC] = 0
         self._od.values[_CONDITION_LIMIT] = self._od.default(0x2105, 1)
         tail = struct.calcsize(_STORED_TAIL)
         if data is not None and len(data) in (tail, tail + struct.calcsize(self.packing)):
@@ -174,7 +175,7 @@ class Calibration:
         if self._locked:
             return codes.DEVICE_STATE
         record = self.staged_record()
-        if self._od.values[0x210301] != crc32(record):
+        if self._od.values[_EXPECTED_CRC] != crc32(record):
             return codes.INCOMPATIBLE
         candidate = struct.unpack(self.packing, record)
         theta_min, theta_max, on, off = candidate[-5:-1]

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
+_HALF_TURN = 18000  # of an angle, in 0.01 degree
 _FORMS = ((0x7000, MAX_I16, table.UNKNOWN_I16), (0x9000, MAX_I32, table.UNKNOWN_I32))
 _SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
 _FIELD_SETTINGS = (0x120, 0x122)  # in counts, so the integer forms have no decimal digits
@@ -38,13 +39,15 @@ class Channels:
         self._fingertip = fingertip
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
-        od.readers[0x6130] = self._exact
+        od.readers[0x6130] = self.exact
         od.readers[0x6150] = self._status
         od.readers[0x6100] = lambda sub: self._counts(sub, scalar.NAN)
         for base, highest, unknown in _FORMS:
             self._own_form(base, highest, unknown)
         for offset in (0x120, 0x121, 0x122, 0x123, 0x124):
             od.writers[0x6000 + offset] = self._scaling_writer(0x6000 + offset)
+        for index in (0x6133, 0x6134, 0x6135, 0x6136):
+            od.writers[index] = self._interrupt_writer(index)
         od.writers[0x6114] = self._write_period
         od.writers[0x6125] = self._write_autozero
         od.writers[0x61A0] = lambda _sub, value: codes.INVALID_VALUE if value else 0
@@ -54,7 +57,7 @@ class Channels:
         """The integer objects of one form: views of the REAL32 values."""
         readers, writers = self._od.readers, self._od.writers
         readers[base + 0x100] = lambda sub: self._counts(sub, unknown)
-        readers[base + 0x130] = lambda sub: self._integer(sub, highest, unknown)
+        readers[base + 0x130] = self._integer_reader(highest, unknown)
         for offset in _SETTINGS:
             readers[base + offset] = self._setting_reader(offset, highest)
             writers[base + offset] = self._setting_writer(offset)
@@ -69,7 +72,7 @@ class Channels:
         counts: "tuple[int, ...]" = reading.counts
         return counts[sub - 1]
 
-    def _exact(self, sub: int) -> float:
+    def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample, n = self._fingertip.sample, self._n
         unknown = sample.unknown()
@@ -90,13 +93,26 @@ class Channels:
         live = sub <= self._n and not sample.unknown() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
 
-    def _integer(self, sub: int, highest: int, unknown: int) -> int:
-        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range."""
-        value = self._exact(sub)
-        if value == value:  # noqa: PLR0124 (false for NaN alone)
-            return self._to_integer(value, self._per_unit[sub - 1], highest)
-        over = self._overload(sub)
-        return highest * over if over else unknown
+    def _integer_reader(self, highest: int, unknown: int) -> "Callable[[int], int]":
+        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range.
+
+        Six of these fill the PDOs of each SYNC, which is why they are written as closures over what does not change.
+        """
+        exact, per_unit, last_force = self.exact, self._per_unit, self._n + 4
+
+        def read(sub: int) -> int:
+            value = exact(sub)
+            if value == value:  # noqa: PLR0124 (false for NaN alone)
+                scaled = value * per_unit[sub - 1]
+                if -highest < scaled < highest:
+                    found = round(scaled)
+                    # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
+                    return -found if found == -_HALF_TURN and sub > last_force else found
+                return highest if scaled > 0.0 else -highest
+            over = self._overload(sub)
+            return highest * over if over else unknown
+
+        return read
 
     def _to_integer(self, value: float, per_unit: float, highest: int) -> int:
         scaled = value * per_unit
@@ -106,7 +122,7 @@ class Channels:
 
     def _status(self, sub: int) -> int:
         """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
-        value = self._exact(sub)
+        value = self.exact(sub)
         if value == value:  # noqa: PLR0124
             scaled = value * self._per_unit[sub - 1]
             over = (scaled > MAX_I16) - (scaled < -MAX_I16)
@@ -119,6 +135,10 @@ class Channels:
         """Work the scaling out anew from 6120h-6124h and hand the sample period to the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
+            if values[0x612000 | sub] == values[0x612200 | sub]:
+                # No write leaves two scaling points at one field value, but a store of another making may.
+                for index in range(0x6120, 0x6124):
+                    values[index << 8 | sub] = self._od.default(index, sub)
             f1, p1, f2, p2, offset = [values[index << 8 | sub] for index in range(0x6120, 0x6125)]
             gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
@@ -156,6 +176,14 @@ class Channels:
                 self._od.values[index << 8 | sub] = before
                 return codes.INVALID_VALUE
             self.load()
+            return 0
+
+        return write
+
+    def _interrupt_writer(self, index: int) -> "Callable[[int, Value], int]":
+        def write(sub: int, value: "Value") -> int:
+            self._od.values[index << 8 | sub] = value
+            self._fingertip.on_settings()
             return 0
 
         return write

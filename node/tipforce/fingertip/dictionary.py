@@ -6,12 +6,13 @@ from tipforce.dictionary import table
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.device.object_dictionary import Value
+    from tipforce.device.object_dictionary import Entry, Value
 
 
 def build(n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"") -> ObjectDictionary:
     """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out."""
     od = ObjectDictionary(node_id)
+    shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
     for index, _code, _name, _slug, entries in table.objects(n, simulated):
         if index in (0x1021, 0x1022) and not eds:
             continue
@@ -20,7 +21,8 @@ def build(n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b
                 value: "Value" = default[k] if isinstance(default, tuple) else default
                 if kind == "D":
                     value = b""
-                od.add(index, first + k, (kind, access, _flags(flags), value, low, high))
+                entry = (kind, access, _flags(flags), value, low, high)
+                od.add(index, first + k, shared.setdefault(entry, entry))
     if eds:
         od.readers[0x1021] = lambda _sub: eds
     od.readers[0x1018] = lambda sub: serial if sub == 4 else od.values[0x101800 | sub]

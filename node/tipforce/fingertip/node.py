@@ -1,5 +1,6 @@
 """A fingertip node, put together: dictionary, CANopen device, application, gauge source."""
 
+from tipforce.device.lss import UNCONFIGURED
 from tipforce.device.node import Device
 
 from .application import Fingertip
@@ -22,13 +23,15 @@ def fingertip_node(
     load: "Callable[[str], bytes | None] | None" = None,
     eds: bytes = b"",
 ) -> Device:
-    """A device with node-id 1..127 that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
+    """A device that measures with ``source`` (n gauges). Step it, or hand it to a bus loop.
+
+    ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
 
     Objects 2200h and 2201h exist when the source is a simulated one. ``save`` and ``load`` keep parameter groups;
     without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
     """
-    if not 1 <= node_id <= 127:
-        raise ValueError("node-id: %r, allowed 1 to 127" % node_id)
+    if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
+        raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
     simulated = isinstance(source, SimulatedSource)
     device = Device(build(n, node_id, simulated, serial, eds), save, load)
     Fingertip(device, n, source)

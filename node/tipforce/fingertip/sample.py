@@ -24,8 +24,8 @@ class Sample:
     """
 
     __slots__ = (
-        "_contact", "_force", "_status", "_uncertainty", "_was_present", "active", "counter", "faults", "latched_us",
-        "microstrains", "overloads", "reading", "stale", "tare",
+        "_contact", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active", "counter", "faults",
+        "latched_us", "microstrains", "overloads", "reading", "stale", "tare",
     )  # fmt: skip
 
     def __init__(
@@ -50,15 +50,18 @@ class Sample:
         self._force: "tuple[float, float, float] | None" = None
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
-        self._status = -1
+        self._status = self._unknown = -1
         self.overloads: "list[int]" = []
         self.microstrains: "list[float]" = []
         if reading is not None:
-            self.overloads = [(c >= COUNT_MAX) - (c <= COUNT_MIN) for c in reading.counts]
-            self.microstrains = [g * c + b for c, (g, b) in zip(reading.counts, scaling)]  # noqa: B905
-            for k in range(len(self.overloads)):
-                if self.overloads[k]:
-                    faults |= 1 << k
+            counts = reading.counts
+            self.overloads = [0] * len(counts)
+            if max(counts) >= COUNT_MAX or min(counts) <= COUNT_MIN:
+                self.overloads = [(c >= COUNT_MAX) - (c <= COUNT_MIN) for c in counts]
+                for k in range(len(counts)):
+                    if self.overloads[k]:
+                        faults |= 1 << k
+            self.microstrains = [g * c + b for c, (g, b) in zip(counts, scaling)]  # noqa: B905
         self.faults = faults
 
     def status(self) -> int:
@@ -75,7 +78,9 @@ class Sample:
 
     def unknown(self) -> int:
         """What the status makes unknown, in the bits of ``sensor.scalar``."""
-        return scalar.unknown(self.status())
+        if self._unknown < 0:
+            self._unknown = scalar.unknown(self.status())
+        return self._unknown
 
     def force(self) -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons, tare taken off; NaN while the status leaves them unknown or there is no reading."""

@@ -60,7 +60,10 @@ class SimulatedSource(Source):
         if conversion == self._conversion or self.fault == SILENT:
             return None
         self._conversion = conversion
-        counts = [self._count(k, now_us) for k in range(len(self.rows))]
+        P, phi_deg, theta_deg = self.load
+        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+        force = P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+        counts = [self._count(k, force, now_us) for k in range(len(self.rows))]
         faults = 0
         hit = self.fault_gauge - 1
         if self.fault == STUCK:
@@ -73,11 +76,9 @@ class SimulatedSource(Source):
         self._last_counts = tuple(counts)
         return Reading(self._last_counts, faults, self.temperature)
 
-    def _count(self, k: int, now_us: int) -> int:
-        P, phi_deg, theta_deg = self.load
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+    def _count(self, k: int, force: "tuple[float, float, float]", now_us: int) -> int:
         c1, c2, c3 = self.rows[k]
-        strain = P * (c1 * math.sin(phi) + c2 * math.sin(delta) + c3 * math.cos(phi))
+        strain = c1 * force[0] + c2 * force[1] + c3 * force[2]
         microstrain = 1e6 * strain + self.offset_microstrain[k]
         if self._random is not None:
             microstrain += self._random.gauss(0.0, self.noise_microstrain)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,7 +11,7 @@ import msgspec
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.types import Value
-from tipforce.errors import InputError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.sdo import SdoChannel
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
@@ -38,6 +39,11 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
             entry.encode(value)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
+        if entry.sub == 1 and 0x1800 <= entry.index <= 0x19FF and not int(value) & table.NO_RTR:
+            raise InputError(
+                f"{path}: {entry.name} ({entry}) is 0x{int(value):X}: a TPDO answers to no RTR, so bit 30 must be "
+                f"set: 0x{int(value) | table.NO_RTR:X}"
+            )
     if not found:
         raise InputError(f"{path}: no object is set")
     return dict(sorted(found.items()))
@@ -117,21 +123,57 @@ def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
 
 
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
-    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError."""
-    for pdo in sorted({index & ~0x200 for index, _ in wanted if _is_pdo(index)}):
-        _apply_pdo(sdo, pdo, wanted)
-    for (index, _), (entry, value) in wanted.items():
+    """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError.
+
+    When the node refuses one, what was there before is put back, as far as the node lets it: nothing is half-applied.
+    """
+    before = _present(sdo, wanted)
+    try:
+        _write(sdo, wanted)
+    except SdoAbortError:
+        with contextlib.suppress(SdoAbortError, NoResponseError):
+            _write(sdo, before)
+        raise
+
+
+def _present(sdo: SdoChannel, wanted: Configuration) -> Configuration:
+    """What the node has now of the objects that ``wanted`` touches; of a PDO its whole mapping."""
+    entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
+    for pdo in _pdos(wanted):
+        cob_id, count = _pdo_entries(pdo)
+        entries[cob_id.index, cob_id.sub] = cob_id
+        if any(index == count.index for index, _ in wanted):
+            entries[count.index, 0] = count
+            for sub in range(1, int(sdo.read(count)) + 1):
+                slot = names.resolve(f"0x{count.index:04X}:{sub:02X}", table.MAX_GAUGES)
+                entries[slot.index, slot.sub] = slot
+    return {key: (entry, sdo.read(entry)) for key, entry in sorted(entries.items())}
+
+
+def _write(sdo: SdoChannel, values: Configuration) -> None:
+    for pdo in _pdos(values):
+        _apply_pdo(sdo, pdo, values)
+    for (index, _), (entry, value) in values.items():
         if not _is_pdo(index):
             sdo.write(entry, value)
+
+
+def _pdos(values: Configuration) -> list[int]:
+    """The communication parameter index of each PDO that is touched."""
+    return sorted({index & ~0x200 for index, _ in values if _is_pdo(index)})
+
+
+def _pdo_entries(communication: int) -> tuple[Entry[Value], Entry[Value]]:
+    """COB-ID and number of mapped objects. In the largest dictionary: TPDO5 and TPDO6 need more than three gauges."""
+    cob_id = names.resolve(f"0x{communication:04X}:01", table.MAX_GAUGES)
+    return cob_id, names.resolve(f"0x{communication + 0x200:04X}:00", table.MAX_GAUGES)
 
 
 def _apply_pdo(
     sdo: SdoChannel, communication: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]
 ) -> None:
     mapping = communication + 0x200
-    # In the largest dictionary: TPDO5 and TPDO6 exist with more than three gauges only.
-    cob_id = names.resolve(f"0x{communication:04X}:01", table.MAX_GAUGES)
-    count = names.resolve(f"0x{mapping:04X}:00", table.MAX_GAUGES)
+    cob_id, count = _pdo_entries(communication)
     final = wanted[communication, 1][1] if (communication, 1) in wanted else sdo.read(cob_id)
     assert isinstance(final, int)
     sdo.write(cob_id, final | _INVALID)

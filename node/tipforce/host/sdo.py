@@ -47,7 +47,7 @@ class SdoChannel:
         # An empty dictionary: with one, the client would cut answers to the length it expects.
         self._client = SdoClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
         self._client.RESPONSE_TIMEOUT = timeout_s
-        self._client.network = network
+        self._client.network = self._network = network
         network.subscribe(0x580 + node_id, self._client.on_response)
 
     @property
@@ -109,6 +109,10 @@ class SdoChannel:
                         break
                 except can.CanError as error:
                     raise EnvironmentLackError(f"{place}: the bus refused the frame: {error}") from None
+        notifier = self._network.notifier
+        if notifier is not None and notifier.exception is not None:
+            # python-can's receiving thread ends at a bus error; from then on nothing would ever be heard.
+            raise EnvironmentLackError(f"{place}: the bus failed: {notifier.exception}; open it again")
         tries = f"{self.retries + 1} tries" if self.retries else "1 try"
         raise NoResponseError(
             f"{place}: no response after {tries} of {self.timeout_s:g} s; "

@@ -23,6 +23,7 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
 from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.ports import PythonCanPort
 from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
@@ -161,7 +162,7 @@ def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
         can.Bus(interface="virtual", channel=channel) as node_bus,
         Connection(can.Bus(interface="virtual", channel=channel)) as connection,
     ):
-        port = loop.PythonCanPort(node_bus)
+        port = PythonCanPort(node_bus)
         thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
         thread.start()
         try:

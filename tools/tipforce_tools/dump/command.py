@@ -62,7 +62,9 @@ def run(args: argparse.Namespace) -> int:
     Raises InputError for a target that is not usable and EnvironmentLackError for a bus that can't be opened.
     """
     from tipforce_tools.dump.session import dump
+    from tipforce_tools.main import terminate_as_interrupt
 
+    terminate_as_interrupt()
     common.set_up_logging(args)
     return dump(args)
 

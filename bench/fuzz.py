@@ -1,0 +1,285 @@
+"""Throw random and mutated frames at fingertip nodes and check invariants after each step.
+
+    python -m bench.fuzz                          200 000 frames
+    python -m bench.fuzz --frames 10_000_000      the long run
+    python -m bench.fuzz --seed 1 --only 17       round 17 of seed 1 once more
+
+A round is one node from power-on through some thousand frames; it follows from the seed and its number alone. When
+an invariant breaks, the frames of that round are reduced to the few that break it and printed.
+"""
+
+from __future__ import annotations
+
+import argparse
+import binascii
+import multiprocessing
+import os
+import platform
+import struct
+import sys
+import time
+import traceback
+import tracemalloc
+from random import Random
+
+from bench.fuzz_frames import Frames, Step, good_record
+from bench.fuzz_services import Frame
+
+from tipforce.device import codes, emcy, lss
+from tipforce.device.sdo_block import MAX_BLOCK
+from tipforce.device.sdo_server import MAX_DOWNLOAD_BYTES
+from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+
+ROUND_FRAMES = 2500
+MEMORY_ROUNDS = 40  # one round of so many runs under tracemalloc, which makes it several times slower
+MEMORY_LIMIT_BYTES = 400_000  # what the node's own code may hold at the end of a round: dictionary, routes, buffers
+TPDOS = 4
+# One frame: an SDO block, or every TPDO on a SYNC, or a boot-up message and an LSS answer.
+MOST_PER_FRAME = MAX_BLOCK + TPDOS
+# Time alone: each TPDO's event, one heartbeat, one EMCY, one SDO abort or acknowledgement.
+MOST_PER_STEP = TPDOS + 3
+STATES = (codes.INITIALISING, codes.STOPPED, codes.OPERATIONAL, codes.PRE_OPERATIONAL)
+STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))
+COMMIT_ANSWERED = struct.pack("<BHB4x", 0x60, 0x2104, 0)
+
+
+class BrokenError(Exception):
+    """An invariant that does not hold."""
+
+
+def require(holds: object, what: str) -> None:
+    """Raise BrokenError unless the condition holds."""
+    if not holds:
+        raise BrokenError(what)
+
+
+class Rig:
+    """One node of a round, its store, and the invariants. ``number`` and ``seed`` determine how it starts."""
+
+    def __init__(self, seed: int, number: int) -> None:
+        rng = Random(f"{seed} {number} start")
+        self.now_us = int(rng.random() ** 4 * 1e15)
+        self.due_us = self.now_us
+        self.sdo_answers = 0  # in the last step
+        self.longest_s = 0.0
+        self._stored: dict[str, bytes] = {}
+        self._store_fails = rng.random() < 0.1
+        node_id = (5, 1, 127, lss.UNCONFIGURED)[int(rng.random() * 4)]
+        eds = bytes(k * 7 & 0xFF for k in range(5000)) if rng.random() < 0.8 else b""
+        stores = rng.random() < 0.9
+        source = SimulatedSource(STRAIN_PER_NEWTON, 0.1 if rng.random() < 0.5 else 0.0, seed=number)
+        self.device = fingertip_node(
+            node_id, source, 3, number, self._save if stores else None, self._stored.get if stores else None, eds
+        )
+        application = self.device.application
+        assert isinstance(application, Fingertip)
+        self.application = application
+        self._values = len(self.device.od.values)
+        if rng.random() < 0.5:
+            record = good_record(rng)
+            content = struct.pack("<fI", 1e4, 1) + record
+            self._stored["calibration"] = struct.pack("<I", binascii.crc32(content)) + content
+        self._active = self.application.calibration.active_record()
+        self.step((0, ()), fresh=True)
+
+    def _save(self, group: str, data: bytes) -> bool:
+        if not self._store_fails:
+            self._stored[group] = bytes(data)
+        return not self._store_fails
+
+    def step(self, step: Step, fresh: bool = False) -> None:
+        """Let time pass, hand the frames over, and check everything."""
+        pause_us, frames = step
+        self.now_us += pause_us
+        device = self.device
+        node_id, state = device.node_id, device.nmt.state
+        lengths, emcy_id = self._tpdo_lengths(), device.od.integer(0x1014) & 0x7FF
+        transfer = device.sdo._index if device.sdo.due_us != codes.NEVER_US else 0
+        started_s = time.perf_counter()
+        sent, self.due_us = device.step(self.now_us, frames)
+        self.longest_s = max(self.longest_s, time.perf_counter() - started_s)
+        require(self.due_us >= self.now_us, f"due {self.due_us} before now {self.now_us}")
+        require(device.nmt.state in STATES, f"NMT state {device.nmt.state}")
+        require(len(sent) <= MOST_PER_STEP + MOST_PER_FRAME * len(frames), f"{len(sent)} frames sent at once")
+        if sent:
+            self.sdo_answers = sum(can_id == 0x580 + device.node_id for can_id, _ in sent)
+            lengths |= self._tpdo_lengths()
+            own = {0x580 + node_id, 0x580 + device.node_id, lss.ANSWER_ID, emcy_id, device.od.integer(0x1014) & 0x7FF}
+            own |= {0x700 + node_id, 0x700 + device.node_id}
+            for frame in sent:
+                # Of several frames one may configure a PDO that the next one triggers and the last one takes away.
+                self._check_frame(frame, own, lengths if len(frames) < 2 else None)
+            if state == device.nmt.state == codes.STOPPED and len(frames) < 2:
+                allowed = (0x700 + node_id, lss.ANSWER_ID)
+                require(all(can_id in allowed for can_id, _ in sent), "only heartbeat and LSS speak in STOPPED")
+        speakers = (0x580 + node_id, 0x580 + device.node_id)
+        answers = [data for can_id, data in sent if can_id in speakers]
+        self._check_calibration(answers, frames, transfer, fresh)
+        self._check_sizes(frames)
+        device.requests.clear()
+
+    def _tpdo_lengths(self) -> set[tuple[int, int]]:
+        return {(pdo.can_id, pdo.length) for pdo in self.device.tpdos._pdos if pdo.active}
+
+    def _check_frame(self, frame: Frame, own: set[int], lengths: set[tuple[int, int]] | None) -> None:
+        can_id, data = frame
+        require(type(can_id) is int and 0 <= can_id <= 0x7FF, f"identifier {can_id!r}")
+        require(type(data) is bytes and len(data) <= 8, f"data {data!r}")
+        if can_id not in own and lengths is not None:
+            require((can_id, len(data)) in lengths, f"{can_id:03X}h with {len(data)} bytes is no TPDO of this node")
+
+    def _check_calibration(self, answers: list[bytes], frames: tuple[Frame, ...], transfer: int, fresh: bool) -> None:
+        """The active record changes by an acknowledged commit, to what is staged, or by a reset, to what is stored."""
+        calibration = self.application.calibration
+        active = calibration.active_record()
+        # 60h also answers the initiate of a segmented download: only an expedited one (bit 1) is done with it.
+        expedited = any(data[:1] and data[0] & 0xE2 == 0x22 for _, data in frames)
+        committed = (expedited and COMMIT_ANSWERED in answers) or (
+            transfer == 0x2104 and any(data[0] in (0x20, 0x30, 0xA1) for data in answers)
+        )
+        reset = fresh or any(what == "reset-node" for what, _, _ in self.device.requests)
+        if committed and len(frames) == 1:  # of several frames a later one may have staged another
+            require(active == calibration.staged_record(), "a commit was acknowledged, the active record is another")
+            require(calibration.active is not None, "a commit was acknowledged, but the node is uncalibrated")
+        elif reset and len(frames) < 2:
+            stored = self._stored.get("calibration", b"")[12:]
+            kept = self.device.storage.available and stored
+            require(active == (stored if kept else bytes(len(active))), "after a reset: not the stored record")
+        elif not committed and not reset:
+            require(active == self._active, "the active record changed without a commit")
+        self._active = active
+
+    def _check_sizes(self, frames: tuple[Frame, ...]) -> None:
+        device = self.device
+        require(not device._outbox, "frames are left in the outbox")
+        require(len(device.requests) <= 2 + len(frames), "requests pile up")
+        require(len(device.od.values) == self._values, "the dictionary grew")
+        require(len(device.emcy._waiting) <= emcy.MAX_WAITING, "EMCY messages pile up")
+        require(len(device.emcy._history) <= emcy.HISTORY_LENGTH, "error history too long")
+        require(len(device.emcy._active) <= 64, "active errors pile up")
+        require(len(device._routes) <= 32, "routes pile up")
+        require(len(device.storage.damaged) <= 5, "names of damaged groups pile up")
+        block = device.sdo._block
+        buffered = len(getattr(block, "_buffer", device.sdo._buffer))
+        require(buffered <= max(MAX_DOWNLOAD_BYTES, 5000) + 7, "an SDO buffer grows")
+        consumer = device.heartbeat_consumer
+        require(max(len(consumer._periods), len(consumer._deadlines), len(consumer._lost)) <= 4, "too many watched")
+        interrupts = self.application.interrupts
+        require(max(len(interrupts._sent), len(interrupts._zones)) <= 9, "interrupts pile up")
+
+
+def play(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
+    """One round: (frames thrown, longest step in seconds). ``history`` receives the steps as they are made."""
+    rig = Rig(seed, number)
+    made = Frames(Random(f"{seed} {number} frames"), rig)
+    thrown = 0
+    while thrown < frames:
+        step = made.next()
+        history.append(step)
+        rig.step(step)
+        thrown += len(step[1])
+    return thrown, rig.longest_s
+
+
+def play_measured(seed: int, number: int, frames: int, history: list[Step]) -> tuple[int, float]:
+    """The same with an eye on the memory that the node's own code holds."""
+    tracemalloc.start()
+    try:
+        found = play(seed, number, frames, history)
+        snapshot = tracemalloc.take_snapshot().filter_traces([tracemalloc.Filter(True, "*/tipforce/*")])
+        held = sum(trace.size for trace in snapshot.traces)
+        require(held <= MEMORY_LIMIT_BYTES, f"the node holds {held} bytes")
+        return found
+    finally:
+        tracemalloc.stop()
+
+
+def breaks(seed: int, number: int, steps: list[Step]) -> str:
+    """What goes wrong when a node of that round is handed these steps; empty if nothing does."""
+    try:
+        rig = Rig(seed, number)
+        for step in steps:
+            rig.step(step)
+    except BrokenError as error:
+        return str(error)
+    except Exception:
+        return traceback.format_exc(limit=-3)
+    return ""
+
+
+def minimised(seed: int, number: int, steps: list[Step]) -> list[Step]:
+    """As few steps as still break an invariant: drop halves, quarters, ... single steps while it stays broken."""
+    size = max(1, len(steps) // 2)
+    while True:
+        at, shorter = 0, False
+        while at < len(steps):
+            without = steps[:at] + steps[at + size :]
+            # The time of what is left out passes all the same, or else nothing that waits for time would fail.
+            lost_us = sum(pause_us for pause_us, _ in steps[at : at + size])
+            if at < len(without):
+                without[at] = (without[at][0] + lost_us, without[at][1])
+            if breaks(seed, number, without):
+                steps, shorter = without, True
+            else:
+                at += size
+        if size == 1 and not shorter:
+            return steps
+        size = max(1, size // 2)
+
+
+def report(seed: int, number: int, history: list[Step]) -> str:
+    """The failure of a round as text: the seed, the reason, the shortest list of frames."""
+    if not breaks(seed, number, history):
+        return f"seed {seed}, round {number}: memory; repeat with --seed {seed} --only {number}"
+    steps = minimised(seed, number, history)
+    lines = [f"seed {seed}, round {number}: {breaks(seed, number, steps)}", "repeat with these steps:"]
+    for pause_us, frames in steps:
+        lines.append(f"  + {pause_us}  " + " ".join(f"{can_id:03X}#{data.hex().upper()}" for can_id, data in frames))
+    return "\n".join(lines)
+
+
+def rounds(seed: int, numbers: range, frames: int = ROUND_FRAMES, measure: bool = True) -> tuple[int, float, str]:
+    """Play rounds until one fails: (frames thrown, longest step in seconds, the report of the failure)."""
+    thrown, longest_s = 0, 0.0
+    for number in numbers:
+        history: list[Step] = []
+        player = play_measured if measure and number % MEMORY_ROUNDS == 0 else play
+        try:
+            more, round_longest_s = player(seed, number, frames, history)
+        except Exception:
+            return thrown, longest_s, report(seed, number, history)
+        thrown += more
+        if player is play:
+            longest_s = max(longest_s, round_longest_s)
+    return thrown, longest_s, ""
+
+
+def main() -> int:
+    """Run as a command."""
+    parser = argparse.ArgumentParser(description="Fuzz fingertip nodes with CAN frames.")
+    parser.add_argument("--frames", type=int, default=200_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, help="play this round alone")
+    parser.add_argument("--jobs", type=int, default=os.cpu_count() or 1)
+    options = parser.parse_args()
+    count = -(-options.frames // ROUND_FRAMES)
+    parts = [range(k, count, options.jobs) for k in range(options.jobs)]
+    if options.only is not None:
+        parts = [range(options.only, options.only + 1)]
+    started_s = time.perf_counter()
+    with multiprocessing.Pool(len(parts)) as pool:
+        results = pool.starmap(rounds, [(options.seed, part) for part in parts])
+    took_s = time.perf_counter() - started_s
+    thrown = sum(result[0] for result in results)
+    failures = [result[2] for result in results if result[2]]
+    print(f"Python {platform.python_version()}, {platform.machine()}, {len(parts)} processes, seed {options.seed}")
+    print(f"{thrown} frames in {took_s:.1f} s: {thrown / took_s:.0f} frames/s, {len(failures)} failures")
+    print(f"longest step {1e3 * max(result[1] for result in results):.1f} ms, scheduling of this machine included")
+    print("\n".join(failures))
+    return 1 if failures else 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,137 @@
+"""EMCY producer (CiA 301, 7.2.7): objects 1001h, 1003h, 1014h and 1015h.
+
+An error is raised once and cured once; between the two it is active and its bits stand in the error register.
+"""
+
+import struct
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+    from .object_dictionary import Value
+
+# Error codes (table 26) and the bits that each sets in the error register (table 48) besides bit 0, generic.
+GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04, 0x08, 0x10, 0x20, 0x80
+CAN_OVERRUN, ERROR_PASSIVE, HEARTBEAT_LOST, BUS_OFF_RECOVERED = 0x8110, 0x8120, 0x8130, 0x8140
+COB_ID_COLLISION, PDO_LENGTH, SYNC_LENGTH, RPDO_TIMEOUT = 0x8150, 0x8210, 0x8240, 0x8250
+HISTORY_LENGTH = 8
+MAX_WAITING = 64  # messages held back by the inhibit time or by STOPPED; memory stays bounded whatever the errors do
+
+
+class Emcy:
+    """Raises and cures errors; ``register`` is what 1001h shows."""
+
+    __slots__ = ("_active", "_device", "_free_us", "_history", "_waiting", "due_us", "register")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self._history: "list[int]" = []
+        self._active: "dict[tuple[int, int], int]" = {}
+        self.reset(True)
+        od = device.od
+        od.readers[0x1001] = lambda _sub: self.register
+        od.readers[0x1003] = self._read_history
+        od.writers[0x1003] = self._write_history
+        od.writers[0x1014] = self._write_cob_id
+
+    def reset(self, whole: bool) -> None:
+        """Forget what waits, and each active error whose watcher starts anew with this reset.
+
+        The bus controller goes on through any reset, the application through one of communication: what they reported
+        still holds. The history stays until power goes or 1003h:0 is written with 0.
+        """
+        lowest = CAN_OVERRUN if whole else 0
+        self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
+        self._waiting: "list[bytes]" = []
+        self._free_us = 0
+        self._update_register()
+        self.due_us = codes.NEVER_US
+
+    def raise_error(self, code: int, bits: int, detail: int = 0) -> None:
+        """Report an error that is not active yet; ``detail`` (16 bits) tells errors of one code apart."""
+        key = (code, detail)
+        if key in self._active:
+            return
+        self._active[key] = bits | GENERIC
+        self._update_register()
+        self.report(code, detail)
+
+    def cure(self, code: int, detail: int = 0) -> None:
+        """Report that an active error is gone: code 0000h, the cured code and its detail in the data."""
+        if not self._active or self._active.pop((code, detail), None) is None:
+            return
+        self._update_register()
+        self._queue(struct.pack("<HBHHx", 0, self.register, code, detail))
+
+    def cure_all_but(self, code: int, details: "list[int]") -> None:
+        """Cure the active errors of a code whose detail is not in ``details``: nobody watches for their end."""
+        for found, detail in sorted(self._active):  # in one order everywhere: MicroPython's dicts keep none
+            if found == code and detail not in details:
+                self.cure(code, detail)
+
+    def report(self, code: int, detail: int = 0) -> None:
+        """Report an event that has no end of its own: history and message, no bit in the register."""
+        self._history.insert(0, code | detail << 16)
+        del self._history[HISTORY_LENGTH:]
+        self._queue(struct.pack("<HBHHx", code, self.register, detail, 0))
+
+    def allowed(self) -> None:
+        """The NMT state or 1014h changed: what waits may be due now."""
+        self._schedule()
+
+    def expire(self, now_us: int) -> None:
+        """Send the next message that waited."""
+        if self._waiting and self._may_send():
+            self._device.send(self._device.od.integer(0x1014) & codes.STANDARD_MASK, self._waiting.pop(0))
+            self._free_us = now_us + 100 * self._device.od.integer(0x1015)
+        self._schedule()
+
+    def _queue(self, data: bytes) -> None:
+        if len(self._waiting) < MAX_WAITING:
+            self._waiting.append(data)
+        self._schedule()
+
+    def _schedule(self) -> None:
+        self.due_us = self._free_us if self._waiting and self._may_send() else codes.NEVER_US
+
+    def _may_send(self) -> bool:
+        cob_id = self._device.od.integer(0x1014)
+        valid = cob_id & codes.STANDARD_MASK and not cob_id & codes.COB_ID_INVALID
+        # While the bus is off a message would be lost: it waits.
+        talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
+        return bool(valid) and talking and not self._device.bus_faults.off
+
+    def _update_register(self) -> None:
+        self.register = 0
+        for bits in self._active.values():
+            self.register |= bits
+
+    def is_empty(self, sub: int) -> bool:
+        """True for an entry of 1003h that holds no error: it is not there to be read (7.5.2.4)."""
+        return len(self._history) < sub <= HISTORY_LENGTH
+
+    def _read_history(self, sub: int) -> "Value":
+        if sub == 0:
+            return len(self._history)
+        return self._history[sub - 1] if sub <= len(self._history) else 0
+
+    def _write_history(self, _sub: int, value: "Value") -> int:
+        if value != 0:
+            return codes.INVALID_VALUE
+        self._history = []
+        return 0
+
+    def _write_cob_id(self, _sub: int, value: "Value") -> int:
+        old, new = self._device.od.integer(0x1014), int(value)
+        if new & codes.COB_ID_RESERVED:
+            return codes.INVALID_VALUE
+        if not new & codes.COB_ID_INVALID:
+            # As for a PDO: an identifier that is in use is changed only after it was made invalid (7.5.2.17).
+            used = not old & codes.COB_ID_INVALID and new & codes.STANDARD_MASK != old & codes.STANDARD_MASK
+            if used or codes.restricted(new & codes.STANDARD_MASK):
+                return codes.INVALID_VALUE
+        self._device.od.values[0x101400] = new
+        self._schedule()
+        return 0

@@ -1,0 +1,46 @@
+"""Node guarding and life guarding (CiA 301, 7.2.8.3.2.1): objects 100Ch and 100Dh; heartbeat excludes it."""
+
+from . import codes
+from .emcy import COMMUNICATION, HEARTBEAT_LOST
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+
+MASTER = 0  # detail of the EMCY: the node that is missing is the one that guards
+
+
+class NodeGuarding:
+    """Answers the master's remote frames with state and toggle bit; misses them when they stop."""
+
+    __slots__ = ("_device", "_toggle", "due_us")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self._toggle = 0
+        self.due_us = codes.NEVER_US
+
+    def reset(self) -> None:
+        """After a boot-up: toggle 0, nobody is missed before the first remote frame."""
+        self._toggle = 0
+        self.due_us = codes.NEVER_US
+
+    def receive(self, _data: bytes) -> None:
+        """A remote frame on 0x700 + node-id."""
+        od = self._device.od
+        if od.integer(0x1017):
+            return  # with a heartbeat there is no guarding (7.2.8.3.2.2)
+        self._device.send(0x700 + self._device.node_id, bytes((self._toggle | self._device.nmt.state,)))
+        self._toggle ^= 0x80
+        life_ms = od.integer(0x100C) * od.integer(0x100D)
+        self.due_us = self._device.now_us + 1000 * life_ms if life_ms else codes.NEVER_US
+        self._device.emcy.cure(HEARTBEAT_LOST, MASTER)
+
+    def expire(self, _now_us: int) -> None:
+        """The life time is over without a remote frame."""
+        self.due_us = codes.NEVER_US
+        od = self._device.od
+        if od.integer(0x1017) or not od.integer(0x100C) * od.integer(0x100D):
+            return  # guarding was switched off since the last remote frame
+        self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
+        self._device.communication_failed()

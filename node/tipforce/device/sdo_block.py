@@ -1,0 +1,162 @@
+"""SDO block transfer, the server's side (CiA 301, 7.2.4.2.9 to 7.2.4.2.16): up to 127 segments for one answer."""
+
+import struct
+
+from . import codes
+from .crc16 import crc16
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .sdo_server import SdoServer
+
+MAX_BLOCK = 127
+_ABORT_BY_CLIENT = 0x80
+_LAST = 0x80
+_WITH_CRC = 4
+
+
+class BlockDownload:
+    """The client writes. Segments out of order are passed over; the answer to a block says which came in order."""
+
+    __slots__ = ("_buffer", "_ending", "_expected", "_limit", "_patience", "_server", "_size", "_with_crc")
+
+    def __init__(self, server: "SdoServer", size: "int | None", limit: int, with_crc: bool) -> None:
+        self._server = server
+        self._size = size
+        self._limit = limit if size is None else size
+        self._with_crc = with_crc
+        self._buffer = bytearray()
+        self._expected = 1
+        self._ending = False
+        self._patience = True
+        server.answer(server.head(0xA0 | _WITH_CRC) + bytes((MAX_BLOCK,)))
+
+    def takes(self, _command: int) -> bool:
+        """Every frame belongs to this transfer: a segment's first byte may look like any command."""
+        return True
+
+    def receive(self, data: bytes) -> None:
+        """A frame that came while this transfer runs."""
+        if data[0] == _ABORT_BY_CLIENT:
+            self._server.reset()
+        elif self._ending:
+            self._end(data)
+        else:
+            self._segment(data)
+
+    def expire(self) -> None:
+        """Nothing came for half the time-out: perhaps the last segment of a block was lost. Say once what is here."""
+        if self._ending or not self._patience:
+            self._server.abort(codes.TIMEOUT)
+            return
+        self._patience = False
+        self._acknowledge()
+
+    def _segment(self, data: bytes) -> None:
+        number, last = data[0] & 0x7F, data[0] & _LAST
+        if not 1 <= number <= MAX_BLOCK:
+            self._server.abort(codes.BLOCK_SEQUENCE)
+            return
+        if number == self._expected:
+            self._expected += 1
+            self._patience = True
+            self._buffer += data[1:]
+            self._ending = bool(last)
+            # The last segment may carry up to 7 bytes that do not count; how many is known at the end only.
+            if len(self._buffer) - (7 if last else 0) > self._limit:
+                self._server.abort(codes.TOO_LONG)
+                return
+        if last or number == MAX_BLOCK:
+            self._acknowledge()
+        else:
+            self._server.wait()
+
+    def _acknowledge(self) -> None:
+        received, self._expected = self._expected - 1, 1
+        self._server.answer(bytes((0xA2, received, MAX_BLOCK)))
+
+    def _end(self, data: bytes) -> None:
+        if data[0] & 0xE3 != 0xC1:
+            self._server.abort(codes.UNKNOWN_COMMAND)
+            return
+        unused = data[0] >> 2 & 7
+        content = bytes(self._buffer[: len(self._buffer) - unused])
+        if self._with_crc and crc16(content) != data[1] | data[2] << 8:
+            self._server.abort(codes.BLOCK_CRC)
+        elif self._size is not None and len(content) != self._size:
+            self._server.abort(codes.TOO_LONG if len(content) > self._size else codes.TOO_SHORT)
+        else:
+            self._server.finish(content, b"\xa1")
+
+
+class BlockUpload:
+    """The client reads: blocks go out, the client says how far it could follow, the rest goes out again."""
+
+    __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started", "_with_crc")
+
+    def __init__(self, server: "SdoServer", data: bytes, block_size: int, with_crc: bool) -> None:
+        self._server = server
+        self._data = data
+        self._block_size = block_size
+        self._with_crc = with_crc
+        self._offset = 0
+        self._sent = 0
+        self._crc = 0
+        self._started = False
+        self._ending = False
+        # Bit 1: the size stands in the answer; bit 2: this server computes the CRC.
+        server.answer(server.head(0xC0 | _WITH_CRC | 2) + struct.pack("<I", len(data)))
+
+    def takes(self, command: int) -> bool:
+        """A frame of block upload or an abort; a client that begins another transfer has given this one up."""
+        return command & 0xE3 in (0xA1, 0xA2, 0xA3) or command >> 5 == 4
+
+    def receive(self, data: bytes) -> None:
+        """A frame that came while this transfer runs."""
+        command = data[0]
+        if command >> 5 == 4:
+            self._server.reset()
+        elif command & 0xE3 == 0xA3 and not self._started:
+            self._started = True
+            self._send_block()
+        elif command & 0xE3 == 0xA2 and self._started and not self._ending:
+            self._acknowledged(data[1], data[2])
+        elif command & 0xE3 == 0xA1 and self._ending:
+            self._server.reset()
+        else:
+            self._server.abort(codes.UNKNOWN_COMMAND)
+
+    def expire(self) -> None:
+        """The client has been silent for too long."""
+        self._server.abort(codes.TIMEOUT)
+
+    def _send_block(self) -> None:
+        self._sent = 0
+        offset = self._offset
+        while self._sent < self._block_size:
+            part = self._data[offset : offset + 7]
+            offset += 7
+            self._sent += 1
+            last = offset >= len(self._data)
+            self._server.answer(bytes((self._sent | (_LAST if last else 0),)) + part)
+            if last:
+                break
+
+    def _acknowledged(self, received: int, block_size: int) -> None:
+        if received > self._sent:
+            self._server.abort(codes.BLOCK_SEQUENCE)
+            return
+        if not 1 <= block_size <= MAX_BLOCK:
+            self._server.abort(codes.BLOCK_SIZE)
+            return
+        self._block_size = block_size
+        done = self._data[self._offset : self._offset + 7 * received]
+        if self._with_crc:  # otherwise 0 stands in its place (7.2.4.3.16)
+            self._crc = crc16(done, self._crc)
+        self._offset += 7 * received
+        if self._offset < len(self._data) or (received == 0 and not self._data):
+            self._send_block()
+            return
+        self._ending = True
+        unused = self._offset - len(self._data)
+        self._server.answer(bytes((0xC1 | unused << 2, self._crc & 0xFF, self._crc >> 8)))

@@ -1,0 +1,63 @@
+"""TIME consumer (CiA 301, 7.2.6) and the high-resolution time stamp: objects 1012h and 1013h."""
+
+import struct
+
+from . import codes
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+    from .object_dictionary import Value
+
+CONSUME, PRODUCE = 0x80000000, 0x40000000  # bits 31 and 30 of 1012h
+_EPOCH_DAYS = 5113  # from 1970-01-01, where Unix time starts, to 1984-01-01, where TIME_OF_DAY does
+_DAY_MS = 86400000
+
+
+class TimeConsumer:
+    """Network time, known once a TIME message came; it runs on with the device's clock from there."""
+
+    __slots__ = ("_device", "_high_us", "_received_us", "_unix_ms")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self._unix_ms = -1
+        self._received_us = 0
+        self._high_us = 0  # what 1013h is ahead of the device's clock
+        device.od.writers[0x1012] = self._write_cob_id
+        device.od.writers[0x1013] = self._write_high_resolution
+        device.od.readers[0x1013] = lambda _sub: (device.now_us + self._high_us) & 0xFFFFFFFF
+
+    @property
+    def can_id(self) -> "int | None":
+        """The identifier to listen to, None while consuming is off."""
+        cob_id = self._device.od.integer(0x1012)
+        return cob_id & codes.STANDARD_MASK if cob_id & CONSUME else None
+
+    def unix_ms(self) -> "int | None":
+        """Network time in milliseconds since 1970, None before the first TIME message."""
+        if self._unix_ms < 0:
+            return None
+        return self._unix_ms + (self._device.now_us - self._received_us) // 1000
+
+    def receive(self, data: bytes) -> None:
+        """TIME_OF_DAY: milliseconds after midnight in 28 bits, days since 1984-01-01 (7.1.6.5)."""
+        if len(data) != 6:
+            return
+        ms, days = struct.unpack("<IH", data)
+        ms &= 0x0FFFFFFF
+        if ms < _DAY_MS:
+            self._unix_ms = (days + _EPOCH_DAYS) * _DAY_MS + ms
+            self._received_us = self._device.now_us
+
+    def _write_cob_id(self, _sub: int, value: "Value") -> int:
+        cob_id = int(value)
+        if cob_id & (PRODUCE | 0x3FFFF800) or codes.restricted(cob_id & codes.STANDARD_MASK):
+            return codes.INVALID_VALUE  # this device produces no TIME; 29-bit identifiers are not offered
+        self._device.od.values[0x101200] = cob_id
+        self._device.routes_changed()
+        return 0
+
+    def _write_high_resolution(self, _sub: int, value: "Value") -> int:
+        self._high_us = int(value) - self._device.now_us
+        return 0

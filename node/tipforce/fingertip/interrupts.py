@@ -1,0 +1,83 @@
+"""CiA 404 interrupts (6133h to 6136h): which channels changed enough to send an event-driven TPDO."""
+
+from tipforce.dictionary import table
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from tipforce.device.node import Device
+
+_ON_SYNC_AFTER_EVENT, _EVENT_DRIVEN = 0, 254
+_CHANNEL_VALUES = (0x6130, 0x7130, 0x9130)
+_INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
+
+
+class Interrupts:
+    """Compares each latched sample with what was sent last.
+
+    A TPDO of type 254 or 255 (or 0: with a SYNC) that maps a channel is sent when the channel moved by 6133h or more
+    (0: off), left or re-entered 6134h..6135h (with hysteresis 6136h; limits at their defaults are off), or became
+    known or unknown.
+    """
+
+    __slots__ = ("_device", "_n", "_sent", "_value", "_watched", "_zones")
+
+    def __init__(self, device: "Device", n: int, value: "Callable[[int], float]") -> None:
+        self._device = device
+        self._n = n
+        self._value = value
+        self._watched: "dict[int, list[int]]" = {}  # channel -> numbers of the TPDOs that carry it
+        self._sent: "dict[int, float]" = {}
+        self._zones: "dict[int, int]" = {}
+
+    def load(self) -> None:
+        """Find out anew which channels are watched; called when settings or PDOs may have changed."""
+        self._watched = {}
+        for number, transmission, keys in self._device.tpdos.mapped():
+            if transmission == _ON_SYNC_AFTER_EVENT or transmission >= _EVENT_DRIVEN:
+                for index, sub in keys:
+                    if index in _CHANNEL_VALUES and self._configured(sub):
+                        self._watched.setdefault(sub, []).append(number)
+
+    @property
+    def watching(self) -> bool:
+        """True when there is something to compare."""
+        return bool(self._watched)
+
+    def check(self) -> None:
+        """Compare the present sample; ask for the TPDOs of the channels that have something to say."""
+        for sub, numbers in self._watched.items():
+            value = self._value(sub)
+            zone = self._zone(sub, value)
+            moved = self._moved(sub, value)
+            if moved or zone != self._zones.get(sub):
+                self._sent[sub] = value
+                self._zones[sub] = zone
+                for number in numbers:
+                    self._device.tpdos.request(number)
+
+    def _moved(self, sub: int, value: float) -> bool:
+        delta = self._setting(0x6133, sub)
+        last = self._sent.get(sub)
+        return delta > 0.0 and last is not None and abs(value - last) >= delta
+
+    def _zone(self, sub: int, value: float) -> int:
+        """Where a value lies; a value inside by less than the hysteresis stays where it was."""
+        if value != value:  # noqa: PLR0124 (true for NaN alone)
+            return _UNKNOWN
+        lower, upper, hysteresis = [self._setting(index, sub) for index in (0x6134, 0x6135, 0x6136)]
+        before = self._zones.get(sub, _INSIDE)
+        if value < lower or (before == _BELOW and value < lower + hysteresis):
+            return _BELOW
+        if value > upper or (before == _ABOVE and value > upper - hysteresis):
+            return _ABOVE
+        return _INSIDE
+
+    def _configured(self, sub: int) -> bool:
+        _symbol, _what, _unit, _digits, _kind, _text, low, high = table.channels(self._n)[sub - 1]
+        delta, lower, upper = [self._setting(index, sub) for index in (0x6133, 0x6134, 0x6135)]
+        return delta > 0.0 or lower > low or upper < high
+
+    def _setting(self, index: int, sub: int) -> float:
+        return float(self._device.od.values[index << 8 | sub])

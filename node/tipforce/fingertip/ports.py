@@ -1,0 +1,197 @@
+"""The doors to a bus that the loop knows: a raw SocketCAN socket, and any python-can bus."""
+
+from __future__ import annotations
+
+import errno
+import logging
+import select
+import socket
+import subprocess
+import time
+from collections.abc import Iterable
+from typing import TYPE_CHECKING
+
+from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
+from tipforce.socketcan import CAN_FRAME, raw_can_id
+
+if TYPE_CHECKING:
+    import can
+
+    from tipforce.fingertip.loop import Frame
+
+_LOG = logging.getLogger(__name__)
+_FULL_QUEUE_WAIT_S = 0.05
+_INTERFACE_LOST = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # down, removed, and what a send says after a removal
+_ERROR_FILTER, _ALL_ERRORS = 2, 0x1FFFFFFF  # CAN_RAW_ERR_FILTER and CAN_ERR_MASK of linux/can.h
+
+
+class SocketCanPort:
+    """A raw SocketCAN socket on ``interface``: the shortest way on Linux. Raises OSError if there is none.
+
+    An interface that goes down (ENETDOWN) or away (ENODEV: an adapter is unplugged) is waited for; what a node sends
+    meanwhile is lost. That is logged once, and once more when a frame passes again.
+    """
+
+    def __init__(self, interface: str) -> None:
+        self._interface = interface
+        self._overflow = False  # a frame was given up: the device is to hear of it
+        self._lost = False  # frames do not pass at present
+        self._bound = True  # to an interface that exists
+        self._socket = _bound_socket(interface)
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next classic frame or error frame, or None."""
+        if not self._bound:
+            self._bind_again(timeout_s)
+            return None
+        if self._overflow:
+            self._overflow = False
+            return TRANSMIT_OVERFLOW
+        ready, _, _ = select.select([self._socket], [], [], timeout_s)
+        if not ready:
+            return None
+        try:
+            can_id, length, data = CAN_FRAME.unpack(self._socket.recv(CAN_FRAME.size))
+        except OSError as error:
+            # The kernel reports it once per change, so this does not spin.
+            self._lose(error)
+            return None
+        self._find()
+        return can_id, data[:length]
+
+    def send(self, frames: Iterable[Frame]) -> None:
+        """Send frames; a full transmit queue is waited for shortly, then the frame is given up and logged."""
+        for can_id, data in frames:
+            frame = CAN_FRAME.pack(can_id, len(data), data)
+            try:
+                self._socket.send(frame)
+            except OSError as error:
+                self._send_again(frame, error)
+            else:
+                if self._lost:
+                    self._find()
+
+    def _send_again(self, frame: bytes, error: OSError) -> None:
+        """The second and last try of a frame, where one makes sense."""
+        if error.errno == errno.ENOBUFS:
+            # ENOBUFS is not cleared by poll() on CAN sockets: give the queue time to drain.
+            time.sleep(_FULL_QUEUE_WAIT_S)
+            try:
+                self._socket.send(frame)
+            except OSError as again:
+                error = again
+            else:
+                self._find()
+                return
+        if error.errno in _INTERFACE_LOST:
+            self._lose(error)
+            return
+        self._overflow = self._overflow or error.errno == errno.ENOBUFS
+        _LOG.warning("a frame was not sent: %s", error.strerror)
+
+    def request(self, what: str, value: int, delay_ms: int) -> None:
+        """Restart the controller after bus-off, or switch the bit rate, as ``ip link`` does it; needs its rights."""
+        link = ["ip", "link", "set", self._interface]
+        if what == "bus-restart":
+            _run([*link, "type", "can", "restart"], "the controller is restarted by `ip link set ... restart-ms 100`")
+        elif what == "bit-rate":
+            time.sleep(delay_ms / 1000)  # CiA 305, 6.4.4: the switch delay, in which nobody sends
+            _run([*link, "down"], "set it by hand")
+            _run([*link, "type", "can", "bitrate", str(value)], f"set it by hand to {value} bit/s")
+            _run([*link, "up"], "set it up by hand")
+            time.sleep(delay_ms / 1000)
+
+    def _lose(self, error: OSError) -> None:
+        if error.errno in (errno.ENODEV, errno.ENXIO):
+            self._bound = False
+        if not self._lost:
+            self._lost = True
+            _LOG.warning("%s: %s; the node goes on when it is up again", self._interface, error.strerror)
+
+    def _find(self) -> None:
+        if self._lost:
+            self._lost = False
+            _LOG.warning("%s: up again", self._interface)
+
+    def _bind_again(self, timeout_s: float) -> None:
+        """The interface was removed and one of its name may have come: a new socket, the old one lost its filter."""
+        try:
+            found = _bound_socket(self._interface)
+        except OSError:
+            time.sleep(timeout_s)
+            return
+        self._socket.close()
+        self._socket = found
+        self._bound = True
+
+    def close(self) -> None:
+        """Release the socket."""
+        self._socket.close()
+
+
+def _bound_socket(interface: str) -> socket.socket:
+    found = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    try:
+        found.setsockopt(socket.SOL_CAN_RAW, _ERROR_FILTER, _ALL_ERRORS)
+        found.bind((interface,))
+    except OSError:
+        found.close()
+        raise
+    return found
+
+
+def _run(command: list[str], remedy: str) -> None:
+    """A command of iproute2; what it could not do is said with what the user can do."""
+    try:
+        done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
+        complaint = done.stderr.strip() if done.returncode else ""
+    except (OSError, subprocess.TimeoutExpired) as error:
+        complaint = str(error)
+    if complaint:
+        _LOG.warning("%s: %s; %s", " ".join(command), complaint, remedy)
+
+
+class PythonCanPort:
+    """Any python-can bus. One that fails is tried again; that is logged once, until a frame passes again."""
+
+    def __init__(self, bus: can.BusABC) -> None:
+        self._bus = bus
+        self._failing = False
+
+    def receive(self, timeout_s: float) -> Frame | None:
+        """The next classic frame, or None."""
+        import can  # python-can is slow to import and not needed where SocketCanPort serves
+
+        try:
+            message = self._bus.recv(timeout_s)
+        except can.CanError as error:
+            self._fail("receive failed", error)
+            time.sleep(_FULL_QUEUE_WAIT_S)
+            return None
+        if message is None or message.is_fd:
+            return None
+        self._failing = False
+        return raw_can_id(message), bytes(message.data)
+
+    def send(self, frames: Iterable[Frame]) -> None:
+        """Send frames; one that the bus refuses is given up."""
+        import can
+
+        for can_id, data in frames:
+            try:
+                self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                self._failing = False
+            except can.CanError as error:
+                self._fail("a frame was not sent", error)
+
+    def request(self, what: str, value: int, delay_ms: int) -> None:
+        """Say what the device asks for: python-can has no call for it on every interface."""
+        if what == "bit-rate":
+            _LOG.warning("LSS asks for %d bit/s after %d ms: start the node again with -b %d", value, delay_ms, value)
+        elif what == "bus-restart":
+            _LOG.warning("the controller is off the bus: restart it, or let its driver do so")
+
+    def _fail(self, what: str, error: can.CanError) -> None:
+        if not self._failing:
+            self._failing = True
+            _LOG.warning("%s: %s; the node goes on when the bus works again", what, error)

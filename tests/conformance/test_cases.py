@@ -1,0 +1,42 @@
+"""Every conformance case against the device core in this process, with a fake clock."""
+
+import re
+
+import pytest
+
+from tipforce_tools.conformance.case import Case, all_cases
+from tipforce_tools.conformance.run import PASS, run_in_process
+
+CASES = all_cases()
+NOT_APPLICABLE: frozenset[str] = frozenset()  # a node with everything has something for each case
+
+
+@pytest.mark.parametrize("case", CASES, ids=lambda case: case.name)
+def test_case_passes(case: Case) -> None:
+    result, _link = run_in_process(case)
+    conversation = "\n".join([result.reason, *result.log])
+    assert result.verdict == PASS or case.name in NOT_APPLICABLE, f"{case.title}\n{conversation}"
+
+
+def test_there_are_enough_cases_and_their_names_differ() -> None:
+    assert len(CASES) >= 150
+    assert len({case.name for case in CASES}) == len(CASES)
+    assert len({(case.clause, case.title) for case in CASES}) > 0.9 * len(CASES)
+
+
+def test_titles_are_printable() -> None:
+    assert [case.name for case in CASES if not case.title.isprintable()] == []
+
+
+def test_every_clause_is_of_one_form() -> None:
+    form = r"CiA 301 7(\.\d+)+|CiA 302-2 1F80h|CiA 305 6(\.\d)+|(CiA 404|tipforce) [0-9A-F]{4}h"
+    assert [case.clause for case in CASES if not re.fullmatch(form, case.clause)] == []
+
+
+def test_every_service_has_cases() -> None:
+    services = """
+        nmt error_control node_guarding sdo sdo_segmented sdo_block sdo_block_download tpdo rpdo pdo_parameters sync
+        emcy time lss lss_identify lss_unconfigured storage identity profile_404 settings_404 interrupts_404
+        calibration bus_faults
+    """
+    assert {case.name.partition(".")[0] for case in CASES} == set(services.split())

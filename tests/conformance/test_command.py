@@ -1,0 +1,136 @@
+"""`tipforce conformance`: the list, the report, JSON, exit codes; on a bus inside this process."""
+
+import json
+import threading
+from collections.abc import Iterator
+from dataclasses import replace
+
+import can
+import pytest
+
+from tipforce.errors import NoResponseError
+from tipforce.fingertip import loop
+from tipforce.fingertip.ports import PythonCanPort
+from tipforce_tools.conformance.case import CheckError, all_cases, matching
+from tipforce_tools.conformance.dut import Dut
+from tipforce_tools.conformance.links import CoreLink, core_node
+from tipforce_tools.conformance.report import clause_key, lines, summary
+from tipforce_tools.conformance.run import FAIL, Result, run_case, run_on
+from tipforce_tools.main import main
+
+CHANNEL = "conformance"
+ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
+
+
+@pytest.fixture
+def node() -> Iterator[None]:
+    """Node 5 on a virtual bus, in a thread."""
+    ended = threading.Event()
+    with can.Bus(interface="virtual", channel=CHANNEL) as bus:
+        thread = threading.Thread(target=loop.run, args=([core_node()], PythonCanPort(bus), ended.is_set))
+        thread.start()
+        yield
+        ended.set()
+        thread.join()
+
+
+def failing() -> Result:
+    """The result of a case that cannot be met."""
+
+    def body(dut: Dut) -> None:
+        dut.ask("40 00 10 00", "43 00 10 00 FF FF FF FF")
+
+    found = replace(matching("identity.device_type")[0], name="test.body", title="another type", body=body)
+    return run_case(found, Dut(CoreLink(core_node()), 5), True)
+
+
+def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["conformance", "--list"]) == 0
+    out = capsys.readouterr().out
+    assert len(out.splitlines()) == len(all_cases())
+    assert "sdo_block_download.bad_crc" in out
+
+
+def test_pattern_chooses_by_name_and_by_clause() -> None:
+    assert {found.name.partition(".")[0] for found in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
+    assert [found.name for found in matching("emcy.message")] == ["emcy.message"]
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--node-id", "5", "--case", "nosuch"], "no case is named so"),
+        (["--node-id", "5", "--tolerance", "-1"], "--tolerance -1"),
+    ],
+)
+def test_mistakes_of_the_user(words: list[str], said: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["conformance", *words]) == 2
+    assert said in capsys.readouterr().err
+
+
+@pytest.mark.usefixtures("node")
+def test_report_of_a_node_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*ON_BUS, "--case", "identity.*"]) == 0
+    out = capsys.readouterr().out
+    assert "CiA 301 7.5.2.21\n  pass  identity.identity " in out
+    assert out.splitlines()[-1] == f"{len(matching('identity.*'))} passed, 0 failed, 0 not applicable"
+
+
+@pytest.mark.usefixtures("node")
+def test_persistent_cases_need_permission(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main([*ON_BUS, "--case", "lss.store", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert (record["verdict"], "--persistent" in record["reason"]) == ("not applicable", True)
+    assert main([*ON_BUS, "--case", "lss.store", "--json", "--persistent"]) == 0
+    assert json.loads(capsys.readouterr().out)["verdict"] == "pass"
+
+
+def test_node_that_is_not_there_is_no_response(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tipforce_tools.conformance.dut.BOOT_MS", 10)
+    assert main([*ON_BUS, "--case", "identity.*"]) == 5
+    assert "no boot-up message" in capsys.readouterr().err
+
+
+def test_failure_shows_what_was_expected_and_the_frames() -> None:
+    text = "\n".join(lines([failing()]))
+    assert "FAIL  test.body" in text
+    assert "expected 585#43 00 10 00 FF FF FF FF; got 585#4300100094010200" in text
+    assert "> 605#4000100000000000" in text
+    assert "< 585#4300100094010200" in text
+    assert summary([failing()]) == "0 passed, 1 failed, 0 not applicable"
+
+
+def test_a_device_that_dies_ends_the_run() -> None:
+    def kill(_dut: Dut) -> None:
+        monkey.setattr(link, "send", lambda _can_id, _data: None)
+        raise CheckError("life", "death")
+
+    link = CoreLink(core_node())
+    template = matching("identity.device_type")[0]
+    killer = replace(template, name="test.kill", body=kill)
+    with pytest.MonkeyPatch.context() as monkey:
+        run = run_on(Dut(link, 5), [killer, template], persistent=False)
+        assert next(run).verdict == FAIL
+        with pytest.raises(NoResponseError, match="does not boot any more after the case test"):
+            next(run)
+
+
+def test_clauses_are_ordered_by_their_numbers() -> None:
+    clauses = ["CiA 305 6.3.1", "CiA 301 7.2.4.3.13", "CiA 301 7.2.4.3.9", "CiA 404 6130h", "CiA 302-2 1F80h"]
+    ordered = sorted(clauses, key=clause_key)
+    assert ordered[:2] == ["CiA 301 7.2.4.3.9", "CiA 301 7.2.4.3.13"]
+
+
+def test_silence_finds_what_came_before_too() -> None:
+    dut = Dut(CoreLink(core_node()), 5)
+    dut.send(0x605, "40 00 10 00 00 00 00 00")
+    with pytest.raises(CheckError, match="expected silence; got 585#43"):
+        dut.silence()
+
+
+def test_time_out_names_what_was_expected() -> None:
+    dut = Dut(CoreLink(core_node()), 5)
+    with pytest.raises(CheckError, match="a frame 185h 01 within 50 ms; got none"):
+        dut.expect(0x185, "01", 50)

@@ -1,0 +1,122 @@
+"""Bus faults: what SocketCAN's error frames say, and another node with this node's identifiers."""
+
+import pytest
+
+from device.conversation import Conversation
+from device.services import serving
+from tipforce.device.bus_faults import FIRST_RESTART_US, LAST_RESTART_US, OVERRUN_QUIET_US, TRANSMIT_OVERFLOW
+from tipforce.device.codes import ERROR_FLAG, OPERATIONAL, PRE_OPERATIONAL
+
+BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
+
+
+def controller(detail: int) -> tuple[int, bytes]:
+    """A controller error frame."""
+    return ERROR_FLAG | 0x4, bytes((0, detail, 0, 0, 0, 0, 0, 0))
+
+
+def said(talk: Conversation, frame: tuple[int, bytes]) -> list[str]:
+    """What the device says to an error frame."""
+    talk.step([frame])
+    return [data.hex() for _, data in talk.take()]
+
+
+@pytest.mark.parametrize("end", [controller(0x40), controller(0x08), controller(0x04), RESTARTED])
+def test_error_passive_is_said_once_and_its_end(end: tuple[int, bytes]) -> None:
+    talk = serving()
+    assert said(talk, controller(0x10)) == ["2081110000000000"]
+    assert said(talk, controller(0x20)) == []
+    assert said(talk, end) == ["0000002081000000"]
+    assert said(talk, end) == []
+
+
+@pytest.mark.parametrize("frame", [controller(0x01), controller(0x02), TRANSMIT_OVERFLOW])
+def test_an_overrun_is_over_when_none_came_for_a_while(frame: tuple[int, bytes]) -> None:
+    talk = serving()
+    assert said(talk, frame) == ["1081110000000000"]
+    talk.advance(OVERRUN_QUIET_US - 1)
+    assert said(talk, frame) == []
+    talk.say(f"+ {OVERRUN_QUIET_US - 1}\n+ 1\n< 085#0000001081000000")
+
+
+@pytest.mark.parametrize("frame", [(ERROR_FLAG | 0x8, bytes(8)), (ERROR_FLAG | 0x4, b""), (ERROR_FLAG | 0x4, bytes(8))])
+def test_other_error_frames_say_nothing(frame: tuple[int, bytes]) -> None:
+    assert said(serving(), frame) == []
+
+
+def test_bus_off_asks_for_a_restart_ever_more_rarely() -> None:
+    talk = serving()
+    assert said(talk, BUS_OFF) == said(talk, BUS_OFF) == []
+    waits: list[int] = []
+    wait_us = FIRST_RESTART_US
+    while len(waits) < 9:
+        talk.say(f"+ {wait_us - 1}")
+        assert talk.device.requests == []
+        talk.say("+ 1")
+        assert talk.device.requests.pop() == ("bus-restart", 0, 0)
+        waits.append(wait_us)
+        wait_us = min(2 * wait_us, LAST_RESTART_US)
+    assert waits[-1] == waits[-2] == LAST_RESTART_US
+
+
+@pytest.mark.parametrize("back", [RESTARTED, controller(0x40), controller(0x08)])
+def test_recovery_is_said_and_ends_the_requests(back: tuple[int, bytes]) -> None:
+    talk = serving()
+    talk.step([BUS_OFF])
+    talk.say("+ 50000")
+    assert said(talk, back) == ["4081000000000000"]
+    talk.say("+ 100000000")
+    assert talk.device.requests == []
+
+
+def test_a_frame_that_is_heard_shows_that_the_bus_is_back() -> None:
+    talk = serving()
+    talk.step([BUS_OFF])
+    talk.say("> 605#4000100000000000\n< 585#4300100094010200\n< 085#4081000000000000")
+
+
+def test_what_falls_due_while_the_bus_is_off_is_not_sent_later() -> None:
+    talk = serving()
+    assert talk.put("H", 0x1017, 0, 10) == 0
+    talk.step([BUS_OFF])
+    talk.say("+ 95000")
+    assert said(talk, RESTARTED) == ["4081000000000000"]
+    talk.say("+ 5000\n< 705#7F")
+
+
+@pytest.mark.parametrize(("quiet_us", "wait_us"), [(1_000_000, 2 * FIRST_RESTART_US), (60_000_000, FIRST_RESTART_US)])
+def test_the_back_off_ends_when_the_bus_was_well_for_long(quiet_us: int, wait_us: int) -> None:
+    talk = serving()
+    talk.advance(60_000_000)
+    talk.step([BUS_OFF])
+    talk.advance(FIRST_RESTART_US)
+    assert talk.device.requests.pop() == ("bus-restart", 0, 0)
+    assert said(talk, RESTARTED) == ["4081000000000000"]
+    talk.advance(quiet_us)
+    talk.step([BUS_OFF])
+    talk.advance(wait_us - 1)
+    assert talk.device.requests == []
+    talk.advance(1)
+    assert talk.device.requests == [("bus-restart", 0, 0)]
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL)])
+def test_bus_off_has_the_error_behaviour_of_1029h(behaviour: int, state: int) -> None:
+    talk = serving()
+    assert talk.put("B", 0x1029, 1, behaviour) == 0
+    talk.say("> 000#0105")
+    talk.step([BUS_OFF])
+    assert talk.device.nmt.state == state
+
+
+@pytest.mark.parametrize("can_id", [0x585, 0x705])
+def test_another_node_with_this_node_id_is_said_once(can_id: int) -> None:
+    talk = serving()
+    answer = f"< 085#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"
+    talk.say(f"> {can_id:03X}#00\n{answer}\n> {can_id:03X}#00")
+
+
+def test_a_foreign_tpdo_with_this_node_s_identifier() -> None:
+    talk = serving()
+    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
+    talk.say("> 185#0102030405060708\n< 085#5081118501000000")

@@ -1,0 +1,223 @@
+"""The canopen library as a foreign client, in one thread: what its Network sends, a fingertip node answers at once."""
+
+import struct
+import zlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import canopen
+import pytest
+from bench.fuzz import STRAIN_PER_NEWTON
+from canopen.sdo.exceptions import SdoAbortedError
+
+from device.tiny import Memory, dictionary
+from tipforce.device.node import Device
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+
+EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
+RECORD = struct.pack(
+    "<9f3fIIfB6f5fB",
+    2e4, 1, 2, 3, 2e4, 4, 5, 6, 2e4, 0, 0, 0, 7, 20260101, 23, 1, 1e-13, 0, 0, 1e-13, 0, 1e-13,
+    8e-3, -60, 60, 0.05, 0.03, 0,
+)  # fmt: skip
+
+
+class DirectBus:
+    """A bus whose only other participant is one device; ``drop`` says which of the node's frames get lost."""
+
+    channel_info = "direct"
+
+    def __init__(self, device: Device, network: canopen.Network) -> None:
+        self._device = device
+        self._network = network
+        self._now_us = 0
+        self.drop: Callable[[int, bytes], bool] = lambda _can_id, _data: False
+        self.pass_time(0)
+
+    def send(self, message: can.Message, _timeout: float | None = None) -> None:
+        """From the client to the node; dropped frames of the client are those that ``drop`` names as well."""
+        frame = (message.arbitration_id, bytes(message.data))
+        self._now_us += 100
+        self._deliver([] if self.drop(*frame) else [frame])
+
+    def pass_time(self, microseconds: int) -> None:
+        """Let the node's clock run on."""
+        self._now_us += microseconds
+        self._deliver([])
+
+    def _deliver(self, frames: list[tuple[int, bytes]]) -> None:
+        sent, _ = self._device.step(self._now_us, frames)
+        for can_id, data in sent:
+            if not self.drop(can_id, data):
+                self._network.notify(can_id, bytearray(data), 1e-6 * self._now_us)
+
+    def shutdown(self) -> None:
+        """Part of what canopen asks of a bus."""
+
+
+class Client:
+    """A network with one remote node and its device."""
+
+    def __init__(self, node_id: int = 5, device: Device | None = None) -> None:
+        self.network = canopen.Network()
+        store, source = Memory(), SimulatedSource(STRAIN_PER_NEWTON)
+        self.device = device or fingertip_node(node_id, source, 3, 0x1234, store.save, store.load, EDS.read_bytes())
+        self.bus = DirectBus(self.device, self.network)
+        self.network.bus = self.bus  # type: ignore[assignment]
+        self.node = self.network.add_node(5, str(EDS))
+        self.node.sdo.RESPONSE_TIMEOUT = 0.05
+
+
+@pytest.fixture
+def client() -> Iterator[Client]:
+    """A client whose node is PRE-OPERATIONAL."""
+    client = Client()
+    yield client
+    client.network.disconnect()
+
+
+def test_expedited_and_segmented(client: Client) -> None:
+    client.node.sdo[0x1017].raw = 250
+    assert client.node.sdo[0x1017].raw == 250
+    assert client.node.sdo[0x1008].raw == "tipforce fingertip"
+    with pytest.raises(SdoAbortedError, match="read only"):
+        client.node.sdo[0x1018][1].raw = 1
+    client.node.sdo.download(0x2141, 0, RECORD)
+    assert client.node.sdo.upload(0x2141, 0) == RECORD
+
+
+def test_a_calibration_is_written_by_block_transfer_committed_and_read_back(client: Client) -> None:
+    with client.node.sdo[0x2141].open("wb", size=len(RECORD), block_transfer=True) as file:
+        file.write(RECORD)
+    client.node.sdo[0x2103][1].raw = zlib.crc32(RECORD)
+    client.node.sdo[0x2104].raw = 0x74696D63
+    with client.node.sdo[0x2140].open("rb", block_transfer=True) as file:
+        assert file.read() == RECORD
+
+
+@pytest.mark.parametrize("block_size", [1, 5, 127])
+def test_the_eds_by_block_upload(client: Client, block_size: int) -> None:
+    with client.node.sdo[0x1021].open("rb", block_transfer=True, buffering=block_size * 7) as file:
+        assert file.read() == EDS.read_bytes()
+
+
+def test_the_eds_of_a_node_makes_a_dictionary(client: Client) -> None:
+    expected = set(client.node.object_dictionary)
+    del client.network[5]
+    assert set(client.network.add_node(5, upload_eds=True).object_dictionary) == expected
+
+
+def test_block_upload_with_lost_segments(client: Client) -> None:
+    """Of each block's frames the fifth is lost once: the client acknowledges four, the server goes on from there."""
+    lost: set[bytes] = set()
+
+    def drop(can_id: int, data: bytes) -> bool:
+        hit = can_id == 0x585 and data[0] == 5 and data not in lost and len(lost) < 3
+        if hit:
+            lost.add(data)
+        return hit
+
+    client.bus.drop = drop
+    with client.node.sdo[0x2140].open("rb", block_transfer=True) as file:
+        assert file.read() == bytes(len(RECORD))
+    assert lost
+
+
+def test_block_download_with_a_lost_segment() -> None:
+    """In the first of two blocks: canopen 2.4.1 cannot resend in the last one."""
+    lost: list[bytes] = []
+
+    def drop(can_id: int, data: bytes) -> bool:
+        hit = can_id == 0x605 and data[0] == 5 and not lost
+        if hit:
+            lost.append(data)
+        return hit
+
+    client = Client(device=Device(dictionary()))
+    client.bus.drop = drop
+    content = bytes(k * 3 & 0xFF for k in range(1500))
+    with client.node.sdo.open(0x2005, 0, "wb", size=len(content), block_transfer=True, buffering=7) as file:
+        file.write(content)
+    assert lost
+    assert client.node.sdo.upload(0x2005, 0) == content
+
+
+def test_nmt(client: Client) -> None:
+    for state in ("OPERATIONAL", "STOPPED", "PRE-OPERATIONAL"):
+        client.node.nmt.state = state
+        client.bus.pass_time(1_000_000)
+        assert client.node.nmt.state == state
+    client.node.nmt.state = "RESET"
+    assert client.node.nmt.state == "PRE-OPERATIONAL"
+
+
+def test_pdo_read_remap_save(client: Client) -> None:
+    client.node.tpdo.read()
+    first = client.node.tpdo[1]
+    assert [variable.index for variable in first.map] == [0x7130] * 3 + [0x2120, 0x2121]
+    first.clear()
+    first.add_variable(0x2121)
+    first.add_variable(0x6130, 7)
+    first.trans_type = 2
+    first.save()
+    client.node.nmt.state = "OPERATIONAL"
+    heard: list[int] = []
+    first.add_callback(lambda message: heard.append(message.map[0].raw))
+    for _ in range(4):
+        client.network.sync.transmit()
+        client.bus.pass_time(2000)
+    assert heard == [2, 4]
+    assert client.device.od.integer(0x1A00, 2) == 0x61300720
+    client.node.rpdo.read()
+    client.node.rpdo[1].enabled = True
+    client.node.rpdo[1].save()
+    client.node.rpdo[1]["Command"].raw = 3
+    client.node.rpdo[1].transmit()
+    assert client.device.od.get(0x6124, 1) == 0.0
+
+
+def lss_client(node_id: int = 255) -> Client:
+    """A client that does not wait long for a silent slave, as fast_scan does for each bit that is set."""
+    client = Client(node_id)
+    client.network.lss.RESPONSE_TIMEOUT = 0.01
+    return client
+
+
+def test_lss_fast_scan_gives_a_node_id() -> None:
+    client = lss_client()
+    found, identity = client.network.lss.fast_scan()
+    assert found
+    assert identity == [0, 0x54500103, 0x00010000, 0x1234]
+    lss = client.network.lss
+    lss.configure_node_id(5)
+    lss.store_configuration()
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    assert client.device.node_id == 5
+    assert client.node.sdo[0x1018][4].raw == 0x1234
+    assert lss.fast_scan() == (False, None)
+
+
+def test_lss_selective_inquire_configure() -> None:
+    lss = (client := lss_client(5)).network.lss
+    assert lss.send_switch_state_selective(0, 0x54500103, 0x00010000, 0x1234)
+    assert lss.inquire_node_id() == 5
+    assert lss.inquire_lss_address(0x5D) == 0x1234
+    lss.configure_node_id(9)
+    lss.configure_bit_timing(2)
+    lss.activate_bit_timing(10)
+    assert client.device.requests[-1] == ("bit-rate", 500_000, 10)
+    lss.send_switch_state_global(lss.WAITING_STATE)
+    assert client.device.node_id == 5  # until the next reset
+    client.node.nmt.state = "RESET COMMUNICATION"
+    assert client.device.node_id == 9
+
+
+def test_emcy_is_heard(client: Client) -> None:
+    client.node.sdo.download(0x2200, 1, b"\2\0")  # a gauge is open
+    client.node.nmt.state = "OPERATIONAL"
+    client.network.sync.transmit()
+    client.bus.pass_time(1000)
+    client.bus.pass_time(1000)
+    assert {error.code for error in client.node.emcy.active} >= {0x5030}

@@ -1,0 +1,266 @@
+"""The SDO server and the PDO write rules against models of their own, under sequences that hypothesis makes up."""
+
+import struct
+
+from hypothesis import settings
+from hypothesis import strategies as st
+from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
+
+from device.conversation import Conversation
+from device.tiny import booted
+from tipforce.device import codes
+from tipforce.device.crc16 import crc16
+
+FEW = settings(derandomize=True, max_examples=120, stateful_step_count=40, deadline=None)
+TIMEOUT_US = 1_000_000
+LENGTHS = {0x2000: 1, 0x2001: 2, 0x2002: 4, 0x2006: 9, 0x2009: 4}  # 2005h takes any length
+WRITABLE = (0x2000, 0x2001, 0x2002, 0x2005, 0x2006)
+objects = st.sampled_from([*WRITABLE, 0x2009])
+contents = st.one_of(st.binary(max_size=10), st.binary(max_size=40), st.binary(min_size=885, max_size=900))
+
+
+def head(command: int, index: int, rest: int = 0) -> bytes:
+    """Command, index, sub-index 0 and four bytes."""
+    return struct.pack("<BHBI", command, index, 0, rest)
+
+
+class SdoModel(RuleBasedStateMachine):
+    """Transfers of every kind, whole or abandoned; the model is a dict of what each object holds."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.talk = booted()
+        self.held: dict[int, bytes] = {index: self.read(index) for index in (*WRITABLE, 0x2009)}
+        self.open = False
+
+    def ask(self, data: bytes) -> list[bytes]:
+        """The SDO answers to one frame."""
+        self.talk.step([(0x605, data)])
+        return [data for can_id, data in self.talk.take() if can_id == 0x585]
+
+    def read(self, index: int) -> bytes:
+        """An upload in one go."""
+        data = self.talk.upload(index)
+        assert isinstance(data, bytes)
+        return data
+
+    def expected_abort(self, index: int, data: bytes) -> int:
+        """What the object says to these bytes."""
+        if index not in WRITABLE:
+            return codes.READ_ONLY
+        length = LENGTHS.get(index, len(data))
+        return 0 if len(data) == length else codes.TOO_LONG if len(data) > length else codes.TOO_SHORT
+
+    def check_written(self, index: int, data: bytes, answer: bytes, confirmation: bytes) -> None:
+        """The last answer is the confirmation or the right abort, and the model follows."""
+        abort = self.expected_abort(index, data)
+        if abort:
+            assert answer == head(0x80, index, abort)
+        else:
+            assert answer == confirmation
+            self.held[index] = data
+        self.open = False
+
+    @rule(index=objects, data=st.binary(min_size=1, max_size=4))
+    def expedited(self, index: int, data: bytes) -> None:
+        request = head(0x23 | (4 - len(data)) << 2, index)[:4] + data.ljust(4, b"\xaa")
+        (answer,) = self.ask(request)
+        self.check_written(index, data, answer, head(0x60, index))
+
+    @rule(index=objects, data=contents, indicated=st.booleans(), stop=st.integers(0, 200))
+    def segmented(self, index: int, data: bytes, indicated: bool, stop: int) -> None:
+        (answer,) = self.ask(head(0x20 | indicated, index, len(data) if indicated else 0))
+        toggle, parts = 0, [data[k : k + 7] for k in range(0, len(data), 7)] or [b""]
+        for k, part in enumerate(parts):
+            if answer[0] == 0x80:
+                break
+            if k == stop:
+                self.open = True
+                return
+            command = toggle | (7 - len(part)) << 1 | (k == len(parts) - 1)
+            (answer,) = self.ask(bytes((command,)) + part.ljust(7, b"\xaa"))
+            toggle ^= 0x10
+        self.check_written(index, data, answer, bytes((0x20 | toggle ^ 0x10,)) + bytes(7))
+
+    @rule(index=objects, data=contents, indicated=st.booleans(), lost=st.integers(1, 200), stop=st.integers(0, 200))
+    def block(self, index: int, data: bytes, indicated: bool, lost: int, stop: int) -> None:
+        """A block download that loses one segment once and resends as it is told."""
+        answers = self.ask(head(0xC4 | indicated << 1, index, len(data) if indicated else 0))
+        parts, done = [data[k : k + 7] for k in range(0, len(data), 7)] or [b""], 0
+        while answers[0][0] != 0x80 and done < len(parts):
+            size = answers[0][2] if answers[0][0] == 0xA2 else answers[0][4]
+            block = parts[done : done + size]
+            answers = []
+            for k, part in enumerate(block):
+                if done + k == stop:
+                    self.drop_block()
+                    return
+                if k + 1 == lost and k + 1 < len(block):
+                    lost = 0
+                    continue
+                last = done + k == len(parts) - 1
+                answers = self.ask(bytes((k + 1 | last << 7,)) + part.ljust(7, b"\xaa"))
+                if answers and answers[0][0] == 0x80:
+                    break
+            if answers[0][0] == 0xA2:
+                done += answers[0][1]
+        if answers[0][0] != 0x80:
+            answers = self.ask(struct.pack("<BH5x", 0xC1 | (7 - len(parts[-1])) << 2, crc16(data)))
+        (answer,) = answers
+        self.check_written(index, data, answer, b"\xa1" + bytes(7))
+
+    def drop_block(self) -> None:
+        """Give a block download up: until it ends, every frame would be a segment of it."""
+        assert self.ask(head(0x80, 0)) == []
+        self.open = False
+
+    @rule(index=objects, size=st.integers(1, 127), followed=st.sampled_from([0, 1, 2, 3, 5, 126, 127]))
+    def block_upload(self, index: int, size: int, followed: int) -> None:
+        """The client follows ``followed`` segments of each block, at least one, until the end."""
+        data, held = b"", self.held[index]
+        (answer,) = self.ask(head(0xA4, index, size))
+        assert answer == head(0xC6, index, len(held))
+        segments = self.ask(b"\xa3" + bytes(7))
+        while segments[0][0] & 0xE3 != 0xC1:
+            kept = segments[: max(1, followed)]
+            assert [part[0] & 0x7F for part in segments] == list(range(1, len(segments) + 1))
+            data += b"".join(part[1:] for part in kept)
+            segments = self.ask(bytes((0xA2, len(kept), size, 0, 0, 0, 0, 0)))
+        end = segments[0]
+        assert data[: len(data) - (end[0] >> 2 & 7)] == held
+        assert end[1] | end[2] << 8 == crc16(held)
+        assert self.ask(b"\xa1" + bytes(7)) == []
+        self.open = False
+
+    @rule(index=objects)
+    def upload_begun(self, index: int) -> None:
+        """A segmented upload is begun and left; one of up to four bytes is whole already."""
+        (answer,) = self.ask(head(0x40, index))
+        self.open = not answer[0] & 2
+        if self.open:
+            assert answer == head(0x41, index, len(self.held[index]))
+
+    @precondition(lambda self: self.open)
+    @rule()
+    def client_aborts(self) -> None:
+        assert self.ask(head(0x80, 0x2005, 0x08000000)) == []
+        self.open = False
+
+    @precondition(lambda self: self.open)
+    @rule()
+    def wrong_toggle(self) -> None:
+        (answer,) = self.ask(bytes((0x70,)) + bytes(7)) or (b"\x80",)
+        assert answer[0] == 0x80
+        self.open = False
+
+    @rule()
+    def silence(self) -> None:
+        """An open transfer is aborted after a second; without one nothing is said."""
+        self.talk.advance(TIMEOUT_US)
+        said = [data for can_id, data in self.talk.take() if can_id == 0x585]
+        assert [data[0] for data in said] == ([0x80] if self.open else [])
+        self.open = False
+
+    @rule(command=st.sampled_from([0x00, 0x60, 0xE0, 0xA1, 0xA2, 0xA3]))
+    def stray(self, command: int) -> None:
+        """A segment or an end that belongs to nothing; what is open may end by it."""
+        if not self.open:
+            assert self.ask(head(command, 0x2001)) == [head(0x80, 0x2001, codes.UNKNOWN_COMMAND)]
+
+    @invariant()
+    def objects_hold_what_was_written(self) -> None:
+        od = self.talk.device.od
+        assert {index: od.upload(index, 0) for index in self.held} == self.held
+
+
+class PdoModel(RuleBasedStateMachine):
+    """Writes to 1801h and 1A01h; the model states the rules of CiA 301 in its own words."""
+
+    MAPPABLE = {0x20000008: 1, 0x20010010: 2, 0x20020020: 4, 0x20030020: 4, 0x200B0220: 4}  # noqa: RUF012
+    words = st.sampled_from([*MAPPABLE, 0, 0x20000010, 0x20080010, 0x20FF0008, 0x200B0320])
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.talk: Conversation = booted()
+        self.valid, self.can_id, self.type, self.count = False, 0x285, 254, 2
+        self.slots = [0x20000008, 0x20010010] + [0] * 6
+        assert self.talk.put("B", 0x1801, 2, 254) == self.talk.put("I", 0x1801, 1, 0xC0000285) == 0
+        self.talk.say("> 000#0105")
+
+    @rule(can_id=st.sampled_from([0x285, 0x300, 0x180, 0x601, 0x7FF, 0]), flags=st.sampled_from([0xC, 0x4, 8, 0, 6]))
+    def cob_id(self, can_id: int, flags: int) -> None:
+        refused = bool(flags & 2) or not flags & 4
+        if not refused and not flags & 8:
+            restricted = can_id in (0x180, 0x601, 0x7FF, 0)
+            refused = restricted or (self.valid and can_id != self.can_id)
+        assert self.talk.put("I", 0x1801, 1, flags << 28 | can_id) == (codes.INVALID_VALUE if refused else 0)
+        if not refused:
+            self.valid, self.can_id = not flags & 8, can_id
+
+    @rule(kind=st.sampled_from([0, 1, 1, 1, 2, 240, 241, 252, 253, 254, 255]))
+    def transmission_type(self, kind: int) -> None:
+        refused = 240 < kind < 254
+        assert self.talk.put("B", 0x1801, 2, kind) == (codes.INVALID_VALUE if refused else 0)
+        self.type = self.type if refused else kind
+
+    @rule(value=st.integers(0, 65535))
+    def inhibit(self, value: int) -> None:
+        assert self.talk.put("H", 0x1801, 3, value) == (codes.DEVICE_STATE if self.valid else 0)
+
+    @rule(slot=st.integers(1, 8), word=words)
+    def map_entry(self, slot: int, word: int) -> None:
+        if self.valid or self.count:
+            expected = codes.DEVICE_STATE
+        elif word in self.MAPPABLE or not word:
+            expected = 0
+        else:
+            expected = {0x20FF0008: codes.NO_OBJECT, 0x200B0320: codes.NO_SUB}.get(word, codes.NOT_MAPPABLE)
+        assert self.talk.put("I", 0x1A01, slot, word) == expected
+        if not expected:
+            self.slots[slot - 1] = word
+
+    @rule(count=st.integers(0, 9))
+    def map_count(self, count: int) -> None:
+        used = self.slots[:count]
+        if self.valid:
+            expected = codes.DEVICE_STATE
+        elif count > 8:
+            expected = codes.PDO_LENGTH
+        elif 0 in used:
+            expected = codes.NO_OBJECT
+        else:
+            expected = codes.PDO_LENGTH if sum(self.MAPPABLE[word] for word in used) > 8 else 0
+        assert self.talk.put("B", 0x1A01, 0, count) == expected
+        if not expected:
+            self.count = count
+
+    @precondition(lambda self: not self.valid)
+    @rule(words=st.lists(st.sampled_from([*MAPPABLE]), min_size=1, max_size=3))
+    def remap_by_the_book(self, words: list[int]) -> None:
+        self.map_count(0)
+        for slot, word in enumerate(words):
+            self.map_entry(slot + 1, word)
+        self.map_count(len(words))
+
+    @rule()
+    def sync(self) -> None:
+        """What is valid, mapped and of type 1 goes out with SYNC, with the values as they stand."""
+        self.talk.take()
+        sent = [frame for frame in self.talk.step([(0x080, b"")]) if frame[0] != 0x705]
+        if not 2 <= self.type <= 240:
+            on_sync = self.valid and self.type == 1 and self.count
+            od = self.talk.device.od
+            mapped = [od.upload(word >> 16, word >> 8 & 0xFF) for word in self.slots[: self.count]]
+            data = b"".join(part for part in mapped if isinstance(part, bytes))
+            assert sent == ([(self.can_id, data)] if on_sync else [])
+
+    @invariant()
+    def objects_show_the_model(self) -> None:
+        od = self.talk.device.od
+        assert bool(od.integer(0x1801, 1) & 0x80000000) != self.valid
+        assert (od.integer(0x1801, 1) & 0x7FF, od.integer(0x1801, 2)) == (self.can_id, self.type)
+        assert [od.integer(0x1A01, k) for k in range(9)] == [self.count, *self.slots]
+
+
+SdoModel.TestCase.settings = PdoModel.TestCase.settings = FEW
+TestSdo, TestPdo = SdoModel.TestCase, PdoModel.TestCase

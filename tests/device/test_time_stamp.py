@@ -1,0 +1,58 @@
+"""TIME (CiA 301, 7.2.6): objects 1012h and 1013h."""
+
+import struct
+
+import pytest
+
+from device.services import serving
+
+DAY_MS = 86_400_000
+VALUE = 0x06090030
+
+
+def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
+    talk = serving()
+    assert talk.device.time.unix_ms() is None
+    # 1984-01-01 is 5113 days after 1970-01-01; the four highest bits of the milliseconds mean nothing.
+    talk.step([(0x100, struct.pack("<IH", 1234 | 0xF << 28, 10))])
+    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 1234
+    talk.advance(2_500_000)
+    assert talk.device.time.unix_ms() == 5123 * DAY_MS + 3734
+    talk.say("")
+
+
+@pytest.mark.parametrize("data", [b"", bytes(5), bytes(7), struct.pack("<IH", DAY_MS, 0)])
+def test_what_is_no_time_of_day_is_passed_over(data: bytes) -> None:
+    talk = serving()
+    talk.step([(0x100, data)])
+    assert talk.device.time.unix_ms() is None
+
+
+def test_consuming_is_switched_off_and_moved() -> None:
+    talk = serving()
+    assert talk.put("I", 0x1012, 0, 0x100) == 0
+    talk.step([(0x100, bytes(6))])
+    assert talk.device.time.unix_ms() is None
+    assert talk.put("I", 0x1012, 0, 0x80000300) == 0
+    talk.step([(0x300, bytes(6))])
+    assert talk.device.time.unix_ms() == 5113 * DAY_MS
+
+
+@pytest.mark.parametrize("cob_id", [0xC0000100, 0x40000100, 0xA0000100, 0x80000800, 0x80000601, 0])
+def test_producing_and_29_bit_identifiers_are_refused(cob_id: int) -> None:
+    assert serving().put("I", 0x1012, 0, cob_id) == VALUE
+
+
+def test_it_is_not_heard_in_stopped() -> None:
+    talk = serving()
+    talk.say("> 000#0205\n> 100#000000000000")
+    assert talk.device.time.unix_ms() is None
+
+
+def test_the_high_resolution_time_stamp_runs_and_wraps() -> None:
+    talk = serving()
+    talk.advance(1000)
+    assert talk.get("I", 0x1013) == 1000
+    assert talk.put("I", 0x1013, 0, 0xFFFFFFF0) == 0
+    talk.advance(32)
+    assert talk.get("I", 0x1013) == 16

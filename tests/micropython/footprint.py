@@ -1,0 +1,67 @@
+"""How much of MicroPython's heap code and node take."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+from micropython import engine
+from micropython.recording import STEPS_PER_CALL
+from micropython.talk import Talk
+
+ROUNDS = 1000
+
+
+@dataclass
+class Heap:
+    """Bytes in use, garbage collected before each count."""
+
+    code: int  # all modules imported
+    node: int  # one node, n = 3, without its EDS, booted and calibrated; in addition to the code
+    peak: int  # code, node and the whole table at once: more than building needs at any moment
+    after_some: int  # code and node after as many rounds of SYNC and SDO ...
+    after_many: int  # ... and after twice as many
+    garbage_per_sync: int  # what one SYNC with two TPDOs leaves for the collector
+
+
+def ready_node() -> Talk:
+    """A node that is calibrated, operational and in contact: two TPDOs on each SYNC."""
+    talk = Talk("ready")
+    talk.calibrate()
+    talk.start()
+    talk.load(1.0, 10.0, 5.0)
+    talk.sync(2)
+    return talk
+
+
+def bring_up(talk: Talk) -> list[str]:
+    """Calls that leave on MicroPython, as ``replay.device``, the node of ``/ready`` in its final state."""
+    steps = len(talk.recording.steps)
+    counts = [min(STEPS_PER_CALL, steps - k) for k in range(0, steps, STEPS_PER_CALL)]
+    return ["replay = on_node.Replay('/ready')", *(f"replay.go({count})" for count in counts)]
+
+
+def heap(files: Mapping[str, bytes]) -> Heap:
+    """Count with ``files`` (sources or compiled) as the library."""
+    talk = ready_node()
+    # mem_alloc() must be the first thing that a call does: what it makes itself would count.
+    count = "print('heap', on_node.heap())"
+    now_us = talk.now_us + 1000
+    rounds = [
+        f"on_node.microseconds(replay.device, (0x80, b''), {STEPS_PER_CALL}, {now_us + 1000 * k})\n"
+        "on_node.microseconds(replay.device, (0x605, b'\\x40\\x00\\x10\\x00\\0\\0\\0\\0'), 5, 0)"
+        for k in range(0, ROUNDS, STEPS_PER_CALL)
+    ]
+    hold = "from tipforce.dictionary import table\nrows = table.objects(3, True)"
+    calls = [
+        "import sys, gc", f"sys.path.append({engine.LIBRARY!r})", "print('heap', gc.mem_alloc())",
+        "import on_node", count,
+        *bring_up(talk), count,
+        hold, count, "rows = None",
+        *rounds, count, *rounds, count,
+        "before = on_node.heap()\n"
+        f"on_node.microseconds(replay.device, (0x80, b''), 10, {now_us + 10**7})\n"
+        "print('heap', (on_node.heap() - before) // 10)",
+    ]  # fmt: skip
+    told = {**files, **engine.program(), "/ready": talk.recording.text().encode()}
+    lines = [line for line in engine.run(told, calls) if line.startswith("heap")]
+    empty, code, node, peak, some, many, garbage = [int(line.split()[1]) for line in lines]
+    return Heap(code - empty, node - code, peak - empty, some - empty, many - empty, garbage)

@@ -1,0 +1,21 @@
+"""MicroPython's compiler takes every file that a node needs."""
+
+from pathlib import Path
+
+import pytest
+
+from micropython import engine
+
+
+@pytest.mark.parametrize("path", engine.on_node_files(), ids=lambda path: path.relative_to(engine.SOURCE).as_posix())
+def test_mpy_cross_compiles(path: Path) -> None:
+    name = engine.place(path).removesuffix(".py") + ".mpy"
+    assert engine.compiled()[name][:1] == b"M"
+    assert len(engine.compiled(3)[name]) <= len(engine.compiled(0)[name])
+
+
+def test_the_whole_device_core_is_among_them_and_nothing_of_a_pc() -> None:
+    found = {path.relative_to(engine.SOURCE).as_posix() for path in engine.on_node_files()}
+    assert found >= {f"device/{path.name}" for path in engine.SOURCE.glob("device/*.py")}
+    assert found >= {"dictionary/table.py", "sensor/scalar.py", "fingertip/node.py", "fingertip/simulated.py"}
+    assert not found & {"fingertip/loop.py", "fingertip/store.py", "sensor/contact.py", "errors.py"}

@@ -1,0 +1,304 @@
+"""Staging and committing a calibration (OBJECTS: 2100h to 2106h, 2110h, 2140h, 2141h)."""
+
+from __future__ import annotations
+
+import binascii
+import math
+import struct
+
+from tipforce.dictionary import table
+from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.cases.profile_404 import gauges, settle
+from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+
+SIGNATURE, STATE, INCOMPATIBLE = 0x08000020, 0x08000022, 0x06040043
+INVALID_VALUE, TOO_HIGH, TOO_LONG, TOO_SHORT = 0x06090030, 0x06090031, 0x06070012, 0x06070013
+NEWTONS_PER_STRAIN = 5000.0
+ON_N, OFF_N = 0.5, 0.3
+
+
+def record(dut: Dut, **changed: float) -> bytes:
+    """A calibration record of which gauges 1 to 3 give F1 to F3; ``changed`` names fields as "2110:4" says it."""
+    values: list[float] = []
+    n = gauges(dut)
+    fields = table.staged(n)
+    for index, sub, kind in fields:
+        value = 0.0
+        if index == 0x2100 and sub in (1, n + 2, 2 * n + 3):
+            value = NEWTONS_PER_STRAIN
+        elif (index, sub) in ((0x2110, 4), (0x2110, 5)):
+            value = ON_N if sub == 4 else OFF_N
+        value = changed.get(f"x{index:04X}_{sub}", value)
+        values.append(value if kind == "f" else int(value))
+    return struct.pack("<" + "".join(kind for _index, _sub, kind in fields), *values)
+
+
+def stage(dut: Dut, data: bytes) -> None:
+    """Write the staged record and its expected CRC."""
+    dut.refuses_bytes(0x2141, 0, data, 0)
+    dut.put("I", 0x2103, 1, binascii.crc32(data))
+
+
+def commit(dut: Dut, data: bytes) -> None:
+    """Stage and activate; it must be taken."""
+    stage(dut, data)
+    dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
+
+
+def refused(dut: Dut, code: int) -> None:
+    """A commit is refused, and the active calibration is as before."""
+    before = dut.read(0x2140), dut.read(0x2103, 3), dut.read(0x2103, 4)
+    dut.refuses("I", 0x2104, 0, table.SIGNATURE_COMMIT, code)
+    if (dut.read(0x2140), dut.read(0x2103, 3), dut.read(0x2103, 4)) != before:
+        raise CheckError("the active calibration unchanged", "another one")
+
+
+@case("tipforce 2141h", "the staged record is written and read as one byte string", own=True)
+def staged(dut: Dut) -> None:
+    data = record(dut)
+    stage(dut, data)
+    if dut.read(0x2141) != data:
+        raise CheckError("the record", "another one")
+    dut.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN)
+    dut.holds("f", 0x2110, 4, ON_N)
+
+
+@case(
+    "tipforce 2141h",
+    "a record of {0:+d} bytes is refused, the staged one stays",
+    own=True,
+    each=[(1, TOO_LONG), (-1, TOO_SHORT)],
+)
+def staged_size(dut: Dut, more: int, code: int) -> None:
+    data = record(dut)
+    stage(dut, data)
+    dut.refuses_bytes(0x2141, 0, (data + b"\0")[: len(data) + more], code)
+    if dut.read(0x2141) != data:
+        raise CheckError("the record", "another one")
+
+
+@case("tipforce 2141h", "a load sense of 2 in a record is refused", own=True)
+def staged_sense(dut: Dut) -> None:
+    dut.refuses_bytes(0x2141, 0, record(dut)[:-1] + b"\2", INVALID_VALUE)
+    dut.refuses("B", 0x2110, 6, 2, TOO_HIGH)
+
+
+@case("tipforce 2103h", "2103h:2 is the CRC-32 of the staged record", own=True)
+def staged_crc(dut: Dut) -> None:
+    data = record(dut, x2102_1=77)
+    stage(dut, data)
+    dut.holds("I", 0x2103, 2, binascii.crc32(data))
+    dut.put("I", 0x2102, 1, 78)
+    dut.holds("I", 0x2103, 2, binascii.crc32(record(dut, x2102_1=78)))
+
+
+@case("tipforce 2102h", "2102h:5 is the condition number of the staged matrix", own=True)
+def condition(dut: Dut) -> None:
+    stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
+    found = dut.number("f", 0x2102, 5)
+    if abs(found - 4.0) > 1e-4:
+        raise CheckError("4", str(found))
+
+
+@case("tipforce 2104h", "a commit activates: CRC, generation, 2140h, status bit 1", own=True)
+def committed(dut: Dut) -> None:
+    generation = dut.integer("I", 0x2103, 4)
+    data = record(dut)
+    commit(dut, data)
+    dut.holds("I", 0x2103, 3, binascii.crc32(data))
+    dut.holds("I", 0x2103, 4, generation + 1)
+    if dut.read(0x2140) != data:
+        raise CheckError("the record in 2140h", "another one")
+    settle(dut)
+    if not dut.integer("B", 0x2120) & 2:
+        raise CheckError("status bit 1", "clear")
+
+
+@case("tipforce 2104h", "a staged write changes nothing that is active", own=True)
+def staged_only(dut: Dut) -> None:
+    data = record(dut)
+    commit(dut, data)
+    dut.put("f", 0x2100, 1, 1.0)
+    if dut.read(0x2140) != data:
+        raise CheckError("the committed record", "another one")
+
+
+@case("tipforce 2104h", "a wrong signature: 08000020h", own=True, each=[(0,), (0x74696D64,), (0x65766173,)])
+def wrong_signature(dut: Dut, signature: int) -> None:
+    stage(dut, record(dut))
+    dut.refuses("I", 0x2104, 0, signature, SIGNATURE)
+
+
+@case("tipforce 2104h", "CRC mismatch: 06040043h", own=True)
+def wrong_crc(dut: Dut) -> None:
+    stage(dut, record(dut))
+    dut.put("I", 0x2103, 1, 1)
+    refused(dut, INCOMPATIBLE)
+
+
+@case("tipforce 2104h", "a write after the CRC was given: 06040043h", own=True)
+def late_write(dut: Dut) -> None:
+    stage(dut, record(dut))
+    dut.put("f", 0x2101, 1, 1e-6)
+    refused(dut, INCOMPATIBLE)
+
+
+@case("tipforce 2104h", "{1} may be staged, and is not committed: 06090030h", own=True, each=[
+    ("x2100_2", "NaN in the matrix", math.nan), ("x2101_1", "infinity in an offset", math.inf),
+    ("x2106_1", "NaN in the covariance", math.nan), ("x2110_1", "NaN as tip radius", math.nan),
+])  # fmt: skip
+def not_finite(dut: Dut, field: str, _what: str, value: float) -> None:
+    stage(dut, record(dut, **{field: value}))
+    refused(dut, INVALID_VALUE)
+
+
+@case(
+    "tipforce 2104h",
+    "{0}: 06090030h",
+    own=True,
+    each=[
+        ("theta minimum above maximum", {"x2110_2": 20.0, "x2110_3": 10.0}),
+        ("contact-off above contact-on", {"x2110_5": 0.6}),
+    ],
+)
+def contradiction(dut: Dut, _what: str, fields: dict[str, float]) -> None:
+    stage(dut, record(dut, **fields))
+    refused(dut, INVALID_VALUE)
+
+
+@case("tipforce 2104h", "{0} matrix: 06090031h", own=True, each=[("a singular", 0.0), ("an ill-conditioned", 0.1)])
+def ill_conditioned(dut: Dut, _what: str, value: float) -> None:
+    stage(dut, record(dut, x2100_1=value))
+    refused(dut, TOO_HIGH)
+
+
+@case("tipforce 2105h", "a lower condition limit refuses what was allowed", own=True)
+def condition_limit(dut: Dut) -> None:
+    stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
+    dut.put("f", 0x2105, 1, 3.0)
+    refused(dut, TOO_HIGH)
+    dut.put("f", 0x2105, 1, 5.0)
+    dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
+
+
+@case(
+    "tipforce 2105h",
+    "a condition limit of {0} is refused",
+    own=True,
+    each=[(0.5, 0x06090032), (math.nan, INVALID_VALUE)],
+)
+def condition_limit_range(dut: Dut, value: float, code: int) -> None:
+    dut.refuses("f", 0x2105, 1, value, code)
+
+
+def unlock(dut: Dut) -> None:
+    """Unlock with the signature."""
+    dut.put("I", 0x2105, 3, table.SIGNATURE_OPEN)
+
+
+@case("tipforce 2105h", "locked: staged writes and commit are refused with 08000022h", own=True)
+def locked(dut: Dut) -> None:
+    data = record(dut)
+    stage(dut, data)
+    try:
+        dut.put("B", 0x2105, 2, 1)
+        dut.refuses("f", 0x2100, 1, 1.0, STATE)
+        dut.refuses("B", 0x2110, 6, 1, STATE)
+        dut.refuses_bytes(0x2141, 0, data, STATE)
+        dut.refuses("f", 0x2105, 1, 10.0, STATE)
+        dut.refuses("B", 0x2105, 2, 0, STATE)
+        refused(dut, STATE)
+        dut.holds("B", 0x2105, 2, 1)
+    finally:
+        unlock(dut)
+    dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
+
+
+@case(
+    "tipforce 2105h",
+    "the lock outlives {1}",
+    own=True,
+    each=[(RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication")],
+)
+def lock_kept(dut: Dut, command: int, _name: str) -> None:
+    try:
+        dut.put("B", 0x2105, 2, 1)
+        dut.reset(command)
+        dut.refuses("f", 0x2100, 1, 1.0, STATE)
+    finally:
+        unlock(dut)
+
+
+@case("tipforce 2105h", "unlocking with a wrong signature: 08000020h, still locked", own=True)
+def wrong_unlock(dut: Dut) -> None:
+    try:
+        dut.put("B", 0x2105, 2, 1)
+        dut.refuses("I", 0x2105, 3, 0x6E65706E, SIGNATURE)
+        dut.holds("B", 0x2105, 2, 1)
+    finally:
+        unlock(dut)
+
+
+@case("tipforce 2140h", "the active record cannot be written", own=True)
+def active_read_only(dut: Dut) -> None:
+    dut.refuses_bytes(0x2140, 0, record(dut), 0x06010002)
+
+
+def loaded(dut: Dut, newtons: float) -> None:
+    """A committed calibration under which gauge 1 shows F1 = ``newtons``, by its offset."""
+    commit(dut, record(dut))
+    settle(dut)
+    dut.put(
+        "f", 0x6124, 1, dut.number("f", 0x6124, 1) - dut.number("f", 0x6130, 1) + newtons / NEWTONS_PER_STRAIN * 1e6
+    )
+    settle(dut)
+
+
+@case("tipforce 2120h", "contact: bit 0, P is the size of F", own=True)
+def contact(dut: Dut) -> None:
+    loaded(dut, 5.0)
+    n = gauges(dut)
+    force, magnitude = dut.number("f", 0x6130, n + 1), dut.number("f", 0x6130, n + 4)
+    if not dut.integer("B", 0x2120) & 1 or abs(force - 5) > 0.5 or abs(magnitude - abs(force)) > 0.5:
+        raise CheckError("contact present, F1 = 5 N, P = 5 N", f"F1 {force}, P {magnitude}")
+
+
+@case("CiA 404 6125h", "autozero is refused while contact is present: 08000022h", own=True)
+def zero_in_contact(dut: Dut) -> None:
+    loaded(dut, 5.0)
+    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, STATE)
+    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, STATE)
+
+
+@case("CiA 404 6139h", "autotare takes the force as zero; command 2 clears it", own=True)
+def tare(dut: Dut) -> None:
+    loaded(dut, 5.0)
+    n = gauges(dut)
+    dut.put("I", 0x6139, n + 1, table.SIGNATURE_TARA)
+    settle(dut)
+    if abs(dut.number("f", 0x6130, n + 1)) > 0.5 or abs(dut.number("f", 0x2111, 1) - 5) > 0.5:
+        raise CheckError("F1 = 0, tare 5 N", f"{dut.number('f', 0x6130, n + 1)}")
+    dut.put("H", 0x2130, 0, table.COMMAND_CLEAR_TARE)
+    dut.holds("f", 0x2111, 1, 0.0)
+
+
+@case(
+    "tipforce 2100h",
+    "1010h:4 stores the active record, 1011h:4 forgets it",
+    own=True,
+    persistent=True,
+    needs=((0x1010, 4),),
+)
+def stored(dut: Dut) -> None:
+    data = record(dut, x2102_1=99)
+    commit(dut, data)
+    generation = dut.integer("I", 0x2103, 4)
+    dut.put("I", 0x1010, 4, table.SIGNATURE_SAVE)
+    dut.refuses("f", 0x2100, 1, 7.0, 0)
+    dut.reset()
+    found = dut.read(0x2140), dut.read(0x2141), dut.integer("I", 0x2103, 4)
+    dut.put("I", 0x1011, 4, table.SIGNATURE_LOAD)
+    dut.reset()
+    dut.holds("I", 0x2103, 3, 0)
+    if found != (data, data, generation):
+        raise CheckError("the stored record, active and staged", "another one")

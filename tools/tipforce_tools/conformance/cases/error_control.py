@@ -1,0 +1,239 @@
+"""Heartbeat, produced and consumed (CiA 301, 7.2.8.2.2 and 7.2.8.3.2.2)."""
+
+from __future__ import annotations
+
+from tipforce.device.codes import REMOTE_FLAG
+from tipforce_tools.conformance.case import case
+from tipforce_tools.conformance.dut import OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION, STOPPED, Dut
+
+PRODUCER = ((0x1017, 0),)
+CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
+GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
+WATCHED = 0x70  # a node-id that nobody on the bus is likely to have
+BEHAVIOUR = (*CONSUMER, (0x1029, 1), (0x1017, 0))
+
+
+def watch(dut: Dut, ms: int, node_id: int = WATCHED, sub: int = 1) -> None:
+    """Let the device watch a node, which then says its first heartbeat."""
+    dut.put("I", 0x1016, sub, node_id << 16 | ms)
+    dut.send(0x700 + node_id, "05")
+
+
+def lost(dut: Dut, within_ms: int = 100) -> None:
+    """The device reports a lost heartbeat by EMCY, with generic and communication error in the register."""
+    dut.expect(0x80 + dut.node_id, lambda d: len(d) == 8 and d[:2] == b"\x30\x81" and d[2] & 0x11 == 0x11, within_ms)
+
+
+# --- producer ---------------------------------------------------------------------------------------------
+
+
+@case("CiA 301 7.2.8.3.2.2", "a heartbeat each {0} ms", needs=PRODUCER, each=[(20,), (50,), (110,)])
+def period(dut: Dut, ms: int) -> None:
+    dut.put("H", 0x1017, 0, ms)
+    first = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
+    for _ in range(3):
+        last = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
+    dut.check_ms("three periods of", last.at_us - first.at_us, 3 * ms)
+
+
+@case(
+    "CiA 301 7.2.8.3.2.2",
+    "the heartbeat in {1} carries {0:02X}h",
+    needs=PRODUCER,
+    each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")],
+)
+def heartbeat_state(dut: Dut, state: int, _name: str) -> None:
+    dut.beat()
+    dut.enter(state)
+    dut.state(state)
+
+
+@case("CiA 301 7.5.2.20", "1017h = 0 ends the heartbeat", needs=PRODUCER)
+def producer_off(dut: Dut) -> None:
+    dut.beat()
+    dut.expect(0x700 + dut.node_id)
+    dut.put("H", 0x1017, 0, 0)
+    dut.forget()
+    dut.silence(0x700 + dut.node_id, ms=80)
+
+
+@case("CiA 301 7.5.2.20", "a new period holds from the write on", needs=PRODUCER)
+def new_period(dut: Dut) -> None:
+    dut.put("H", 0x1017, 0, 5000)
+    dut.forget()
+    dut.put("H", 0x1017, 0, 40)
+    dut.expect(0x700 + dut.node_id, "7F", 40)
+
+
+@case(
+    "CiA 301 7.2.8.3.2.2", "the boot-up message starts the first period of the default 1017h", needs=PRODUCER, own=True
+)
+def first_period(dut: Dut) -> None:
+    ms = dut.integer("H", 0x1017)
+    dut.forget()
+    dut.nmt(RESET_COMMUNICATION)
+    boot = dut.boot_up()
+    beat = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
+    dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
+
+
+@case("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
+def producer_size(dut: Dut, kind: str, size: int) -> None:
+    dut.refuses(kind, 0x1017, 0, 100, 0x06070010, 0x06070012 if size > 2 else 0x06070013)
+
+
+# --- consumer ---------------------------------------------------------------------------------------------
+
+
+@case("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
+def consumer_read_back(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 1234)
+    dut.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
+
+
+@case("CiA 301 7.5.2.19", "a node-id in two entries is refused with 06040043h", needs=(*CONSUMER, (0x1016, 2)))
+def consumer_twice(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
+    dut.refuses("I", 0x1016, 2, WATCHED << 16 | 500, 0x06040043)
+    dut.holds("I", 0x1016, 2, 0)
+
+
+@case("CiA 301 7.5.2.19", "the same node-id with time 0 is no second watch", needs=(*CONSUMER, (0x1016, 2)))
+def consumer_twice_off(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
+    dut.put("I", 0x1016, 2, WATCHED << 16)
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 500)
+
+
+@case("CiA 301 7.5.2.19", "{0:08X}h is refused: {1}", needs=CONSUMER, own=True, each=[
+    (0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits"),
+])  # fmt: skip
+def consumer_value(dut: Dut, value: int, _why: str) -> None:
+    dut.refuses("I", 0x1016, 1, value, 0x06090030)
+
+
+@case("CiA 301 7.2.8.3.2.2", "nobody is missed before a first heartbeat", needs=CONSUMER)
+def not_before_first(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 20)
+    dut.silence(0x80 + dut.node_id, ms=100)
+
+
+@case("CiA 301 7.2.8.2.2.3", "a lost heartbeat: EMCY 8130h after the consumer time", needs=CONSUMER)
+def lost_heartbeat(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 100)
+    dut.send(0x700 + WATCHED, "05")
+    start_us = dut.now_us
+    frame = dut.expect(0x80 + dut.node_id, "30 81 *", 200)
+    dut.check_ms("consumer time", frame.at_us - start_us, 100)
+
+
+@case("CiA 301 7.2.8.2.2.3", "a lost heartbeat is reported once", needs=CONSUMER)
+def lost_once(dut: Dut) -> None:
+    watch(dut, 20)
+    lost(dut)
+    dut.silence(0x80 + dut.node_id, ms=80)
+
+
+@case("CiA 301 7.2.8.2.2.3", "heartbeats in time: no EMCY; the time runs from the last one", needs=CONSUMER)
+def in_time(dut: Dut) -> None:
+    watch(dut, 150)
+    for _ in range(4):
+        dut.silence(0x80 + dut.node_id, ms=60)
+        dut.send(0x700 + WATCHED, "05")
+    dut.silence(0x80 + dut.node_id, ms=60)
+    lost(dut, 200)
+
+
+@case("CiA 301 7.2.7.1", "a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", needs=CONSUMER)
+def returned(dut: Dut) -> None:
+    watch(dut, 30)
+    lost(dut)
+    dut.send(0x700 + WATCHED, "05")
+    dut.expect(0x80 + dut.node_id, "00 00 00 *")
+    dut.holds("B", 0x1001, 0, 0)
+
+
+@case("CiA 301 7.2.8.2.2.3", "a heartbeat that returned is watched again", needs=CONSUMER)
+def watched_again(dut: Dut) -> None:
+    watch(dut, 20)
+    lost(dut)
+    dut.send(0x700 + WATCHED, "05")
+    dut.expect(0x80 + dut.node_id, "00 00 *")
+    lost(dut)
+
+
+@case(
+    "CiA 301 7.5.2.32",
+    "1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
+    needs=BEHAVIOUR,
+    each=[
+        (0, OPERATIONAL, "OPERATIONAL", PRE_OPERATIONAL, "PRE-OPERATIONAL"),
+        (1, OPERATIONAL, "OPERATIONAL", OPERATIONAL, "OPERATIONAL"),
+        (2, OPERATIONAL, "OPERATIONAL", STOPPED, "STOPPED"),
+        (0, PRE_OPERATIONAL, "PRE-OPERATIONAL", PRE_OPERATIONAL, "PRE-OPERATIONAL"),
+        (0, STOPPED, "STOPPED", STOPPED, "STOPPED"),
+    ],
+)
+def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str) -> None:
+    dut.put("B", 0x1029, 1, value)
+    dut.beat()
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 30)
+    dut.enter(before)
+    dut.send(0x700 + WATCHED, "05")
+    dut.sleep(60 + dut.link.tolerance_ms)
+    dut.state(after)
+
+
+@case("CiA 301 7.5.2.32", "1029h:1 = 3 is refused", needs=((0x1029, 1),), own=True)
+def behaviour_refused(dut: Dut) -> None:
+    dut.refuses("B", 0x1029, 1, 3, 0x06090031)
+
+
+@case(
+    "CiA 301 7.2.8.3.2.2",
+    "no heartbeat: {1}",
+    needs=CONSUMER,
+    each=[
+        ((0, "05 05"), "two bytes"),
+        ((0, ""), "no data"),
+        ((REMOTE_FLAG, ""), "a remote frame"),
+        ((1, "05"), "of another node"),
+    ],
+)
+def no_heartbeat(dut: Dut, frame: tuple[int, str], _why: str) -> None:
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 20)
+    dut.send(frame[0] + 0x700 + WATCHED, frame[1])
+    dut.silence(0x80 + dut.node_id, ms=80)
+
+
+@case("CiA 301 7.5.2.19", "four nodes are watched, each for itself", needs=(*CONSUMER, (0x1016, 4)))
+def four(dut: Dut) -> None:
+    for sub in (1, 2, 3, 4):
+        watch(dut, 200 if sub == 3 else 40, WATCHED + sub, sub)
+    for _ in range(3):
+        lost(dut)
+    dut.send(0x700 + WATCHED + 3, "05")
+    dut.silence(0x80 + dut.node_id, ms=50)
+    lost(dut, 250)
+
+
+@case("CiA 301 7.5.2.19", "an entry set to 0 is watched no more", needs=CONSUMER)
+def watch_off(dut: Dut) -> None:
+    watch(dut, 60)
+    dut.put("I", 0x1016, 1, 0)
+    dut.silence(0x80 + dut.node_id, ms=120)
+
+
+@case("CiA 301 7.5.2.19", "a lost node whose entry is set to 0 is an error no more", needs=CONSUMER)
+def lost_then_off(dut: Dut) -> None:
+    watch(dut, 20)
+    lost(dut)
+    dut.put("I", 0x1016, 1, 0)
+    dut.holds("B", 0x1001, 0, 0)
+
+
+@case("CiA 301 7.2.8.2.1.6", "reset communication ends every watch", needs=CONSUMER)
+def watch_reset(dut: Dut) -> None:
+    watch(dut, 60)
+    dut.reset(RESET_COMMUNICATION)
+    dut.silence(0x80 + dut.node_id, ms=120)

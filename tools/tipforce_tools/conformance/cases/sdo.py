@@ -1,0 +1,198 @@
+"""SDO server, expedited transfers and the form of every request (CiA 301, 7.2.4.3.3 and 7.2.4.3.6)."""
+
+from __future__ import annotations
+
+import struct
+
+from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.dut import Dut
+
+BEAT = ((0x1017, 0),)
+TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010
+
+
+@case("CiA 301 7.2.4.3.6", "an UNSIGNED32 is read expedited, with its size", each=[(0x1000, 0), (0x1018, 1)])
+def upload_u32(dut: Dut, index: int, sub: int) -> None:
+    head = struct.pack("<BHB", 0x40, index, sub)
+    dut.ask(head, f"43 {head[1:].hex()} *")
+
+
+@case("CiA 301 7.2.4.3.6", "an UNSIGNED16 is read expedited, two bytes unused", needs=BEAT)
+def upload_u16(dut: Dut) -> None:
+    dut.ask("40 17 10 00", "4B 17 10 00 .. ..")
+
+
+@case("CiA 301 7.2.4.3.6", "an UNSIGNED8 is read expedited, three bytes unused", each=[(0x1001, 0), (0x1018, 0)])
+def upload_u8(dut: Dut, index: int, sub: int) -> None:
+    head = struct.pack("<BHB", 0x40, index, sub)
+    dut.ask(head, f"4F {head[1:].hex()} ..")
+
+
+@case("CiA 301 7.2.4.3.3", "a write is confirmed with 60h and the multiplexer, and is read back", needs=BEAT)
+def download(dut: Dut) -> None:
+    dut.ask("2B 17 10 00 34 12", "60 17 10 00")
+    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
+
+
+@case("CiA 301 7.2.4.3.3", "a write of one byte", needs=((0x1019, 0),))
+def download_u8(dut: Dut) -> None:
+    dut.ask("2F 19 10 00 0A", "60 19 10 00")
+    dut.ask("40 19 10 00", "4F 19 10 00 0A")
+
+
+@case("CiA 301 7.2.4.3.3", "a write of four bytes", needs=((0x1016, 1),))
+def download_u32(dut: Dut) -> None:
+    dut.ask("23 16 10 01 E8 03 70 00", "60 16 10 01")
+    dut.ask("40 16 10 01", "43 16 10 01 E8 03 70 00")
+
+
+@case("CiA 301 7.2.4.3.3", "expedited without a size: the object's own length holds", needs=BEAT)
+def download_without_size(dut: Dut) -> None:
+    dut.ask("22 17 10 00 34 12 FF FF", "60 17 10 00")
+    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
+
+
+@case("CiA 301 7.2.4.3.3", "{1} bytes for an UNSIGNED16 are refused", needs=BEAT, each=[
+    ("2F", 1, TOO_SHORT), ("27", 3, TOO_LONG), ("23", 4, TOO_LONG),
+])  # fmt: skip
+def download_size(dut: Dut, command: str, _size: int, code: int) -> None:
+    before = dut.integer("H", 0x1017)
+    dut.request(f"{command} 17 10 00 11 00 00 00")
+    dut.aborted(0x1017, 0, code, BAD_LENGTH)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@case("CiA 301 7.2.4.3.17", "06010002h: a write to {0:04X}h:{1}, which can only be read", each=[
+    (0x1000, 0), (0x1001, 0), (0x1018, 1), (0x1018, 0),
+])  # fmt: skip
+def read_only(dut: Dut, index: int, sub: int) -> None:
+    data = dut.read(index, sub)
+    dut.request(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
+    dut.aborted(index, sub, 0x06010002)
+
+
+@case("CiA 301 7.2.4.3.17", "06010001h: a read of {0:04X}h:{1}, which can only be written", own=True, each=[
+    (0x2104, 0), (0x2105, 3), (0x6125, 1),
+])  # fmt: skip
+def write_only(dut: Dut, index: int, sub: int) -> None:
+    dut.request(struct.pack("<BHB", 0x40, index, sub))
+    dut.aborted(index, sub, 0x06010001)
+
+
+@case("CiA 301 7.2.4.3.17", "06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
+def no_object(dut: Dut, which: str) -> None:
+    dut.request("40 FF 5F 00" if which == "upload" else "23 FF 5F 00")
+    dut.aborted(0x5FFF, 0, 0x06020000)
+
+
+@case("CiA 301 7.2.4.3.17", "06090011h: {0} of a sub-index that is not there", each=[("upload",), ("download",)])
+def no_sub(dut: Dut, which: str) -> None:
+    dut.request("40 18 10 77" if which == "upload" else "23 18 10 77")
+    dut.aborted(0x1018, 0x77, 0x06090011)
+
+
+@case("CiA 301 7.4.3", "a simple variable has sub-index 0 alone")
+def variable_sub(dut: Dut) -> None:
+    dut.request("40 00 10 01")
+    dut.aborted(0x1000, 1, 0x06090011)
+
+
+@case("CiA 301 7.2.4.3.17", "{2}: {1} to an object of 0 to 240", needs=((0x1019, 0),), each=[
+    (241, "241", "06090031h"), (255, "255", "06090031h"),
+])  # fmt: skip
+def value_high(dut: Dut, value: int, _shown: str, _code: str) -> None:
+    dut.refuses("B", 0x1019, 0, value, 0x06090031, 0x06090030)
+    dut.holds("B", 0x1019, 0, 0)
+
+
+@case("CiA 301 7.2.4.3.17", "06090032h: a value below the limit of {0:04X}h:{1}", own=True, each=[
+    (0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0),
+])  # fmt: skip
+def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
+    before = dut.number(kind, index, sub)
+    dut.refuses(kind, index, sub, value, 0x06090032)
+    dut.holds(kind, index, sub, before)
+
+
+@case("CiA 301 7.2.4.3.17", "05040001h: command specifier {0}", each=[("E0",), ("FF",)])
+def unknown_command(dut: Dut, command: str) -> None:
+    dut.request(f"{command} 17 10 00")
+    dut.aborted(0x1017, 0, 0x05040001)
+
+
+@case(
+    "CiA 301 7.2.4.3.17", "05040001h: {1} segment without a transfer", each=[("00", "a download"), ("60", "an upload")]
+)
+def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
+    dut.request(f"{command} 00 00 00")
+    data = dut.answer()
+    if data[0] != 0x80 or data[4:] != struct.pack("<I", 0x05040001):
+        raise CheckError("abort 05040001h", data.hex(" "))
+
+
+@case("CiA 301 7.2.4.3", "a request of {0} bytes is no SDO", each=[(0,), (1,), (4,), (7,)])
+def request_length(dut: Dut, length: int) -> None:
+    dut.send(0x600 + dut.node_id, bytes.fromhex("4000100000000000")[:length])
+    dut.no_sdo()
+
+
+@case(
+    "CiA 301 7.2.4.3",
+    "not a request: {1}",
+    each=[
+        (EXTENDED_FLAG | 0x600, "a 29-bit frame"),
+        (REMOTE_FLAG | 0x600, "a remote frame"),
+        (0x580, "the answer's identifier"),
+    ],
+)
+def no_request(dut: Dut, can_id: int, _what: str) -> None:
+    dut.send(can_id + dut.node_id, "" if can_id & REMOTE_FLAG else "40 00 10 00 00 00 00 00")
+    dut.no_sdo()
+
+
+@case("CiA 301 7.2.4.3", "a request to another node is not answered")
+def other_node(dut: Dut) -> None:
+    dut.send(0x600 + (dut.node_id ^ 0x40), "40 00 10 00 00 00 00 00")
+    dut.no_sdo()
+
+
+@case("CiA 301 7.2.4.3.17", "an abort of the client is not answered, and ends nothing when nothing goes on")
+def client_abort_idle(dut: Dut) -> None:
+    dut.request("80 00 10 00 00 00 00 08")
+    dut.no_sdo()
+    dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@case("CiA 301 7.2.4.3.6", "reserved bytes of a request are not looked at")
+def reserved_bytes(dut: Dut) -> None:
+    dut.ask("40 00 10 00 FF FF FF FF", "43 00 10 00 *")
+
+
+@case("CiA 301 7.2.4.3.3", "unused bytes of a write are not looked at", needs=BEAT)
+def unused_bytes(dut: Dut) -> None:
+    dut.ask("2B 17 10 00 34 12 FF FF", "60 17 10 00")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@case("CiA 301 7.2.4.3", "every request has one answer, in order")
+def in_order(dut: Dut) -> None:
+    for _ in range(3):
+        dut.ask("40 00 10 00", "43 00 10 00 *")
+        dut.ask("40 18 10 00", "4F 18 10 00 *")
+    dut.no_sdo()
+
+
+@case(
+    "CiA 301 7.4.3",
+    "sub-index 0 of {0:04X}h is the highest sub-index",
+    each=[(0x1018,), (0x1200,), (0x1016,), (0x1800,)],
+)
+def highest_sub(dut: Dut, index: int) -> None:
+    if not dut.exists(index, 0):
+        raise NotApplicableError(f"no object {index:04X}h")
+    highest = dut.integer("B", index, 0)
+    dut.request(struct.pack("<BHB", 0x40, index, highest))
+    dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", 0x06010001))
+    dut.request(struct.pack("<BHB", 0x40, index, highest + 1))
+    dut.aborted(index, highest + 1, 0x06090011)

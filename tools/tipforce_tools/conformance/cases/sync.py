@@ -1,0 +1,176 @@
+"""SYNC: identifier, counter, length and window (CiA 301, 7.2.5, 7.5.2.5, 7.5.2.7 and 7.5.2.22)."""
+
+from __future__ import annotations
+
+import struct
+
+from tipforce.device.codes import REMOTE_FLAG
+from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.dut import START, Dut
+from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1, mapped_rpdo1
+
+INVALID_VALUE, TOO_HIGH = 0x06090030, 0x06090031
+COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
+LENGTH = (*TPDO1, (0x1019, 0), (0x1014, 0))
+
+
+@case("CiA 301 7.3.3", "the default CAN-ID of SYNC is 080h", needs=((0x1005, 0),))
+def default(dut: Dut) -> None:
+    found = dut.integer("I", 0x1005)
+    if found & 0x3FFFFFFF != 0x80:
+        raise CheckError("1005h = 080h", f"{found:08X}h")
+
+
+@case("CiA 301 7.5.2.5", "SYNC on another CAN-ID: that one alone acts", needs=(*TPDO1, (0x1005, 0)))
+def moved(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    dut.put("I", 0x1005, 0, 0x90)
+    dut.nmt(START)
+    dut.send(0x080)
+    dut.silence(can_id)
+    dut.send(0x090)
+    dut.expect(can_id)
+
+
+@case("CiA 301 7.5.2.5", "bit 31 of 1005h is not looked at", needs=(*TPDO1, (0x1005, 0)))
+def bit_31(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    dut.put("I", 0x1005, 0, 0x80000090)
+    dut.nmt(START)
+    dut.send(0x090)
+    dut.expect(can_id)
+
+
+@case(
+    "CiA 301 7.5.2.5",
+    "1005h = {0:08X}h is refused: {1}",
+    needs=((0x1005, 0),),
+    own=True,
+    each=[
+        (0x40000080, "this device produces no SYNC"),
+        (0x20000080, "no 29-bit identifier"),
+        (0x00000880, "no 29-bit identifier"),
+    ],
+)
+def refused(dut: Dut, value: int, _why: str) -> None:
+    dut.refuses("I", 0x1005, 0, value, INVALID_VALUE)
+
+
+@case("CiA 301 7.3.5", "1005h with the restricted CAN-ID {0:03X}h: 06090030h", needs=((0x1005, 0),), each=[
+    (0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,),
+])  # fmt: skip
+def restricted(dut: Dut, can_id: int) -> None:
+    dut.refuses("I", 0x1005, 0, can_id, INVALID_VALUE)
+
+
+@case("CiA 301 7.2.5", "a remote frame is no SYNC", needs=TPDO1)
+def remote_frame(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    dut.nmt(START)
+    dut.send(0x080 | REMOTE_FLAG)
+    dut.silence(can_id)
+
+
+# --- counter ----------------------------------------------------------------------------------------------
+
+
+@case("CiA 301 7.5.2.22", "1019h = {0} is refused", needs=((0x1019, 0),), each=[(1,), (241,), (255,)])
+def overflow_refused(dut: Dut, value: int) -> None:
+    dut.refuses("B", 0x1019, 0, value, INVALID_VALUE, TOO_HIGH)
+    dut.holds("B", 0x1019, 0, 0)
+
+
+@case("CiA 301 7.5.2.22", "1019h = {0} is taken", needs=((0x1019, 0),), each=[(0,), (2,), (240,)])
+def overflow_taken(dut: Dut, value: int) -> None:
+    dut.put("B", 0x1019, 0, value)
+    dut.holds("B", 0x1019, 0, value)
+
+
+@case("CiA 301 7.2.5.3.1", "with 1019h a SYNC with its counter acts", needs=COUNTER)
+def counted(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    dut.put("B", 0x1019, 0, 10)
+    dut.nmt(START)
+    for counter in (1, 2, 10, 1):
+        dut.send(0x080, bytes((counter,)))
+        dut.expect(can_id)
+
+
+@case("CiA 301 7.2.5.3.1", "SYNC of {1}: EMCY 8240h, and no TPDO", needs=LENGTH, each=[
+    ((0, "01"), "one byte without 1019h"),
+    ((0, "01 02 03 04 05 06 07 08"), "eight bytes without 1019h"),
+    ((10, ""), "no data with 1019h"),
+    ((10, "01 02"), "two bytes with 1019h"),
+])  # fmt: skip
+def wrong_length(dut: Dut, what: tuple[int, str], _shown: str) -> None:
+    overflow, data = what
+    can_id = enable_tpdo1(dut, 1)
+    dut.put("B", 0x1019, 0, overflow)
+    dut.nmt(START)
+    dut.send(0x080, data)
+    dut.expect(0x80 + dut.node_id, "40 82 *")
+    dut.silence(can_id)
+
+
+@case("CiA 301 7.2.7.1", "a SYNC of the right length cures 8240h", needs=LENGTH, own=True)
+def length_cured(dut: Dut) -> None:
+    for _ in range(2):
+        dut.send(0x080, "01")
+        dut.expect(0x80 + dut.node_id, "40 82 *")
+        dut.send(0x080)
+        dut.expect(0x80 + dut.node_id, "00 00 00 *")
+
+
+@case("CiA 301 7.2.7.1", "many SYNCs of wrong length are one error", needs=LENGTH, own=True)
+def length_once(dut: Dut) -> None:
+    for _ in range(5):
+        dut.send(0x080, "01")
+    dut.expect(0x80 + dut.node_id, "40 82 *")
+    dut.silence(0x80 + dut.node_id)
+
+
+@case("CiA 301 7.5.2.37", "SYNC start value {1}, type {0}: the first TPDO goes with that counter", needs=COUNTER, each=[
+    (1, 3, (1, 2, 3, 4, 5), (3, 4, 5)), (2, 4, (1, 2, 3, 4, 5, 6, 7), (4, 6)), (1, 1, (2, 3, 10, 1, 2), (1, 2)),
+])  # fmt: skip
+def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ...], answered: tuple[int, ...]) -> None:
+    can_id = enable_tpdo1(dut, transmission, sync_start=start)
+    dut.put("B", 0x1019, 0, 10)
+    dut.nmt(START)
+    found = []
+    for counter in counters:
+        dut.send(0x080, bytes((counter,)))
+        if dut.heard(can_id, 10):
+            found.append(counter)
+    if tuple(found) != answered:
+        raise CheckError(f"TPDOs with the counters {answered}", str(found))
+
+
+@case("CiA 301 7.5.2.37", "without a counter the start value has no meaning", needs=COUNTER)
+def start_without_counter(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, sync_start=5)
+    dut.nmt(START)
+    dut.send(0x080)
+    dut.expect(can_id)
+
+
+# --- window -----------------------------------------------------------------------------------------------
+
+
+WINDOW = ((0x1007, 0), (0x1013, 0), (0x1400, 1), (0x1600, 0))
+
+
+@case("CiA 301 7.5.2.7", "a synchronous RPDO {1} the window of 1007h is {2}", needs=WINDOW, each=[
+    (10, "within", "taken"), (150, "after", "discarded"),
+])  # fmt: skip
+def window(dut: Dut, wait_ms: int, _when: str, fate: str) -> None:
+    can_id = mapped_rpdo1(dut, 0x10130020, transmission=1)
+    dut.put("I", 0x1007, 0, 80000)
+    dut.nmt(START)
+    dut.put("I", 0x1013, 0, 0)
+    dut.send(0x080)
+    dut.sleep(wait_ms)
+    dut.send(can_id, struct.pack("<I", 0x60000000))
+    dut.send(0x080)
+    found = dut.integer("I", 0x1013)
+    if (found >= 0x60000000) != (fate == "taken"):
+        raise CheckError(f"the RPDO {fate}", f"1013h = {found:08X}h")

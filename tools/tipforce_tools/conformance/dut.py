@@ -1,0 +1,191 @@
+"""The device under test: NMT and SDO as a client says them, on raw frames."""
+
+from __future__ import annotations
+
+import struct
+
+from tipforce_tools.conformance.case import CheckError, NotApplicableError
+from tipforce_tools.conformance.frames import Frame, Frames, Link, Wanted, as_bytes
+
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
+READ_ONLY = 0x06010002
+BOOT_MS = 5000  # real devices may take long
+_BEAT_MS = 20
+_TIPFORCE = 0x545
+
+
+class Dut(Frames):
+    """One device on a link, with the node-id that it has at present."""
+
+    def __init__(self, link: Link, node_id: int) -> None:
+        super().__init__(link, node_id)
+        self._survey: dict[tuple[int, int], bool] = {}
+        self._is_tipforce: bool | None = None
+
+    # --- NMT ------------------------------------------------------------------------------------------------
+
+    def nmt(self, command: int, node_id: int | None = None) -> None:
+        """An NMT command to this device, or to ``node_id`` (0: all)."""
+        self.send(0x000, bytes((command, self.node_id if node_id is None else node_id)))
+
+    def reset(self, command: int = RESET_NODE) -> None:
+        """Reset the device and hear its boot-up; nothing is remembered of what it said before."""
+        self.forget()
+        self.nmt(command)
+        self.boot_up()
+        self._pending.clear()  # what came before the boot-up message was said by the life before
+
+    def boot_up(self) -> Frame:
+        """The boot-up message; a heartbeat that was under way when the reset came may stand before it."""
+        limit_us = self.now_us + 1000 * BOOT_MS
+        while True:
+            frame = self.expect(0x700 + self.node_id, within_ms=max(0, limit_us - self.now_us) / 1000)
+            if frame.data == b"\0":
+                return frame
+
+    def beat(self) -> None:
+        """Let the device show its NMT state by a fast heartbeat."""
+        self.put("H", 0x1017, 0, _BEAT_MS)
+
+    def state(self, expected: int) -> None:
+        """The heartbeats from now on carry ``expected``; the first may still have been under way."""
+        can_id = 0x700 + self.node_id
+        self.forget(can_id)
+        self.expect(can_id, within_ms=2 * _BEAT_MS)
+        self.expect(can_id, f"{expected:02X}", 2 * _BEAT_MS)
+
+    def enter(self, state: int) -> None:
+        """From PRE-OPERATIONAL, which follows a reset, into ``state``."""
+        if state != PRE_OPERATIONAL:
+            self.nmt(START if state == OPERATIONAL else STOP)
+
+    # --- SDO, frame by frame --------------------------------------------------------------------------------
+
+    def request(self, data: bytes | str) -> None:
+        """An SDO frame to the device, filled up to 8 bytes."""
+        content = as_bytes(data)
+        self.send(0x600 + self.node_id, content + bytes(8 - len(content)))
+
+    def answer(self, wanted: Wanted = None, within_ms: float = 1000) -> bytes:
+        """The next SDO frame of the device; hex text is filled up to 8 bytes with 00."""
+        if isinstance(wanted, str) and not wanted.endswith("*"):
+            wanted += " 00" * (8 - len(wanted.replace(" ", "")) // 2)
+        data = self.expect(0x580 + self.node_id, wanted, within_ms).data
+        if len(data) != 8:
+            raise CheckError("an SDO answer of 8 bytes", f"{len(data)} bytes")
+        return data
+
+    def ask(self, data: bytes | str, wanted: Wanted = None) -> bytes:
+        """A request and its answer."""
+        self.request(data)
+        return self.answer(wanted)
+
+    def aborted(self, index: int, sub: int, *codes: int, within_ms: float = 1000) -> None:
+        """The next SDO frame is an abort of this object with one of ``codes``."""
+        data = self.answer(within_ms=within_ms)
+        shown = " or ".join(f"{code:08X}h" for code in codes)
+        if data[:4] != struct.pack("<BHB", 0x80, index, sub) or int.from_bytes(data[4:], "little") not in codes:
+            raise CheckError(f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
+
+    def no_sdo(self, ms: float = 30) -> None:
+        """The device says nothing by SDO."""
+        self.silence(0x580 + self.node_id, ms=ms)
+
+    # --- SDO, whole transfers -------------------------------------------------------------------------------
+
+    def try_read(self, index: int, sub: int = 0) -> bytes | int:
+        """What an upload gives, expedited or segmented, or the abort code."""
+        first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
+        if first[0] == 0x80:
+            return int.from_bytes(first[4:], "little")
+        if first[0] & 2:
+            return first[4 : 8 - (first[0] >> 2 & 3)] if first[0] & 1 else first[4:]
+        return self.read_segments()
+
+    def read_segments(self) -> bytes:
+        """The segments of an upload that has been initiated."""
+        data, toggle = b"", 0
+        while True:
+            part = self.ask(bytes((0x60 | toggle,)), lambda d, t=toggle: d[0] & 0xF0 == t)  # type: ignore[misc]
+            data += part[1 : 8 - (part[0] >> 1 & 7)]
+            if part[0] & 1:
+                return data
+            toggle ^= 0x10
+
+    def try_write(self, index: int, sub: int, data: bytes) -> int:
+        """Download, expedited or segmented: 0, or the abort code."""
+        if 0 < len(data) <= 4:
+            answer = self.ask(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
+        else:
+            answer = self.ask(struct.pack("<BHBI", 0x21, index, sub, len(data)))
+            for offset in range(0, max(len(data), 1), 7):
+                if answer[0] == 0x80:
+                    break
+                part = data[offset : offset + 7]
+                command = (offset // 7 & 1) << 4 | 7 - len(part) << 1 | (offset + 7 >= len(data))
+                answer = self.ask(bytes((command,)) + part)
+        return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
+
+    def read(self, index: int, sub: int = 0) -> bytes:
+        """Upload; it must succeed."""
+        data = self.try_read(index, sub)
+        if isinstance(data, int):
+            raise CheckError(f"{index:04X}h:{sub:02X} to be read", f"abort {data:08X}h")
+        return data
+
+    def number(self, kind: str, index: int, sub: int = 0) -> float:
+        """Upload of a number; ``kind`` is struct's letter, and the size must be its size."""
+        data = self.read(index, sub)
+        if len(data) != struct.calcsize(kind):
+            raise CheckError(f"{struct.calcsize(kind)} bytes in {index:04X}h:{sub:02X}", data.hex(" "))
+        value: float = struct.unpack("<" + kind, data)[0]
+        return value
+
+    def integer(self, kind: str, index: int, sub: int = 0) -> int:
+        """The same for an integer."""
+        return int(self.number(kind, index, sub))
+
+    def put(self, kind: str, index: int, sub: int, value: float) -> None:
+        """Download of a number that must be taken; not applicable where the object can only be read."""
+        code = self.try_write(index, sub, struct.pack("<" + kind, value))
+        if code == READ_ONLY:
+            raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        if code:
+            shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
+            raise CheckError(f"{index:04X}h:{sub:02X} to take {shown}", f"abort {code:08X}h")
+
+    def holds(self, kind: str, index: int, sub: int, value: float) -> None:
+        """The object reads as ``value``."""
+        found = self.number(kind, index, sub)
+        if found != value:
+            raise CheckError(f"{index:04X}h:{sub:02X} = {value}", str(found))
+
+    def refuses(self, kind: str, index: int, sub: int, value: float, *codes: int) -> None:
+        """Writing a number is aborted with one of ``codes``."""
+        self.refuses_bytes(index, sub, struct.pack("<" + kind, value), *codes)
+
+    def refuses_bytes(self, index: int, sub: int, data: bytes, *codes: int) -> None:
+        """Writing bytes is aborted with one of ``codes``."""
+        code = self.try_write(index, sub, data)
+        if code not in codes:
+            shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
+            raise CheckError(
+                f"abort {shown} of {index:04X}h:{sub:02X}", f"abort {code:08X}h" if code else "it was written"
+            )
+
+    # --- what it is -----------------------------------------------------------------------------------------
+
+    def exists(self, index: int, sub: int) -> bool:
+        """Whether an SDO upload of the entry finds it; a write-only entry exists too."""
+        key = (index, sub)
+        if key not in self._survey:
+            self._survey[key] = self.try_read(index, sub) not in (0x06020000, 0x06090011)
+        return self._survey[key]
+
+    def is_tipforce(self) -> bool:
+        """Whether 1018h:2 is a product code of tipforce."""
+        if self._is_tipforce is None:
+            product = self.try_read(0x1018, 2)
+            self._is_tipforce = isinstance(product, bytes) and int.from_bytes(product, "little") >> 20 == _TIPFORCE
+        return self._is_tipforce

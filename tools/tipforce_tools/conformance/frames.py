@@ -1,0 +1,144 @@
+"""Raw frames to and from a device: send, expect, silence, and the log of all of it."""
+
+from __future__ import annotations
+
+import re
+from collections import deque
+from collections.abc import Callable
+from typing import NamedTuple, Protocol, TypeAlias
+
+from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from tipforce_tools.conformance.case import CheckError
+
+ANSWER_MS = 200  # a device that has not answered by then is taken as silent
+QUIET_MS = 30  # how long a frame that must not come is waited for
+_KEPT = 5000  # frames of other nodes on a busy bus must not fill the memory
+
+
+class Frame(NamedTuple):
+    """A frame with its SocketCAN identifier and the time of its arrival in microseconds."""
+
+    can_id: int
+    data: bytes
+    at_us: int
+
+
+Wanted: TypeAlias = "str | Callable[[bytes], bool] | None"
+
+
+class Link(Protocol):
+    """A bus with a clock. ``tolerance_ms`` is what its timing may be off; 0 where the clock is a fake one."""
+
+    tolerance_ms: int
+    error_frames: bool
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Put a frame on the bus."""
+
+    def receive(self, until_us: int) -> Frame | None:
+        """The next frame, or None when none came until then."""
+
+    def now_us(self) -> int:
+        """The bus's clock."""
+
+
+def text(can_id: int, data: bytes) -> str:
+    """A frame as candump writes it; R marks a remote frame, eight digits an extended one."""
+    shown = f"{can_id & 0x1FFFFFFF:08X}" if can_id & EXTENDED_FLAG else f"{can_id & 0x7FF:03X}"
+    return f"{shown}#R" if can_id & REMOTE_FLAG else f"{shown}#{data.hex().upper()}"
+
+
+def as_bytes(data: bytes | str) -> bytes:
+    """Bytes, or hex text with spaces."""
+    return bytes.fromhex(data) if isinstance(data, str) else data
+
+
+def _fits(data: bytes, wanted: Wanted) -> bool:
+    if wanted is None:
+        return True
+    if isinstance(wanted, str):
+        # "4F 01 10 00 .. 00 00 00": two dots stand for any byte, and "*" at the end for any rest.
+        pattern = wanted.replace(" ", "").lower().replace("*", ".*")
+        return re.fullmatch(pattern, data.hex()) is not None
+    return wanted(data)
+
+
+class Frames:
+    """A link, and what came over it that no line has asked for yet."""
+
+    def __init__(self, link: Link, node_id: int) -> None:
+        self.link = link
+        self.node_id = node_id
+        self.log: list[str] = []
+        self._pending: deque[Frame] = deque(maxlen=_KEPT)
+
+    @property
+    def now_us(self) -> int:
+        """The link's clock."""
+        return self.link.now_us()
+
+    def send(self, can_id: int, data: bytes | str = b"") -> None:
+        """Send a frame."""
+        content = as_bytes(data)
+        self._note(">", can_id, content, self.now_us)
+        self.link.send(can_id, content)
+
+    def expect(self, can_id: int, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
+        """The next frame with ``can_id``; it must come in time and be as wanted. Frames of other identifiers wait."""
+        frame = self.heard(can_id, within_ms)
+        what = wanted if isinstance(wanted, str) else "of another content"
+        if frame is None:
+            raise CheckError(f"a frame {can_id:03X}h {what if wanted else ''} within {within_ms:g} ms", "none")
+        if not _fits(frame.data, wanted):
+            raise CheckError(f"{can_id:03X}#{what}", text(frame.can_id, frame.data))
+        return frame
+
+    def heard(self, can_id: int, within_ms: float = ANSWER_MS) -> Frame | None:
+        """The next frame with ``can_id``, None when none comes in time."""
+        limit_us = self.now_us + round(1000 * (within_ms + self.link.tolerance_ms))
+        while True:
+            for frame in self._pending:
+                if frame.can_id == can_id:
+                    self._pending.remove(frame)
+                    return frame
+            if not self._pump(limit_us):
+                return None
+
+    def silence(self, *can_ids: int, ms: float = QUIET_MS) -> None:
+        """Nothing comes with these identifiers (default: any of the device's own but its heartbeat), nor did before."""
+        self.sleep(ms)
+        for frame in self._pending:
+            if frame.can_id in can_ids if can_ids else self._is_own(frame.can_id):
+                raise CheckError("silence", text(frame.can_id, frame.data))
+
+    def sleep(self, ms: float) -> None:
+        """Let time pass; what comes is kept."""
+        limit_us = self.now_us + round(1000 * ms)
+        while self._pump(limit_us):
+            pass
+
+    def forget(self, *can_ids: int) -> None:
+        """Pass over what came so far (default: with any identifier)."""
+        self.sleep(0)
+        kept = [frame for frame in self._pending if can_ids and frame.can_id not in can_ids]
+        self._pending.clear()
+        self._pending.extend(kept)
+
+    def check_ms(self, what: str, actual_us: float, expected_ms: float) -> None:
+        """A measured time must be the expected one, within the link's tolerance."""
+        if abs(actual_us / 1000 - expected_ms) > self.link.tolerance_ms:
+            raise CheckError(f"{what} {expected_ms:g} ms (+-{self.link.tolerance_ms} ms)", f"{actual_us / 1000:.1f} ms")
+
+    def _is_own(self, can_id: int) -> bool:
+        return can_id == 0x7E4 or (can_id & 0x7F == self.node_id and 0x80 <= can_id < 0x600 and can_id & 0x780 != 0x500)
+
+    def _pump(self, limit_us: int) -> bool:
+        frame = self.link.receive(limit_us)
+        if frame is None:
+            return False
+        self._note("<", *frame)
+        self._pending.append(frame)
+        return True
+
+    def _note(self, direction: str, can_id: int, data: bytes, at_us: int) -> None:
+        self.log.append(f"{at_us / 1000:10.1f} ms  {direction} {text(can_id, data)}")

@@ -1,0 +1,135 @@
+"""The two places where a case runs: a device core in this process with a fake clock, and any python-can bus."""
+
+from __future__ import annotations
+
+import time
+from collections import deque
+from typing import TYPE_CHECKING, Protocol
+
+from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.device.node import Device
+from tipforce.errors import NoResponseError
+from tipforce_tools.conformance.frames import Frame
+
+if TYPE_CHECKING:
+    import can
+
+    Sent = list[tuple[int, bytes]]
+    Step = tuple[int, Sent, Sent]
+
+CORE_NODE_ID = 5
+DEFAULT_TOLERANCE_MS = 20
+_EDS_BYTES = 2000  # more than two blocks of SDO block transfer; the whole EDS would only make the recording longer
+_MOST_STEPS_AT_ONCE = 1000
+
+
+class Core(Protocol):
+    """What ``CoreLink`` drives: a device as a pure state machine."""
+
+    def step(self, now_us: int, frames: Sent = ...) -> tuple[Sent, int]:
+        """Frames in; frames out and the next due time."""
+
+
+class CoreLink:
+    """A device core whose clock is turned only by waiting. ``steps`` keeps (now_us, frames in, frames out)."""
+
+    tolerance_ms = 0
+    error_frames = True
+
+    def __init__(self, device: Core) -> None:
+        self._device = device
+        self._now_us = self._due_us = 0
+        self._queue: deque[Frame] = deque()
+        self.steps: list[Step] = []
+        self._step([])
+
+    def now_us(self) -> int:
+        """The fake clock."""
+        return self._now_us
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """The device takes the frame now."""
+        self._step([(can_id, data)])
+
+    def receive(self, until_us: int) -> Frame | None:
+        """Step the device at each of its due times until it says something."""
+        for _ in range(_MOST_STEPS_AT_ONCE):
+            if self._queue:
+                return self._queue.popleft()
+            if self._due_us > until_us:
+                self._now_us = max(self._now_us, until_us)
+                return None
+            self._now_us = max(self._now_us, self._due_us)
+            self._step([])
+        raise AssertionError(f"the device is due without end at {self._now_us} us")
+
+    def _step(self, frames: Sent) -> None:
+        sent, self._due_us = self._device.step(self._now_us, frames)
+        self.steps.append((self._now_us, frames, list(sent)))
+        self._queue.extend(Frame(can_id, data, self._now_us) for can_id, data in sent)
+
+
+class BusLink:
+    """A python-can bus with a device on it, and the machine's clock."""
+
+    error_frames = False
+
+    def __init__(self, bus: can.BusABC, tolerance_ms: int = DEFAULT_TOLERANCE_MS) -> None:
+        self._bus = bus
+        self.tolerance_ms = tolerance_ms
+
+    def now_us(self) -> int:
+        """Microseconds of the monotonic clock."""
+        return time.monotonic_ns() // 1000
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send; raises NoResponseError when the bus takes nothing for a second."""
+        import can
+
+        extended = bool(can_id & EXTENDED_FLAG)
+        message = can.Message(
+            arbitration_id=can_id & (0x1FFFFFFF if extended else 0x7FF),
+            data=data,
+            is_extended_id=extended,
+            is_remote_frame=bool(can_id & REMOTE_FLAG),
+        )
+        try:
+            self._bus.send(message, timeout=1.0)
+        except can.CanError as error:
+            raise NoResponseError(f"the bus does not take frames any more: {error}") from error
+
+    def receive(self, until_us: int) -> Frame | None:
+        """The next frame of a classic bus."""
+        from tipforce.socketcan import raw_can_id
+
+        while True:
+            left_s = max(0.0, (until_us - self.now_us()) * 1e-6)
+            message = self._bus.recv(left_s)
+            if message is None:
+                return None
+            if not (message.is_fd or message.is_error_frame):
+                return Frame(raw_can_id(message), bytes(message.data), self.now_us())
+
+
+def core_node(eds: bytes | None = None) -> Device:
+    """The node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
+    from tipforce.fingertip.node import fingertip_node
+    from tipforce.fingertip.simulated import SimulatedSource
+    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.strain import strain_matrix
+
+    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+    stored: dict[str, bytes] = {}
+
+    def save(group: str, data: bytes) -> bool:
+        stored[group] = data
+        return True
+
+    return fingertip_node(CORE_NODE_ID, source, 3, 0x1234, save, stored.get, core_eds() if eds is None else eds)
+
+
+def core_eds() -> bytes:
+    """What 1021h of the in-process node gives."""
+    from tipforce.dictionary.eds import eds_text
+
+    return eds_text(3, simulated=True).encode()[:_EDS_BYTES]

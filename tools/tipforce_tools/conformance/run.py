@@ -1,0 +1,115 @@
+"""Running cases: what applies, the result of each, and the recording of the in-process run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tipforce.errors import NoResponseError
+from tipforce_tools.conformance.case import Case, CheckError, NotApplicableError, all_cases
+from tipforce_tools.conformance.dut import RESET_NODE, Dut
+from tipforce_tools.conformance.links import CORE_NODE_ID, CoreLink, core_eds, core_node
+
+PASS, FAIL, NOT_APPLICABLE = "pass", "FAIL", "not applicable"
+
+
+@dataclass(frozen=True)
+class Result:
+    """``log`` is the conversation, frame by frame, of a case that failed."""
+
+    case: Case
+    verdict: str
+    reason: str = ""
+    log: list[str] = field(default_factory=list)
+
+
+def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
+    """Bring the device to its start, check what the case needs, and run it."""
+    mark = len(dut.log)
+    try:
+        dut.reset()
+        lack = _lack(case, dut, persistent)
+        if lack:
+            return Result(case, NOT_APPLICABLE, lack)
+        mark = len(dut.log)
+        case.body(dut)
+    except NotApplicableError as reason:
+        return Result(case, NOT_APPLICABLE, str(reason))
+    except CheckError as failure:
+        return Result(case, FAIL, str(failure), dut.log[mark:])
+    finally:
+        del dut.log[:mark]
+    return Result(case, PASS)
+
+
+def _lack(case: Case, dut: Dut, persistent: bool) -> str:
+    """Why a case cannot be run here, "" if it can."""
+    if case.persistent and not persistent:
+        return "it would change what the device stores or its node-id; --persistent allows it"
+    if case.error_frames and not dut.link.error_frames:
+        return "error frames come from the CAN controller; a bus does not carry them"
+    if case.own and not dut.is_tipforce():
+        return "about tipforce's own objects and promises"
+    for index, sub in case.needs:
+        if not dut.exists(index, sub):
+            return f"no object {index:04X}h:{sub:02X}"
+    return ""
+
+
+def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result]:
+    """Run cases on one device, one after the other, and leave it as after a reset.
+
+    Raises NoResponseError if the device does not boot any more after a case that failed.
+    """
+    try:
+        for case in cases:
+            result = run_case(case, dut, persistent)
+            yield result
+            if result.verdict == FAIL:
+                _boots(dut, case)
+    finally:
+        dut.nmt(RESET_NODE)
+
+
+def _boots(dut: Dut, case: Case) -> None:
+    """Without it each of the cases left would wait for the boot-up message in vain."""
+    try:
+        dut.reset()
+    except CheckError as failure:
+        raise NoResponseError(f"the node does not boot any more after the case {case.name}: {failure}") from failure
+
+
+def run_in_process(case: Case, device: Callable[[], object] = core_node) -> tuple[Result, CoreLink]:
+    """Run a case on a device core of its own, with the fake clock."""
+    link = CoreLink(device())  # type: ignore[arg-type]
+    return run_case(case, Dut(link, CORE_NODE_ID), persistent=True), link
+
+
+def record(path: str | Path) -> int:
+    """Save the in-process run for a replay byte for byte: JSON lines; returns the number of cases.
+
+    The first line names the node: ``node_id``, ``gauges``, ``layout``, ``noise``, ``serial``, ``eds`` (1021h).
+    Each further line is a case on a node just built, with an empty store: ``case`` and ``steps``, each step
+    [now_us, frames in, frames out] of one ``step()``, a frame as [can_id, "hex"].
+    """
+    node = {
+        "node_id": CORE_NODE_ID,
+        "gauges": 3,
+        "layout": "I",
+        "noise": 0.0,
+        "serial": 0x1234,
+        "eds": core_eds().decode(),
+    }
+    lines = [json.dumps(node)]
+    for case in all_cases():
+        _result, link = run_in_process(case)
+        steps = [[now_us, _plain(came), _plain(went)] for now_us, came, went in link.steps]
+        lines.append(json.dumps({"case": case.name, "steps": steps}))
+    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return len(lines) - 1
+
+
+def _plain(frames: list[tuple[int, bytes]]) -> list[list[int | str]]:
+    return [[can_id, data.hex()] for can_id, data in frames]
