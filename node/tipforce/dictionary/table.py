@@ -57,7 +57,7 @@ CUSTOM_LAYOUT = 255  # 2102h:4, besides 1, 2, 3 for cases I, II, III
 STATUS_BITS = (
     ("contact", "contact present"),
     ("calibrated", "a calibration is active"),
-    ("saturated", "a gauge is saturated or overloaded"),
+    ("saturated", "a gauge is saturated or overloaded, or (more than 3 gauges) left out"),
     ("stale", "no new sample since the last one"),
     ("theta_unresolved", "uncertainty of theta over 30 degrees, or P below contact-off"),
     ("misses_tip", "the line of action misses the tip"),

@@ -48,6 +48,7 @@ class Fingertip(Application):
         self._counter = 0
         self._read_us = 0
         self._equal = [0] * n
+        self._frozen = 0  # bit k: the reading of gauge k + 1 stands still
         self._synced_us = -REFRESH_US
         self.sample = Sample(None, self.channels.scaling, None)
         self.interrupts = Interrupts(device, n, self.channels.exact)
@@ -81,6 +82,7 @@ class Fingertip(Application):
         self._tare = NO_TARE
         self._read_us = now_us
         self._equal = [0] * self.n
+        self._frozen = 0
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
         if "calibration" in self.device.storage.damaged:
             self.device.emcy.raise_error(CALIBRATION_INVALID, emcy.MANUFACTURER)
@@ -120,7 +122,7 @@ class Fingertip(Application):
         before = self.sample
         self.sample = Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
-            self._counter, now_us,
+            self._counter, now_us, self._frozen,
         )  # fmt: skip
         if self.sample.faults != before.faults:
             self._report_faults(before.faults, self.sample.faults)
@@ -155,14 +157,15 @@ class Fingertip(Application):
         self._read_us = now_us
         faults: int = reading.faults
         before = self.sample.reading
+        self._frozen = 0
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.
             inside = COUNT_MIN < reading.counts[k] < COUNT_MAX
             same = inside and before is not None and before.counts[k] == reading.counts[k]
             self._equal[k] = self._equal[k] + 1 if same else 0
             if self._equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
-                faults |= 1 << table.FAULT_FROZEN
-        return faults
+                self._frozen |= 1 << k
+        return faults | 1 << table.FAULT_FROZEN if self._frozen else faults
 
     # --- commands -------------------------------------------------------------------------------------------
 
@@ -182,7 +185,8 @@ class Fingertip(Application):
         last = self.sample
         # The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
         # commit within one sample must not count anything twice.
-        now = Sample(last.reading, self.channels.scaling, self.calibration.active, faults=last.faults, stale=last.stale)
+        scaling, active = self.channels.scaling, self.calibration.active
+        now = Sample(last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen)
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE
         self._tare = now.force()

@@ -8,14 +8,14 @@ import struct
 
 from tipforce.device import codes
 from tipforce.dictionary import table
-
-from .condition import condition_number
+from tipforce.sensor.condition import condition_number
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
     Covariance = tuple[float, float, float, float, float, float]
+    Solver = tuple[list[list[float]], Covariance]
 
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
@@ -28,9 +28,9 @@ def crc32(data: bytes) -> int:
 
 
 class Active:
-    """One calibration, unpacked: ``C`` is three rows in N per strain, ``covariance_F`` is C Sigma C^T in N^2."""
+    """One calibration, unpacked: ``C`` is three rows in N per strain, ``noise`` the covariance of the gauges."""
 
-    __slots__ = ("C", "covariance_F", "limits", "noise", "offsets", "pull", "record")
+    __slots__ = ("C", "_solvers", "limits", "noise", "offsets", "pull", "record")
 
     def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
         self.record = record
@@ -42,12 +42,27 @@ class Active:
         _radius, theta_min, theta_max, on, off, sense = values[after_facts + triangle :]
         self.limits = (on, off, theta_min, theta_max)
         self.pull = bool(sense)
-        self.covariance_F = _propagate(self.C, self.noise, n)
+        self._solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
 
-    def force(self, strains: "list[float]") -> "tuple[float, float, float]":
+    def solver(self, lost: int) -> "Solver | None":
+        """(matrix, covariance of F in N^2) that do without the gauges of the bit mask ``lost``.
+
+        None where the gauges left have no rank 3, always so with three gauges and one lost.
+        """
+        if lost not in self._solvers:
+            found = None
+            n = len(self.offsets)
+            if n > 3:
+                from tipforce.sensor import scalar_parity  # a node with three gauges does without
+
+                found = scalar_parity.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
+            self._solvers[lost] = found
+        return self._solvers[lost]
+
+    def force(self, matrix: "list[list[float]]", strains: "list[float]") -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons before any tare, from gauge strain (not microstrain): F = C (V - offset)."""
         V = [s - o for s, o in zip(strains, self.offsets)]  # noqa: B905
-        F = [sum([c * v for c, v in zip(row, V)]) for row in self.C]  # noqa: B905
+        F = [sum([c * v for c, v in zip(row, V)]) for row in matrix]  # noqa: B905
         return F[0], F[1], F[2]
 
 

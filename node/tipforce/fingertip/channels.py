@@ -77,7 +77,7 @@ class Channels:
         sample, n = self._fingertip.sample, self._n
         unknown = sample.unknown()
         if sub <= n:
-            hidden = unknown & scalar.UNKNOWN_GAUGES or sample.overloads[sub - 1]
+            hidden = unknown & scalar.UNKNOWN_GAUGES or sample.lost >> sub - 1 & 1
             return scalar.NAN if hidden else sample.microstrains[sub - 1]
         if sub <= n + 3:
             return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]

@@ -14,18 +14,24 @@ if TYPE_CHECKING:
 NAN = float("nan")
 NO_TARE = (0.0, 0.0, 0.0)
 _MICRO = 1e-6
+# Faults that cost one gauge, which is left out where it can be spared: frozen, and a broken wire at the range's end.
+_OF_ONE_GAUGE = (1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK) >> table.FAULT_NO_DATA
 
 
 class Sample:
     """A reading with the calibration, the scaling and the tare that hold for it.
 
     ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the sample
-    before, for the hysteresis of contact. A sample without a reading has no values, only a status.
+    before, for the hysteresis of contact; ``frozen`` has a bit for each gauge whose reading stands still. A sample
+    without a reading has no values, only a status.
+
+    A gauge that is saturated or frozen is lost. With more than three gauges the others go on giving the force as long
+    as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge is missing.
     """
 
     __slots__ = (
         "_contact", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active", "counter", "faults",
-        "latched_us", "microstrains", "overloads", "reading", "stale", "tare",
+        "frozen", "latched_us", "lost", "microstrains", "overloads", "reading", "solver", "spared", "stale", "tare",
     )  # fmt: skip
 
     def __init__(
@@ -39,6 +45,7 @@ class Sample:
         stale: bool = False,
         counter: int = 0,
         latched_us: int = -NEVER_US,
+        frozen: int = 0,
     ) -> None:
         self.reading = reading
         self.active = active
@@ -51,6 +58,7 @@ class Sample:
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
         self._status = self._unknown = -1
+        self.frozen = self.lost = frozen
         self.overloads: "list[int]" = []
         self.microstrains: "list[float]" = []
         if reading is not None:
@@ -60,9 +68,12 @@ class Sample:
                 self.overloads = [(c >= COUNT_MAX) - (c <= COUNT_MIN) for c in counts]
                 for k in range(len(counts)):
                     if self.overloads[k]:
-                        faults |= 1 << k
+                        self.lost |= 1 << k
+                faults |= self.lost & ~frozen
             self.microstrains = [g * c + b for c, (g, b) in zip(counts, scaling)]  # noqa: B905
         self.faults = faults
+        self.solver = None if active is None else active.solver(self.lost)
+        self.spared = self.lost != 0 and self.solver is not None
 
     def status(self) -> int:
         """The status byte 2120h of this sample."""
@@ -79,16 +90,16 @@ class Sample:
     def unknown(self) -> int:
         """What the status makes unknown, in the bits of ``sensor.scalar``."""
         if self._unknown < 0:
-            self._unknown = scalar.unknown(self.status())
+            self._unknown = scalar.unknown(self.status(), self.spared)
         return self._unknown
 
     def force(self) -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons, tare taken off; NaN while the status leaves them unknown or there is no reading."""
         if self._force is None:
-            if self.active is None or self.reading is None:
+            if self.active is None or self.solver is None or self.reading is None:
                 self._force = (NAN, NAN, NAN)
             else:
-                f1, f2, f3 = self.active.force([_MICRO * m for m in self.microstrains])
+                f1, f2, f3 = self.active.force(self.solver[0], [_MICRO * m for m in self.microstrains])
                 t1, t2, t3 = self.tare
                 self._force = (f1 - t1, f2 - t2, f3 - t3)
         return self._force
@@ -103,29 +114,32 @@ class Sample:
     def uncertainty(self) -> "tuple[float, float, float]":
         """Standard uncertainties of P (N), phi and theta (radians) from gauge noise; NaN without calibration."""
         if self._uncertainty is None:
-            if self.active is None:
+            if self.active is None or self.solver is None:
                 self._uncertainty = (NAN, NAN, NAN)
             else:
                 f1, f2, f3 = self.force()
-                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.active.covariance_F, self.active.pull)
+                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.solver[1], self.active.pull)
         return self._uncertainty
 
     def _find_status(self) -> int:
         bits = 0
         if self.active is not None:
             bits |= scalar.CALIBRATED
-        if any(self.overloads):
+        if any(self.overloads) or self.spared:
             bits |= scalar.SATURATED
         if self.stale or self.reading is None:
             bits |= scalar.STALE
-        if self.faults >> table.FAULT_NO_DATA:
+        faults = self.faults >> table.FAULT_NO_DATA
+        if self.spared:
+            faults &= ~_OF_ONE_GAUGE
+        if faults:
             bits |= scalar.FRONT_END_FAULT
-        if scalar.unknown(bits) & scalar.UNKNOWN_FORCE or self.active is None:
+        if self.active is None or self.solver is None or scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
             return bits
         P, _phi, theta, miss = self.contact()
         u_P, _u_phi, u_theta = self.uncertainty()
         u_miss = 0.0
         if miss > 0.0:
             f1, f2, f3 = self.force()
-            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.active.covariance_F)
+            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.solver[1])
         return bits | scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)

@@ -7,13 +7,13 @@ Matrices are lists of rows, noise is the upper triangle of the gauges' covarianc
 
 from math import erfc, exp, pi, sqrt
 
+from .condition import condition_number
+
 CONDITION_LIMIT = 1e4  # of the matrix of the gauges left, 2-norm, as 2105h:1: beyond it they have no rank 3
 FALSE_ALARM_RATE = 1e-4  # of fault detection, per sample
 EXCLUSION_RATE = 1e-3  # of isolation: how often the faulty gauge itself is not among those named
 SMALLEST_VARIANCE = 1e-6  # of a gauge's own variance: below, the other gauges say nothing about this one
 _SMALLEST_PIVOT = 1e-13
-_SWEEPS = 30
-_ORTHOGONAL = 1e-15
 _BISECTIONS = 200
 
 
@@ -171,28 +171,6 @@ def judge(
             if n == 4 or _dot(rest, [_dot(row, rest) for row in Q]) <= exclusion:
                 bits |= 1 << k
     return chi_square, bits
-
-
-def condition_number(rows: list[list[float]]) -> float:
-    """Return the 2-norm condition number of a matrix of few rows, by turning them until they are orthogonal."""
-    work = [list(row) for row in rows]
-    for _ in range(_SWEEPS):
-        turned = False
-        for i in range(len(work)):
-            for k in range(i + 1, len(work)):
-                a, b = work[i], work[k]
-                aa, bb, ab = _dot(a, a), _dot(b, b), _dot(a, b)
-                if abs(ab) > _ORTHOGONAL * sqrt(aa * bb):
-                    turned = True
-                    zeta = (bb - aa) / (2.0 * ab)
-                    t = (1.0 if zeta >= 0.0 else -1.0) / (abs(zeta) + sqrt(1.0 + zeta * zeta))
-                    c = 1.0 / sqrt(1.0 + t * t)
-                    work[i] = [c * a[m] - c * t * b[m] for m in range(len(a))]
-                    work[k] = [c * t * a[m] + c * b[m] for m in range(len(a))]
-        if not turned:
-            break
-    lengths = [sqrt(_dot(row, row)) for row in work]
-    return max(lengths) / min(lengths) if min(lengths) > 0.0 else float("inf")
 
 
 def _square(noise: list[float], n: int) -> list[list[float]]:
