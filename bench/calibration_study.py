@@ -113,7 +113,7 @@ def oracle(sim: Simulated) -> FloatArray:
         kinks=np.zeros(3, dtype=np.bool_),
     )
     A = solve(known, "none", 1.0).coefficients * unit
-    return left_inverse(A, np.ones(n))
+    return left_inverse(A, np.eye(n))
 
 
 def compare(seed: int, faults: Faults, drift: str, loss: str = "huber") -> Comparison:

@@ -92,15 +92,22 @@ def test_covariance_of_an_estimate_is_the_formula_of_the_paper_notes() -> None:
 def test_uncertainty_of_the_matrix_is_its_derivative_for_more_gauges_than_forces() -> None:
     sim = simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))
     fit = fit_calibration(readings(sim), PLAIN)
-    root = 1.0 / np.sqrt(np.diag(fit.noise_covariance_strain2))
+    whitener = np.linalg.inv(np.linalg.cholesky(fit.noise_covariance_strain2))
     variance = np.zeros(fit.C.shape)
     blocks = fit.parameter_covariance[:, :3, :, :3].reshape(15, 15)
     values, vectors = np.linalg.eigh(blocks)
     for value, vector in zip(values, vectors.T, strict=True):
         step = 1e-3 * vector.reshape(5, 3) * np.abs(fit.A).max()
-        change = [np.linalg.pinv((fit.A + side * step) * root[:, np.newaxis]) * root for side in (1, -1)]
+        change = [np.linalg.pinv(whitener @ (fit.A + side * step)) @ whitener for side in (1, -1)]
         variance += max(value, 0.0) * ((change[0] - change[1]) / (2e-3 * np.abs(fit.A).max())) ** 2
     np.testing.assert_allclose(fit.C_uncertainty, np.sqrt(variance), rtol=1e-4)
+
+
+def test_a_node_finds_the_structure_again_from_matrix_and_covariance() -> None:
+    # A = Sigma C^T (C Sigma C^T)^-1 holds only if C was weighed by the Sigma of the record.
+    fit = fit_calibration(readings(simulated(3, gauges=layout(["K_H", "S_H", "U", "T", "L"]))), PLAIN)
+    C, Sigma = fit.C, fit.noise_covariance_strain2
+    np.testing.assert_allclose(Sigma @ C.T @ np.linalg.inv(C @ Sigma @ C.T), fit.A, rtol=1e-6, atol=1e-9)
 
 
 @pytest.mark.parametrize(("newtons", "strain"), [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-3), (1e6, 1e3)])

@@ -36,7 +36,7 @@ from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.main import main
 
 OFFSETS = (12.0, -8.5, 5.3)
-FEW = ("--grooves", "x30,x150,y45,y135", "--samples", 20)
+FEW = ("--grooves", "x30,x60,x150,y45,y90,y135", "--samples", 20, "--drift", "none")
 LOAD = r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|take every load off"
 QUICK = ("--period", 1)
 
@@ -133,7 +133,7 @@ def test_from_the_first_weight_to_the_stored_calibration(
     bench: Bench, person: Callable[..., Person], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Quit at step 9, interrupted within the capture of a later one, resumed twice; then unseen loads."""
-    flags = ("--samples", 60, "--angle-scatter", 0.05, "--layout", "I", "-o", bench.file)
+    flags = ("--samples", 60, "--angle-scatter", 0.1, "--layout", "I", "-o", bench.file)
     first = person(lambda question: "q" if "step 9 of 25" in question else "")
     assert bench.guide(*flags) == 0
     assert "8 of 25 steps are in" in first.listen()
@@ -207,13 +207,13 @@ def test_by_itself(bench: Bench) -> None:
     code, out, err = bench.auto("-o", bench.file, "--json")
     assert code == 0
     assert "node 5 (0x05): simulated fingertip, 3 gauges, serial 1005; not calibrated yet; 23.00 degC" in err
-    assert "plan: 4 loads and 2 unloaded readings; by SYNC and TPDO1 (0x185)" in err
-    assert "step 2 of 6: hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)" in err
+    assert "plan: 6 loads and 3 unloaded readings; by SYNC and TPDO1 (0x185)" in err
+    assert "step 2 of 9: hang 4.4 N (448.7 g) in the x-groove at theta = 30 degrees (phi = 0)" in err
     records = [json.loads(line) for line in out.splitlines()]
-    assert [record["step"] for record in records[:6]] == [1, 2, 3, 4, 5, 6]
-    assert records[2] | {"P_N": 4.4, "phi_deg": 180.0, "theta_deg": 150.0, "samples": 20} == records[2]
-    assert abs(records[6]["condition_number"] - 2.51) < 0.02
-    assert records[7]["node"] == 5
+    assert [record["step"] for record in records[:9]] == list(range(1, 10))
+    assert records[3] | {"P_N": 4.4, "phi_deg": 180.0, "theta_deg": 150.0, "samples": 20} == records[3]
+    assert abs(records[9]["condition_number"] - 2.51) < 0.02
+    assert records[10]["node"] == 5
     assert bench.source.load == (1.0, 20.0, 30.0)
     # Once more: everything is there, so it fits and applies at once.
     code, out, err = bench.auto()
@@ -229,21 +229,38 @@ def test_without_tpdo1_and_quietly(bench: Bench) -> None:
     assert "applied and stored" in out
 
 
+def test_more_gauges_than_three(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """The record's C must be the best one for the record's covariance: a node gets A back from the two."""
+    A = strain_matrix(FABRICATED, ("K_H", "S_H", "U", "L", "R"))
+    store = FileStore(tmp_path / "node.json")
+    device = fingertip_node(5, SimulatedSource(A.tolist(), 0.5, seed=3), 5, save=store.save, load=store.load)
+    channel = new_channel()
+    with connected(device, channel=channel) as (connection, _):
+        words = ["calibrate", "guide", "--node", 5, "--auto", *FEW, *QUICK, "--session", tmp_path / "s.csv"]
+        assert main([*map(str, words), "-i", "virtual", "-c", channel]) == 0
+        held = FingertipClient(connection.sdo(5)).calibration()
+    assert "by SYNC and SDO reads" in capsys.readouterr().err
+    assert held is not None
+    np.testing.assert_allclose(held.C @ A, np.eye(3), atol=2e-3)
+    W = np.linalg.inv(held.covariance_strain2)
+    np.testing.assert_allclose(held.C, np.linalg.solve(A.T @ W @ A, A.T @ W), rtol=0.02, atol=20.0)
+
+
 # --- keys -------------------------------------------------------------------------------------------------------------
 
 
 def test_skip_redo_and_nonsense(bench: Bench, person: Callable[..., Person]) -> None:
-    keys = iter(["r", "x", "", "", "r", "", "s", "", "", "", "", "", "r", "", "n"])
+    keys = iter(["r", "x", "", "", "r", "", "s", *[""] * 6, "r", "", "n"])
     found = person(lambda _question: next(keys))
-    assert bench.guide("--samples", 20, "--grooves", "x30,x60,x150,y45,y135") == 0
+    assert bench.guide(*FEW) == 0
     found.listen()
     assert "there is no capture to redo" in found.heard
     assert "'x' is none of the keys" in found.heard
-    assert "step 2 of 8 is taken out" in found.heard
-    assert "step 8 of 8 is taken out" in found.heard
+    assert "step 2 of 9 is taken out" in found.heard
+    assert "step 9 of 9 is taken out" in found.heard
     assert "1 steps were skipped" in found.heard
     assert "node 5 (0x05) is as it was" in found.heard
-    assert [row["step"] for row in bench.rows()] == ["1", "2", "4", "5", "6", "7", "8"]
+    assert [row["step"] for row in bench.rows()] == ["1", "2", "4", "5", "6", "7", "8", "9"]
     assert bench.connection.sdo(5).read(od.CALIBRATION_ACTIVE_CRC) == 0
     assert next(keys, None) is None
 
@@ -252,18 +269,18 @@ def test_nobody_at_the_keys(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> No
     monkeypatch.setattr(sys, "stdin", io.StringIO("\n\n"))
     assert bench.guide(*FEW) == 2
     err = bench.capsys.readouterr().err
-    assert "2 of 6 steps are in" in err
+    assert "2 of 9 steps are in" in err
     assert "the input ended: nobody is there to hang weights" in err
 
 
 def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Callable[..., Person]) -> None:
-    forgetful = {"step 2 of 6": (0.0, 0.0, 0.0), "step 6 of 6": (4.4, 90.0, 135.0)}
+    forgetful = {"step 2 of 9": (0.0, 0.0, 0.0), "step 6 of 9": (4.4, 90.0, 45.0)}
 
     def key(question: str) -> str:
         for title, load in forgetful.items():
             if title in question:
                 bench.source.load = load
-        return "q" if "apply" in question else ""
+        return "q" if "step 7 of 9" in question else ""
 
     found = person(key)
     bench.guide(*FEW)
@@ -293,12 +310,12 @@ def test_a_refused_capture(
     sdo = bench.connection.sdo(5)
 
     def key(question: str) -> str:
-        if "step 3 of 6" in question:
+        if "step 3 of 9" in question:
             asked[0] += 1
             sdo.write(od.SIMULATION_GAUGE, 2)
             sdo.write(od.SIMULATION_MAGNITUDE, magnitude)
             sdo.write(od.SIMULATION_FAULT, fault if asked[0] == 1 else 0)
-        return "q" if "step 4 of 6" in question else ""
+        return "q" if "step 4 of 9" in question else ""
 
     found = person(key)
     assert bench.guide(*FEW, "--samples", 40) == 0
@@ -348,10 +365,10 @@ def test_a_node_that_goes_and_comes_back(
     asked = [0]
 
     def key(question: str) -> str:
-        if "step 2 of 6" in question:
+        if "step 2 of 9" in question:
             asked[0] += 1
             _pull_the_plug(bench, monkeypatch, asked[0] == 1)
-        return "q" if "step 3 of 6" in question else ""
+        return "q" if "step 3 of 9" in question else ""
 
     found = person(key)
     assert bench.guide(*FEW, "--timeout", 0.05, "--retries", 0) == 0
@@ -370,7 +387,7 @@ def test_a_node_that_goes_with_nobody_there_is_5(bench: Bench, monkeypatch: pyte
     monkeypatch.setattr(Session, "append", then_gone)
     code, _, err = bench.auto("--timeout", 0.05, "--retries", 0)
     assert code == 5
-    assert "3 of 6 steps are in" in err
+    assert "3 of 9 steps are in" in err
 
 
 # --- sessions ---------------------------------------------------------------------------------------------------------
@@ -383,14 +400,14 @@ def test_a_line_that_was_cut_short(bench: Bench) -> None:
     code, _, err = bench.auto()
     assert code == 0
     assert "its last line was cut short by an interruption and is taken out" in err
-    assert [row["step"] for row in bench.rows()] == ["1", "2", "3", "extra", "4", "5", "6"]
+    assert [row["step"] for row in bench.rows()] == ["1", "2", "3", "extra", "4", "5", "6", "7", "8", "9"]
 
 
 @pytest.mark.parametrize(
     ("old", "new", "reason"),
     [
         (",4.4,", ",4.5,", "line 3: step 2 is 4.5 N at phi 0, theta 30 degrees, pull, in this plan it is 4.4 N at"),
-        (",pull,2,", ",pull,7,", r"line 3: step 7 \(4.4 N .*\), this plan has 6 steps: another plan"),
+        (",pull,2,", ",pull,17,", r"line 3: step 17 \(4.4 N .*\), this plan has 9 steps: another plan"),
         (",pull,2,", ",pull,extra,", "line 3: an extra step is 4.4 N at phi 0, theta 30 degrees, pull"),
         (",1005,", ",1006,", "it is of the node with serial 1006, this one has serial 1005"),
         (",pull,2,", ",pull,two,", "line 3: not as the guide writes it"),

@@ -42,20 +42,24 @@ class Left(NamedTuple):
     """(m, n)."""
 
 
-def left_inverse(A: FloatArray, variance: FloatArray) -> FloatArray:
-    """Return C (3, n) with C A = I and the least noise for gauges of independent noise: (A^T W A)^-1 A^T W."""
-    root = 1.0 / np.sqrt(variance)
-    inverse: FloatArray = np.linalg.pinv(A * root[:, np.newaxis]) * root
+def left_inverse(A: FloatArray, Sigma: FloatArray) -> FloatArray:
+    """Return C (3, n) with C A = I and the least noise: (A^T W A)^-1 A^T W with W the inverse of Sigma (n, n).
+
+    Sigma must be the covariance that goes into the calibration record: from the two a node with more than three
+    gauges gets A back, and a C of other weights would give it a wrong one.
+    """
+    whitener = np.linalg.inv(np.linalg.cholesky(Sigma))
+    inverse: FloatArray = np.linalg.pinv(whitener @ A) @ whitener
     return inverse
 
 
-def matrix_uncertainty(A: FloatArray, C: FloatArray, variance: FloatArray, covariance: FloatArray) -> FloatArray:
+def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
     """Return the standard uncertainty of each entry of C, (3, n), from the covariance of A, (n, 3, n, 3).
 
     First order: dC = -C dA C + (A^T W A)^-1 dA^T W (I - A C); the second term is zero for three gauges.
     """
     n = A.shape[0]
-    W = np.diag(1.0 / variance)
+    W = np.linalg.inv(Sigma)
     inner = np.linalg.inv(A.T @ W @ A)
     J = -np.einsum("ak,jl->alkj", C, C) + np.einsum("aj,kl->alkj", inner, W @ (np.eye(n) - A @ C))
     spread: FloatArray = np.einsum("alkj,kjmi,almi->al", J, covariance, J)
@@ -82,15 +86,14 @@ def result(
     solved = np.einsum("ip,kplq,jq->kilj", L, found.covariance, L)
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
     Sigma = found.Sigma * scales.strain**2
-    variance = np.diag(Sigma)
-    C = left_inverse(A, variance)
+    C = left_inverse(A, Sigma)
     residual = found.residual * scales.strain
     sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
     return Fit(
         C=C,
         A=A,
         offset_strain=at_reference[:, 3] if len(L) == 4 else np.zeros(n),
-        C_uncertainty=matrix_uncertainty(A, C, variance, covariance[:, :3, :, :3]),
+        C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
         coverage_factor=t_quantile(0.975, found.dof if model.noise_strain is None else np.inf),
         noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, found.dof),

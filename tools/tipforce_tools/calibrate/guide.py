@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from tipforce_tools.calibrate.guide_plan import Step
 
 DEFAULT_WEIGHTS = "4.4"
-AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.01, 0.5  # a simulated load points where it should
+AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load points where it should
 MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
@@ -63,7 +63,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     fit.add_model_arguments(parser)
-    parser.set_defaults(angle_scatter=None, sense=None, date=None)
+    parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: by hand 0.5 degree, --auto none
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
