@@ -91,7 +91,7 @@ def test_the_help_of_each_command(name: str, capsys: pytest.CaptureFixture[str])
     assert not err
 
 
-@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"demo", "vcan", "dump", "export"}))
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"demo", "vcan", "dump", "export", "budget"}))
 def test_what_is_missing_is_a_usage_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = [name, "--no-such-flag"] if name == "scan" else [name]
     with pytest.raises(SystemExit) as caught:

@@ -49,8 +49,7 @@ def left_inverse(A: FloatArray, Sigma: FloatArray) -> FloatArray:
     gauges gets A back, and a C of other weights would give it a wrong one.
     """
     whitener = np.linalg.inv(np.linalg.cholesky(Sigma))
-    inverse: FloatArray = np.linalg.pinv(whitener @ A) @ whitener
-    return inverse
+    return np.asarray(np.linalg.pinv(whitener @ A) @ whitener, dtype=np.float64)
 
 
 def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covariance: FloatArray) -> FloatArray:
