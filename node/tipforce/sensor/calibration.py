@@ -42,6 +42,17 @@ def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
     """
     model = model or Model()
     readings = checked(readings, model)
+    try:
+        return _fitted(readings, model)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            f"calibration: {len(readings.P_newtons)} rows decide too little for this model ({error}): add loads and "
+            "unloaded readings, or ask for less (no drift, no robust loss)"
+        ) from None
+
+
+def _fitted(readings: Readings, model: Model) -> Fit:
+    """Fit, leave out what is odd or clipped, and fit again until nothing changes."""
     scales = Scales.of(readings.strain, readings.P_newtons)
     limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
     V = readings.strain / scales.strain

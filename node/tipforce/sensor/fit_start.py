@@ -90,7 +90,8 @@ def suspects(problem: Problem) -> BoolArray:
     beta = _least_trimmed(g, V, kept)
     e = V - g @ beta
     size = np.square(e).sum(axis=1)
-    core = e[np.argsort(size)[:kept]]
+    # A row that is the mean of many readings lies closer: residuals are compared as those of single readings.
+    core = (e * np.sqrt(problem.weight[rows])[:, np.newaxis])[np.argsort(size)[:kept]]
     # 1.6: a trimmed quarter hides that much of the variance of three gauges.
     Sigma = 1.6 * core.T @ core / (kept - p) + NOISE_FLOOR**2 * np.eye(n)
     AD = beta[:3].T @ problem.D[rows]
