@@ -35,6 +35,10 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.micropython
 	$(PYTHON) -m bench.startup
 	$(PYTHON) -m bench.tshark
+	$(PYTHON) -m bench.calibration
+	$(PYTHON) -m bench.coverage
+	$(PYTHON) -m bench.fault_detection
+	$(PYTHON) -m bench.optimise
 	.venv/bin/tipforce vcan -- $(PYTHON) -m tipforce_tools.conformance.document > docs/conformance.md.new
 	mv docs/conformance.md.new docs/conformance.md
 
