@@ -11,10 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.sensor.calibration import Fit, Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.fit_design import direction_scatter
-from tipforce.sensor.fit_simulation import Faults, Simulated, simulate, unseen_forces
-from tipforce.sensor.fit_solve import Problem, solve
-from tipforce.sensor.fit_statistics import left_inverse
+from tipforce.sensor.fit.design import direction_scatter
+from tipforce.sensor.fit.simulation import Faults, Simulated, simulate, unseen_forces
+from tipforce.sensor.fit.solve import Problem, solve
+from tipforce.sensor.fit.statistics import left_inverse
 from tipforce.sensor.forces import force_vector
 
 FloatArray = npt.NDArray[np.float64]

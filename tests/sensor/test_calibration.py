@@ -18,7 +18,7 @@ from tipforce.sensor.calibration import (
     kronecker,
     linear_fit,
 )
-from tipforce.sensor.fit_simulation import Faults, Simulated, simulate
+from tipforce.sensor.fit.simulation import Faults, Simulated, simulate
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.layouts import POINTS, layout

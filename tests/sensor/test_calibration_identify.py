@@ -10,7 +10,7 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.calibration import Fit, Model, Readings, fit_calibration
-from tipforce.sensor.fit_distributions import f_quantile, t_quantile
+from tipforce.sensor.fit.distributions import f_quantile, t_quantile
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.grooves import paper_grooves

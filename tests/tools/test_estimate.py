@@ -14,7 +14,7 @@ import pytest
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.measurements import Measurements, write_measurements
-from tipforce.sensor.fit_simulation import Faults, simulate
+from tipforce.sensor.fit.simulation import Faults, simulate
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix

@@ -14,7 +14,7 @@ from tipforce.host.measurements import Measurements
 from tipforce.sensor import contact, scalar
 from tipforce.sensor.calibration import covariance_of_estimate
 from tipforce.sensor.first_order import first_order_holds
-from tipforce.sensor.fit_design import tare_groups
+from tipforce.sensor.fit.design import tare_groups
 from tipforce.sensor.forces import force_from_strain
 
 FloatArray = npt.NDArray[np.float64]

@@ -15,7 +15,7 @@ from tipforce.errors import InputError
 from tipforce.host.calibration import Calibration
 
 if TYPE_CHECKING:
-    from tipforce.sensor.fit_result import Fit
+    from tipforce.sensor.fit.result import Fit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -71,7 +71,7 @@ class FitRecord(msgspec.Struct):
         """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
         S = np.array(self.residual_covariance_microstrain2) * 1e-12
         if self.parameter_covariance_microstrain2 is None:
-            from tipforce.sensor.fit_result import kronecker
+            from tipforce.sensor.fit.result import kronecker
 
             return kronecker(S, self.normal_matrix)
         n = S.shape[0]

@@ -11,13 +11,13 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.fit_data import Model, Prior, Readings, beam_prior, checked
-from tipforce.sensor.fit_design import OffsetBasis, bad_tares, direction_scatter, offset_basis, reference_map
-from tipforce.sensor.fit_identify import FORCES, require_clear, require_seen
-from tipforce.sensor.fit_result import Fit, LoadResidual, covariance_of_estimate, kronecker
-from tipforce.sensor.fit_solve import Problem, Solution, pick, solve
-from tipforce.sensor.fit_start import corner, outlying, suspects
-from tipforce.sensor.fit_statistics import Left, Scales, result
+from tipforce.sensor.fit.data import Model, Prior, Readings, beam_prior, checked
+from tipforce.sensor.fit.design import OffsetBasis, bad_tares, direction_scatter, offset_basis, reference_map
+from tipforce.sensor.fit.identify import FORCES, require_clear, require_seen
+from tipforce.sensor.fit.result import Fit, LoadResidual, covariance_of_estimate, kronecker
+from tipforce.sensor.fit.solve import Problem, Solution, pick, solve
+from tipforce.sensor.fit.start import corner, outlying, suspects
+from tipforce.sensor.fit.statistics import Left, Scales, result
 from tipforce.sensor.forces import force_vector
 
 __all__ = [

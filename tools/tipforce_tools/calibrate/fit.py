@@ -97,7 +97,7 @@ def model_of(args: argparse.Namespace, data: Measurements) -> Model:
     import numpy as np
 
     from tipforce.sensor.calibration import Model, beam_prior
-    from tipforce.sensor.fit_design import tare_groups
+    from tipforce.sensor.fit.design import tare_groups
     from tipforce_tools.layout_file import read_layout
 
     drift = args.drift

@@ -26,7 +26,7 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.measurement_rows import LARGEST_ANGLE_DEG
-from tipforce.sensor.fit_identify import FORCES, require_seen
+from tipforce.sensor.fit.identify import FORCES, require_seen
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.grooves import paper_grooves
 

@@ -7,11 +7,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.fit_data import Model, Readings
-from tipforce.sensor.fit_design import OffsetBasis, reference_map
-from tipforce.sensor.fit_distributions import t_quantile
-from tipforce.sensor.fit_result import Fit, LoadResidual
-from tipforce.sensor.fit_solve import Problem, Solution, observed_inverse
+from tipforce.sensor.fit.data import Model, Readings
+from tipforce.sensor.fit.design import OffsetBasis, reference_map
+from tipforce.sensor.fit.distributions import t_quantile
+from tipforce.sensor.fit.result import Fit, LoadResidual
+from tipforce.sensor.fit.solve import Problem, Solution, observed_inverse
 from tipforce.sensor.strain import condition_number, row_equilibrated_condition_number
 
 FloatArray = npt.NDArray[np.float64]

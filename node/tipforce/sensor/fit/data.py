@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.fit_design import DRIFTS
+from tipforce.sensor.fit.design import DRIFTS
 from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
 from tipforce.sensor.geometry import Geometry
 from tipforce.sensor.layouts import MAX_GAUGES, MIN_GAUGES
