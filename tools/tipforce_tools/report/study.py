@@ -1,0 +1,101 @@
+"""Error against run time: what a study is made of, and how a method is timed."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from statistics import quantiles
+from typing import Protocol
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """How much a study may do: ``quick`` (all studies together within a minute) or full (ten minutes, two cores)."""
+
+    quick: bool = False
+    seed: int = 20261121
+
+    def pick(self, quick: int, full: int) -> int:
+        """A count for this effort."""
+        return quick if self.quick else full
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Seconds per unit of work: the median of several runs, and the first and third quartile."""
+
+    seconds: float
+    first_quartile_s: float
+    third_quartile_s: float
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One setting of one method: its error against the reference, and what it costs."""
+
+    setting: str
+    error: float
+    timing: Timing
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One method, from coarse to fine. A method without a setting to turn has one point."""
+
+    method: str
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Methods for one task, side by side. Errors and times have one unit throughout the study."""
+
+    key: str
+    title: str
+    error_unit: str
+    """What the error is, with its unit: "relative error of the condition number"."""
+    work_unit: str
+    """What the time is per: "s per load case"."""
+    reference: str
+    """What the errors are against."""
+    reference_error: float
+    """The error of the reference itself, in the same unit: points below it say nothing."""
+    series: tuple[Series, ...]
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Methods that did not run, with the reason and what to install."""
+    remarks: tuple[str, ...] = ()
+    """What a reader should take away, each one sentence that these very numbers support."""
+
+
+class StudyModule(Protocol):
+    """A module of ``report.studies``: lazy imports inside, so that one study loads only what it compares."""
+
+    def studies(self, effort: Effort, advance: Callable[[], None]) -> list[Study]:
+        """Run; ``advance()`` after each step of the ``STEPS`` steps that the module announces."""
+
+
+def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:
+    """Time ``work``, which does ``units`` units of work: several runs, each long enough for the clock.
+
+    One call goes first, untimed. A run repeats the call until it has taken ``at_least_s``.
+    """
+    work()
+    repeats = 1
+    while True:
+        elapsed_s = _elapsed(work, repeats)
+        if elapsed_s >= at_least_s:
+            break
+        repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
+    runs = effort.pick(3, 7)
+    found = sorted(_elapsed(work, repeats) / (repeats * units) for _ in range(runs))
+    first, median, third = quantiles(found, n=4, method="inclusive")
+    return Timing(median, first, third, runs)
+
+
+def _elapsed(work: Callable[[], object], repeats: int) -> float:
+    started = time.perf_counter_ns()
+    for _ in range(repeats):
+        work()
+    return (time.perf_counter_ns() - started) * 1e-9
