@@ -247,6 +247,8 @@ def test_models_that_are_wrong(change: dict[str, float | RootCompliance], messag
 def test_bodies_that_floating_point_cannot_hold() -> None:
     with pytest.raises(InputError, match="too thin or too thick"):
         Frame(thin(1e-120))
+    with pytest.raises(InputError, match=r"a beam of length 0\.0 m: the body is too thick"):
+        Frame(thin(1e200))
     with pytest.raises(InputError, match="a finite joint must be narrower"):
         Frame(replace(FABRICATED, h2_m=0.04), FrameModel(finite_joint=True))
 

@@ -153,6 +153,10 @@ class Frame:
         """Return the motion of the tip relative to the joint per newton of F: (3, 3), rows u_m, v_m, rotation_rad."""
         return self._tip.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
 
+    def joint_motion(self) -> FloatArray:
+        """Return the motion of the joint relative to the fixture per newton of F: (3, 3), rows as tip_motion()."""
+        return self._joint.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
+
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
         """Return by how much the slit between tip and horizontal beam narrows, m per newton of F, (2, m, 3).
 
@@ -215,6 +219,8 @@ def _solve(elements: list[_Element], loads: FloatArray) -> _Solution:
 def _element(start: tuple[float, float], end: tuple[float, float], thickness: float, model: FrameModel) -> _Element:
     a, b = np.array(start), np.array(end)
     length = float(np.hypot(*(b - a)))
+    if not 0.0 < length < math.inf:
+        raise InputError(f"a beam of length {length!r} m: the body is too thick for floating point")
     c, s = (b - a) / length
     axes = np.array([[c, s], [-s, c]])
     turn = np.zeros((3, 3))

@@ -1,0 +1,53 @@
+"""The force that the gauges see when the load moves faster than the tip: the structure's modes, step by step.
+
+Plain floats for a node's simulated source. ``tipforce.sensor.dynamics.held`` makes the coefficients and holds the
+theory; for a load that is linear during a step the result is exact, whatever the length of the step.
+"""
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    Vector = tuple[float, float, float]
+    Hold = tuple[float, float, float, float, float, float, float, float]
+    Coefficients = tuple[tuple[Vector, Hold, Vector], ...]
+
+
+class DynamicLoad:
+    """Modes at rest under no load. ``coefficients`` has one entry (load row, hold, force column) per mode.
+
+    Load row (3): modal load per newton of F1, F2, F3. Hold (8): p11, p12, p21, p22, start and end weight of the
+    position, start and end weight of the velocity. Force column (3): F1, F2, F3 in newtons per modal position.
+    They belong to one length of step: ``held.node_coefficients(modes, step_s)``.
+    """
+
+    def __init__(self, coefficients: "Coefficients") -> None:
+        self.coefficients = coefficients
+        self._positions = [0.0] * len(coefficients)
+        self._velocities = [0.0] * len(coefficients)
+
+    def settle(self, force: "Sequence[float]") -> None:
+        """Start in equilibrium under a force (F1, F2, F3) that has stood for long."""
+        f1, f2, f3 = force
+        for k in range(len(self.coefficients)):
+            row = self.coefficients[k][0]
+            self._positions[k] = row[0] * f1 + row[1] * f2 + row[2] * f3
+            self._velocities[k] = 0.0
+
+    def step(self, force_start: "Sequence[float]", force_end: "Sequence[float]") -> "Vector":
+        """The elastic force (F1, F2, F3) in newtons at the end of a step in which the load went from start to end."""
+        a1, a2, a3 = force_start
+        b1, b2, b3 = force_end
+        f1 = f2 = f3 = 0.0
+        for k in range(len(self.coefficients)):
+            row, hold, column = self.coefficients[k]
+            start = row[0] * a1 + row[1] * a2 + row[2] * a3
+            end = row[0] * b1 + row[1] * b2 + row[2] * b3
+            z, w = self._positions[k], self._velocities[k]
+            z1 = hold[0] * z + hold[1] * w + hold[4] * start + hold[5] * end
+            self._velocities[k] = hold[2] * z + hold[3] * w + hold[6] * start + hold[7] * end
+            self._positions[k] = z1
+            f1 += column[0] * z1
+            f2 += column[1] * z1
+            f3 += column[2] * z1
+        return f1, f2, f3

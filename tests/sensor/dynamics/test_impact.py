@@ -1,0 +1,237 @@
+"""Impacts: closed forms on rigid ground, independent integrators on the structure, energy, the slit as a stop."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.linalg import expm
+
+from tipforce.errors import InputError
+from tipforce.sensor.dynamics.assembly import Assembly, Striker
+from tipforce.sensor.dynamics.held import energy, respond_at, settled
+from tipforce.sensor.dynamics.impact import impact, overload
+from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce.sensor.dynamics.slit import closing_load, slit_stop
+from tipforce.sensor.dynamics.switched import exponential
+from tipforce.sensor.frame import Frame
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.merit import slit_closure
+
+BODY = modes(FABRICATED)
+STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
+exponents = st.floats(5.0, 8.0).map(lambda e: 10.0**e)
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), exponents)
+def test_linear_contact_on_rigid_ground_is_half_a_sine(mass: float, speed: float, k: float) -> None:
+    wanted = math.pi * math.sqrt(mass / k)
+    found = impact(None, Striker(mass, speed, k), 2.0 * wanted, [0.25 * wanted])
+    (touch,) = found.touches
+    assert touch.end_s == pytest.approx(wanted, rel=1e-10)
+    assert touch.peak_newtons == pytest.approx(speed * math.sqrt(k * mass), rel=1e-10)
+    assert touch.peak_s == pytest.approx(0.5 * wanted, rel=1e-7)
+    assert found.contact_newtons[0, 0] == pytest.approx(touch.peak_newtons * math.sqrt(0.5), rel=1e-10)
+    assert found.body_speed_m_s == pytest.approx(-speed, rel=1e-10)
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.floats(1e-4, 10.0), st.floats(1e-3, 10.0), exponents)
+def test_hertz_on_rigid_ground_has_its_closed_form(mass: float, speed: float, k: float) -> None:
+    deepest = (1.25 * mass * speed * speed / k) ** 0.4
+    # 2 deepest / v times the integral of (1 - x^2.5)^-1/2 from 0 to 1, (2/5) B(2/5, 1/2).
+    beta = math.gamma(0.4) * math.gamma(0.5) / math.gamma(0.9)
+    wanted = 0.8 * beta * deepest / speed
+    assert wanted == pytest.approx(3.218 * (mass**2 / (k**2 * speed)) ** 0.2, rel=1e-3)
+    (touch,) = (found := impact(None, Striker(mass, speed, k, 1.5), 2.0 * wanted)).touches
+    assert touch.end_s == pytest.approx(wanted, rel=1e-10)
+    assert touch.peak_newtons == pytest.approx(k * deepest**1.5, rel=1e-10)
+    assert found.body_speed_m_s == pytest.approx(-speed, rel=1e-10)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize("k", [1e5, 1e8])
+def test_on_the_structure_an_independent_integrator_agrees_to_1e_10(exponent: float, k: float) -> None:
+    # scipy's DOP853 stops at the end of contact; its equation is written out here, not taken from the product.
+    striker = Striker(0.01, 0.3, k, exponent, theta_rad=1.0)
+    omega, along = BODY.omega_rad_s, BODY.load_shape @ striker.direction
+
+    def rate(_: float, X: np.ndarray[tuple[int], np.dtype[np.float64]]) -> list[float]:
+        q, p, overlap = X[:3], X[3:6], max(X[6], 0.0)
+        P = k * overlap**exponent
+        return [*p, *(along * P - omega**2 * q), X[7] - along @ p, -P / 0.01]
+
+    def parted(_: float, X: np.ndarray[tuple[int], np.dtype[np.float64]]) -> float:
+        return float(X[6])
+
+    parted.terminal, parted.direction = True, -1.0  # type: ignore[attr-defined]
+    found = impact(BODY, striker, 0.02)
+    duration = found.touches[0].end_s
+    assert math.isfinite(duration)
+    run = solve_ivp(
+        rate, (0.0, 0.02), [0.0] * 7 + [0.3], method="DOP853", events=parted, rtol=2.5e-14,
+        atol=[1e-20] * 3 + [1e-17] * 3 + [1e-21, 1e-17], dense_output=True, max_step=duration / 200.0,
+    )  # fmt: skip
+    assert run.t_events[0][0] == pytest.approx(duration, rel=1e-10)
+    overlap = run.sol(found.touches[0].peak_s)[6]
+    assert k * overlap**exponent == pytest.approx(found.touches[0].peak_newtons, rel=1e-10)
+
+
+@pytest.mark.parametrize("exponent", [1.0, 1.5])
+@pytest.mark.parametrize("mass", [0.01, 0.5])
+def test_nothing_is_lost_without_damping(exponent: float, mass: float) -> None:
+    striker = Striker(mass, 0.3, 1e8, exponent, theta_rad=1.0)
+    found = impact(BODY, striker, 0.03)
+    assert all(math.isfinite(touch.end_s) for touch in found.touches)
+    assert len(found.touches) == (1 if mass < 0.1 else len(found.touches))
+    if mass > 0.1:
+        assert len(found.touches) > 3  # the tip rings below a heavy body and is struck again and again
+    total = energy(BODY, found.structure) + 0.5 * mass * found.body_speed_m_s**2
+    assert total == pytest.approx(0.5 * mass * 0.3**2, rel=1e-11)
+
+
+def test_linear_and_hertz_run_the_same_free_motion_and_samples() -> None:
+    times = np.linspace(0.0, 0.01, 41)
+    for exponent in (1.0, 1.5):
+        striker = Striker(0.01, 0.3, 1e7, exponent)
+        dense, alone = impact(BODY, striker, 0.01, times), impact(BODY, striker, 0.01)
+        assert dense.touches[0].end_s == pytest.approx(alone.touches[0].end_s, rel=1e-12)
+        assert dense.elastic_newtons.shape == (41, 3)
+        end = dense.structure.position @ BODY.force_shape.T
+        np.testing.assert_allclose(dense.elastic_newtons[-1], end, rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(alone.structure.position, dense.structure.position, rtol=1e-9, atol=1e-12)
+
+
+def test_the_peak_of_a_stiff_impact_is_not_in_the_gauges() -> None:
+    found = impact(BODY, Striker(0.01, 0.3, 1e8), 0.02, np.linspace(0.0, 0.02, 401))
+    assert found.touches[0].peak_newtons > 20.0 * np.abs(found.elastic_newtons).max()
+    # What is in them is the momentum that passed: a short blow J leaves omega J.
+    tip, omega = half_cylinder(FABRICATED).mass_kg, BODY.omega_rad_s[1]
+    J = 2.0 * 0.3 * 0.01 * tip / (0.01 + tip)
+    assert np.abs(found.elastic_newtons).max() == pytest.approx(omega * J, rel=1e-3)
+
+
+def test_the_finger_against_a_stop_ends_at_rest_pressed() -> None:
+    # An unyielding body at constant speed: the contact force rises with the structure's stiffness against the drive.
+    damped = BODY.with_damping(1.0)
+    found = impact(damped, Striker(math.inf, 1e-3, 1e6), 0.5, [0.5])
+    lift = (BODY.displacement_shape @ BODY.load_shape)[0, 0]
+    series = 1.0 / (lift + 1e-6)
+    assert found.touches[0].end_s == math.inf
+    # Ramp response: the damper adds 2 zeta / omega of the mode times the tip's share of the speed.
+    lag = 2.0 / BODY.omega_rad_s[1] * lift * series
+    assert found.contact_newtons[0, 0] == pytest.approx(series * 1e-3 * (0.5 + lag), rel=1e-9)
+
+
+def test_a_stop_never_reached_changes_nothing() -> None:
+    t = np.linspace(0.0, 0.05, 101)
+    loads = np.outer(np.sin(60.0 * t), [1.0, 0.3, -0.5])
+    body = BODY.with_damping(0.02)
+    found = overload(body, slit_stop(FABRICATED, BODY), t, loads)
+    assert found.touches == ()
+    wanted = respond_at(body, t, loads).elastic_newtons
+    np.testing.assert_allclose(found.elastic_newtons, wanted, rtol=0.0, atol=1e-12)
+    np.testing.assert_allclose(found.vertical_newtons, wanted, rtol=0.0, atol=1e-12)
+
+
+@pytest.mark.parametrize("body", [BODY, STIFF])
+def test_overload_at_rest_is_the_static_solution_and_the_vertical_beam_sees_all_of_it(body: object) -> None:
+    assert body is BODY or body is STIFF
+    damped = (BODY if body is BODY else STIFF).with_damping(1.0)
+    F = np.array([-50.0, -10.0, 5.0])
+    stop = slit_stop(FABRICATED, damped)
+    found = overload(damped, stop, [0.0, 0.05, 0.15], np.vstack((0.0 * F, F, F)))
+    np.testing.assert_allclose(found.vertical_newtons[-1], F, rtol=0.0, atol=1e-9)
+    # Static, by hand: the arms carry F less the stops; a closed stop's overlap is its force times its compliance.
+    s = Frame(FABRICATED).slit_closure([0.2])[:, 0]
+    assert s @ F == pytest.approx([0.527e-3, 0.626e-3], rel=1e-2)
+    N = found.contact_newtons[-1]
+    bending = FABRICATED.youngs_modulus_pascals * FABRICATED.width_m * FABRICATED.h1_m**3 / 12.0
+    own = (FABRICATED.a_m * 0.16) ** 3 / (3.0 * bending) + 1e-7
+    for j in range(2):
+        overlap = s[j] @ found.elastic_newtons[-1] - 0.25e-3
+        assert (N[j] == 0.0 and overlap <= 0.0) or overlap == pytest.approx(N[j] * own, rel=1e-9)
+    assert N.max() > 20.0
+
+
+def test_the_load_that_closes_the_slit() -> None:
+    worst = 0.25e-3 / slit_closure(FABRICATED, 1.0)
+    # Straight down, at the side: F1 = F2 = -P presses the right arm's end, whatever F3.
+    assert closing_load(FABRICATED, 0.0, 1.5 * math.pi) == pytest.approx(worst, rel=1e-12)
+    assert closing_load(FABRICATED, math.pi, 1.5 * math.pi) == pytest.approx(worst, rel=1e-12)
+    assert closing_load(FABRICATED, 0.0, math.pi) == math.inf
+    assert worst == pytest.approx(15.2, abs=0.05)
+    assert closing_load(FABRICATED, 0.5 * math.pi, 1.5 * math.pi) == pytest.approx(21.69, abs=0.01)
+    # Slowly raised, it is also the load at which the stop closes in the simulation.
+    P, F = 21.6931216931217, np.array([-1.0, 0.0, 0.0])
+    damped = BODY.with_damping(1.0)
+    slow = overload(damped, slit_stop(FABRICATED, BODY), [0.0, 1.0], np.outer([0.0, 2.0 * P], F))
+    lag = 2.0 / BODY.omega_rad_s[1]  # of a critically damped mode behind a ramp
+    assert slow.touches[0].begin_s == pytest.approx(0.5 + lag, rel=1e-10)
+
+
+def test_an_impact_closes_the_slit_and_loses_nothing() -> None:
+    stop = slit_stop(FABRICATED, BODY)
+    found = impact(BODY, Striker(0.05, 2.0, 1e7), 0.003, slit=stop)
+    assert {touch.contact for touch in found.touches} == {0, 1, 2}
+    assert all(math.isfinite(touch.end_s) for touch in found.touches)
+    total = energy(BODY, found.structure) + 0.5 * 0.05 * found.body_speed_m_s**2
+    assert total == pytest.approx(0.5 * 0.05 * 2.0**2, rel=1e-11)
+    left, right = ([t for t in found.touches if t.contact == j] for j in (1, 2))
+    for a, b in zip(left, right, strict=True):  # a blow on the top is symmetric
+        assert a.begin_s == pytest.approx(b.begin_s, rel=1e-12)
+        assert a.peak_newtons == pytest.approx(b.peak_newtons, rel=1e-9)
+
+
+@settings(max_examples=30, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(-12.0, 3.0))
+def test_the_matrix_exponential_is_scipys(seed: int, exponent: float) -> None:
+    A = np.random.default_rng(seed).normal(size=(6, 6))
+    A = (A - A.T) * 10.0**exponent
+    np.testing.assert_allclose(exponential(A), expm(A), rtol=0.0, atol=1e-13 * max(1.0, 10.0**exponent))
+
+
+def test_states_go_in_and_come_out() -> None:
+    start = settled(BODY, [1.0, 2.0, 3.0])
+    assembly = Assembly(BODY, Striker(0.1, 0.2, 1e6), slit_stop(FABRICATED, BODY))
+    X = assembly.start(start)
+    np.testing.assert_allclose(assembly.structure(X).position, start.position, rtol=1e-15)
+    assert assembly.body_speed(X) == pytest.approx(0.2, rel=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("fields", "says"),
+    [
+        ((0.0, 1.0, 1e6), "mass_kg"),
+        ((1.0, -1.0, 1e6), "speed_m_s"),
+        ((1.0, 1.0, math.inf), "contact stiffness"),
+        ((1.0, 1.0, 1e6, 2.0), "exponent"),
+        ((1.0, 1.0, 1e6, 1.0, math.nan), "angles"),
+    ],
+)
+def test_bodies_out_of_range_are_refused(fields: tuple[float, ...], says: str) -> None:
+    with pytest.raises(InputError, match=says):
+        Striker(*fields)
+
+
+def test_runs_out_of_range_are_refused() -> None:
+    striker, stop = Striker(0.01, 0.3, 1e6), slit_stop(FABRICATED, BODY)
+    with pytest.raises(InputError, match="until_s"):
+        impact(BODY, striker, math.inf)
+    with pytest.raises(InputError, match="times"):
+        impact(BODY, striker, 1.0, [2.0])
+    with pytest.raises(InputError, match="Hertzian"):
+        impact(BODY, Striker(0.01, 0.3, 1e6, 1.5), 1.0, slit=stop)
+    with pytest.raises(InputError, match="rigid ground"):
+        impact(None, striker, 1.0, slit=stop)
+    with pytest.raises(InputError, match="gap_m"):
+        slit_stop(FABRICATED, BODY, gap_m=0.0)
+    with pytest.raises(InputError, match="rise strictly"):
+        overload(BODY, stop, [0.0, 0.0], np.zeros((2, 3)))
+    with pytest.raises(InputError, match="finite"):
+        overload(BODY, stop, [0.0, 1.0], np.full((2, 3), math.inf))
