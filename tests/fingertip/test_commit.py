@@ -156,3 +156,34 @@ def test_node_never_calibrated_has_zeros() -> None:
     assert talk.calibration() == (bytes(106), 0, 0)
     assert talk.commit() == CRC  # the expected CRC is still 0, that of 106 zero bytes is not
     assert not talk.sync().status & 0x02
+
+
+C2 = 1e-14
+
+
+@pytest.mark.parametrize(
+    "variance",
+    [
+        (-C2, 0, 0, C2, 0, C2),
+        (C2, 0, 0, C2, 0, -1e-45),
+        (C2, 1.1 * C2, 0, C2, 0, C2),
+        (0, C2, 0, C2, 0, C2),
+        (C2, -0.9 * C2, -0.9 * C2, C2, -0.9 * C2, C2),
+    ],
+)
+def test_noise_that_no_gauges_can_have(talk: Finger, variance: tuple[float, ...]) -> None:
+    # A negative variance would give an uncertainty of 0: theta would count as resolved.
+    talk.stage(record())
+    for sub, value in enumerate(variance, 1):
+        assert talk.put("f", 0x2106, sub, value) == 0
+    assert talk.put("I", 0x2103, 1, talk.get("I", 0x2103, 2)) == 0
+    refuse(talk, VALUE)
+
+
+@pytest.mark.parametrize("variance", [(0.0,) * 6, (C2,) * 6, (1e-38, 0, 0, 1e-14, 0, 1e30), (C2, -C2, 0, C2, 0, C2)])
+def test_noise_at_the_edge_of_what_gauges_can_have(talk: Finger, variance: tuple[float, ...]) -> None:
+    talk.stage(record())
+    for sub, value in enumerate(variance, 1):
+        assert talk.put("f", 0x2106, sub, value) == 0
+    assert talk.put("I", 0x2103, 1, talk.get("I", 0x2103, 2)) == 0
+    assert talk.commit() == 0

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from typing import Any
 
     from tipforce.device.node import Device
+    from tipforce.fingertip.front_end import FrontEnd
 
 
 class Store:
@@ -45,9 +46,19 @@ def build(header: "dict[str, Any]", store: Store) -> "Device":
     data = binascii.unhexlify(header["rows"])
     rows = [struct.unpack("<3d", data[k : k + 24]) for k in range(0, len(data), 24)]
     return fingertip_node(
-        header["node_id"], SimulatedSource(rows), len(rows), header["serial"], store.save, store.load,
-        header["eds"].encode(),
+        header["node_id"], SimulatedSource(rows, front_end=front_end(header)), len(rows), header["serial"],
+        store.save, store.load, header["eds"].encode(),
     )  # fmt: skip
+
+
+def front_end(header: "dict[str, Any]") -> "FrontEnd | None":
+    """What a recording names of the front end; numbers in JSON are short ones, which every reader reads alike."""
+    named = header.get("front_end")
+    if not named:
+        return None
+    from tipforce.fingertip.front_end import Bridge, FrontEnd
+
+    return FrontEnd(bridge=Bridge(named["bridge"]), **{key: named[key] for key in named if key != "bridge"})
 
 
 def answer(device: "Device", now_us: int, frames: "list[tuple[int, bytes]]") -> str:

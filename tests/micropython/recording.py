@@ -45,6 +45,7 @@ class RecordedDevice:
         store: dict[str, str] | None = None,
         eds: str = "",
         serial: int = 0x01020304,
+        front_end: dict[str, Any] | None = None,
     ) -> None:
         rows = strain_matrix(FABRICATED, layout)
         header = {
@@ -53,6 +54,7 @@ class RecordedDevice:
             "rows": struct.pack(f"<{rows.size}d", *rows.flat).hex(),
             "store": store or {},
             "eds": eds,
+            "front_end": front_end,
         }
         self.recording = Recording(name, header)
         self._store = on_node.Store(header["store"])  # type: ignore[arg-type]

@@ -270,6 +270,53 @@ def many_gauges() -> list[Recording]:
     return [talk.recording]
 
 
+def filters() -> list[Recording]:
+    """Each filter with extreme constants, under loads, saturation, silence and time asleep; stored, found again."""
+    found = []
+    for kind, constant in ((1, 7), (1, 256), (2, 5), (100, 3), (100, 65535)):
+        talk = Talk(f"filter {kind}, {constant}", now_us=PAST_SMALL_INTEGERS_US if constant == 7 else 0)
+        talk.calibrate()
+        talk.start()
+        assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
+        for k in range(8):
+            talk.load(0.1 * k, -30.0 + k, 10.0)
+            talk.sync(4)
+            if k in (3, 5):
+                assert talk.put("H", 0x2200, 1, k) == 0  # saturated, then drifting
+                talk.sync(3, 1700)
+                assert talk.put("H", 0x2200, 1, 0) == 0
+        talk.sleep(90_000)
+        talk.sync(1)
+        talk.upload(0x6130, 1)
+        assert talk.put("I", 0x1010, 3, table.SIGNATURE_SAVE) == 0
+        second = Talk(f"filter {kind}, {constant}, power cycle", store=talk.recorded.stored())
+        assert second.get("B", 0x61A0, 2) == kind
+        second.start()
+        second.sync(5)
+        found += [talk.recording, second.recording]
+    return found
+
+
+def front_ends() -> list[Recording]:
+    """24 bits behind a quarter bridge that warms up, and 16 bits behind an amplifier of its own."""
+    found = []
+    for named in (
+        {"bridge": "quarter", "bits": 24, "temperature": [[0, 20], [0.0625, 40]], "apparent_strain": 1.5},
+        {"bridge": "half", "gain": 128, "temperature": 30, "gain_drift_ppm": 64},
+    ):
+        talk = Talk(f"front end {named['bridge']}", front_end=named)
+        talk.calibrate()
+        talk.start()
+        for k in range(20):
+            talk.load(0.5 * k, -30.0 + 3.0 * k, 10.0)
+            talk.sync(2)
+            for index in (0x6100, 0x7100, 0x9100, 0x6122, 0x2122):
+                talk.upload(index, 0 if index == 0x2122 else 1)
+        found.append(talk.recording)
+    return found
+
+
 SCRIPTS: tuple[Callable[[], list[Recording]], ...] = (
-    nmt_and_sdo, calibration, measurement, pdos, network, lss, eds, many_gauges,
+    nmt_and_sdo, calibration, measurement, pdos, network, lss, eds, many_gauges, filters,
+    front_ends,
 )  # fmt: skip

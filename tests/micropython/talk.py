@@ -1,6 +1,7 @@
 """A conversation that is recorded, with the steps that several of them take."""
 
 from collections.abc import Sequence
+from typing import Any
 
 from device.conversation import Conversation, Frame
 from micropython.recording import RecordedDevice, Recording
@@ -23,8 +24,9 @@ class Talk(Conversation):
         store: dict[str, str] | None = None,
         eds: str = "",
         now_us: int = 0,
+        front_end: dict[str, Any] | None = None,
     ) -> None:
-        self.recorded = RecordedDevice(name, node_id, layout, store, eds)
+        self.recorded = RecordedDevice(name, node_id, layout, store, eds, front_end=front_end)
         # Of a device Conversation needs the step and the node-id alone.
         super().__init__(self.recorded, now_us, emcy=True)  # type: ignore[arg-type]
 

@@ -18,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
     )
+    parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="eds: of the converter (default 16)")
     parser.add_argument("--simulated", action="store_true", help="eds: of a simulated node, with 2200h and 2201h")
     common.add_output_arguments(parser)
 
@@ -25,9 +26,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file; 0."""
     if args.format == "eds":
+        from tipforce.dictionary import table
         from tipforce.dictionary.eds import eds_text
 
-        text = eds_text(args.gauges, args.simulated)
+        converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
+        text = eds_text(args.gauges, args.simulated, converter)
     else:
         from tipforce.dictionary.dbc import dbc_text
 

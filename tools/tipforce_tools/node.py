@@ -12,6 +12,7 @@ from tipforce_tools import common
 
 if TYPE_CHECKING:
     from tipforce.device.node import Device
+    from tipforce.fingertip.front_end import FrontEnd
     from tipforce.fingertip.loop import Port
 
 
@@ -30,6 +31,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--noise", type=float, default=0.5, metavar="UE", help="of each gauge, microstrain (default %(default)s)"
     )
+    group.add_argument(
+        "--noise-1f", type=float, default=0.0, metavar="UE", help="1/f noise: microstrain at 1 Hz (default none)"
+    )
+    group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
     group.add_argument("--offset", default="", metavar="UE,UE,...", help="what each gauge reads unloaded, microstrain")
     group.add_argument(
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
@@ -71,7 +76,11 @@ def _device(args: argparse.Namespace) -> Device:
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     if not 0 <= args.noise < math.inf:
         raise InputError(f"--noise {args.noise}: allowed is 0 or more")
-    source = SimulatedSource(gauge_matrix(geometry, gauges).tolist(), args.noise, offset, args.seed)
+    if not 0 <= args.noise_1f < math.inf:
+        raise InputError(f"--noise-1f {args.noise_1f}: allowed is 0 or more")
+    front_end = _front_end(args)
+    rows = gauge_matrix(geometry, gauges).tolist()
+    source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=front_end)
     source.load = (load[0], load[1], load[2])
     store = FileStore(args.store) if args.store else None
     return fingertip_node(
@@ -81,8 +90,17 @@ def _device(args: argparse.Namespace) -> Device:
         args.serial or args.node_id,
         store.save if store else None,
         store.load if store else None,
-        eds_text(len(gauges), simulated=True).encode(),
+        eds_text(len(gauges), simulated=True, converter=source.converter).encode(),
     )
+
+
+def _front_end(args: argparse.Namespace) -> FrontEnd | None:
+    """What lies before the counts, where a flag names something besides an ideal 16-bit converter."""
+    if args.bits == 16 and not args.noise_1f:
+        return None
+    from tipforce.fingertip.front_end import FrontEnd
+
+    return FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
 
 
 def _numbers(flag: str, text: str, count: int) -> list[float]:

@@ -55,7 +55,8 @@ class Application:
 class Device:
     """One node. Call ``step`` with the frames that came and with the time; send what it returns.
 
-    ``now_us`` is a count of microseconds that never wraps and never goes back. ``requests`` collects what the loop
+    ``now_us`` is a count of microseconds that never wraps. Should it go back, the device goes on from where it was, and
+    its own time stays ahead from then on. ``requests`` collects what the loop
     must do for the device, as (what, value, milliseconds); the loop empties it: ("reset-node", 0, 0) and
     ("reset-communication", 0, 0) have been done and are only told, ("bit-rate", bit/s, delay) asks for a switch of
     the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) asks to bring the controller back after bus-off.
@@ -70,6 +71,7 @@ class Device:
         self.od = od
         self.node_id = od.node_id
         self.now_us = 0
+        self._ahead_us = 0  # of the caller's clock: what that has gone back by
         self.application: "Application | None" = None
         self.requests: "list[Request]" = []
         self._outbox: "list[Frame]" = []
@@ -95,6 +97,10 @@ class Device:
 
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
         """Take ``frames`` as (SocketCAN can_id, data); return the frames to send and the next due time."""
+        now_us += self._ahead_us
+        if now_us < self.now_us:
+            self._ahead_us += self.now_us - now_us
+            now_us = self.now_us
         self.now_us = now_us
         if not self._booted:
             self._booted = True
@@ -112,7 +118,7 @@ class Device:
                 handler(data)
         due_us = self._expire(now_us)
         sent, self._outbox = self._outbox, []
-        return sent, due_us
+        return sent, due_us - self._ahead_us
 
     def _expire(self, now_us: int) -> int:
         """Run the services whose time has come; the next due time of all."""

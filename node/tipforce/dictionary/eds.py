@@ -25,15 +25,20 @@ Values = Mapping[tuple[int, int], types.Value]
 _Lines = list[str]
 
 
-def file_name(n: int = 3, simulated: bool = False, suffix: str = "eds") -> str:
-    """The name under which the file of this node is kept, such as ``tipforce-3.eds``."""
-    return f"tipforce-{n}{'-simulated' if simulated else ''}.{suffix}"
+def file_name(n: int = 3, simulated: bool = False, suffix: str = "eds", bits: int = 16) -> str:
+    """The name under which the file of this node is kept, such as ``tipforce-3.eds``; ``bits`` of its converter."""
+    return f"{_kind(n, simulated, bits)}.{suffix}"
 
 
-def eds_text(n: int = 3, simulated: bool = False) -> str:
+def _kind(n: int, simulated: bool, bits: int) -> str:
+    return f"tipforce-{n}" + (f"-{bits}bit" if bits > 16 else "") + ("-simulated" if simulated else "")
+
+
+def eds_text(n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16) -> str:
     """The EDS of a node with ``n`` gauges. Raises InputError for an ``n`` outside 3..8."""
-    found = objects(n, simulated)
-    lines = _file_info(n, simulated, "eds") + _device_info(n, simulated) + _dummy_usage() + _comments(n)
+    found = objects(n, simulated, converter)
+    lines = _file_info(n, simulated, "eds", converter) + _device_info(n, simulated, converter)
+    lines += _dummy_usage() + _comments(n)
     return _text(lines + _object_lists(found) + _sections(found, None))
 
 
@@ -46,6 +51,7 @@ def dcf_text(
     bit_rate_kbit_s: int = DEFAULT_BIT_RATE_KBIT_S,
     node_name: str = "",
     last_eds: str | None = None,
+    converter: table.Converter = table.CONVERTER_16,
 ) -> str:
     """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
 
@@ -58,10 +64,10 @@ def dcf_text(
     known = rows(n, simulated)
     for place, value in values.items():
         _check(known.get(place), place, value, n)
-    found = objects(n, simulated)
-    lines = _file_info(n, simulated, "dcf")
-    lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated)}")
-    lines += _device_info(n, simulated) + _commissioning(node_id, bit_rate_kbit_s, node_name)
+    found = objects(n, simulated, converter)
+    lines = _file_info(n, simulated, "dcf", converter)
+    lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated, bits=converter[0])}")
+    lines += _device_info(n, simulated, converter) + _commissioning(node_id, bit_rate_kbit_s, node_name)
     lines += _dummy_usage() + _comments(n) + _object_lists(found) + _sections(found, values)
     return _text(lines)
 
@@ -104,10 +110,10 @@ def _text(lines: Iterable[str]) -> str:
     return "\n".join(lines)
 
 
-def _file_info(n: int, simulated: bool, suffix: str) -> _Lines:
+def _file_info(n: int, simulated: bool, suffix: str, converter: table.Converter) -> _Lines:
     return [
         "[FileInfo]",
-        f"FileName={file_name(n, simulated, suffix)}",
+        f"FileName={file_name(n, simulated, suffix, converter[0])}",
         "FileVersion=1",
         "FileRevision=0",
         "EDSVersion=4.0",
@@ -122,15 +128,16 @@ def _file_info(n: int, simulated: bool, suffix: str) -> _Lines:
     ]
 
 
-def _device_info(n: int, simulated: bool) -> _Lines:
+def _device_info(n: int, simulated: bool, converter: table.Converter) -> _Lines:
+    wide = f", {converter[0]} bits" if converter[0] > 16 else ""
     return [
         "[DeviceInfo]",
         "VendorName=tipforce",
         "VendorNumber=0x00000000",  # never blank: canopen can't read that
-        f"ProductName=tipforce fingertip, {n} gauges" + (", simulated" if simulated else ""),
-        f"ProductNumber=0x{table.product_code(n, simulated):08X}",
+        f"ProductName=tipforce fingertip, {n} gauges{wide}" + (", simulated" if simulated else ""),
+        f"ProductNumber=0x{table.product_code(n, simulated, converter):08X}",
         f"RevisionNumber=0x{table.REVISION:08X}",
-        f"OrderCode=tipforce-{n}" + ("-simulated" if simulated else ""),
+        f"OrderCode={_kind(n, simulated, converter[0])}",
         *(f"BaudRate_{rate}=1" for rate in BIT_RATES_KBIT_S),
         "SimpleBootUpMaster=0",
         "SimpleBootUpSlave=1",

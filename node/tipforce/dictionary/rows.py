@@ -57,10 +57,10 @@ class Object:
 
 
 @lru_cache(maxsize=32)
-def objects(n: int = 3, simulated: bool = False) -> tuple[Object, ...]:
+def objects(n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16) -> tuple[Object, ...]:
     """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""
     try:
-        declared = table.objects(n, simulated)
+        declared = table.objects(n, simulated, converter)
     except ValueError as error:
         raise InputError(str(error)) from None
     return tuple(

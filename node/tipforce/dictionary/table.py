@@ -26,6 +26,8 @@ if TYPE_CHECKING:  # never run: MicroPython has no typing
     Pdo: TypeAlias = tuple[int, str, int, bool, int, int, Mapped]
     # (symbol, what, 6131h unit, 6132h digits, 6110h type, unit, low, high)
     Channel: TypeAlias = tuple[str, str, int, int, int, str, float, float]
+    # (bits, counts per microstrain)
+    Converter: TypeAlias = tuple[int, float]
 
 U8, U16, U32, I16, I32, REAL32, STRING, DOMAIN = "B", "H", "I", "h", "i", "f", "s", "D"
 VAR, ARRAY, RECORD = 7, 8, 9
@@ -50,6 +52,8 @@ SIGNATURE_COMMIT, SIGNATURE_OPEN = 0x74696D63, 0x6E65706F  # "cmit", "open"
 
 SOFTWARE_VERSION = "0.1.0"
 REVISION = 0x00010000
+# Of the gauges: (bits, counts per microstrain). Both have a full scale of 3276.8 microstrain.
+CONVERTER_16, CONVERTER_24 = (16, 10.0), (24, 2560.0)
 MIN_GAUGES, MAX_GAUGES = 3, 8
 CUSTOM_LAYOUT = 255  # 2102h:4, besides 1, 2, 3 for cases I, II, III
 
@@ -113,20 +117,22 @@ def rpdos() -> "tuple[Pdo, ...]":
     return ((1, "Command", 0x200, False, 255, 0, ((0x2130, 0),)),)
 
 
-def product_code(n: int, simulated: bool) -> int:
+def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16) -> int:
     """Object 1018h:2 of a node with ``n`` gauges."""
-    return 0x54500000 | (0x100 if simulated else 0) | n
+    return 0x54500000 | (0x200 if converter[0] > 16 else 0) | (0x100 if simulated else 0) | n
 
 
-def objects(n: int = 3, simulated: bool = False) -> "tuple[Object, ...]":
+def objects(n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16) -> "tuple[Object, ...]":
     """Every object of a node with ``n`` gauges, ordered by index.
 
-    ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code.
+    ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code. ``converter`` is (bits, counts per
+    microstrain): its counts give the default of 6122h; with more than 16 bits INTEGER16 cannot hold them, so 7100h,
+    7120h and 7122h are left out, and bit 9 of the product code is set.
     Raises ValueError for an ``n`` outside 3..8.
     """
     if not MIN_GAUGES <= n <= MAX_GAUGES:
         raise ValueError("number of gauges: %r, allowed %d to %d" % (n, MIN_GAUGES, MAX_GAUGES))
-    found = list(_communication(n, simulated))
+    found = list(_communication(product_code(n, simulated, converter), simulated))
     for pdo in rpdos():
         found += _pdo_objects("rpdo", 0x1400, 0x1600, pdo)
     for pdo in tpdos(n):
@@ -135,7 +141,7 @@ def objects(n: int = 3, simulated: bool = False) -> "tuple[Object, ...]":
     found += _live()
     if simulated:
         found += _simulation(n)
-    found += _profile(n)
+    found += _profile(n, converter)
     return tuple(_with_sub0(row) for row in sorted(found))
 
 
@@ -210,7 +216,7 @@ def _record(index: int, name: str, slug: str, *entries: "tuple[Any, ...]") -> "O
 # fmt: off
 
 
-def _communication(n: int, simulated: bool) -> "tuple[Object, ...]":
+def _communication(product: int, simulated: bool) -> "tuple[Object, ...]":
     stores = ("all parameters", "communication parameters", "application parameters", "calibration")
     return (
         _var(0x1000, "Device type", "device_type", U32, "ro", 0, 0x00020194),
@@ -261,7 +267,7 @@ def _communication(n: int, simulated: bool) -> "tuple[Object, ...]":
         _record(
             0x1018, "Identity object", "identity",
             (1, "Vendor-ID", "vendor", U32, "ro"),
-            (2, "Product code", "product", U32, "ro", 0, product_code(n, simulated)),
+            (2, "Product code", "product", U32, "ro", 0, product),
             (3, "Revision number", "revision", U32, "ro", 0, REVISION),
             (4, "Serial number", "serial", U32, "ro"),
         ),
@@ -414,7 +420,7 @@ def _simulation(n: int) -> "tuple[Object, ...]":
     )
 
 
-def _profile(n: int) -> "list[Object]":
+def _profile(n: int, converter: "Converter") -> "list[Object]":
     chans = channels(n)
     symbols = tuple(c[0] for c in chans)
     total = n + 6
@@ -450,7 +456,7 @@ def _profile(n: int) -> "list[Object]":
         (0x100, "field value", "field_value", n, "ro", 0.0, "counts"),
         (0x120, "scaling 1 field value", "scaling_1_field", n, "rw", 0.0, "counts"),
         (0x121, "scaling 1 process value", "scaling_1_process", n, "rw", 0.0, "microstrain"),
-        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", 10000.0, "counts"),
+        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", 1000.0 * converter[1], "counts"),
         (0x123, "scaling 2 process value", "scaling_2_process", n, "rw", 1000.0, "microstrain"),
         (0x124, "process value offset", "process_offset", n, "rw", 0.0, "microstrain"),
         (0x130, "process value", "process_value", total, "ro", 0.0, "unit of 6131h"),
@@ -470,6 +476,8 @@ def _profile(n: int) -> "list[Object]":
             )
         )
         for base, kind, suffix in ((0x7000, I16, "int16"), (0x9000, I32, "int32")):
+            if kind == I16 and unit == "counts" and converter[0] > 16:
+                continue
             found.append(
                 _array(
                     base + offset, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],

@@ -9,7 +9,6 @@ from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
 from .interrupts import Interrupts
 from .sample import NO_TARE, Sample
-from .source import COUNT_MAX, COUNT_MIN
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -17,6 +16,7 @@ if TYPE_CHECKING:
 
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
+    from .filters import Filtering
     from .source import Reading, Source
 
 REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
@@ -41,6 +41,8 @@ class Fingertip(Application):
         self.device = device
         self.n = n
         self.source = source
+        self.ends = source.count_min, source.count_max
+        self.filtering: "Filtering | None" = None
         self.calibration = Calibration(device.od, n)
         self.channels = Channels(device.od, n, self)
         self._tare = NO_TARE
@@ -48,7 +50,7 @@ class Fingertip(Application):
         self._counter = 0
         self._read_us = 0
         self._equal = [0] * n
-        self._frozen = 0  # bit k: the reading of gauge k + 1 stands still
+        self.frozen = 0  # bit k: the reading of gauge k + 1 stands still
         self._synced_us = -REFRESH_US
         self.sample = Sample(None, self.channels.scaling, None)
         self.interrupts = Interrupts(device, n, self.channels.exact)
@@ -78,11 +80,13 @@ class Fingertip(Application):
     def on_reset(self, now_us: int) -> None:
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
+        self.channels.one_filter()
         self.device.od.values[0x213000] = 0
         self._tare = NO_TARE
         self._read_us = now_us
         self._equal = [0] * self.n
-        self._frozen = 0
+        self.frozen = 0
+        self.load_filter()
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
         if "calibration" in self.device.storage.damaged:
             self.device.emcy.raise_error(CALIBRATION_INVALID, emcy.MANUFACTURER)
@@ -90,8 +94,21 @@ class Fingertip(Application):
     def on_settings(self) -> None:
         """Find out anew which channels have interrupts to watch for."""
         self.interrupts.load()
-        watching = self.device.nmt.state == codes.OPERATIONAL and self.interrupts.watching
-        self.due_us = self.device.now_us if watching else codes.NEVER_US
+        wanted = self.filtering is not None or self._watching()
+        self.due_us = self.device.now_us if wanted else codes.NEVER_US
+
+    def _watching(self) -> bool:
+        return self.device.nmt.state == codes.OPERATIONAL and self.interrupts.watching
+
+    def load_filter(self) -> None:
+        """Begin filtering anew as 61A0h and 61A1h say; an average of one conversion is none."""
+        kind, constant = self.device.od.integer(0x61A0, 1), self.device.od.integer(0x61A1, 1)
+        self.filtering = None
+        if kind and constant > 1:
+            from .filters import Filtering  # a node without a filter does without
+
+            self.filtering = Filtering(self, kind, constant, self.device.now_us)
+        self.on_settings()
 
     def on_sync(self, now_us: int) -> None:
         """Latch a sample for the PDOs of this SYNC."""
@@ -100,29 +117,53 @@ class Fingertip(Application):
 
     def refresh(self, now_us: int) -> None:
         """A live value is read with no SYNC about: latch a sample if the last one is old."""
-        if now_us - self.sample.latched_us >= REFRESH_US:
+        if now_us - self.sample.latched_us >= REFRESH_US and (self._news(now_us) or self.sample.stale):
             self._latch(now_us)
 
+    def _news(self, now_us: int) -> bool:
+        """False while nothing but a SYNC could call the last sample old: what comes next is not due yet."""
+        if self.filtering is not None:
+            self.filtering.take(now_us)
+            return self.filtering.news() or self._silent(now_us)
+        return self.sample.reading is None or now_us - self._read_us >= self.source.period_us
+
     def expire(self, now_us: int) -> None:
-        """Interrupts are watched: without a SYNC that brings samples, take one each sample period."""
-        self.due_us = now_us + self.device.od.integer(0x6114, 1)
-        if now_us - self._synced_us >= REFRESH_US:
+        """A filter takes a conversion. Interrupts are watched: without SYNC take a sample each sample period."""
+        filtering = self.filtering
+        if filtering is None:
+            self.due_us = now_us + self.device.od.integer(0x6114, 1)
+            new = True
+        else:
+            new = self._news(now_us)
+            self.due_us = filtering.due_us
+        if new and now_us - self._synced_us >= REFRESH_US and self._watching():
             self._latch(now_us)
 
     def _latch(self, now_us: int) -> None:
         """Take the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
-        reading = self.source.read(now_us)
-        faults = self._watch(reading, now_us)
-        stale = reading is None
+        filtered = None
+        if self.filtering is None:
+            reading = self.source.read(now_us)
+            stale = reading is None
+            # What the last reading showed stands until a new one says otherwise.
+            faults = self.sample.faults if reading is None else self.watch(reading, self.sample.reading, now_us)
+            if stale:
+                reading = self.sample.reading
+        else:
+            self.filtering.take(now_us)
+            reading, faults = self.filtering.reading, self.filtering.faults
+            stale, filtered = not self.filtering.fresh, self.filtering.algorithm.output()
+            self.filtering.fresh = False
         if stale:
-            reading = self.sample.reading
+            no_data = 1 << table.FAULT_NO_DATA
+            faults = faults & ~no_data | (no_data if self._silent(now_us) else 0)
         else:
             self._counter = (self._counter + 1) & 0xFF
         was_present = self.sample.present()
         before = self.sample
         self.sample = Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
-            self._counter, now_us, self._frozen,
+            self._counter, now_us, self.frozen, filtered, self.ends,
         )  # fmt: skip
         if self.sample.faults != before.faults:
             self._report_faults(before.faults, self.sample.faults)
@@ -147,25 +188,24 @@ class Fingertip(Application):
         else:
             self.device.emcy.raise_error(TEMPERATURE, emcy.TEMPERATURE)
 
-    def _watch(self, reading: "Reading | None", now_us: int) -> int:
-        """The front-end faults that show in the readings themselves, joined to those the source reports."""
-        no_data = 1 << table.FAULT_NO_DATA
-        if reading is None:
-            # What the last reading showed stands until a new one says otherwise.
-            silent = now_us - self._read_us > NO_DATA_US
-            return self.sample.faults & ~no_data | (no_data if silent else 0)
+    def _silent(self, now_us: int) -> bool:
+        """The front end has given nothing for longer than a sample period can explain."""
+        return now_us - self._read_us > max(NO_DATA_US, 2 * self.source.period_us)
+
+    def watch(self, reading: "Reading", before: "Reading | None", now_us: int) -> int:
+        """The front-end faults that show in a reading and the one before, joined to those the source reports."""
         self._read_us = now_us
         faults: int = reading.faults
-        before = self.sample.reading
-        self._frozen = 0
+        lowest, highest = self.ends
+        self.frozen = 0
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.
-            inside = COUNT_MIN < reading.counts[k] < COUNT_MAX
+            inside = lowest < reading.counts[k] < highest
             same = inside and before is not None and before.counts[k] == reading.counts[k]
             self._equal[k] = self._equal[k] + 1 if same else 0
             if self._equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
-                self._frozen |= 1 << k
-        return faults | 1 << table.FAULT_FROZEN if self._frozen else faults
+                self.frozen |= 1 << k
+        return faults | 1 << table.FAULT_FROZEN if self.frozen else faults
 
     # --- commands -------------------------------------------------------------------------------------------
 
@@ -186,7 +226,10 @@ class Fingertip(Application):
         # The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
         # commit within one sample must not count anything twice.
         scaling, active = self.channels.scaling, self.calibration.active
-        now = Sample(last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen)
+        now = Sample(
+            last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen,
+            filtered=last.filtered, ends=self.ends,
+        )  # fmt: skip
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE
         self._tare = now.force()
@@ -201,15 +244,15 @@ class Fingertip(Application):
             return codes.DEVICE_STATE
         if sample.reading is None or any(sample.overloads):
             return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
-        return self.channels.zero(gauges, sample.reading.counts)
+        return self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
 
     # --- objects --------------------------------------------------------------------------------------------
 
     def _read_uncertainty(self, sub: int) -> float:
         u_P, u_phi, u_theta = self.sample.uncertainty()
-        unknown = self.sample.unknown()
         if sub == 1:
-            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else u_P
+            return scalar.NAN if self.sample.unknown_early() & scalar.UNKNOWN_FORCE else u_P
+        unknown = self.sample.unknown()
         if sub == 2:
             return scalar.NAN if unknown & scalar.UNKNOWN_PHI else u_phi * scalar.DEGREES
         return scalar.NAN if unknown & scalar.UNKNOWN_THETA else u_theta * scalar.DEGREES
@@ -221,7 +264,7 @@ class Fingertip(Application):
 
     def _read_temperature(self) -> int:
         reading = self.sample.reading
-        known = reading is not None and not self.sample.unknown() & scalar.UNKNOWN_GAUGES
+        known = reading is not None and not self.sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return reading.temperature if known and reading is not None else table.UNKNOWN_I16
 
     def _read_tare(self, sub: int) -> "Value":

@@ -12,12 +12,15 @@ from tipforce.sensor.condition import condition_number
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
     Covariance = tuple[float, float, float, float, float, float]
     Solver = tuple[list[list[float]], Covariance]
 
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
+_ROUNDING = 1e-5  # of variances: that of REAL32, with room for a node that works in single precision
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
 _CONDITION_LIMIT, _EXPECTED_CRC = 0x210501, 0x210301
 
@@ -68,18 +71,43 @@ class Active:
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
     """Upper triangle of C Sigma C^T, Sigma given as its own upper triangle by rows."""
-    full = [[0.0] * n for _ in range(n)]
-    k = 0
-    for i in range(n):
-        for j in range(i, n):
-            full[i][j] = full[j][i] = noise[k]
-            k += 1
+    full = _square(noise, n)
 
     def product(a: "list[float]", b: "list[float]") -> float:
         return sum([a[i] * full[i][j] * b[j] for i in range(n) for j in range(n)])
 
     c1, c2, c3 = C
     return product(c1, c1), product(c1, c2), product(c1, c3), product(c2, c2), product(c2, c3), product(c3, c3)
+
+
+def _square(noise: "Sequence[float]", n: int) -> "list[list[float]]":
+    """The symmetric matrix whose upper triangle, by rows, is ``noise``."""
+    full = [[0.0] * n for _ in range(n)]
+    k = 0
+    for i in range(n):
+        for j in range(i, n):
+            full[i][j] = full[j][i] = noise[k]
+            k += 1
+    return full
+
+
+def _is_covariance(full: "list[list[float]]") -> bool:
+    """No combination of gauges has a variance below zero, but for rounding to REAL32. Changes ``full``."""
+    n = len(full)
+    for k in range(n):
+        full[k][k] *= 1.0 + _ROUNDING
+    # Gauss elimination: symmetric and no pivot below zero is what makes a covariance.
+    for k in range(n):
+        pivot = full[k][k]
+        if not pivot > 0.0:
+            if pivot < 0.0 or any(full[k][k + 1 :]):
+                return False
+            continue
+        for i in range(k + 1, n):
+            factor = full[k][i] / pivot
+            for j in range(i, n):
+                full[i][j] -= factor * full[k][j]
+    return True
 
 
 class Calibration:
@@ -196,6 +224,9 @@ class Calibration:
         theta_min, theta_max, on, off = candidate[-5:-1]
         if any(field - field != 0 for field in candidate) or theta_min > theta_max or off > on:
             return codes.INVALID_VALUE
+        n = self._n
+        if not _is_covariance(_square(candidate[4 * n + 4 : 4 * n + 4 + n * (n + 1) // 2], n)):
+            return codes.INVALID_VALUE  # a negative variance would pass for no uncertainty at all
         if not self._condition() <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
             return codes.TOO_HIGH
         self.active = self._unpack(record)

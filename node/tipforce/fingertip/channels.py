@@ -9,7 +9,7 @@ from tipforce.sensor import scalar
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
@@ -50,7 +50,8 @@ class Channels:
             od.writers[index] = self._interrupt_writer(index)
         od.writers[0x6114] = self._write_period
         od.writers[0x6125] = self._write_autozero
-        od.writers[0x61A0] = lambda _sub, value: codes.INVALID_VALUE if value else 0
+        for index in (0x61A0, 0x61A1):
+            od.writers[index] = self._filter_writer(index)
         self.load()
 
     def _own_form(self, base: int, highest: int, unknown: int) -> None:
@@ -75,12 +76,12 @@ class Channels:
     def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample, n = self._fingertip.sample, self._n
-        unknown = sample.unknown()
         if sub <= n:
-            hidden = unknown & scalar.UNKNOWN_GAUGES or sample.lost >> sub - 1 & 1
+            hidden = sample.unknown_early() & scalar.UNKNOWN_GAUGES or sample.lost >> sub - 1 & 1
             return scalar.NAN if hidden else sample.microstrains[sub - 1]
         if sub <= n + 3:
-            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]
+            return scalar.NAN if sample.unknown_early() & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]
+        unknown = sample.unknown()
         if sub == n + 4:
             return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.contact()[0]
         if sub == n + 5:
@@ -90,7 +91,7 @@ class Channels:
     def _overload(self, sub: int) -> int:
         """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""
         sample = self._fingertip.sample
-        live = sub <= self._n and not sample.unknown() & scalar.UNKNOWN_GAUGES
+        live = sub <= self._n and not sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
 
     def _integer_reader(self, highest: int, unknown: int) -> "Callable[[int], int]":
@@ -145,6 +146,17 @@ class Channels:
         self.scaling = gains
         self._fingertip.source.period_us = values[0x611401]  # type: ignore[assignment]
 
+    def one_filter(self) -> None:
+        """No write leaves a filter that is not offered or not that of all gauges, but a store of another making may."""
+        values = self._od.values
+        for index in (0x61A0, 0x61A1):
+            for sub in range(2, self._n + 1):
+                values[index << 8 | sub] = values[index << 8 | 1]
+        if self._filter_abort(values[0x61A001], values[0x61A101]):  # type: ignore[arg-type]
+            for sub in range(1, self._n + 1):
+                values[0x61A000 | sub] = self._od.default(0x61A0, sub)
+                values[0x61A100 | sub] = self._od.default(0x61A1, sub)
+
     def noise_counts(self, gauge: int, active: "Active | None") -> float:
         """Standard deviation of a gauge's noise in counts as the calibration states it; 0 when unknown."""
         if active is None:
@@ -154,7 +166,7 @@ class Channels:
         strain_per_count = abs(self.scaling[gauge][0] * 1e-6)  # 0 where both scaling points have one process value
         return sqrt(variance) / strain_per_count if variance > 0.0 and strain_per_count > 0.0 else 0.0
 
-    def zero(self, gauges: "range | list[int]", counts: "tuple[int, ...]") -> int:
+    def zero(self, gauges: "range | list[int]", counts: "Sequence[float]") -> int:
         """Choose the offsets x124h with which gauges (from 0) read zero at ``counts``; all of them, or none."""
         offsets: "dict[int, float]" = {}
         for k in gauges:
@@ -214,7 +226,31 @@ class Channels:
         for sub in range(1, self._n + 7):
             self._od.values[0x611400 | sub] = value
         self._fingertip.source.period_us = value  # type: ignore[assignment]
+        if self._fingertip.filtering is not None:
+            self._fingertip.load_filter()
         return 0
+
+    def _filter_writer(self, index: int) -> "Callable[[int, Value], int]":
+        def write(_sub: int, value: "Value") -> int:
+            # A force from gauges that are filtered differently would be wrong while it changes: one filter for all.
+            kind = value if index == 0x61A0 else self._od.values[0x61A001]
+            constant = value if index == 0x61A1 else self._od.values[0x61A101]
+            abort = self._filter_abort(kind, constant)  # type: ignore[arg-type]
+            if abort:
+                return abort if index == 0x61A0 else codes.TOO_HIGH
+            for sub in range(1, self._n + 1):
+                self._od.values[index << 8 | sub] = value
+            self._fingertip.load_filter()
+            return 0
+
+        return write
+
+    def _filter_abort(self, kind: int, constant: int) -> int:
+        if not kind:
+            return 0
+        from . import filters  # a node without a filter does without
+
+        return 0 if filters.offered(kind, constant) else codes.INVALID_VALUE
 
     def _write_autozero(self, sub: int, value: "Value") -> int:
         if value != table.SIGNATURE_ZERO:

@@ -7,13 +7,21 @@ from tipforce.dictionary import table
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce.device.object_dictionary import Entry, Value
+    from tipforce.dictionary.table import Converter
 
 
-def build(n: int, node_id: int, simulated: bool, serial: int = 0, eds: bytes = b"") -> ObjectDictionary:
+def build(
+    n: int,
+    node_id: int,
+    simulated: bool,
+    serial: int = 0,
+    eds: bytes = b"",
+    converter: "Converter" = table.CONVERTER_16,
+) -> ObjectDictionary:
     """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out."""
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
-    for index, _code, _name, _slug, entries in table.objects(n, simulated):
+    for index, _code, _name, _slug, entries in table.objects(n, simulated, converter):
         if index in (0x1021, 0x1022) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:

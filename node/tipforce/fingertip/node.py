@@ -33,7 +33,7 @@ def fingertip_node(
     if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
     simulated = isinstance(source, SimulatedSource)
-    device = Device(build(n, node_id, simulated, serial, eds), save, load)
+    device = Device(build(n, node_id, simulated, serial, eds, source.converter), save, load)
     Fingertip(device, n, source)
     if isinstance(source, SimulatedSource):
         own_simulation_objects(device, source)

@@ -4,7 +4,7 @@ from tipforce.device.codes import NEVER_US
 from tipforce.dictionary import table
 from tipforce.sensor import scalar
 
-from .source import COUNT_MAX, COUNT_MIN
+from .source import Source
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 NAN = float("nan")
 NO_TARE = (0.0, 0.0, 0.0)
 _MICRO = 1e-6
+_ENDS = Source.count_min, Source.count_max
 # Faults that cost one gauge, which is left out where it can be spared: frozen, and a broken wire at the range's end.
 _OF_ONE_GAUGE = (1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK) >> table.FAULT_NO_DATA
 
@@ -22,16 +23,18 @@ class Sample:
     """A reading with the calibration, the scaling and the tare that hold for it.
 
     ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the sample
-    before, for the hysteresis of contact; ``frozen`` has a bit for each gauge whose reading stands still. A sample
-    without a reading has no values, only a status.
+    before, for the hysteresis of contact; ``frozen`` has a bit for each gauge whose reading stands still. ``filtered``
+    is what a filter makes of the counts, in place of them; ``ends`` are the converter's ends. A sample without a
+    reading has no values, only a status.
 
     A gauge that is saturated or frozen is lost. With more than three gauges the others go on giving the force as long
     as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge is missing.
     """
 
     __slots__ = (
-        "_contact", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active", "counter", "faults",
-        "frozen", "latched_us", "lost", "microstrains", "overloads", "reading", "solver", "spared", "stale", "tare",
+        "_contact", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active", "counter",
+        "faults", "filtered", "frozen", "latched_us", "lost", "microstrains", "overloads", "reading", "solver",
+        "spared", "stale", "tare",
     )  # fmt: skip
 
     def __init__(
@@ -46,6 +49,8 @@ class Sample:
         counter: int = 0,
         latched_us: int = -NEVER_US,
         frozen: int = 0,
+        filtered: "list[float] | None" = None,
+        ends: "tuple[int, int]" = _ENDS,
     ) -> None:
         self.reading = reading
         self.active = active
@@ -57,20 +62,23 @@ class Sample:
         self._force: "tuple[float, float, float] | None" = None
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
-        self._status = self._unknown = -1
+        self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
+        self.filtered = filtered
         self.overloads: "list[int]" = []
         self.microstrains: "list[float]" = []
         if reading is not None:
             counts = reading.counts
             self.overloads = [0] * len(counts)
-            if max(counts) >= COUNT_MAX or min(counts) <= COUNT_MIN:
-                self.overloads = [(c >= COUNT_MAX) - (c <= COUNT_MIN) for c in counts]
+            lowest, highest = ends
+            if max(counts) >= highest or min(counts) <= lowest:
+                self.overloads = [(c >= highest) - (c <= lowest) for c in counts]
                 for k in range(len(counts)):
                     if self.overloads[k]:
                         self.lost |= 1 << k
                 faults |= self.lost & ~frozen
-            self.microstrains = [g * c + b for c, (g, b) in zip(counts, scaling)]  # noqa: B905
+            shown = counts if filtered is None else filtered
+            self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
         self.faults = faults
         self.solver = None if active is None else active.solver(self.lost)
         self.spared = self.lost != 0 and self.solver is not None
@@ -92,6 +100,12 @@ class Sample:
         if self._unknown < 0:
             self._unknown = scalar.unknown(self.status(), self.spared)
         return self._unknown
+
+    def unknown_early(self) -> int:
+        """UNKNOWN_GAUGES and UNKNOWN_FORCE of ``unknown``: no contact is needed for these; it hides angles only."""
+        if self._early < 0:
+            self._early = scalar.unknown(self._early_status(), self.spared)
+        return self._early
 
     def force(self) -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons, tare taken off; NaN while the status leaves them unknown or there is no reading."""
@@ -121,7 +135,8 @@ class Sample:
                 self._uncertainty = scalar.uncertainty(f1, f2, f3, self.solver[1], self.active.pull)
         return self._uncertainty
 
-    def _find_status(self) -> int:
+    def _early_status(self) -> int:
+        """The bits that are known before any force is: calibrated, saturated, stale, front-end fault."""
         bits = 0
         if self.active is not None:
             bits |= scalar.CALIBRATED
@@ -134,6 +149,10 @@ class Sample:
             faults &= ~_OF_ONE_GAUGE
         if faults:
             bits |= scalar.FRONT_END_FAULT
+        return bits
+
+    def _find_status(self) -> int:
+        bits = self._early_status()
         if self.active is None or self.solver is None or scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
             return bits
         P, _phi, theta, miss = self.contact()

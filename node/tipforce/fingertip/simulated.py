@@ -1,20 +1,24 @@
-"""A simulated gauge source: applied load -> gauge strain -> 16-bit counts, with noise, offset and faults."""
+"""A simulated gauge source: applied load -> gauge strain -> counts, with noise, offset, a front end and faults."""
 
 import math
-import random
 
+from tipforce.device import codes
 from tipforce.dictionary import table
 
-from .source import COUNT_MAX, COUNT_MIN, Reading, Source
+from .source import Reading, Source, convert
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from random import Random
 
     from tipforce.device.node import Device
     from tipforce.device.object_dictionary import Value
 
-COUNTS_PER_MICROSTRAIN = 10.0  # the defaults of 6120h-6123h: one count is 0.1 microstrain
+    from .front_end import FrontEnd
+
+    Forces = tuple[float, float, float]  # F1, F2, F3 in newtons
+
 STUCK, OPEN, SATURATED, SILENT, DRIFT = 1, 2, 3, 4, 5  # values of 2200h:1
 _ROOM_TEMPERATURE = 2300  # 0.01 degC
 
@@ -24,6 +28,10 @@ class SimulatedSource(Source):
 
     ``noise_microstrain`` is the standard deviation of white noise on each gauge (0 draws no random numbers),
     ``offset_microstrain`` what each gauge reads unloaded. A conversion takes place every ``period_us``.
+
+    ``forces`` gives F1, F2, F3 in newtons at the time of a conversion, in place of ``load``; 2201h is refused then.
+    ``front_end`` turns microstrain into counts; without one it is an ideal 16-bit converter, and ``temperature``
+    (0.01 degC) is what the node shows.
     """
 
     def __init__(
@@ -33,6 +41,8 @@ class SimulatedSource(Source):
         offset_microstrain: "Sequence[float] | None" = None,
         seed: int = 0,
         temperature: int = _ROOM_TEMPERATURE,
+        front_end: "FrontEnd | None" = None,
+        forces: "Callable[[int], Forces] | None" = None,
     ) -> None:
         self.rows = [tuple([float(x) for x in row]) for row in strain_per_newton]
         self.noise_microstrain = noise_microstrain
@@ -43,7 +53,12 @@ class SimulatedSource(Source):
         self.fault = 0
         self.fault_gauge = 1
         self.fault_magnitude = 0.0  # DRIFT: microstrain per second
-        self._random = random.Random(seed) if noise_microstrain else None
+        self.forces = forces
+        self.front_end = front_end
+        if front_end is not None:
+            self.converter = front_end.converter
+            self.count_max, self.count_min = front_end.count_max, front_end.count_min
+        self._random = _generator(seed) if noise_microstrain else None
         self._conversion = -1
         self._fault_since_us = 0
         self._last_counts = (0,) * len(self.rows)
@@ -60,23 +75,34 @@ class SimulatedSource(Source):
         if conversion == self._conversion or self.fault == SILENT:
             return None
         self._conversion = conversion
-        P, phi_deg, theta_deg = self.load
-        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
-        force = P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
-        counts = [self._count(k, force, now_us) for k in range(len(self.rows))]
+        converted_us = conversion * self.period_us
+        force = _force(self.load) if self.forces is None else self.forces(converted_us)
+        microstrains = [self._microstrain(k, force, now_us) for k in range(len(self.rows))]
+        temperature = self.temperature
+        if self.front_end is None:
+            per_microstrain = self.converter[1]
+            counts = [convert(per_microstrain * m, self.count_min, self.count_max) for m in microstrains]
+        else:
+            counts = self.front_end.counts(microstrains, converted_us)
+            if self.front_end.temperature is not None:
+                temperature = self.front_end.temperature.reading(converted_us)
         faults = 0
         hit = self.fault_gauge - 1
         if self.fault == STUCK:
             counts[hit] = self._last_counts[hit]
         elif self.fault == OPEN:
-            counts[hit] = COUNT_MAX
+            counts[hit] = self.count_max
             faults = 1 << table.FAULT_WIRE_BREAK
         elif self.fault == SATURATED:
-            counts[hit] = COUNT_MAX
+            counts[hit] = self.count_max
         self._last_counts = tuple(counts)
-        return Reading(self._last_counts, faults, self.temperature)
+        return Reading(self._last_counts, faults, temperature)
 
-    def _count(self, k: int, force: "tuple[float, float, float]", now_us: int) -> int:
+    def due_us(self, now_us: int) -> int:
+        """The end of the sample period that ``now_us`` lies in."""
+        return (now_us // self.period_us + 1) * self.period_us
+
+    def _microstrain(self, k: int, force: "Forces", now_us: int) -> float:
         c1, c2, c3 = self.rows[k]
         strain = c1 * force[0] + c2 * force[1] + c3 * force[2]
         microstrain = 1e6 * strain + self.offset_microstrain[k]
@@ -84,12 +110,24 @@ class SimulatedSource(Source):
             microstrain += self._random.gauss(0.0, self.noise_microstrain)
         if self.fault == DRIFT and self.fault_gauge == k + 1:
             microstrain += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
-        exact = microstrain * COUNTS_PER_MICROSTRAIN
-        return round(min(max(exact, COUNT_MIN), COUNT_MAX))
+        return microstrain
+
+
+def _force(load: "Forces") -> "Forces":
+    """F1, F2, F3 of a load P, phi, theta."""
+    P, phi_deg, theta_deg = load
+    phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+    return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+
+
+def _generator(seed: int) -> "Random":
+    import random  # only where there is noise
+
+    return random.Random(seed)
 
 
 def own_simulation_objects(device: "Device", source: SimulatedSource) -> None:
-    """Objects 2200h (fault) and 2201h (load) of a simulated node act on its source."""
+    """Objects 2200h (fault) and 2201h (load) of a simulated node act on its source; no load where it has a history."""
 
     def write_fault(sub: int, value: "Value") -> int:
         fields: "list[Value]" = [device.od.values[0x220000 | k] for k in (1, 2, 3)]
@@ -98,6 +136,8 @@ def own_simulation_objects(device: "Device", source: SimulatedSource) -> None:
         return 0
 
     def write_load(sub: int, value: "Value") -> int:
+        if source.forces is not None:
+            return codes.DEVICE_STATE
         load = list(source.load)
         load[sub - 1] = float(value)
         source.load = (load[0], load[1], load[2])

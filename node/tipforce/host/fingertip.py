@@ -19,7 +19,8 @@ T = TypeVar("T", bound=Value)
 _REFUSALS = {
     0x08000022: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
     0x06040043: "the CRC-32 of what it received is not the expected one; nothing was activated, try again",
-    0x06090030: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over contact-on",
+    0x06090030: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over contact-on, "
+    "a noise covariance with a negative variance or a correlation over 1",
     0x06090031: "the condition number of C is over the limit 2105h:1",
 }
 
@@ -40,7 +41,7 @@ class Identity:
     @property
     def is_fingertip(self) -> bool:
         """True for a node of this dictionary."""
-        return self.product & 0xFFFFFEF0 == 0x54500000 and table.MIN_GAUGES <= self.gauges <= table.MAX_GAUGES
+        return self.product & 0xFFFFFCF0 == 0x54500000 and table.MIN_GAUGES <= self.gauges <= table.MAX_GAUGES
 
     @property
     def gauges(self) -> int:

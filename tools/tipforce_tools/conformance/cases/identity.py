@@ -65,8 +65,8 @@ def identity_constant(dut: Dut, sub: int) -> None:
 @case("CiA 301 7.5.2.21", "product code: tipforce, the number of gauges is 3 to 8", own=True)
 def product(dut: Dut) -> None:
     found = dut.integer("I", 0x1018, 2)
-    if found & 0xFFFFFE00 != 0x54500000 or not 3 <= found & 0xFF <= 8:
-        raise CheckError("545000nnh or 545001nnh", f"{found:08X}h")
+    if found & 0xFFFFFC00 != 0x54500000 or not 3 <= found & 0xFF <= 8:
+        raise CheckError("545000nnh to 545003nnh", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from tipforce.dictionary import table
 from tipforce_tools.conformance.case import CheckError, case
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle, uncalibrated
@@ -55,12 +57,62 @@ def scaling(dut: Dut) -> None:
         raise CheckError(f"0.2 x {field} + 10", str(value))
 
 
-@case("CiA 404 61A0h", "filter type {0}: no filter but none is offered", own=True, each=[
-    (1, INVALID_VALUE), (2, INVALID_VALUE), (100, INVALID_VALUE), (101, TOO_HIGH),
+@case("CiA 404 61A0h", "filter type {0} is offered, and is that of all gauges", own=True, each=[(1,), (2,), (100,)])
+def filter_type(dut: Dut, value: int) -> None:
+    dut.put("H", 0x61A1, gauges(dut), 8)
+    dut.put("B", 0x61A0, 1, value)
+    for sub in (1, gauges(dut)):
+        dut.holds("B", 0x61A0, sub, value)
+        dut.holds("H", 0x61A1, sub, 8)
+    dut.put("B", 0x61A0, 2, 0)
+    dut.holds("B", 0x61A0, 1, 0)
+
+
+@case("CiA 404 61A0h", "filter type {0} is refused", own=True, each=[
+    (3, INVALID_VALUE), (99, INVALID_VALUE), (101, TOO_HIGH), (255, TOO_HIGH),
 ])  # fmt: skip
-def filter_type(dut: Dut, value: int, code: int) -> None:
+def filter_type_refused(dut: Dut, value: int, code: int) -> None:
     dut.refuses("B", 0x61A0, 1, value, code)
-    dut.put("B", 0x61A0, 1, 0)
+    dut.holds("B", 0x61A0, 1, 0)
+
+
+@case("CiA 404 61A0h", "a contact channel has no filter: 06090011h", own=True)
+def filter_of_contact(dut: Dut) -> None:
+    dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, 0x06090011)
+    dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, 0x06090011)
+
+
+@case("CiA 404 61A1h", "a moving average takes {0} values: {1}", own=True, each=[
+    (256, "taken", 0), (257, "06090031h", TOO_HIGH), (65535, "06090031h", TOO_HIGH),
+])  # fmt: skip
+def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
+    dut.put("B", 0x61A0, 1, 1)
+    if code:
+        dut.refuses("H", 0x61A1, 1, value, code)
+    else:
+        dut.put("H", 0x61A1, 1, value)
+    dut.holds("H", 0x61A1, 1, 1 if code else value)
+
+
+@case("CiA 404 61A1h", "filter type {0} takes the constant 65535", own=True, each=[(2,), (100,)])
+def filter_longest(dut: Dut, kind: int) -> None:
+    dut.put("H", 0x61A1, 1, 65535)
+    dut.put("B", 0x61A0, 1, kind)
+    dut.refuses("B", 0x61A0, 1, 1, INVALID_VALUE)  # no moving average of so many
+    dut.holds("B", 0x61A0, 1, kind)
+
+
+@case("CiA 404 61A1h", "a repeating average of {0} conversions of 1 ms is unknown until then", own=True, each=[(300,)])
+def filter_block(dut: Dut, values: int) -> None:
+    dut.put("I", 0x6114, 1, 1000)
+    dut.put("H", 0x61A1, 1, values)
+    dut.put("B", 0x61A0, 1, 2)
+    settle(dut)
+    if not math.isnan(dut.number("f", 0x6130, 1)):
+        raise CheckError("6130h:1 unknown before the first average", str(dut.number("f", 0x6130, 1)))
+    dut.sleep(values)
+    if math.isnan(dut.number("f", 0x6130, 1)):
+        raise CheckError("6130h:1 known after the first average", "NaN")
 
 
 @case("CiA 404 6125h", "autozero with a wrong signature: 08000020h", own=True)

@@ -1,0 +1,282 @@
+"""The front end of a simulated node: what lies between the strain of the gauges and the counts of the converter.
+
+Bridge, amplifier, temperature, noise, conversion: each part exists only where it is named. All of them work on the
+signal in microstrain referred to the gauges, so volts come in once, as counts per microstrain.
+
+Errors here are ValueErrors that name the argument: this file keeps to the subset that MicroPython understands too.
+"""
+
+import math
+
+from .source import convert
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from random import Random
+    from typing import Protocol
+
+    class Part(Protocol):
+        """Changes the signal of all gauges."""
+
+        def apply(self, microstrains: list[float], now_us: int) -> None:
+            """Change ``microstrains``, one value per gauge, in place."""
+
+    Trajectory = float | Sequence[tuple[float, float]] | Callable[[float], float]
+
+
+BITS = (16, 24)
+FULL_SCALE_MICROSTRAIN = 3276.8  # of a matched gain: 10 counts per microstrain with 16 bits, 2560 with 24
+REFERENCE_DEGC = 23.0
+QUARTER, HALF, FULL = "quarter", "half", "full"
+_ARMS = {QUARTER: 0.25, HALF: 0.5, FULL: 1.0}
+_UNKNOWN_TEMPERATURE = -0x8000
+PER_DECADE = 2  # first-order processes of OneOverFNoise: between its ends the spectrum ripples by 0.1 %
+
+
+def _check(name: str, value: float, above: float = -math.inf) -> float:
+    """A finite number above a limit, or a ValueError that says which."""
+    if not (value > above and value - value == 0.0):
+        raise ValueError("%s: %r, allowed is a finite number%s" % (
+            name, value, "" if above == -math.inf else " above %g" % above))  # fmt: skip
+    return value
+
+
+class Bridge:
+    """A Wheatstone bridge of equal resistors: one, two or four active gauges for each channel.
+
+    The output in volts per volt of excitation, e the strain and k the gauge factor: quarter bridge
+    k e / (4 + 2 k e), half (two gauges in neighbouring arms, one in tension and one in compression) k e / 2, full k e.
+    Only the quarter bridge is not linear: what it shows is e / (1 + k e / 2).
+    """
+
+    def __init__(self, kind: str = QUARTER, gauge_factor: float = 2.0, excitation_volts: float = 3.3) -> None:
+        if kind not in _ARMS:
+            raise ValueError("bridge: %r, allowed quarter, half, full" % kind)
+        self.kind = kind
+        self.gauge_factor = _check("gauge_factor", gauge_factor, 0.0)
+        self.excitation_volts = _check("excitation_volts", excitation_volts, 0.0)
+        self.volts_per_microstrain = 1e-6 * gauge_factor * _ARMS[kind] * excitation_volts
+
+    def apply(self, microstrains: "list[float]", _now_us: int) -> None:
+        """What a quarter bridge shows; below -1/k, where no resistance would be left, it shows the lower end."""
+        half = 0.5e-6 * self.gauge_factor
+        for k in range(len(microstrains)):
+            loss = 1.0 + half * microstrains[k]
+            microstrains[k] = microstrains[k] / loss if loss > 0.0 else -math.inf
+
+
+class Temperature:
+    """The temperature of the tip: one number, (seconds, degC) points joined by lines, or a function of seconds."""
+
+    def __init__(self, trajectory: "Trajectory") -> None:
+        self._constant: "float | None" = None
+        self._points: "Sequence[tuple[float, float]]" = ()
+        self._function: "Callable[[float], float] | None" = None
+        if callable(trajectory):
+            self._function = trajectory
+        elif isinstance(trajectory, (int, float)):
+            self._constant = _check("temperature", trajectory)
+        else:
+            self._points = [(_check("temperature", t), _check("temperature", degC)) for t, degC in trajectory]
+            times = [t for t, _degC in self._points]
+            if not times or times != sorted(set(times)):
+                raise ValueError("temperature: %r, allowed are points at increasing times" % (trajectory,))
+
+    def degrees(self, now_us: int) -> float:
+        """Temperature in degC at a time; before the first point and after the last that of the point."""
+        if self._constant is not None:
+            return self._constant
+        if self._function is not None:
+            return self._function(1e-6 * now_us)
+        t = 1e-6 * now_us
+        before = self._points[0]
+        for after in self._points:
+            if t < after[0]:
+                if before is after:
+                    break
+                return before[1] + (after[1] - before[1]) * (t - before[0]) / (after[0] - before[0])
+            before = after
+        return before[1]
+
+    def reading(self, now_us: int) -> int:
+        """What the node's own sensor shows, 0.01 degC (2122h); unknown where INTEGER16 cannot hold it."""
+        hundredths = 100.0 * self.degrees(now_us)
+        return round(hundredths) if -32767.5 < hundredths < 32767.5 else _UNKNOWN_TEMPERATURE
+
+
+class ApparentStrain:
+    """Strain that gauges show because they are warm: so many microstrain per degC away from 23 degC, for each gauge."""
+
+    def __init__(self, temperature: Temperature, microstrain_per_degC: "float | Sequence[float]") -> None:
+        self._temperature = temperature
+        given = microstrain_per_degC
+        self._one = _check("apparent_strain", given) if isinstance(given, (int, float)) else None
+        self._each = [] if isinstance(given, (int, float)) else [_check("apparent_strain", one) for one in given]
+
+    def apply(self, microstrains: "list[float]", now_us: int) -> None:
+        """Add it. Raises ValueError when there are not as many numbers as gauges."""
+        away = self._temperature.degrees(now_us) - REFERENCE_DEGC
+        if self._one is None and len(self._each) != len(microstrains):
+            raise ValueError("apparent_strain: %d numbers for %d gauges" % (len(self._each), len(microstrains)))
+        for k in range(len(microstrains)):
+            microstrains[k] += away * (self._each[k] if self._one is None else self._one)
+
+
+class GainDrift:
+    """An amplifier whose gain changes by so many parts per million for each degC away from 23 degC."""
+
+    def __init__(self, temperature: Temperature, ppm_per_degC: float) -> None:
+        self._temperature = temperature
+        self._per_degC = 1e-6 * _check("gain_drift_ppm", ppm_per_degC)
+
+    def apply(self, microstrains: "list[float]", now_us: int) -> None:
+        """Multiply by the gain relative to that at 23 degC."""
+        gain = 1.0 + self._per_degC * (self._temperature.degrees(now_us) - REFERENCE_DEGC)
+        for k in range(len(microstrains)):
+            microstrains[k] *= gain
+
+
+class WhiteNoise:
+    """Noise that each conversion has anew, normal with this standard deviation in microstrain."""
+
+    def __init__(self, microstrain: float, random: "Random") -> None:
+        self._sigma = _check("white_noise", microstrain, 0.0)
+        self._random = random
+
+    def apply(self, microstrains: "list[float]", _now_us: int) -> None:
+        """Add it."""
+        for k in range(len(microstrains)):
+            microstrains[k] += self._random.gauss(0.0, self._sigma)
+
+
+class OneOverFNoise:
+    """Noise of density ``a`` / sqrt(f) microstrain per square root of hertz, ``a`` that at 1 Hz, one-sided.
+
+    A sum of first-order (Ornstein-Uhlenbeck) processes of equal variance whose corner frequencies lie ``PER_DECADE``
+    to a decade from ``lowest_hz`` to ``highest_hz``. One of variance s^2 and corner f_c has the spectrum
+    (2 s^2 / (pi f_c)) / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so
+    s^2 = a^2 ln(q). A decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above
+    ``highest_hz`` it falls with 1/f^2. Each process
+    is stepped exactly from one conversion to the next, however far apart they are, and starts stationary.
+    """
+
+    def __init__(
+        self, microstrain_at_1_hz: float, random: "Random", lowest_hz: float = 1e-3, highest_hz: float = 100.0
+    ) -> None:
+        a = _check("one_over_f", microstrain_at_1_hz, 0.0)
+        _check("lowest_hz", lowest_hz, 0.0)
+        _check("highest_hz", highest_hz, lowest_hz)
+        decades = math.log(highest_hz / lowest_hz) / math.log(10.0)
+        count = max(2, round(PER_DECADE * decades) + 1)
+        step = math.log(highest_hz / lowest_hz) / (count - 1)
+        self.corners_hz = [lowest_hz * math.exp(step * i) for i in range(count)]
+        self._sigma = a * math.sqrt(step)
+        self._random = random
+        self._states: "list[list[float]]" = []  # of each gauge, in standard deviations
+        self._now_us = 0
+        self._gap_us = -1
+        self._steps: "list[tuple[float, float]]" = []
+
+    def apply(self, microstrains: "list[float]", now_us: int) -> None:
+        """Step the processes to ``now_us`` and add their sum."""
+        gauss = self._random.gauss
+        if len(self._states) != len(microstrains):
+            self._states = [[gauss(0.0, 1.0) for _ in self.corners_hz] for _ in microstrains]
+        elif now_us > self._now_us:
+            steps = self._over(now_us - self._now_us)
+            for states in self._states:
+                for i in range(len(states)):
+                    keep, fresh = steps[i]
+                    states[i] = keep * states[i] + fresh * gauss(0.0, 1.0)
+        self._now_us = now_us
+        for k in range(len(microstrains)):
+            microstrains[k] += self._sigma * sum(self._states[k])
+
+    def _over(self, gap_us: int) -> "list[tuple[float, float]]":
+        """For each process the part of it that outlives a gap, and the part that is new after it."""
+        if gap_us != self._gap_us:
+            self._gap_us = gap_us
+            kept = [math.exp(-2e-6 * math.pi * f * gap_us) for f in self.corners_hz]
+            self._steps = [(keep, math.sqrt(1.0 - keep * keep)) for keep in kept]
+        return self._steps
+
+
+class FrontEnd:
+    """Strain in microstrain to counts, through the parts that are named, in the order of the signal's way.
+
+    ``bits`` is 16 or 24. ``bridge`` (a ``Bridge``) and ``gain`` with ``reference_volts`` (None: the excitation, a
+    ratiometric converter) give the counts per microstrain; without ``gain`` it is matched to a full scale of
+    3276.8 microstrain. ``temperature`` (degC, see ``Temperature``) is what 2122h shows; ``apparent_strain``
+    (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it. ``white_noise`` is in
+    microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises ValueError for what
+    is not allowed.
+
+    ``parts`` holds what changes the signal; ``converter`` is (bits, counts per microstrain).
+    """
+
+    def __init__(
+        self,
+        bits: int = 16,
+        bridge: "Bridge | None" = None,
+        gain: "float | None" = None,
+        reference_volts: "float | None" = None,
+        temperature: "Trajectory | None" = None,
+        apparent_strain: "float | Sequence[float] | None" = None,
+        gain_drift_ppm: "float | None" = None,
+        white_noise: "float | None" = None,
+        one_over_f: "float | tuple[float, float, float] | None" = None,
+        seed: int = 0,
+    ) -> None:
+        if bits not in BITS:
+            raise ValueError("bits: %r, allowed 16 and 24" % bits)
+        self.count_max, self.count_min = (1 << bits - 1) - 1, -(1 << bits - 1)
+        self.converter = (bits, _counts_per_microstrain(bits, bridge, gain, reference_volts))
+        self.temperature = None if temperature is None else Temperature(temperature)
+        self.parts: "list[Part]" = []
+        if apparent_strain is not None:
+            self.parts.append(ApparentStrain(self._needed("apparent_strain"), apparent_strain))
+        if bridge is not None and bridge.kind == QUARTER:
+            self.parts.append(bridge)
+        if gain_drift_ppm is not None:
+            self.parts.append(GainDrift(self._needed("gain_drift_ppm"), gain_drift_ppm))
+        self._add_noise(white_noise, one_over_f, seed)
+
+    def _needed(self, name: str) -> Temperature:
+        if self.temperature is None:
+            raise ValueError("%s: needs temperature" % name)
+        return self.temperature
+
+    def _add_noise(
+        self, white: "float | None", one_over_f: "float | tuple[float, float, float] | None", seed: int
+    ) -> None:
+        if white is None and one_over_f is None:
+            return
+        import random  # only where there is noise
+
+        chance = random.Random(seed)
+        if white is not None:
+            self.parts.append(WhiteNoise(white, chance))
+        if one_over_f is not None:
+            given = (one_over_f,) if isinstance(one_over_f, (int, float)) else one_over_f
+            self.parts.append(OneOverFNoise(given[0], chance, *given[1:]))
+
+    def counts(self, microstrains: "list[float]", now_us: int) -> "list[int]":
+        """The counts of one conversion. ``microstrains``, one per gauge, is changed."""
+        for part in self.parts:
+            part.apply(microstrains, now_us)
+        per_microstrain = self.converter[1]
+        return [convert(m * per_microstrain, self.count_min, self.count_max) for m in microstrains]
+
+
+def _counts_per_microstrain(
+    bits: int, bridge: "Bridge | None", gain: "float | None", reference_volts: "float | None"
+) -> float:
+    if gain is None:
+        if reference_volts is not None:
+            raise ValueError("reference_volts: needs gain")
+        return float(1 << bits - 1) / FULL_SCALE_MICROSTRAIN
+    if bridge is None:
+        raise ValueError("gain: needs a bridge")
+    reference = bridge.excitation_volts if reference_volts is None else _check("reference_volts", reference_volts, 0.0)
+    return bridge.volts_per_microstrain * _check("gain", gain, 0.0) / reference * (1 << bits - 1)

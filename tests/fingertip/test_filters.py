@@ -1,0 +1,430 @@
+"""Filters 61A0h, 61A1h: equal to their definitions, exact however long they run, and never over a bad conversion."""
+
+import math
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from device.tiny import Memory
+from fingertip.finger import (
+    CALIBRATED,
+    CONTACT,
+    FAULT,
+    LOAD,
+    PUSH,
+    SATURATED,
+    SAVE,
+    STALE,
+    UNKNOWN,
+    Finger,
+    finger,
+    record,
+)  # fmt: skip
+from tipforce.fingertip import filters
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import DRIFT, SILENT, STUCK
+from tipforce.fingertip.simulated import SATURATED as AT_THE_END
+from tipforce.fingertip.source import Reading, Source
+
+MOVING, REPEATING, IIR = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
+INVALID_VALUE, TOO_HIGH, TOO_LOW, NO_SUB = 0x06090030, 0x06090031, 0x06090032, 0x06090011
+COUNTS = st.lists(st.integers(-(1 << 23), (1 << 23) - 1), min_size=1, max_size=120)
+CONSTANT = st.integers(2, 40)
+
+
+def outputs(kind: int, constant: int, counts: list[int]) -> list[float]:
+    """What a filter of three gauges gives after each conversion; the gauges see c, -c and 3 c."""
+    algorithm = filters.algorithm(kind, 3, constant)
+    found = []
+    for one in counts:
+        if algorithm.push((one, -one, 3 * one)):
+            output = algorithm.output()
+            assert output is not None
+            found.append(output)
+    return [one[0] for one in found]
+
+
+def mean_so_far(counts: list[int], constant: int) -> npt.NDArray[np.float64]:
+    """Moving average by its definition, in numpy."""
+    return np.array([np.mean(counts[max(0, k + 1 - constant) : k + 1]) for k in range(len(counts))])
+
+
+@given(counts=COUNTS, constant=CONSTANT)
+def test_moving_average_is_the_mean_of_the_last(counts: list[int], constant: int) -> None:
+    # Sums of integers are exact: only the one division rounds.
+    np.testing.assert_allclose(outputs(MOVING, constant, counts), mean_so_far(counts, constant), rtol=1e-15, atol=1e-9)
+
+
+@given(counts=COUNTS, constant=CONSTANT)
+def test_repeating_average_is_the_mean_of_each_block(counts: list[int], constant: int) -> None:
+    blocks = len(counts) // constant
+    wanted = np.reshape(counts[: blocks * constant], (blocks, constant)).mean(axis=1)
+    np.testing.assert_allclose(outputs(REPEATING, constant, counts), wanted, rtol=1e-15, atol=1e-9)
+
+
+@given(counts=COUNTS, constant=CONSTANT)
+def test_first_order_follows_its_equation_to_a_256th_of_a_count(counts: list[int], constant: int) -> None:
+    y, wanted = 0.0, []
+    for k, x in enumerate(counts):
+        y += (x - y) / min(k + 1, constant)
+        wanted.append(y)
+    assert np.max(np.abs(np.array(outputs(IIR, constant, counts)) - wanted)) <= 1 / 256 + 1e-8
+
+
+@pytest.mark.parametrize("kind", [MOVING, REPEATING, IIR])
+def test_nothing_accumulates(kind: int) -> None:
+    """A hundred thousand conversions of noise and a jump leave no trace: a constant then reads as itself, exactly."""
+    chance = np.random.default_rng(5)
+    counts = [*chance.integers(-(1 << 23), 1 << 23, 100_000).tolist(), *[-12_345] * 20_000]
+    assert outputs(kind, 250, counts)[-1] == -12_345.0
+
+
+def test_first_order_with_the_longest_constant_starts_as_the_mean() -> None:
+    counts = np.random.default_rng(6).integers(-1000, 1000, 5000).tolist()
+    assert outputs(IIR, 65535, counts)[-1] == pytest.approx(np.mean(counts), abs=1 / 256)
+
+
+def test_memory_is_bounded() -> None:
+    assert not filters.offered(MOVING, filters.LONGEST_WINDOW + 1)
+    window = filters.MovingAverage(8, filters.LONGEST_WINDOW)
+    assert len(window._ring) * window._ring.itemsize == 8192
+
+
+# --- on the node ------------------------------------------------------------------------------------------
+
+
+def filtered(kind: int, constant: int, **options: object) -> Finger:
+    """A node with a filter that has just begun."""
+    talk = finger(**options)  # type: ignore[arg-type]
+    assert talk.put("H", 0x61A1, 1, constant) == talk.put("B", 0x61A0, 1, kind) == 0
+    return talk
+
+
+def ramp(talk: Finger) -> None:
+    """F1 in newtons is the number of the conversion since a second, divided by 100: gauge 1 in mN is 10 of it."""
+    talk.source.forces = lambda now_us: ((now_us - 1_000_000) / 500 / 100, 0.0, 0.0)
+
+
+def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
+    code = (
+        "import sys; from tipforce.fingertip.node import fingertip_node as node;"
+        "from tipforce.fingertip.simulated import SimulatedSource as Source;"
+        "node(5, Source([[1e-4] * 3] * 3)).step(0, [(0x605, bytes((0x2F, 0xA0, 0x61, 1, 0, 0, 0, 0))), (0x80, b'')]);"
+        "print([m for m in sys.modules if m.split('.')[-1] in ('filters', 'front_end', 'random', 'array')])"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert shown.stdout == "[]\n"
+    talk = filtered(IIR, 1)
+    assert talk.device.application.filtering is None  # type: ignore[union-attr]
+    plain = finger(noise_microstrain=5.0)
+    talk = finger(noise_microstrain=5.0)
+    assert talk.put("B", 0x61A0, 1, 0) == 0
+    assert [talk.sync() for _ in range(20)] == [plain.sync() for _ in range(20)]
+
+
+@pytest.mark.parametrize("step_us", [1, 100, 500, 10_000])
+def test_every_conversion_goes_in_whenever_the_node_is_stepped(step_us: int) -> None:
+    """The filter does not hang on the loop: conversions that it came too late for are made up for."""
+    talk = filtered(MOVING, 8, calibrated=False)
+    ramp(talk)
+    talk.now_us = 1_000_000
+    while talk.now_us < 1_040_000:
+        talk.now_us = min(talk.now_us + step_us, 1_040_000) if step_us > 1 else max(talk.due_us, talk.now_us + 1)
+        talk.step()
+    pdos = talk.sync(after_us=0)
+    # Conversions 73 to 80: their mean is 76.5.
+    assert pdos.gauges[0] == 765
+    assert talk.get("f", 0x6100, 1) == 800.0  # the field value stays what the converter gave last
+    assert talk.get("f", 0x6130, 1) == pytest.approx(76.5, rel=1e-6)
+
+
+def test_a_moving_average_at_each_sync() -> None:
+    talk = filtered(MOVING, 4, calibrated=False)
+    ramp(talk)
+    talk.now_us = 1_000_000
+    seen = [talk.sync(after_us=500).gauges[0] for _ in range(8)]
+    assert seen[4:] == [35, 45, 55, 65]
+
+
+def test_a_repeating_average_brings_a_sample_for_each_block() -> None:
+    talk = filtered(REPEATING, 4, calibrated=False)
+    ramp(talk)
+    got = [talk.sync(after_us=500) for _ in range(16)]
+    fresh = [not pdos.status & STALE for pdos in got]
+    first = fresh.index(True)
+    assert fresh[first:] == [(k - first) % 4 == 0 for k in range(first, 16)]
+    counters = [pdos.counter for pdos in got[first:]]
+    assert counters == [counters[0] + k // 4 for k in range(len(counters))]
+    assert all(pdos.gauges == (UNKNOWN,) * 3 for pdos, new in zip(got, fresh, strict=True) if not new)
+    steps = np.diff([pdos.gauges[0] for pdos, new in zip(got, fresh, strict=True) if new])
+    assert set(steps) == {40}
+
+
+def test_frames_of_a_filtered_node_byte_by_byte() -> None:
+    talk = finger(calibrated=False)
+    talk.source.load = (1.0, 90.0, 0.0)  # F1 = F2 = 1 N: 1000 counts
+    talk.say("""
+        > 605#2BA1610102000000
+        < 585#60A1610100000000
+        > 605#2FA0610102000000
+        < 585#60A0610100000000
+        > 080#
+        < 185#0080008000800800   no average of two yet: unknown, stale
+        < 285#0080008000800800
+        + 1000
+        > 080#
+        < 185#E803E80300000001   the first
+        < 285#0080008000800001
+        > 080#
+        < 185#0080008000800801   no new one: the counter is repeated
+        < 285#0080008000800801
+        + 1000
+        > 080#
+        < 185#E803E80300000002
+        < 285#0080008000800002
+        > 605#2BA1610100000000
+        < 585#80A1610132000906
+        > 605#2FA0610103000000
+        < 585#80A0610130000906
+        > 605#40A0610300000000
+        < 585#4FA0610302000000   one filter for all gauges
+    """)
+
+
+def test_what_is_refused() -> None:
+    talk = finger()
+    assert talk.put("B", 0x61A0, 4, 0) == talk.put("H", 0x61A1, 4, 1) == NO_SUB  # a contact follows from the gauges
+    assert [talk.put("B", 0x61A0, 1, kind) for kind in (3, 99, 101)] == [INVALID_VALUE, INVALID_VALUE, TOO_HIGH]
+    assert [talk.put("H", 0x61A1, 1, constant) for constant in (0, 65535)] == [TOO_LOW, 0]
+    assert talk.put("B", 0x61A0, 2, MOVING) == INVALID_VALUE
+    assert talk.put("B", 0x61A0, 2, REPEATING) == 0
+    assert talk.put("H", 0x61A1, 2, filters.LONGEST_WINDOW) == talk.put("B", 0x61A0, 1, MOVING) == 0
+    assert talk.put("H", 0x61A1, 3, filters.LONGEST_WINDOW + 1) == TOO_HIGH
+    assert [talk.get("H", 0x61A1, sub) for sub in (1, 2, 3)] == [256] * 3
+
+
+@pytest.mark.parametrize("change", [(0x61A1, "H", 5), (0x61A0, "B", MOVING), (0x6114, "I", 1000)])
+def test_a_change_begins_anew(change: tuple[int, str, int]) -> None:
+    talk = filtered(MOVING, 6, load=(1.0, 90.0, 0.0))
+    for _ in range(10):
+        talk.sync()
+    talk.source.load = (0.0, 0.0, 0.0)
+    index, kind, value = change
+    assert talk.put(kind, index, 1, value) == 0
+    assert talk.sync(after_us=2000).gauges == (0, 0, 0)
+
+
+def test_stored_with_the_application_parameters() -> None:
+    store = Memory()
+    talk = filtered(MOVING, 6, store=store)
+    assert talk.put("I", 0x1010, 3, SAVE) == 0
+    again = finger(store=store, calibrated=False)
+    assert [again.get("B", 0x61A0, sub) for sub in (1, 2, 3)] == [MOVING] * 3
+    again.source.load = (1.0, 90.0, 0.0)
+    assert again.sync(after_us=500).gauges[0] == 500  # one conversion without load, one with
+    assert again.put("I", 0x1011, 3, LOAD) == 0
+    again.say("> 000#8105\n< 705#00")
+    assert again.get("B", 0x61A0, 1) == 0
+
+
+def test_a_store_with_a_filter_that_is_not_offered_gives_none() -> None:
+    talk = finger()
+    for sub, kind in ((1, MOVING), (2, IIR), (3, 0)):
+        talk.device.od.values[0x61A000 | sub] = kind
+        talk.device.od.values[0x61A100 | sub] = 65535
+    talk.device.application.on_reset(talk.now_us)  # type: ignore[union-attr]
+    assert [talk.get("B", 0x61A0, sub) for sub in (1, 2, 3)] == [0] * 3
+    assert [talk.get("H", 0x61A1, sub) for sub in (1, 2, 3)] == [1] * 3
+
+
+# --- what must not get into an average --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("kind", [MOVING, IIR])
+def test_saturation_shows_at_once_and_leaves_no_trace(kind: int) -> None:
+    talk = filtered(kind, 200, load=PUSH)
+    clean = [talk.sync() for _ in range(20)][-1]
+    talk.source.fault, talk.source.fault_gauge = AT_THE_END, 2
+    bad = talk.sync()
+    assert bad.status & SATURATED
+    assert (bad.gauges[1], bad.contact) == (32767, (UNKNOWN,) * 3)
+    assert talk.get("B", 0x6150, 2) == 3
+    talk.sync()
+    talk.source.fault = 0
+    after = talk.sync()
+    assert after[:3] == clean[:3]  # not one count of the end of the range is left
+
+
+def test_saturation_within_a_block_shows_before_the_block_ends_and_the_block_begins_anew() -> None:
+    talk = filtered(REPEATING, 100, load=PUSH)
+    talk.advance(120_000)
+    clean = talk.sync()
+    assert not clean.status & STALE
+    talk.source.fault, talk.source.fault_gauge = AT_THE_END, 2
+    bad = talk.sync()
+    assert bad.status & (STALE | SATURATED) == STALE | SATURATED
+    assert talk.get("H", 0x2124) == 2
+    talk.source.fault = 0
+    talk.sync()
+    talk.advance(48_000)  # 98 clean conversions
+    assert talk.sync(after_us=0).status & STALE
+    talk.advance(2_000)
+    assert talk.sync(after_us=0)[:3] == clean[:3]
+
+
+@given(st.data())
+@settings(max_examples=30, deadline=None)
+def test_no_live_value_holds_a_bad_conversion(data: st.DataObject) -> None:
+    """Whatever conversions are at the end of the range, a gauge that is shown is the mean of values that are not."""
+    kind = data.draw(st.sampled_from([MOVING, REPEATING, IIR]))
+    constant = data.draw(st.integers(2, 12))
+    talk = filtered(kind, constant, calibrated=False, load=(0.5, 90.0, 0.0))
+    bad = data.draw(st.sets(st.integers(0, 79)))
+    start = talk.now_us // 500
+    talk.source.forces = lambda now_us: (1e6 if now_us // 500 - start in bad else 0.5, 0.0, 0.0)
+    seen = set()
+    for _ in range(data.draw(st.integers(1, 40))):
+        seen.add(talk.sync(after_us=data.draw(st.integers(0, 3000))).gauges[0])
+    assert seen <= {UNKNOWN, 32767, 500}
+
+
+def test_with_more_gauges_the_others_stay_filtered_while_one_is_lost() -> None:
+    talk = filtered(MOVING, 50, n=4, calibrated=record(4), noise_microstrain=3.0)
+    talk.source.fault, talk.source.fault_gauge = AT_THE_END, 4
+    values = []
+    for _ in range(200):
+        pdos = talk.sync(after_us=500)
+        assert pdos.status & SATURATED
+        values.append(pdos.gauges[0])
+    assert np.std(values[60:]) < 30 / math.sqrt(50) * 2.5  # 30 counts unfiltered
+
+
+def test_frozen_gauge_is_found_by_raw_counts() -> None:
+    talk = filtered(MOVING, 16, calibrated=record(noise_strain=5e-7), load=PUSH, noise_microstrain=0.5)
+    for _ in range(100):
+        assert not talk.sync().status & FAULT
+    talk.source.fault, talk.source.fault_gauge = STUCK, 1
+    statuses = [talk.sync(after_us=500).status & FAULT for _ in range(40)]
+    assert statuses == [0] * 31 + [FAULT] * 9
+    talk.source.fault = 0
+    assert talk.sync().status & (FAULT | CALIBRATED | CONTACT) == CALIBRATED | CONTACT
+
+
+def test_silence_ends_an_average() -> None:
+    talk = filtered(MOVING, 100, load=(1.0, 90.0, 0.0))
+    for _ in range(100):
+        talk.sync()
+    talk.source.fault = SILENT
+    assert talk.sync().status & (STALE | FAULT) == STALE
+    assert talk.sync(after_us=100_000).status & (STALE | FAULT) == STALE | FAULT
+    talk.source.load = (0.0, 0.0, 0.0)
+    talk.source.fault = 0
+    assert talk.sync().gauges == (0, 0, 0)
+
+
+def test_a_loop_that_slept_begins_anew() -> None:
+    talk = filtered(MOVING, 100, load=(1.0, 90.0, 0.0))
+    talk.advance(80_000)
+    talk.source.load = (0.0, 0.0, 0.0)
+    assert talk.sync(after_us=3_600_000_000).gauges == (0, 0, 0)
+
+
+class Steady(Source):
+    """A front end of its own clock that says nothing of when it converts."""
+
+    def __init__(self) -> None:
+        self.taken = -1
+
+    def read(self, now_us: int) -> Reading | None:
+        """Counts are the number of the conversion, of one each 500 us from 130 us on."""
+        number = (now_us - 130) // 500
+        if number == self.taken:
+            return None
+        self.taken = number
+        return Reading((number, -number, 0), 0, 2300)
+
+
+def test_a_source_that_does_not_say_when_it_converts() -> None:
+    device = fingertip_node(5, Steady())
+    device.step(1_000_000)
+    for index, kind, value in ((0x61A1, "H", 10), (0x61A0, "B", MOVING)):
+        assert device.od.download(index, 1, struct.pack("<" + kind, value)) == 0
+    now_us, due_us = 1_000_000, 0
+    while now_us < 1_050_000:
+        _, due_us = device.step(now_us)
+        now_us = due_us
+    assert device.od.get(0x6100, 1) != device.od.get(0x6130, 1)
+    device.application.refresh(1_050_000)  # type: ignore[union-attr]
+    assert device.od.get(0x6100, 1) * 0.1 - device.od.get(0x6130, 1) == pytest.approx(0.45)  # type: ignore[operator]
+
+
+def test_without_sync_a_slow_output_is_read_as_known() -> None:
+    """Between two averages there is nothing newer to read: only a SYNC says stale, or a front end that is silent."""
+    talk = filtered(REPEATING, 1000, load=PUSH)  # one each 0.5 s
+    assert math.isnan(talk.get("f", 0x6130, 1))
+    talk.advance(600_000)
+    for _ in range(20):
+        talk.advance(110_000)
+        assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=2e-3)
+    talk.source.fault = SILENT
+    talk.advance(250_000)
+    assert math.isnan(talk.get("f", 0x6130, 7))
+
+
+def test_without_a_filter_a_slow_converter_is_neither_stale_nor_silent() -> None:
+    talk = finger(load=PUSH)
+    assert talk.put("I", 0x6114, 1, 1_000_000) == 0
+    talk.now_us = 2_000_000
+    talk.step()
+    assert not talk.sync(after_us=100).status & STALE
+    assert talk.sync(after_us=300_000).status & (STALE | FAULT) == STALE  # not a fault: none was due
+    talk.now_us = 3_000_000
+    assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=2e-3)
+    talk.advance(500_000)
+    assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=2e-3)
+
+
+def test_autozero_zeroes_what_is_shown() -> None:
+    talk = filtered(MOVING, 64, calibrated=False, noise_microstrain=3.0, offset_microstrain=[40.0, 0.0, 0.0])
+    talk.advance(100_000)
+    assert talk.put("I", 0x6125, 1, 0x6F72657A) == 0
+    shown = [talk.sync().gauges[0] for _ in range(3)]
+    assert max(map(abs, shown)) <= 12  # 30 counts of noise in one conversion
+
+
+def test_a_filter_lowers_the_noise_as_theory_says() -> None:
+    for kind, constant, factor in ((MOVING, 16, 1 / 16), (IIR, 16, 1 / 31)):
+        talk = filtered(kind, constant, calibrated=False, noise_microstrain=10.0)
+        talk.advance(60_000)
+        values = [talk.sync(after_us=40_000).gauges[0] for _ in range(300)]
+        # 100 counts of noise: variance 1/N, and 1/(2 c - 1) of the first-order filter.
+        assert np.var(values) == pytest.approx(1e4 * factor, rel=0.3)
+
+
+def test_interrupts_compare_outputs() -> None:
+    talk = filtered(REPEATING, 400, calibrated=False)  # one each 200 ms
+    assert talk.put("f", 0x6133, 1, 50.0) == 0
+    assert talk.put("I", 0x1800, 1, 0xC0000185) == talk.put("B", 0x1800, 2, 254) == 0
+    assert talk.put("I", 0x1800, 1, 0x40000185) == 0
+    talk.advance(500_000)
+    talk.take()
+    talk.advance(1_000_000)
+    talk.quiet()  # no change, and no sample between two outputs that would be unknown
+    talk.source.load = (1.0, 90.0, 0.0)
+    talk.advance(500_000)
+    assert any(can_id == 0x185 for can_id, _ in talk.take())
+
+
+def test_drift_through_a_first_order_filter_lags_by_its_time_constant() -> None:
+    talk = filtered(IIR, 100, calibrated=False)
+    talk.source.set_fault(DRIFT, 1, 1000.0, talk.now_us)
+    talk.advance(1_000_000)
+    shown, raw = talk.sync(after_us=500).gauges[0], talk.get("f", 0x6100, 1)
+    # 1000 microstrain a second: 5 counts a conversion, times (constant - 1).
+    assert raw - shown == pytest.approx(5 * 99, abs=2)

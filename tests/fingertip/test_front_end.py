@@ -1,0 +1,353 @@
+"""The simulated front end: each part by an independent formula, and nothing of what is not named."""
+
+import math
+import random
+import struct
+import subprocess
+import sys
+
+import numpy as np
+import numpy.typing as npt
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from fingertip.finger import FAULT, PUSH, SATURATED, UNKNOWN, Finger, record, strain_per_newton
+from tipforce.dictionary import table
+from tipforce.dictionary.eds import eds_text, file_name
+from tipforce.dictionary.lint import lint_eds
+from tipforce.fingertip.dynamic import DynamicLoad
+from tipforce.fingertip.dynamic_forces import DynamicForces
+from tipforce.fingertip.front_end import Bridge, FrontEnd, OneOverFNoise, Temperature
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.host.fingertip import Identity
+
+STATE = 0x08000022
+NO_OBJECT = 0x06020000
+
+
+def behind(front_end: FrontEnd | None, load: tuple[float, float, float] = PUSH, calibrated: bool = True) -> Finger:
+    """A finger whose gauges are behind this front end."""
+    source = SimulatedSource(strain_per_newton(), front_end=front_end)
+    source.load = load
+    talk = Finger(fingertip_node(5, source), source)
+    if calibrated:
+        talk.stage(record())
+        assert talk.commit() == 0
+    return talk
+
+
+def test_nothing_named_is_the_ideal_converter() -> None:
+    plain, named = behind(None), behind(FrontEnd())
+    assert named.source.front_end is not None
+    assert named.source.front_end.parts == []
+    for k in range(200):
+        plain.source.load = named.source.load = (0.17 * k, -180.0 + 3.0 * k, 5.0)  # to the ends and beyond
+        assert plain.sync() == named.sync()
+
+
+def test_no_noise_loads_no_random() -> None:
+    code = (
+        "import sys; from tipforce.fingertip.front_end import *; from tipforce.fingertip.simulated import *;"
+        "s = SimulatedSource([[1e-4, 0, 0]] * 3, front_end=FrontEnd(24, Bridge(), temperature=20.0,"
+        " apparent_strain=1.0, gain_drift_ppm=10.0)); print(s.read(0).counts, 'random' in sys.modules)"
+    )
+    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
+    assert shown.stdout.split(")")[1].strip() == "False"
+
+
+# --- bridge and amplifier ---------------------------------------------------------------------------------
+
+
+def arms(kind: str, change: float) -> float:
+    """The output of a bridge per volt by Kirchhoff: two dividers, the active resistors changed."""
+    up = 1.0 + change
+    down = 1.0 - change if kind != "quarter" else 1.0
+    left = up / (up + down)
+    right = down / (up + down) if kind == "full" else 0.5
+    return left - right
+
+
+@pytest.mark.parametrize("kind", ["quarter", "half", "full"])
+@pytest.mark.parametrize("microstrain", [-3000.0, -20.0, 0.0, 1.0, 2500.0])
+def test_bridge_is_that_of_its_resistors(kind: str, microstrain: float) -> None:
+    bridge, gain = Bridge(kind, gauge_factor=2.1, excitation_volts=5.0), 50.0
+    front_end = FrontEnd(24, bridge, gain, reference_volts=2.5)
+    (counts,) = front_end.counts([microstrain], 0)
+    volts = arms(kind, 2.1e-6 * microstrain) * 5.0 * gain
+    assert counts == pytest.approx(volts / 2.5 * 2**23, abs=0.51)
+
+
+def test_matched_gain_has_the_same_full_scale_for_all() -> None:
+    for bits, converter in ((16, table.CONVERTER_16), (24, table.CONVERTER_24)):
+        assert FrontEnd(bits).converter == converter == FrontEnd(bits, Bridge("half", 2.0)).converter
+
+
+def test_default_scaling_follows_a_named_gain() -> None:
+    front_end = FrontEnd(16, Bridge("half"), gain=128.0)
+    talk = behind(front_end)
+    assert talk.get("f", 0x6122, 1) == pytest.approx(1000.0 * front_end.converter[1], rel=1e-6)
+    expected = behind(None).sync()
+    # A count is 0.24 microstrain here instead of 0.1.
+    assert talk.sync().contact == pytest.approx(expected.contact, abs=20)
+
+
+def test_quarter_bridge_error_shows_in_the_gauge() -> None:
+    talk = behind(FrontEnd(24, Bridge("quarter", 2.0)), (10.0, 90.0, 0.0))
+    talk.sync()
+    assert talk.get("f", 0x6130, 1) == pytest.approx(1000.0 / 1.001, rel=1e-6)
+
+
+def test_a_strain_that_leaves_no_resistance_reads_the_lower_end() -> None:
+    assert FrontEnd(16, Bridge()).counts([-2e6, 0.0, 1e308], 0) == [-32768, 0, 32767]
+
+
+# --- conversion -------------------------------------------------------------------------------------------
+
+
+@given(st.floats(), st.sampled_from([16, 24]))
+def test_conversion_never_raises_and_stays_within_the_ends(microstrain: float, bits: int) -> None:
+    front_end = FrontEnd(bits)
+    (count,) = front_end.counts([microstrain], 0)
+    exact = microstrain * front_end.converter[1]
+    if front_end.count_min <= exact <= front_end.count_max:
+        assert abs(count - exact) <= 0.5
+    else:
+        assert count == (front_end.count_min if exact < 0 else front_end.count_max)
+
+
+def test_24_bits_on_the_node() -> None:
+    talk = behind(FrontEnd(24), (1.0, 90.0, 0.0))
+    talk.source.offset_microstrain[0] = 0.00123
+    talk.sync()
+    assert talk.get("i", 0x9100, 1) == talk.get("f", 0x6100, 1) == round(100.00123 * 2560)
+    assert talk.get("f", 0x6130, 1) == pytest.approx(100.00123, abs=0.5 / 2560)
+    assert talk.get("f", 0x6122, 1) == 2_560_000.0
+    assert talk.get("i", 0x9122, 1) == 2_560_000
+    for index in (0x7100, 0x7120, 0x7122):
+        assert talk.upload(index, 1) == NO_OBJECT  # INTEGER16 cannot hold these counts
+    assert talk.get("h", 0x7130, 1) == 1000
+    product = int(talk.get("I", 0x1018, 2))
+    assert product == 0x54500303
+    identity = Identity(0, product, 0, 0)
+    assert (identity.is_fingertip, identity.gauges, identity.simulated) == (True, 3, True)
+
+
+def test_24_bits_saturate_at_their_own_ends() -> None:
+    talk = behind(FrontEnd(24), (0.0, 0.0, 0.0))
+    for load, value, status in ((32.76, 32760, 0), (32.769, 32767, 3), (-32.769, -32767, 5)):
+        talk.source.load = (load, 90.0, 0.0)
+        pdos = talk.sync()
+        assert pdos.gauges[0] == value
+        assert bool(pdos.status & SATURATED) == bool(status)
+        assert talk.get("B", 0x6150, 1) == status
+
+
+def test_a_24_bit_reading_beyond_32767_is_not_taken_for_the_end_of_16() -> None:
+    talk = behind(FrontEnd(24))
+    assert not talk.sync().status & (SATURATED | FAULT)
+
+
+@pytest.mark.parametrize("converter", [table.CONVERTER_24, (16, 2.5)])
+def test_the_eds_follows_the_converter(converter: tuple[int, float]) -> None:
+    text = eds_text(3, True, converter)
+    assert lint_eds(text) == []
+    assert f"FileName={file_name(3, True, bits=converter[0])}" in text
+    assert ("[7100]" in text, "[9100]" in text) == (converter[0] == 16, True)
+    assert f"DefaultValue={1000.0 * converter[1]}" in text
+
+
+# --- noise ------------------------------------------------------------------------------------------------
+
+
+def drawn(front_end: FrontEnd, gauges: int, count: int, period_us: int = 500) -> npt.NDArray[np.float64]:
+    """Noise of gauges without load in microstrain, (count, gauges), from a 24-bit converter."""
+    found = [front_end.counts([0.0] * gauges, k * period_us) for k in range(count)]
+    return np.array(found) / front_end.converter[1]
+
+
+def test_white_noise() -> None:
+    noise = drawn(FrontEnd(24, white_noise=2.0, seed=3), 4, 5000)
+    assert noise.std() == pytest.approx(2.0, rel=0.03)
+    assert abs(np.corrcoef(noise[1:, 0], noise[:-1, 0])[0, 1]) < 0.05
+    assert abs(np.corrcoef(noise[:, 0], noise[:, 1])[0, 1]) < 0.05
+
+
+def test_equal_seeds_give_equal_noise() -> None:
+    first, second, other = (drawn(FrontEnd(24, white_noise=1.0, one_over_f=1.0, seed=s), 3, 50) for s in (1, 1, 2))
+    assert np.array_equal(first, second)
+    assert not np.array_equal(first, other)
+
+
+def one_over_f(f: npt.NDArray[np.float64], part: OneOverFNoise, a: float) -> npt.NDArray[np.float64]:
+    """The density that its docstring states: a sum of first-order spectra of equal variance."""
+    corners = np.array(part.corners_hz)[:, None]
+    variance = a**2 * math.log(corners[1, 0] / corners[0, 0])
+    return np.asarray(np.sum(2 * variance / (math.pi * corners) / (1 + (f / corners) ** 2), axis=0))
+
+
+def test_the_sum_of_first_order_processes_is_one_over_f() -> None:
+    part = OneOverFNoise(2.0, random.Random(1), 1e-3, 1e3)
+    f = np.logspace(-1, 1, 200)
+    relative = one_over_f(f, part, 2.0) * f / 4.0
+    assert np.all(np.abs(relative - 1) < 0.01)  # two decades inside the ends
+    assert np.ptp(relative[95:105]) < 1e-3
+    assert one_over_f(np.array([1e-2, 1e2]), part, 2.0) * [1e-2, 1e2] / 4.0 == pytest.approx(0.967, abs=0.001)
+
+
+def test_spectrum_of_one_over_f_noise() -> None:
+    """Periodograms of eight gauges, averaged over a third of an octave, against the stated density."""
+    a, gauges, count, rate_hz = 5.0, 8, 16_384, 2000.0
+    front_end = FrontEnd(24, one_over_f=(a, 0.05, 100.0), seed=11)
+    (part,) = front_end.parts
+    assert isinstance(part, OneOverFNoise)
+    noise = drawn(front_end, gauges, count)
+    window = np.hanning(count)[:, None]
+    power = np.abs(np.fft.rfft(noise * window, axis=0)) ** 2 * 2 / (rate_hz * np.sum(window**2))
+    f = np.fft.rfftfreq(count, 1 / rate_hz)
+    for low in np.geomspace(1.0, 50.0, 12):
+        band = (f >= low) & (f < low * 2 ** (1 / 3) + 0.5)
+        wanted = np.mean(one_over_f(f[band], part, a))
+        lines = gauges * np.count_nonzero(band) / 1.5  # of the window's equivalent bandwidth
+        assert np.mean(power[band]) == pytest.approx(wanted, rel=4.5 / math.sqrt(lines))
+    bands = [(f >= low) & (f < 3 * low) for low in (1.0, 10.0)]
+    slope = math.log10(np.mean(power[bands[1]]) / np.mean(power[bands[0]]))
+    assert slope == pytest.approx(-1.0, abs=0.15)
+
+
+def test_one_over_f_noise_does_not_hang_on_how_often_it_is_read() -> None:
+    """The variance of the difference over 50 ms is that of one step of 50 ms, and that of a hundred of 0.5 ms."""
+    spread = []
+    for period_us in (50_000, 500):
+        noise = drawn(FrontEnd(24, one_over_f=(5.0, 0.1, 100.0), seed=2), 40, 50_000 // period_us * 6 + 1, period_us)
+        steps = np.diff(noise[:: 50_000 // period_us], axis=0)
+        spread.append(steps.std())
+    assert spread[0] == pytest.approx(spread[1], rel=0.2)
+
+
+def test_one_over_f_noise_after_a_long_gap_or_time_that_stands_still() -> None:
+    front_end = FrontEnd(24, one_over_f=1.0)
+    first = front_end.counts([0.0], 0)
+    assert front_end.counts([0.0], 0) == first
+    assert front_end.counts([0.0], 10**18) != first
+
+
+# --- temperature ------------------------------------------------------------------------------------------
+
+
+def test_temperature_trajectories() -> None:
+    points = Temperature([(1.0, 20.0), (3.0, 40.0), (4.0, 40.0)])
+    assert [points.degrees(t) for t in (0, 1_000_000, 1_500_000, 3_000_000, 9_000_000)] == [20, 20, 25, 40, 40]
+    assert Temperature(21.5).reading(0) == 2150
+    assert Temperature(lambda t_s: 20.0 + t_s).degrees(2_500_000) == 22.5
+    for value in (1e9, -1e9, math.nan, math.inf):
+        assert Temperature(lambda _t, value=value: value).reading(0) == UNKNOWN  # type: ignore[misc]
+
+
+def test_apparent_strain_and_gain_drift() -> None:
+    front_end = FrontEnd(24, temperature=33.0, apparent_strain=[1.0, -2.0, 0.0], gain_drift_ppm=100.0)
+    counts = front_end.counts([100.0, 100.0, 100.0], 0)
+    assert np.array(counts) / 2560 == pytest.approx([110 * 1.001, 80 * 1.001, 100 * 1.001], abs=1e-3)
+
+
+def test_the_node_shows_the_temperature_of_the_front_end() -> None:
+    talk = behind(FrontEnd(temperature=[(0.0, 20.0), (10.0, 120.0)]))
+    talk.sync()
+    assert talk.get("h", 0x2122) == 3000 + 1  # at 1.001 s
+    assert [type(part) for part in talk.source.front_end.parts] == []  # type: ignore[union-attr]
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        ({"bits": 12}, "bits: 12, allowed 16 and 24"),
+        ({"gain": 2.0}, "gain: needs a bridge"),
+        ({"reference_volts": 2.0}, "reference_volts: needs gain"),
+        ({"apparent_strain": 1.0}, "apparent_strain: needs temperature"),
+        ({"gain_drift_ppm": 1.0}, "gain_drift_ppm: needs temperature"),
+        ({"white_noise": -1.0}, "white_noise: -1.0, allowed is a finite number above 0"),
+        ({"one_over_f": (1.0, 10.0, 1.0)}, "highest_hz: 1.0, allowed is a finite number above 10"),
+        ({"temperature": math.nan}, "temperature: nan"),
+        ({"temperature": [(1.0, 20.0), (0.0, 20.0)]}, "points at increasing times"),
+        ({"temperature": []}, "points at increasing times"),
+    ],
+)
+def test_what_is_not_allowed(options: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        FrontEnd(**options)  # type: ignore[arg-type]
+
+
+def test_bridges_that_are_not_allowed() -> None:
+    for bad in ({"kind": "third"}, {"gauge_factor": 0.0}, {"excitation_volts": math.inf}):
+        with pytest.raises(ValueError, match=next(iter(bad)).replace("kind", "bridge")):
+            Bridge(**bad)
+    with pytest.raises(ValueError, match="2 numbers for 3 gauges"):
+        FrontEnd(temperature=20.0, apparent_strain=[1.0, 2.0]).counts([0.0] * 3, 0)
+
+
+# --- load histories ---------------------------------------------------------------------------------------
+
+
+def test_forces_replace_the_load_at_the_time_of_the_conversion() -> None:
+    asked: list[int] = []
+    source = SimulatedSource(strain_per_newton(), forces=lambda now_us: (asked.append(now_us) or 2.0, 0.0, -1.0))  # type: ignore[func-returns-value]
+    talk = Finger(fingertip_node(5, source), source)
+    assert talk.sync(after_us=1234).gauges == (2000, 0, -1000)
+    assert asked == [1_001_000]  # the conversion that 1.001234 s finds
+    assert talk.put("f", 0x2201, 1, 1.0) == STATE
+
+
+@pytest.mark.parametrize("force", [math.nan, math.inf, -math.inf, 1e308])
+def test_a_load_that_is_no_number_is_marked_and_never_raises(force: float) -> None:
+    source = SimulatedSource(strain_per_newton(), forces=lambda _now: (force, 0.0, 0.0))
+    talk = Finger(fingertip_node(5, source), source)
+    assert talk.sync().status & SATURATED
+
+
+def oscillator(frequency_hz: float, step_s: float) -> DynamicLoad:
+    """One undamped mode that sees F1: exact for a load that is linear during a step."""
+    w, angle = 2 * math.pi * frequency_hz, 2 * math.pi * frequency_hz * step_s
+    c, s = math.cos(angle), math.sin(angle)
+    # z'' + w^2 z = w^2 f, with f = a + (b - a) t / step: z = f - (b - a) sin(w t) / (w step) + free motion.
+    start, end = -c + s / angle, 1.0 - s / angle
+    hold = (c, s / w, -w * s, c, start, end, w * s - (1 - c) / step_s, (1 - c) / step_s)
+    return DynamicLoad((((1.0, 0.0, 0.0), hold, (1.0, 0.0, 0.0)),))
+
+
+def test_dynamic_forces_are_the_motion_whatever_is_read() -> None:
+    """A step of load rings: every conversion by the closed form, also where the node reads only some of them."""
+    step_us, frequency_hz = 500, 100.0
+
+    def applied(now_us: int) -> tuple[float, float, float]:
+        return (min(max((now_us - 10_000) / 500, 0.0), 1.0), 0.0, 0.0)  # a ramp of one step
+
+    every = DynamicForces(oscillator(frequency_hz, step_us * 1e-6), applied, step_us)
+    few = DynamicForces(oscillator(frequency_hz, step_us * 1e-6), applied, step_us)
+    w = 2 * math.pi * frequency_hz
+    for k in range(200):
+        t = (k * step_us - 10_000) * 1e-6
+        exact = 0.0 if t <= 0 else 1.0 - (math.sin(w * t) - math.sin(w * (t - 5e-4))) / (w * 5e-4)
+        assert every(k * step_us)[0] == pytest.approx(exact, abs=1e-9)
+        if k % 7 == 0:
+            assert few(k * step_us) == every(k * step_us)
+    assert every(0) == every(199 * step_us)  # time that goes back changes nothing
+
+
+def test_dynamic_forces_on_the_node() -> None:
+    forces = DynamicForces(oscillator(50.0, 5e-4), lambda now_us: (float(now_us > 1_010_000), 0.0, 0.0), 500)
+    source = SimulatedSource(strain_per_newton(), forces=forces)
+    talk = Finger(fingertip_node(5, source), source)
+    seen = [talk.sync().gauges[0] for _ in range(60)]
+    assert seen[:10] == [0] * 10
+    assert max(seen) == pytest.approx(2000, abs=40)  # an undamped step overshoots to twice
+    with pytest.raises(ValueError, match="step_us: 0"):
+        DynamicForces(oscillator(50.0, 5e-4), lambda _now: (0.0, 0.0, 0.0), 0)
+
+
+def test_filter_of_a_24_bit_node() -> None:
+    talk = behind(FrontEnd(24, white_noise=0.5, seed=4), (1.0, 90.0, 0.0), calibrated=False)
+    assert talk.download(0x61A1, 1, struct.pack("<H", 256)) == talk.put("B", 0x61A0, 1, 1) == 0
+    talk.advance(130_000)
+    talk.sync()
+    assert talk.get("f", 0x6130, 1) == pytest.approx(100.0, abs=5 * 0.5 / 16)
