@@ -1,0 +1,130 @@
+"""Triangulations: valid, symmetric, nested, of exact area; and outlines that are refused."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.geometry import FABRICATED
+from tipforce_tools.fem.mesh import GRADING, Resolution, Triangles, triangulate
+from tipforce_tools.fem.outline import STATED, Outline
+
+THIN_LEGS = Outline(leg_m=0.2e-3, tip_side_m=0.5e-3)
+ROUND = Outline(fillet_m=0.5e-3, slit_fillet_m=0.125e-3)
+HALF_ROUND = Outline(fillet_m=0.05e-3, slit_fillet_m=0.05e-3)
+LOW_LEGS = Outline(leg_below_m=2e-3, slit_fillet_m=0.1e-3)
+NO_FIXTURE = Outline(fixture_depth_m=0.0)
+ODD = Outline(replace(FABRICATED, a_m=11e-3, d_m=17e-3, r_m=19e-3, h1_m=0.5e-3, h2_m=0.7e-3), fixture_half_width_m=4e-3)
+OUTLINES = [STATED, THIN_LEGS, ROUND, HALF_ROUND, LOW_LEGS, NO_FIXTURE, ODD]
+
+
+def area_with_chords(outline: Outline, mesh: Triangles) -> float:
+    """The exact area of the body with its arcs replaced by the chords of the mesh."""
+    x, y = mesh.points_m
+    rectangles = sum((part.right_m - part.left_m) * (part.upper_m - part.lower_m) for part in outline.rectangles())
+    on_arc = np.isclose(np.hypot(x, y), outline.tip_radius_m, rtol=1e-12, atol=0.0) & (y > outline.tip_bottom_m)
+    along = np.sort(x[on_arc])
+    tip = float(np.trapezoid(outline.tip_top_m(along) - outline.tip_bottom_m, along))
+    fillets = 0.0
+    for corner in outline.corners().values():
+        if corner.radius_m > 0.0:
+            # A fillet of 2 m chords: the square less the polygon sector of a quarter circle.
+            count = np.sum(_on_fillet(corner.x_m, corner.y_m, corner.free_x, corner.free_y, corner.radius_m, x, y)) - 1
+            sector = 0.5 * count * math.sin(0.5 * math.pi / count)
+            fillets += corner.radius_m**2 * (1.0 - sector)
+    return rectangles + tip + fillets
+
+
+def _on_fillet(cx: float, cy: float, fx: float, fy: float, radius: float, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    u, v = (x - cx) * fx, (y - cy) * fy
+    near = (u > -1e-9) & (u < radius + 1e-9) & (v > -1e-9) & (v < radius + 1e-9)
+    result: np.ndarray = near & np.isclose(np.hypot(u - radius, v - radius), radius, rtol=1e-9, atol=0.0)
+    return result
+
+
+@pytest.mark.parametrize("grading", [1.0, GRADING])
+@pytest.mark.parametrize("cells", [1, 3])
+@pytest.mark.parametrize("outline", OUTLINES)
+def test_no_triangle_is_inverted_and_the_area_is_exact(outline: Outline, cells: int, grading: float) -> None:
+    mesh = triangulate(outline, Resolution(cells, grading))
+    areas = mesh.areas_m2()
+    assert areas.min() > 0.0
+    assert areas.sum() == pytest.approx(area_with_chords(outline, mesh), rel=1e-12)
+
+
+@pytest.mark.parametrize("outline", [STATED, ROUND])
+def test_the_area_tends_to_that_of_the_arcs(outline: Outline) -> None:
+    errors = [
+        abs(triangulate(outline, Resolution(n, 1.0)).areas_m2().sum() / outline.area_m2() - 1.0) for n in (2, 4, 8)
+    ]
+    orders = np.log2(np.array(errors[:-1]) / np.array(errors[1:]))
+    assert orders == pytest.approx(2.0, abs=0.3)
+
+
+@pytest.mark.parametrize("outline", OUTLINES)
+def test_the_mesh_is_its_own_mirror_image(outline: Outline) -> None:
+    mesh = triangulate(outline, Resolution(2))
+    centres = mesh.points_m[:, mesh.corners].mean(axis=1).T
+    mirrored = centres * (-1.0, 1.0)
+    found, wanted = (part[np.lexsort(np.round(part.T, 15))] for part in (mirrored, centres))
+    np.testing.assert_allclose(found, wanted, atol=1e-15)
+
+
+def test_halving_keeps_the_nodes() -> None:
+    # Below the arc, whose chords move.
+    coarse, fine = (triangulate(NO_FIXTURE, Resolution(n)).points_m for n in (2, 4))
+    coarse = coarse[:, coarse[1] <= NO_FIXTURE.tip_bottom_m]
+    gap = np.array([np.abs(fine - point[:, np.newaxis]).max(axis=0).min() for point in coarse.T])
+    assert gap.max() < 1e-15
+
+
+def test_rings_come_as_the_power_law() -> None:
+    mesh = triangulate(STATED, Resolution(3))
+    g = STATED.geometry
+    below = np.sort(mesh.points_m[0, (mesh.points_m[1] == -0.5 * g.h1_m) & (mesh.points_m[0] >= 0.5 * g.h2_m)])
+    rings = below[:7] - 0.5 * g.h2_m
+    np.testing.assert_allclose(rings, rings[-1] * (np.arange(7) / 6.0) ** GRADING, rtol=1e-8, atol=1e-18)
+
+
+def test_graded_cells_do_not_get_long_and_thin() -> None:
+    mesh = triangulate(STATED, Resolution(6))
+    corner = np.array([[0.5 * STATED.geometry.h2_m], [-0.5 * STATED.geometry.h1_m]])
+    p = mesh.points_m[:, mesh.corners]
+    near = np.abs(p - corner[:, :, np.newaxis]).max(axis=(0, 1)) < 0.05e-3
+    sides = np.linalg.norm(p - np.roll(p, 1, axis=1), axis=0)[:, near]
+    assert near.sum() > 50
+    assert (sides.max(axis=0) ** 2 / mesh.areas_m2()[near]).max() < 60.0
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"slit_m": 0.0}, "outline slit_m = 0.0: allowed is a positive finite number"),
+        ({"leg_m": float("nan")}, "outline leg_m = nan"),
+        ({"leg_m": True}, "outline leg_m = True"),
+        ({"fillet_m": -1e-4}, "outline fillet_m = -0.0001: allowed is 0 or more"),
+        ({"slit_fillet_m": 0.2e-3}, "outline slit_fillet_m = 0.0002: allowed is at most half of slit_m"),
+        ({"fillet_m": 7e-3}, "outline fillet_m = 0.007"),
+        ({"fixture_half_width_m": 1e-3}, "outline fixture_half_width_m = 0.001: allowed is above"),
+        ({"fixture_half_width_m": 20e-3}, "outline fixture_half_width_m = 0.02"),
+        ({"leg_below_m": 0.5e-3}, "outline leg_below_m = 0.0005: allowed is 0, or above"),
+        ({"leg_below_m": 15e-3}, "outline leg_below_m = 0.015"),
+        ({"geometry": replace(FABRICATED, a_m=2e-3)}, "allowed are beams longer than the 1 mm at both ends"),
+        ({"geometry": replace(FABRICATED, d_m=1.5e-3)}, "allowed"),
+        ({"fixture_depth_m": float("inf")}, "outline fixture_depth_m = inf"),
+    ],
+)
+def test_bad_outlines(change: dict[str, float], message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        Outline(**change)  # type: ignore[arg-type]
+    assert message in str(caught.value)
+
+
+@pytest.mark.parametrize(("cells", "grading"), [(0, 2.0), (33, 1.0), (True, 2.0), (4, 0.5), (4, 9.0), (32, 6.0)])
+def test_bad_resolutions(cells: int, grading: float) -> None:
+    with pytest.raises(InputError, match="allowed"):
+        Resolution(cells, grading)

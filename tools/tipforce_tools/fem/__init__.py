@@ -1,0 +1,1 @@
+"""Plane finite elements of the fingertip body with scikit-fem (``pip install "tipforce[fem]"``)."""
