@@ -171,7 +171,8 @@ def lost_samples(counter: npt.ArrayLike) -> int:
     """How many samples are missing from the 8-bit counter (k,) of a PDO that is sent with every SYNC.
 
     A repeated value is a SYNC without a new sample (status bit stale), not a loss. What an 8-bit counter can't show:
-    256 lost in a row; and a frame out of order counts as a loss of 254.
+    255 or 256 lost in a row (255 look like a repeat, with the stale bit clear; the receive times tell); and a frame
+    out of order counts as a loss of 254.
     """
     steps = np.diff(np.asarray(counter, dtype=np.uint8)).astype(np.int64)
     return int(np.maximum(steps - 1, 0).sum())

@@ -5,12 +5,15 @@ from __future__ import annotations
 import threading
 import time
 from collections.abc import Callable, Iterable
+from typing import TYPE_CHECKING
 
-import can
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.socketcan import raw_can_id
+
+if TYPE_CHECKING:
+    import can  # slow to import; what decodes a log or a simulation needs arrays only
 
 FRAME = np.dtype([("t_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("data", "u1", (8,))])
 """One classic CAN frame: receive time in nanoseconds, SocketCAN can_id (flags included), data length, data."""
@@ -30,8 +33,8 @@ def raw_frame(message: can.Message) -> RawFrame:
     return round(message.timestamp * 1e9), raw_can_id(message), bytes(message.data)
 
 
-class FrameBuffer(can.Listener):
-    """Keeps every classic frame that a python-can Notifier hands it, until someone takes it.
+class FrameBuffer:
+    """Keeps every classic frame that a python-can Notifier hands it as its listener, until someone takes it.
 
     ``limit`` bounds the memory: beyond it the oldest frames go and ``dropped`` counts them.
     """
@@ -42,8 +45,12 @@ class FrameBuffer(can.Listener):
         self._limit = limit
         self.dropped = 0
 
-    def on_message_received(self, msg: can.Message) -> None:
+    def __call__(self, msg: can.Message) -> None:
         """Called by the Notifier's thread."""
+        self.on_message_received(msg)
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Take one message."""
         if msg.is_fd:
             return
         with self._arrived:

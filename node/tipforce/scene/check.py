@@ -1,0 +1,124 @@
+"""What the types of a scene cannot say: node-ids once, one load per finger, PDOs that need a SYNC, and the like."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from itertools import pairwise
+
+from tipforce.dictionary.table import STATUS_BITS
+from tipforce.errors import InputError
+from tipforce.scene import schema
+from tipforce.scene.loads import load_history
+from tipforce.sensor.layouts import layout
+
+SYNCHRONOUS = ("gauges", "contact", "force")
+
+
+def check_scene(scene: schema.Scene, place: str) -> None:
+    """Raises InputError naming the place, the value and what is allowed."""
+    _check_nodes(scene, place)
+    _check_loads(scene, place)
+    _check_faults(scene, place)
+    _check_expectations(scene, place)
+
+
+def _check_nodes(scene: schema.Scene, place: str) -> None:
+    ids = scene.node_ids
+    twice = sorted({node_id for node_id in ids if ids.count(node_id) > 1})
+    if twice:
+        raise InputError(f"{place}: nodes: node-id {twice[0]} is given more than once")
+    if not 1 <= len(ids) <= schema.MAX_NODES:
+        raise InputError(f"{place}: nodes: {len(ids)} node-ids: allowed are 1 to {schema.MAX_NODES}")
+    for number, group in enumerate(scene.nodes, 1):
+        at = f"{place}: nodes[{number}]"
+        gauges = _gauges(group, at)
+        if group.offset_microstrain and len(group.offset_microstrain) != gauges:
+            raise InputError(f"{at}.offset_microstrain has {len(group.offset_microstrain)} values: allowed is {gauges}")
+        if scene.dynamics is not None and group.sample_period_us % scene.dynamics.step_us:
+            raise InputError(
+                f"{at}.sample_period_us is {group.sample_period_us}: allowed are multiples of the step of [dynamics], "
+                f"{scene.dynamics.step_us} us"
+            )
+        needs = [pdo for pdo in group.pdos if pdo in SYNCHRONOUS]
+        if needs and scene.sync_hz is None:
+            raise InputError(f"{at}.pdos: {needs[0]} is sent on SYNC, and the scene has none: give sync_hz")
+
+
+def _gauges(group: schema.Nodes, at: str) -> int:
+    try:
+        return len(layout(group.layout))
+    except InputError as error:
+        raise InputError(f"{at}.layout: {error}") from None
+
+
+def _check_ids(scene: schema.Scene, ids: Iterable[int], at: str) -> None:
+    for node_id in ids:
+        if node_id not in scene.node_ids:
+            known = ", ".join(map(str, scene.node_ids))
+            raise InputError(f"{at}: node {node_id} is not in [[nodes]]; allowed: {known}")
+
+
+def _check_loads(scene: schema.Scene, place: str) -> None:
+    loaded: dict[int, int] = {}
+    for number, load in enumerate(scene.loads, 1):
+        at = f"{place}: loads[{number}]"
+        _check_ids(scene, load.nodes, f"{at}.nodes")
+        if isinstance(load, schema.Grasp):
+            _check_ids(scene, (finger.node for finger in load.fingers), f"{at}.fingers")
+        if isinstance(load, schema.Ramp) and not load.end_s > load.start_s:
+            raise InputError(f"{at}.end_s is {load.end_s}: allowed is a time after start_s, {load.start_s}")
+        if isinstance(load, schema.Tap):
+            _check_taps(load, at)
+        for node_id in load.nodes or scene.node_ids:
+            try:
+                acts = load_history(load, node_id) is not None
+            except InputError as error:
+                raise InputError(f"{at}: {error}") from None
+            if acts and node_id in loaded:
+                raise InputError(f"{at}: node {node_id} has a load already, loads[{loaded[node_id]}]: allowed is one")
+            if acts:
+                loaded[node_id] = number
+
+
+def _check_taps(load: schema.Tap, at: str) -> None:
+    lasts_s = 1e-3 * (load.rise_ms + load.fall_ms)
+    times = sorted(load.at_s)
+    if not times or any(later - earlier < lasts_s for earlier, later in pairwise(times)):
+        raise InputError(f"{at}.at_s is {times}: allowed are one or more times at least {lasts_s:g} s apart")
+
+
+def _check_faults(scene: schema.Scene, place: str) -> None:
+    spans: dict[int, list[tuple[float, float]]] = {}
+    for number, fault in enumerate(scene.faults, 1):
+        at = f"{place}: faults[{number}]"
+        _check_ids(scene, fault.nodes, f"{at}.nodes")
+        until = scene.duration_s if fault.until_s is None else fault.until_s
+        if not until > fault.at_s:
+            raise InputError(f"{at}: it ends at {until} s: allowed is a time after at_s, {fault.at_s}")
+        if fault.microstrain_per_s and fault.kind != "drift":
+            raise InputError(f"{at}.microstrain_per_s: only a drift has it, this is {fault.kind!r}")
+        for node_id in fault.nodes:
+            gauges = len(layout(scene.group(node_id).layout))
+            if fault.gauge > gauges:
+                raise InputError(f"{at}.gauge is {fault.gauge}: node {node_id} has the gauges 1 to {gauges}")
+            if any(start < until and fault.at_s < end for start, end in spans.get(node_id, ())):
+                raise InputError(f"{at}: node {node_id} has another fault at that time: object 2200h holds one")
+            spans.setdefault(node_id, []).append((fault.at_s, until))
+
+
+def _check_expectations(scene: schema.Scene, place: str) -> None:
+    flags = [name for name, _ in STATUS_BITS]
+    for number, expect in enumerate(scene.expect, 1):
+        at = f"{place}: expect[{number}]"
+        _check_ids(scene, expect.nodes, f"{at}.nodes")
+        for name in (*expect.status_seen, *expect.status_never):
+            if name not in flags:
+                raise InputError(f"{at}: {name!r} is no bit of the status byte; allowed: {', '.join(flags)}")
+        if expect.slit_closes is not None and scene.slit is None:
+            raise InputError(f"{at}.slit_closes: nothing watches the slit; add a table [slit]")
+        for code in expect.emcy_seen:
+            if len(code) != 4 or not all(digit in "0123456789ABCDEF" for digit in code):
+                raise InputError(f"{at}.emcy_seen: {code!r}: allowed are four hexadecimal digits, as 5010")
+        until = scene.duration_s if expect.to_s is None else expect.to_s
+        if not expect.from_s < until <= scene.duration_s:
+            raise InputError(f"{at}: from {expect.from_s} s to {until} s: allowed are times within duration_s")

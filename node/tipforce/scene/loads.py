@@ -1,0 +1,133 @@
+"""What acts on a fingertip over time: knots of (t, P, phi, theta) with straight lines in between."""
+
+from __future__ import annotations
+
+import bisect
+import math
+from collections.abc import Sequence
+from itertools import pairwise
+
+from tipforce.errors import InputError
+from tipforce.scene import schema
+
+Triple = tuple[float, float, float]  # P newtons, phi and theta degrees
+Knot = tuple[float, float, float, float]  # t seconds, P, phi, theta
+
+UNLOADED: Triple = (0.0, 0.0, 0.0)
+
+
+class LoadHistory:
+    """P, phi and theta of one finger, linear between its knots, held before the first and after the last.
+
+    Two knots at one time make a step: the later one holds from that time on.
+    """
+
+    __slots__ = ("_times", "knots")
+
+    def __init__(self, knots: Sequence[Knot]) -> None:
+        self.knots = tuple(knots)
+        self._times = [knot[0] for knot in self.knots]
+
+    @property
+    def constant(self) -> bool:
+        """True where nothing changes over time."""
+        return all(knot[1:] == self.knots[0][1:] for knot in self.knots)
+
+    def at(self, t_s: float) -> Triple:
+        """(P newtons, phi degree, theta degree) at a time."""
+        after = bisect.bisect_right(self._times, t_s)
+        if after == 0 or after == len(self.knots):
+            _, P, phi, theta = self.knots[max(after - 1, 0)]
+            return P, phi, theta
+        before, behind = self.knots[after - 1], self.knots[after]
+        part = (t_s - before[0]) / (behind[0] - before[0])
+        P, phi, theta = (a + part * (b - a) for a, b in zip(before[1:], behind[1:], strict=True))
+        return P, phi, theta
+
+    def force(self, t_s: float) -> Triple:
+        """(F1, F2, F3) in newtons, equation (16)."""
+        P, phi_deg, theta_deg = self.at(t_s)
+        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+        return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+
+
+def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:
+    """The load of a node, None where the scene names none."""
+    for load in scene.loads:
+        if not load.nodes or node_id in load.nodes:
+            found = load_history(load, node_id)
+            if found is not None:
+                return found
+    return None
+
+
+def load_history(load: schema.Load, node_id: int) -> LoadHistory | None:
+    """The knots of one [[loads]] table for one node; None for a finger that a grasp does not use."""
+    if isinstance(load, schema.Static):
+        return LoadHistory([(0.0, load.P_N, load.phi_deg, load.theta_deg)])
+    if isinstance(load, schema.History):
+        return LoadHistory(_history_knots(load))
+    if isinstance(load, schema.Grooves):
+        return LoadHistory(_groove_knots(load))
+    angles = _angles(load, node_id)
+    if angles is None:
+        return None
+    return LoadHistory([(t, P, *angles) for t, P in _magnitudes(load, node_id)])
+
+
+def _angles(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> tuple[float, float] | None:
+    if not isinstance(load, schema.Grasp):
+        return load.phi_deg, load.theta_deg
+    finger = _finger(load, node_id)
+    return None if finger is None else (finger.phi_deg, finger.theta_deg)
+
+
+def _magnitudes(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> list[tuple[float, float]]:
+    """(t, P) of a load whose direction stays."""
+    if isinstance(load, schema.Ramp):
+        return [(load.start_s, load.from_N), (load.end_s, load.to_N)]
+    if isinstance(load, schema.Tap):
+        found = []
+        for t in sorted(load.at_s):
+            peak = t + 1e-3 * load.rise_ms
+            found += [(t, 0.0), (peak, load.P_N), (peak + 1e-3 * load.fall_ms, 0.0)]
+        return found
+    finger = _finger(load, node_id)
+    P, t = (0.0, 0.0) if finger is None else (finger.P_N, load.start_s + finger.delay_s)
+    closed = t + load.close_s
+    opening = closed + load.hold_s
+    return [(t, 0.0), (closed, P), (opening, P), (opening + load.open_s, 0.0)]
+
+
+def _finger(load: schema.Grasp, node_id: int) -> schema.Finger | None:
+    return next((finger for finger in load.fingers if finger.node == node_id), None)
+
+
+def _history_knots(load: schema.History) -> list[Knot]:
+    count = len(load.t_s)
+    columns = [
+        value if isinstance(value, tuple) else (value,) * count for value in (load.P_N, load.phi_deg, load.theta_deg)
+    ]
+    for name, column in zip(("P_N", "phi_deg", "theta_deg"), columns, strict=True):
+        if len(column) != count or not count:
+            raise InputError(f"{name} has {len(column)} values: allowed are as many as t_s, {count}, or one number")
+    if any(later < earlier for earlier, later in pairwise(load.t_s)):
+        raise InputError(f"t_s = {list(load.t_s)}: allowed are times that do not go back")
+    return list(zip(load.t_s, *columns, strict=True))
+
+
+def _groove_knots(load: schema.Grooves) -> list[Knot]:
+    """x-grooves pull at phi = 0, beyond theta = 90 degrees at 180; y-grooves at 90: a rope can only pull away."""
+    from tipforce.sensor.published import X_GROOVES_DEG, Y_GROOVES_DEG
+
+    directions = [(0.0 if theta < 90.0 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
+    directions += [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
+    knots: list[Knot] = []
+    t, third = 0.0, load.change_s / 3.0
+    for phi, theta in directions:
+        # Unloaded for the middle third of a change: a tare reading between two grooves.
+        knots += [(t, 0.0, phi, theta), (t + third, load.P_N, phi, theta)]
+        t += third + load.dwell_s
+        knots += [(t, load.P_N, phi, theta), (t + third, 0.0, phi, theta)]
+        t += 2.0 * third
+    return knots

@@ -1,0 +1,48 @@
+"""The tip that swings on its beams, for one finger: from the load's history to the force that the gauges see."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from typing import TYPE_CHECKING, cast
+
+from tipforce.fingertip.dynamic import DynamicLoad
+from tipforce.fingertip.dynamic_forces import DynamicForces
+from tipforce.scene import schema
+from tipforce.sensor.dynamics.held import node_coefficients
+from tipforce.sensor.dynamics.model import modes
+from tipforce.sensor.geometry import FABRICATED
+
+if TYPE_CHECKING:
+    from tipforce.fingertip.dynamic import Coefficients
+    from tipforce.scene.loads import LoadHistory, Triple
+    from tipforce.scene.sources import Clock
+
+
+class Motion:
+    """The elastic force (F1, F2, F3) at the time of a conversion; at the beginning the tip rests under its load.
+
+    Steps of ``step_us`` from the beginning on; a conversion at another time gets the force of the step before it.
+    """
+
+    def __init__(self, dynamics: schema.Dynamics, load: LoadHistory, clock: Clock) -> None:
+        coefficients = _coefficients(dynamics.damping_ratio, dynamics.step_us)
+        self._forces = DynamicForces(DynamicLoad(coefficients), self._applied, dynamics.step_us)
+        self._load = load
+        self._clock = clock
+        self._begun = False
+
+    def _applied(self, now_us: int) -> Triple:
+        return self._load.force(1e-6 * (now_us - self._clock.start_us))
+
+    def __call__(self, now_us: int) -> Triple:
+        """F1, F2, F3 in newtons."""
+        if not self._begun:
+            self._begun = True
+            self._forces(self._clock.start_us)
+        return self._forces(now_us)
+
+
+@lru_cache(maxsize=8)
+def _coefficients(damping_ratio: float, step_us: int) -> Coefficients:
+    """Fingers of one scene are alike."""
+    return cast("Coefficients", node_coefficients(modes(FABRICATED, damping_ratio), 1e-6 * step_us))

@@ -1,0 +1,87 @@
+"""Every frame of a run, once: for the decoder as FRAME arrays, and for a log as candump writes it."""
+
+from __future__ import annotations
+
+from io import TextIOBase
+from pathlib import Path
+from types import TracebackType
+
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.frames import FRAME, FrameArray, RawFrame, frame_array
+
+BLOCK_FRAMES = 16_384
+
+
+class Recording:
+    """Takes frames in the order of their times. With ``log`` each goes to that file too. Use as a context manager.
+
+    Raises InputError when the log cannot be written.
+    """
+
+    def __init__(self, log: str | Path | None = None, interface: str = "sim0") -> None:
+        self.counts: dict[int, int] = {}
+        """Frames by COB-ID."""
+        self._rows: list[RawFrame] = []
+        self._blocks: list[FrameArray] = []
+        self._interface = interface
+        self._log = None if log is None else _LogFile(log)
+
+    def add(self, t_us: int, can_id: int, data: bytes) -> None:
+        """One frame."""
+        self._rows.append((1000 * t_us, can_id, data))
+        self.counts[can_id] = self.counts.get(can_id, 0) + 1
+        if len(self._rows) >= BLOCK_FRAMES:
+            self._flush()
+
+    def frames(self) -> FrameArray:
+        """All frames so far, FRAME array (n,)."""
+        self._flush()
+        self._blocks = [np.concatenate(self._blocks)] if self._blocks else [np.zeros(0, dtype=FRAME)]
+        return self._blocks[0]
+
+    def _flush(self) -> None:
+        if self._rows:
+            block = frame_array(self._rows)
+            self._rows.clear()
+            self._blocks.append(block)
+            if self._log is not None:
+                self._log.write(block, self._interface)
+
+    def __enter__(self) -> Recording:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._flush()
+        if self._log is not None:
+            self._log.close()
+
+
+class _LogFile:
+    """candump -L; what makes its text is loaded only here."""
+
+    def __init__(self, path: str | Path) -> None:
+        from tipforce.host.candump_format import CandumpFormat
+
+        self._path = path
+        self._format = CandumpFormat(log=True)
+        try:
+            self._file: TextIOBase = open(path, "w", encoding="ascii", newline="\n")  # noqa: SIM115
+        except OSError as error:
+            raise InputError(f"log {path}: {error.strerror}") from error
+
+    def write(self, frames: FrameArray, interface: str) -> None:
+        from tipforce.host.candump import CandumpBlock
+
+        count = len(frames)
+        block = CandumpBlock(frames, np.zeros(count, np.uint16), (interface,), np.zeros(count, np.bool_))
+        try:
+            self._file.write("\n".join([*self._format.lines(block), ""]))
+        except OSError as error:
+            raise InputError(f"log {self._path}: {error.strerror}") from error
+
+    def close(self) -> None:
+        self._file.close()

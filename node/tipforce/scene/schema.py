@@ -1,0 +1,267 @@
+"""What a scene file says: one struct per table, with units in the names. docs/scenes.md tells it to people."""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Literal
+
+import msgspec
+from msgspec import Meta
+
+from tipforce.errors import InputError
+from tipforce.scene.reader import convert
+
+MAX_NODES = 32
+
+Positive = Annotated[float, Meta(gt=0.0)]
+NotNegative = Annotated[float, Meta(ge=0.0)]
+NodeId = Annotated[int, Meta(ge=1, le=127)]
+Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
+Pdo = Literal["gauges", "contact", "force", "health"]
+NodeIds = tuple[NodeId, ...]
+
+
+class _Table(msgspec.Struct, frozen=True, kw_only=True):
+    pass
+
+
+class Nodes(_Table, frozen=True, kw_only=True):
+    """[[nodes]]: fingertips that are alike."""
+
+    ids: NodeIds
+    pdos: tuple[Pdo, ...]
+    """What is sent; the others are disabled by bit 31 of their COB-ID."""
+    layout: Literal["I", "II", "III", "I'", "II'", "III'"] | tuple[str, ...] = "I"
+    """A case of Table 3, its mirror, or 3 to 8 points of Table 1."""
+    calibration: str = "model"
+    """"model": the inverse of the structure's own strain matrix; "none"; or a calibration file (TOML)."""
+    sense: Literal["push", "pull"] = "push"
+    """What the load does at the surface; 2110h:6 of a "model" calibration."""
+    status: bool = True
+    """False leaves the status byte 2120h out of every mapping."""
+    sample_period_us: Annotated[int, Meta(ge=100, le=1_000_000)] = 500
+    filter: Literal["moving_average", "repeating_average", "first_order"] | None = None
+    """61A0h of every gauge; without it none."""
+    filter_constant: Annotated[int, Meta(ge=1, le=65535)] = 1
+    """61A1h: readings in the average; of the first-order filter its time constant in sample periods."""
+    heartbeat_ms: Annotated[int, Meta(ge=0, le=65535)] = 0
+    offset_microstrain: tuple[float, ...] = ()
+    """What each gauge reads unloaded; a "model" calibration knows it."""
+
+
+class _Load(_Table, frozen=True, kw_only=True, tag_field="kind"):
+    nodes: NodeIds = ()
+    """Which nodes it acts on; without it all of them."""
+
+
+class Static(_Load, frozen=True, kw_only=True, tag="static"):
+    """The same load from beginning to end."""
+
+    P_N: NotNegative
+    phi_deg: Angle
+    theta_deg: Angle
+
+
+class History(_Load, frozen=True, kw_only=True, tag="history"):
+    """Values at times, linear in between, held before and after. Equal times make a step."""
+
+    t_s: tuple[float, ...]
+    P_N: tuple[NotNegative, ...] | NotNegative
+    phi_deg: tuple[float, ...] | Angle
+    theta_deg: tuple[float, ...] | Angle
+
+
+class Grooves(_Load, frozen=True, kw_only=True, tag="grooves"):
+    """The paper's rig (section 4.1): a rope with a weight in 19 grooves, one after the other, tares in between."""
+
+    P_N: Positive = 4.4
+    dwell_s: Positive = 0.1
+    change_s: Positive = 0.05
+    """Unloading, moving the rope and loading take this long altogether."""
+
+
+class Ramp(_Load, frozen=True, kw_only=True, tag="ramp"):
+    """P from one value to another; held before and after."""
+
+    to_N: NotNegative
+    end_s: Positive
+    phi_deg: Angle
+    theta_deg: Angle
+    from_N: NotNegative = 0.0
+    start_s: NotNegative = 0.0
+
+
+class Tap(_Load, frozen=True, kw_only=True, tag="tap"):
+    """Short pushes: up to P in rise_ms, back to nothing in fall_ms, from each of the times at_s."""
+
+    P_N: Positive
+    at_s: tuple[NotNegative, ...]
+    phi_deg: Angle
+    theta_deg: Angle
+    rise_ms: Positive = 1.0
+    fall_ms: Positive = 1.0
+
+
+class Finger(_Table, frozen=True, kw_only=True):
+    """What one finger of a grasp bears."""
+
+    node: NodeId
+    P_N: NotNegative
+    phi_deg: Angle
+    theta_deg: Angle
+    delay_s: NotNegative = 0.0
+
+
+class Grasp(_Load, frozen=True, kw_only=True, tag="grasp"):
+    """Fingers close on something, hold it, and open: each with its own load."""
+
+    fingers: tuple[Finger, ...]
+    start_s: NotNegative = 0.0
+    close_s: Positive = 0.2
+    hold_s: NotNegative = 1.0
+    open_s: Positive = 0.2
+
+
+Load = Static | History | Grooves | Ramp | Tap | Grasp
+
+
+class Noise(_Table, frozen=True, kw_only=True):
+    """[noise]: of each gauge, from the scene's seed."""
+
+    gauge_microstrain: Positive | None = None
+    """Standard deviation of white noise."""
+    one_over_f_microstrain: Positive | None = None
+    """Density at 1 Hz of noise that falls with frequency, microstrain per square root of hertz."""
+
+
+class FrontEnd(_Table, frozen=True, kw_only=True):
+    """[front_end]: bridge, amplifier, temperature, converter. Without it an ideal converter of 16 bits."""
+
+    bits: Literal[16, 24] = 16
+    bridge: Literal["quarter", "half", "full"] | None = None
+    gauge_factor: Positive = 2.0
+    excitation_volts: Positive = 3.3
+    gain: Positive | None = None
+    """Without it the gain is matched to a full scale of 3276.8 microstrain."""
+    reference_volts: Positive | None = None
+    temperature_degC: float | tuple[tuple[float, float], ...] | None = None
+    """Of the tip: one number, or points [seconds, degC] with straight lines in between."""
+    apparent_microstrain_per_degC: float | tuple[float, ...] | None = None
+    gain_drift_ppm_per_degC: float | None = None
+
+
+class Dynamics(_Table, frozen=True, kw_only=True):
+    """[dynamics]: the tip swings on its beams; the gauges see the elastic force, not the load."""
+
+    damping_ratio: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.01
+    step_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
+    """The load counts as linear during a step; for such a load the motion is exact."""
+
+
+class Slit(_Table, frozen=True, kw_only=True):
+    """[slit]: watch for loads that close the slit between tip and beam, where real gauges leave the linear model."""
+
+    gap_mm: Positive = 0.25
+
+
+class Fault(_Table, frozen=True, kw_only=True):
+    """[[faults]]: what object 2200h injects, from at_s until until_s."""
+
+    kind: Literal["stuck", "open", "saturate", "silent", "drift"]
+    nodes: NodeIds
+    at_s: NotNegative
+    until_s: Positive | None = None
+    gauge: Annotated[int, Meta(ge=1, le=8)] = 1
+    microstrain_per_s: float = 0.0
+
+
+class Outputs(_Table, frozen=True, kw_only=True):
+    """[outputs]: files to write; relative to the working directory."""
+
+    log: str | None = None
+    table: str | None = None
+    plot: str | None = None
+
+
+class Bus(_Table, frozen=True, kw_only=True):
+    """[bus]: a bus of python-can's, in real time. Without it time is simulated and there is no bus."""
+
+    interface: str | None = None
+    """Without it python-can's configuration files and environment say."""
+    channel: str | None = None
+    bitrate: Annotated[int, Meta(gt=0)] | None = None
+
+
+class Expect(_Table, frozen=True, kw_only=True):
+    """[[expect]]: what must hold, else `tipforce run` ends with 1. Errors are estimate minus applied, where known."""
+
+    nodes: NodeIds = ()
+    from_s: NotNegative = 0.0
+    to_s: Positive | None = None
+    P_error_N: Positive | None = None
+    phi_error_deg: Positive | None = None
+    theta_error_deg: Positive | None = None
+    """Largest absolute error."""
+    P_rms_N: Positive | None = None
+    phi_rms_deg: Positive | None = None
+    theta_rms_deg: Positive | None = None
+    P_known_at_least: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    P_known_at_most: Annotated[float, Meta(ge=0.0, le=1.0)] | None = None
+    """Share of the SYNCs with a known P."""
+    status_seen: tuple[str, ...] = ()
+    status_never: tuple[str, ...] = ()
+    """Names of bits of 2120h."""
+    slit_closes: bool | None = None
+    """Whether an applied load closes the slit; needs [slit]."""
+    emcy_seen: tuple[str, ...] = ()
+    """Error codes as "5010"."""
+    emcy_none: bool = False
+
+
+class Scene(_Table, frozen=True, kw_only=True):
+    """A whole file."""
+
+    duration_s: Annotated[float, Meta(gt=0.0, le=86_400.0)]
+    nodes: tuple[Nodes, ...]
+    title: str = ""
+    sync_hz: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None
+    """Without it there is no SYNC."""
+    bit_rate: Literal[1_000_000, 800_000, 500_000, 250_000, 125_000, 50_000, 20_000, 10_000] = 1_000_000
+    """For the bus load that `scene explain` tells."""
+    seed: Annotated[int, Meta(ge=0)] = 1
+    loads: tuple[Load, ...] = ()
+    noise: Noise | None = None
+    front_end: FrontEnd | None = None
+    dynamics: Dynamics | None = None
+    slit: Slit | None = None
+    faults: tuple[Fault, ...] = ()
+    outputs: Outputs = Outputs()
+    bus: Bus | None = None
+    expect: tuple[Expect, ...] = ()
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """All of them, in the order of the file."""
+        return tuple(node_id for group in self.nodes for node_id in group.ids)
+
+    def group(self, node_id: int) -> Nodes:
+        """The [[nodes]] table that a node comes from."""
+        return next(group for group in self.nodes if node_id in group.ids)
+
+
+def read_scene(path: str | Path) -> Scene:
+    """A scene file, checked. Raises InputError naming the place, the value and what is allowed."""
+    from tipforce.scene.check import check_scene
+
+    try:
+        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"scene {path}: {error.strerror}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"scene {path}: the file is not UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"scene {path}: {error}") from None
+    scene = convert(Scene, content, f"scene {path}")
+    check_scene(scene, f"scene {path}")
+    return scene

@@ -1,0 +1,25 @@
+"""Loads that close the slit between tip and beam: the simulated gauges stay linear, real ones do not."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.scene import schema
+from tipforce.sensor.dynamics.slit import closing_load
+from tipforce.sensor.geometry import FABRICATED
+
+FloatArray = npt.NDArray[np.float64]
+
+
+def slit_closed(slit: schema.Slit, applied: FloatArray) -> npt.NDArray[np.bool_]:
+    """Whether a load standing still would close the slit, (k,). applied: (k, 3), P newtons, phi and theta degrees."""
+    directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
+    limits = [
+        closing_load(FABRICATED, math.radians(theta), math.radians(phi), 1e-3 * slit.gap_mm)
+        for phi, theta in directions.tolist()
+    ]
+    closed: npt.NDArray[np.bool_] = applied[:, 0] >= np.array(limits)[which.reshape(-1)]
+    return closed

@@ -1,0 +1,50 @@
+"""Run one scene in a Python of its own and tell, as JSON, what was loaded, made, computed and sent."""
+
+import json
+import sys
+from pathlib import Path
+
+from tipforce.scene.run import Options, run_scene
+from tipforce.scene.schema import read_scene
+
+CALLS = {"contact": 0, "force": 0}
+
+
+def count_calls() -> None:
+    """Count what a node computes, at the places where it does."""
+    from tipforce.fingertip.calibration import Active
+    from tipforce.sensor import scalar
+
+    contact, force = scalar.contact, Active.force
+
+    def counted_contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, float, float]:
+        CALLS["contact"] += 1
+        return contact(F1, F2, F3, pull)
+
+    def counted_force(self: Active, matrix: list[list[float]], strains: list[float]) -> tuple[float, float, float]:
+        CALLS["force"] += 1
+        return force(self, matrix, strains)
+
+    scalar.contact = counted_contact
+    Active.force = counted_force  # type: ignore[method-assign]
+
+
+def main(path: str, duration: str) -> None:
+    """One scene, for a duration in seconds or, with "", its own."""
+    count_calls()
+    outcome = run_scene(read_scene(path), Path(path).parent, Options(duration_s=float(duration) if duration else None))
+    told = {
+        "modules": sorted(name for name in sys.modules if name.partition(".")[0] == "tipforce"),
+        "packages": sorted({name.partition(".")[0] for name in sys.modules}),
+        "built": list(outcome.built),
+        "frames": {str(can_id): count for can_id, count in outcome.frames_by_id.items()},
+        "emcy": {str(finger.node_id): list(finger.emcy) for finger in outcome.fingers},
+        "failed": [f"{check.node_id}: {check.expected}: {check.found}" for check in outcome.checks if not check.ok],
+        "syncs": outcome.syncs,
+        "calls": CALLS,
+    }
+    print(json.dumps(told))
+
+
+if __name__ == "__main__":
+    main(*sys.argv[1:])

@@ -1,0 +1,263 @@
+"""Running a scene: the same seed gives the same bytes, and every estimate comes from the frames."""
+
+from __future__ import annotations
+
+import math
+import random
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from msgspec.structs import replace
+
+from tipforce.errors import InputError
+from tipforce.host.calibration import Calibration
+from tipforce.host.calibration_file import write_calibration
+from tipforce.host.candump import CandumpParser
+from tipforce.scene.loads import load_of
+from tipforce.scene.parts import bus_load, identifiers
+from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.schema import Scene, read_scene
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import calibration_matrix
+
+SCENES = Path(__file__).parents[2] / "scenes"
+
+
+def run(scene: Scene, **options: object) -> Outcome:
+    return run_scene(scene, SCENES, Options(**options))  # type: ignore[arg-type]
+
+
+def scene_of(tmp_path: Path, text: str) -> Scene:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    return read_scene(path)
+
+
+@pytest.mark.parametrize("stem", ["grasp", "full", "dying-gauge"])
+def test_the_same_seed_gives_the_same_log_byte_for_byte(stem: str, tmp_path: Path) -> None:
+    scene = replace(read_scene(SCENES / f"{stem}.toml"), expect=())
+    logs = []
+    for name, seed in (("one", 5), ("two", 5), ("other", 6)):
+        path = tmp_path / name
+        outputs = replace(scene.outputs, table=None, plot=None)
+        run(replace(scene, outputs=outputs), duration_s=0.7, seed=seed, log=str(path))
+        logs.append(path.read_bytes())
+    assert logs[0] == logs[1]
+    assert logs[0] != logs[2]
+
+
+def test_no_random_number_is_drawn_without_noise(monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: object) -> float:
+        raise AssertionError("a random number was drawn")
+
+    for name in ("random", "gauss", "getrandbits"):
+        monkeypatch.setattr(random.Random, name, fail)
+    for stem in ("static", "tap", "overload", "drift"):
+        assert run(read_scene(SCENES / f"{stem}.toml")).ok
+    with pytest.raises(AssertionError, match="a random number was drawn"):
+        run(read_scene(SCENES / "grasp.toml"))
+
+
+def test_the_log_is_what_was_decoded_and_opens_in_python_can(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    outcome = run(read_scene(SCENES / "grasp.toml"), duration_s=0.5, log=str(path))
+    parser = CandumpParser(strict=True)
+    block = parser.parse(path.read_text().splitlines())
+    ids, counts = np.unique(block.frames["can_id"], return_counts=True)
+    assert dict(zip(ids.tolist(), counts.tolist(), strict=True)) == outcome.frames_by_id
+    with can.LogReader(path) as reader:
+        assert sum(1 for _ in reader) == sum(outcome.frames_by_id.values())
+
+
+def test_frames_of_one_sync_come_in_order(tmp_path: Path) -> None:
+    path = tmp_path / "run.log"
+    run(read_scene(SCENES / "grasp.toml"), duration_s=0.004, log=str(path))
+    heads = [line.rpartition("#")[0] for line in path.read_text().splitlines()]
+    nodes = range(1, 6)
+    boot = [f"(0000000000.000000) sim0 70{k}" for k in nodes] + ["(0000000000.000000) sim0 000"]
+    syncs = [[f"(0000000000.00{t}000) sim0 080", *(f"(0000000000.00{t}000) sim0 28{k}" for k in nodes)] for t in (2, 4)]
+    assert heads == boot + syncs[0] + syncs[1]
+
+
+def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None:
+    """The same figures again, from the log alone, by a decoder written down here."""
+    path = tmp_path / "run.log"
+    scene = replace(read_scene(SCENES / "grasp.toml"), expect=())
+    outcome = run(scene, log=str(path))
+    for finger in outcome.fingers:
+        load = load_of(scene, finger.node_id)
+        assert load is not None
+        errors: list[list[float]] = [[], [], []]
+        for line in path.read_text().splitlines():
+            stamp, _, frame = line.split()
+            can_id, data = frame.split("#")
+            if int(can_id, 16) != 0x280 + finger.node_id:
+                continue
+            applied = load.at(float(stamp[1:-1]))
+            for k, per_unit in enumerate((1000.0, 100.0, 100.0)):
+                raw = int.from_bytes(bytes.fromhex(data)[2 * k : 2 * k + 2], "little", signed=True)
+                if raw != -0x8000:
+                    error = raw / per_unit - applied[k]
+                    errors[k].append((error + 180.0) % 360.0 - 180.0 if k else error)
+        assert tuple(map(len, errors)) == finger.known
+        rms = [math.sqrt(sum(e * e for e in column) / len(column)) for column in errors]
+        assert finger.rms_error == pytest.approx(rms, rel=1e-9, abs=1e-12)
+        assert finger.max_error == pytest.approx([max(map(abs, column)) for column in errors], rel=1e-9, abs=1e-12)
+
+
+TWO = """
+duration_s = 0.2
+sync_hz = 100
+[[nodes]]
+ids = [3]
+pdos = ["gauges", "contact", "force"]
+status = false
+[[loads]]
+kind = "static"
+P_N = 1.0003
+phi_deg = -90
+theta_deg = 80
+"""
+
+
+def test_a_mapping_without_status_is_decoded_too(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, TWO)
+    assert {one.data_bytes for one in identifiers(scene) if one.rate_hz} == {0, 7}
+    (finger,) = run(scene).fingers
+    assert finger.known == (20, 20, 20)
+    assert finger.max_error[0] <= 0.002
+
+
+def test_an_uncalibrated_node_knows_nothing_and_says_why(tmp_path: Path) -> None:
+    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "none"'))
+    (finger,) = run(scene).fingers
+    assert finger.known == (0, 0, 0)
+    assert finger.missing == {"not calibrated": 20}
+    assert math.isnan(finger.rms_error[0])
+
+
+@pytest.mark.parametrize(
+    ("expect", "ok"),
+    [
+        ("P_error_N = 0.01", True),
+        ("P_error_N = 1e-9", False),
+        ("P_rms_N = 1e-9", False),
+        ("P_known_at_least = 1.0", True),
+        ("P_known_at_most = 0.5", False),
+        ('status_seen = ["saturated"]', False),
+        ('status_never = ["contact"]', False),
+        ('emcy_seen = ["5030"]', False),
+        ("emcy_none = true", True),
+    ],
+)
+def test_expectations_hold_or_do_not(tmp_path: Path, expect: str, ok: bool) -> None:
+    text = TWO.replace("status = false", "") + f"[[expect]]\n{expect}\n"
+    outcome = run(scene_of(tmp_path, text))
+    assert [check.ok for check in outcome.checks] == [ok]
+    assert outcome.ok == ok
+
+
+def test_a_bound_that_no_sample_could_break_does_not_hold(tmp_path: Path) -> None:
+    text = TWO.replace("status = false", 'calibration = "none"') + "[[expect]]\nP_error_N = 1\ntheta_rms_deg = 1\n"
+    assert [check.ok for check in run(scene_of(tmp_path, text)).checks] == [False, False]
+
+
+def test_what_lies_beyond_a_shorter_run_is_not_judged(tmp_path: Path) -> None:
+    text = TWO.replace("status = false", "") + (
+        "[[expect]]\nto_s = 0.05\nP_error_N = 1e-9\n[[expect]]\nP_error_N = 1e-9\n"
+    )
+    outcome = run(scene_of(tmp_path, text), duration_s=0.1)
+    assert [check.ok for check in outcome.checks] == [False, None]
+
+
+def test_health_and_heartbeat_come_at_their_own_times(tmp_path: Path) -> None:
+    text = 'duration_s = 2.5\n[[nodes]]\nids = [3]\npdos = ["health"]\nheartbeat_ms = 500\ncalibration = "none"\n'
+    outcome = run(scene_of(tmp_path, text))
+    # One health PDO when the node becomes operational, then one a second; boot-up and five heartbeats.
+    assert outcome.frames_by_id == {0x703: 6, 0x000: 1, 0x483: 3}
+
+
+def test_a_fault_begins_and_ends_at_its_time(tmp_path: Path) -> None:
+    path = tmp_path / "run.csv"
+    text = TWO.replace("status = false", "") + (
+        f'[[faults]]\nkind = "open"\nnodes = [3]\nat_s = 0.05\nuntil_s = 0.1\n[outputs]\ntable = "{path}"\n'
+    )
+    run(scene_of(tmp_path, text))
+    header, *rows = (line.split(",") for line in path.read_text().splitlines())
+    records = [dict(zip(header, row, strict=True)) for row in rows]
+    contact = [record for record in records if record["message"] == "Contact"]
+    dead = [float(record["t_s"]) for record in contact if record["fault"] == "1"]
+    assert dead == [0.05, 0.06, 0.07, 0.08, 0.09]
+    assert all((record["P"] == "") == (record["fault"] == "1") for record in contact)
+    assert [float(record["P"]) for record in contact if record["P"]] == pytest.approx([1.0] * 15, abs=2e-3)
+
+
+def test_the_tip_swings_as_an_independent_integration_says(tmp_path: Path) -> None:
+    """The first mode of an undamped tip under a step that dynamics sees: P overshoots to nearly twice."""
+    text = """
+    duration_s = 0.2
+    sync_hz = 2000
+    [[nodes]]
+    ids = [1]
+    pdos = ["contact"]
+    [[loads]]
+    kind = "history"
+    t_s = [0.0, 0.02, 0.02]
+    P_N = [0.0, 0.0, 2.0]
+    phi_deg = 90
+    theta_deg = 90
+    [dynamics]
+    damping_ratio = 0.0
+    step_us = 50
+    """
+    path = tmp_path / "run.csv"
+    run(scene_of(tmp_path, text + f'[outputs]\ntable = "{path}"\n'))
+    P = [float(line.split(",")[3]) for line in path.read_text().splitlines()[1:]]
+    assert max(P[:39]) == 0.0
+    assert 3.9 < max(P) < 4.01
+
+
+@pytest.mark.parametrize(
+    ("options", "told"),
+    [({"duration_s": 0.0}, "--duration 0"), ({"duration_s": -1.0}, "--duration -1"), ({"seed": -1}, "--seed -1")],
+)
+def test_options_that_are_not_allowed(options: dict[str, float], told: str) -> None:
+    with pytest.raises(InputError, match=told):
+        run(read_scene(SCENES / "static.toml"), **options)
+
+
+def test_a_log_that_cannot_be_written(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"log .*no-such"):
+        run(read_scene(SCENES / "static.toml"), log=str(tmp_path / "no-such" / "x.log"))
+
+
+def test_the_bus_load_is_that_of_the_standard_frame() -> None:
+    """Five contact PDOs and a SYNC at 500 Hz: 500 (5 x 111 + 47) bit/s without stuff bits, and 135 and 55 with all."""
+    low, high = bus_load(read_scene(SCENES / "grasp.toml"))
+    assert low == pytest.approx(500 * (5 * 111 + 47) / 1e6)
+    assert high == pytest.approx(500 * (5 * 135 + 55) / 1e6)
+
+
+def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:
+    C = calibration_matrix(FABRICATED, "I")
+    write_calibration(tmp_path / "cal.toml", Calibration(2.0 * C, np.zeros(3), 1e-14 * np.eye(3)))
+    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"'))
+    outcome = run_scene(scene, tmp_path)
+    assert "calibration file" in outcome.built
+    assert outcome.fingers[0].estimated_end[0] == pytest.approx(2.0, abs=0.003)
+    wrong = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "no-such.toml"'))
+    with pytest.raises(InputError, match="no-such"):
+        run_scene(wrong, tmp_path)
+    four = TWO.replace("status = false", 'layout = ["K_H", "S_H", "U", "T"]\ncalibration = "cal.toml"')
+    with pytest.raises(InputError, match="it is for 3 gauges, the layout has 4"):
+        run_scene(scene_of(tmp_path, four), tmp_path)
+
+
+def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:
+    """The node's own condition limit (2105h:1) stands in a scene too."""
+    write_calibration(tmp_path / "cal.toml", Calibration(np.diag([1.0, 1.0, 1e-6]), np.zeros(3), 1e-14 * np.eye(3)))
+    scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"'))
+    with pytest.raises(InputError, match="node 3 refuses 0x2104:00: abort 0x06090031"):
+        run_scene(scene, tmp_path)

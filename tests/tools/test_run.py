@@ -1,0 +1,168 @@
+"""`tipforce run` and `tipforce scene explain`: tables, JSON lines, exit codes, what is loaded."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tipforce.scene.parts import identifiers, parts
+from tipforce.scene.schema import read_scene
+from tipforce_tools.main import main
+from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies
+from tipforce_tools.report.study import Effort
+from tipforce_tools.scene.cost import import_times, part_costs
+
+SCENES = Path(__file__).parents[2] / "scenes"
+
+
+def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+
+
+def test_a_run_prints_a_table_and_judges(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(SCENES / "grasp.toml")]) == 0
+    out, err = capsys.readouterr()
+    for node_id in range(1, 6):
+        assert f"{node_id} (0x0{node_id})" in out
+    assert "RMS error" in out
+    assert "no contact" in out
+    assert "PASS: 50 of 50 expectations hold, 0 do not" in out
+    assert "2 s with 1000 SYNCs and 6006 frames" in err
+
+
+def test_a_run_as_json(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    log = tmp_path / "run.log"
+    assert main(["run", str(SCENES / "overload.toml"), "--json", "-q", "-o", str(log)]) == 0
+    found = records(capsys)
+    one, two = (record for record in found if "samples" in record)
+    assert one["estimated_P_N"] is None
+    assert one["missing"]["saturated"] > 0
+    assert one["slit_closed"] > 0
+    assert two["estimated_P_N"] == pytest.approx(30.0, abs=0.01)
+    assert found[-1]["summary"]
+    assert found[-1]["files"] == [str(log)]
+    assert log.stat().st_size > 0
+
+
+def test_an_expectation_that_fails_is_exit_code_1(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = (SCENES / "static.toml").read_text().replace("P_error_N = 0.01", "P_error_N = 1e-6")
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["run", str(tmp_path / "scene.toml")]) == 1
+    out = capsys.readouterr().out
+    assert "FAILED     node 1, 0 s to 1 s: largest error of P at most 1e-06 N: 0.001 N" in out
+    assert "FAIL: 4 of 5" in out
+
+
+def test_a_shorter_run_judges_less(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(SCENES / "static.toml"), "--duration", "0.1", "--seed", "4"]) == 0
+    assert "not judged node 1" in capsys.readouterr().out
+
+
+def test_a_bad_scene_is_exit_code_2_without_a_traceback(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_text("duration_s = 1\n[[node]]\n")
+    for words in (["run"], ["scene", "explain"]):
+        assert main([*words, str(tmp_path / "scene.toml")]) == 2
+        assert "node: no such key; did you mean nodes?" in capsys.readouterr().err
+
+
+def test_a_bus_that_cannot_carry_it_is_told(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
+    (tmp_path / "scene.toml").write_text(text)
+    assert main(["run", str(tmp_path / "scene.toml")]) == 0
+    assert "no bus of 50000 bit/s carries this: 316 % load" in capsys.readouterr().err
+    assert main(["scene", "explain", str(tmp_path / "scene.toml")]) == 0
+    assert "(it does not fit)" in capsys.readouterr().out
+
+
+def test_explain_prints_every_part_and_identifier(capsys: pytest.CaptureFixture[str]) -> None:
+    path = SCENES / "dying-gauge.toml"
+    assert main(["scene", "explain", str(path)]) == 0
+    out = capsys.readouterr().out
+    scene = read_scene(path)
+    for part in parts(scene):
+        assert part.name in out
+    for one in identifiers(scene):
+        assert f"0x{one.can_id:03X}" in out
+    assert "[[faults]]: 3" in out
+    assert "no [dynamics]" in out
+
+
+def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
+    path = SCENES / "tap.toml"
+    assert main(["scene", "explain", str(path), "--json"]) == 0
+    found = records(capsys)
+    told = {record["part"]: record for record in found if "part" in record}
+    assert told["dynamics"]["built"]
+    assert "tipforce.sensor.dynamics.held" in told["dynamics"]["modules"]
+    assert not told["noise"]["built"]
+    assert [record["cob_id"] for record in found if "cob_id" in record] == ["0x000", "0x080", "0x281", "0x701"]
+    assert found[-1]["bus_load"] == pytest.approx(0.158)
+
+
+@pytest.mark.parametrize(
+    ("words", "left_out"),
+    [
+        (["run", "--help"], {"numpy", "can", "msgspec", "rich"}),
+        (["scene", "explain", "--help"], {"numpy", "can", "msgspec", "rich"}),
+        (["scene", "explain", str(SCENES / "full.toml"), "--json"], {"numpy", "can", "matplotlib", "random"}),
+        (["run", str(SCENES / "static.toml"), "--json"], {"can", "matplotlib", "random", "scipy", "rich", "canopen"}),
+        (["run", str(SCENES / "tap.toml"), "--json"], {"can", "matplotlib", "random", "scipy", "rich", "canopen"}),
+    ],
+)
+def test_a_command_loads_what_it_needs(words: list[str], left_out: set[str]) -> None:
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\n"
+        "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
+        "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
+    )
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
+    assert not set(done.stdout.rpartition("MODULES ")[2].split()) & left_out
+
+
+def test_costs_are_those_of_the_parts_that_are_built() -> None:
+    path = SCENES / "static.toml"
+    scene = read_scene(path)
+    costs = {cost.part: cost for cost in part_costs(scene, path, samples=40, runs=1)}
+    built = {part.name: part.built for part in parts(scene)}
+    assert {name: cost.built for name, cost in costs.items()} == built
+    assert all((cost.import_ms is not None) == cost.built for cost in costs.values())
+    assert all(cost.us_per_sample is None for cost in costs.values() if not cost.built)
+    assert costs["nodes"].us_per_sample is not None
+
+
+def test_import_times_go_to_the_part_that_loads() -> None:
+    path = SCENES / "tap.toml"
+    found = import_times(read_scene(path), path)
+    assert found["dynamics"] > 0.0
+    assert found["structure"] > 0.0  # numpy
+    assert "plot" not in found
+    assert "noise" not in found
+
+
+def test_the_report_has_both_scenes_part_by_part() -> None:
+    rows = scene_costs(Effort(quick=True), scenes=("static", "grasp"), samples=40)
+    by_scene = {name: {row.part: row for row in rows if row.scene == name} for name in ("static", "grasp")}
+    assert by_scene["static"].keys() == by_scene["grasp"].keys()
+    assert not by_scene["static"]["noise"].built
+    assert by_scene["grasp"]["noise"].built
+    for name in ("static", "grasp"):
+        whole = by_scene[name]["all"]
+        assert whole.us_per_sample is not None
+        assert whole.us_per_sample > 0.0
+
+
+def test_the_study_of_the_report_ends_with_the_bare_nodes() -> None:
+    steps: list[None] = []
+    (study,) = studies(Effort(quick=True), lambda: steps.append(None))
+    assert len(steps) == STEPS
+    assert [one.method for one in study.series] == ["static", "full"]
+    static, full = (one.points for one in study.series)
+    assert len(static) < len(full)
+    assert full[0].error > static[0].error  # noise, dynamics and temperature
+    # Processor time, as a ratio within one run: it is about ten.
+    assert full[0].timing.seconds > 2.0 * static[0].timing.seconds

@@ -1,0 +1,21 @@
+"""`tipforce scene ACTION`."""
+
+from __future__ import annotations
+
+import argparse
+
+from tipforce_tools import actions
+
+ACTIONS = {
+    "explain": ("tipforce_tools.scene.explain", "what a scene builds, what it leaves out and why"),
+}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """The action."""
+    actions.add_action(parser, "scene", ACTIONS)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the action; its exit code."""
+    return actions.run_action(args, "scene", ACTIONS)

@@ -1,0 +1,245 @@
+"""What each part of a scene costs: the scene with the part against the scene without it, and what it takes to load.
+
+A part that others build on is timed without these, so that each cost is its own.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from tipforce.scene import schema
+from tipforce.scene.loads import load_of
+from tipforce.scene.parts import Part, parts
+from tipforce.scene.run import Options, Outcome, run_scene
+
+_LENGTHEN = 4  # the long run of a pair against the short one: building, which both do once, drops out
+
+
+@dataclass(frozen=True, slots=True)
+class PartCost:
+    """One part of one scene. A sample is one node at one SYNC."""
+
+    part: str
+    built: bool
+    us_per_sample: float | None
+    """With the part less without it; for "nodes" what remains without every other part. None where it is left out, or
+    where it cannot be taken away alone."""
+    ms_per_run: float | None
+    """The same for what does not grow with the samples: building, opening, drawing."""
+    import_ms: float | None
+    """Of the modules that no part before it loads. None where it is left out."""
+
+
+def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> list[PartCost]:
+    """Measure every part. ``samples``: of a short run; ``runs``: how often each is repeated, the least counts."""
+    imports = import_times(scene, path)
+    ladder = rungs(scene)
+    times = [(one.us_per_sample, one.ms_per_run) for one in measure([one for _, one in ladder], path, samples, runs)]
+    work = {
+        name: (before[0] - after[0], before[1] - after[1])
+        for (name, _), (before, after) in zip(ladder, pairwise([*times, (0.0, 0.0)]), strict=True)
+    }
+    found = []
+    for part in parts(scene):
+        us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
+        import_ms = imports.get(part.name, 0.0) if part.built else None
+        found.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
+    return found
+
+
+def total(costs: Sequence[PartCost]) -> PartCost:
+    """All parts together: what the whole scene takes, because each part was timed against the rest."""
+    sums = [
+        sum(value for value in column if value is not None)
+        for column in zip(*((one.us_per_sample, one.ms_per_run, one.import_ms) for one in costs), strict=True)
+    ]
+    return PartCost("all", True, *sums)
+
+
+def rungs(scene: schema.Scene) -> list[tuple[str, schema.Scene]]:
+    """(part, the scene with it and without all the parts above): each rung takes one part away, down to "nodes"."""
+    left, found = scene, []
+    built = {part.name for part in parts(scene) if part.built}
+    for name, take in _TAKE:
+        if name in built:
+            found.append((name, left))
+            left = take(left)
+    return [*found, ("nodes", left)]
+
+
+def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
+    return replace(scene, nodes=tuple(replace(group, **changes) for group in scene.nodes))
+
+
+def _stand_still(scene: schema.Scene) -> schema.Scene:
+    """Every load that changes held at its largest."""
+    found = []
+    for node_id in scene.node_ids:
+        load = load_of(scene, node_id)
+        if load is not None:
+            _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
+            found.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
+    return replace(scene, loads=tuple(found))
+
+
+def _no_white(scene: schema.Scene) -> schema.Scene:
+    noise = scene.noise or schema.Noise()
+    return replace(scene, noise=replace(noise, gauge_microstrain=None))
+
+
+def _no_pink(scene: schema.Scene) -> schema.Scene:
+    noise = scene.noise or schema.Noise()
+    return replace(scene, noise=replace(noise, one_over_f_microstrain=None))
+
+
+def _no_temperature(scene: schema.Scene) -> schema.Scene:
+    front = scene.front_end or schema.FrontEnd()
+    cold = replace(front, temperature_degC=None, apparent_microstrain_per_degC=None, gain_drift_ppm_per_degC=None)
+    return replace(scene, front_end=cold)
+
+
+def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
+    return lambda scene: replace(scene, outputs=replace(scene.outputs, **{name: None}))
+
+
+# From the top: what stands on others is taken away first, and of the rest what costs most, so that the small ones are
+# differences of small numbers. A filter makes the converter work all the time and not at SYNCs alone: that is its cost.
+_TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
+    ("plot", _no_output("plot")),
+    ("filter", lambda scene: _nodes(scene, filter=None)),
+    ("dynamics", lambda scene: replace(scene, dynamics=None)),
+    ("table", _no_output("table")),
+    ("log", _no_output("log")),
+    ("expectations", lambda scene: replace(scene, expect=())),
+    ("slit", lambda scene: replace(scene, slit=None)),
+    ("faults", lambda scene: replace(scene, faults=())),
+    # An uncalibrated node sends the same PDOs and computes neither force nor contact.
+    ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
+    ("decoder", lambda scene: _nodes(scene, pdos=())),
+    ("temperature", _no_temperature),
+    ("1/f noise", _no_pink),
+    ("front end", lambda scene: replace(scene, front_end=None)),
+    ("noise", _no_white),
+    ("load history", _stand_still),
+    ("structure", lambda scene: replace(scene, loads=())),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One scene, timed. Processor time."""
+
+    us_per_sample: float
+    ms_per_run: float
+    seconds: tuple[float, ...]
+    """Per sample, of each of the longer runs as a whole, building included: their spread is that of the machine."""
+    P_rms_newtons: float
+    """RMS error of P over the samples of all nodes that know it; NaN where none does."""
+
+
+def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
+    """Time scenes that belong to the file ``path``, without their bus; output files go to a folder of their own.
+
+    All take turns, and the least of several runs counts: what else the machine does only ever adds.
+    """
+    short: list[list[float]] = [[] for _ in scenes]
+    long: list[list[float]] = [[] for _ in scenes]
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
+        moved = [_in_folder(replace(scene, bus=None), Path(folder)) for scene in scenes]
+        counts = [max(1, samples // len(scene.node_ids)) for scene in moved]
+        for scene in moved:
+            _timed(scene, path, 1)  # what is loaded and built once per process is not the scene's
+        for _ in range(runs):
+            outcomes.clear()
+            for k, (scene, count) in enumerate(zip(moved, counts, strict=True)):
+                short[k].append(_timed(scene, path, count)[0])
+                elapsed_s, outcome = _timed(scene, path, _LENGTHEN * count)
+                long[k].append(elapsed_s)
+                outcomes.append(outcome)
+    found = []
+    for k, scene in enumerate(moved):
+        nodes = len(scene.node_ids)
+        more = (_LENGTHEN - 1) * counts[k] * nodes
+        sample_s = (min(long[k]) - min(short[k])) / more
+        once_s = min(short[k]) - sample_s * counts[k] * nodes
+        each = tuple(elapsed_s / (_LENGTHEN * counts[k] * nodes) for elapsed_s in long[k])
+        found.append(Measured(1e6 * sample_s, 1e3 * once_s, each, _P_rms(outcomes[k])))
+    return found
+
+
+def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]:
+    options = Options(duration_s=syncs / (scene.sync_hz or 100.0))
+    started_ns = time.process_time_ns()
+    outcome = run_scene(scene, path.parent, options)
+    return 1e-9 * (time.process_time_ns() - started_ns), outcome
+
+
+def _P_rms(outcome: Outcome) -> float:
+    known = [(finger.known[0], finger.rms_error[0]) for finger in outcome.fingers if finger.known[0]]
+    total = sum(count for count, _ in known)
+    return math.sqrt(sum(count * rms * rms for count, rms in known) / total) if total else math.nan
+
+
+def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:
+    """The scene with its output files in another place."""
+    given = scene.outputs
+    moved = {
+        name: str(folder / Path(value).name)
+        for name, value in (("log", given.log), ("table", given.table), ("plot", given.plot))
+        if value is not None
+    }
+    return replace(scene, outputs=replace(given, **moved))
+
+
+_IMPORT_RUN = """
+import sys
+from pathlib import Path
+import msgspec
+from tipforce.scene.schema import Scene
+from tipforce.scene.run import Options, Outcome, run_scene
+scene = msgspec.json.decode(sys.argv[1], type=Scene)
+run_scene(scene, Path(sys.argv[2]), Options(duration_s=1.5 / (scene.sync_hz or 1.0)))
+"""
+
+
+def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
+    """Milliseconds that each part's modules take to load, in a Python of its own; by part.
+
+    A module counts for the first part that lists it, a package that is not tipforce's with all that it loads itself.
+    """
+    with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
+        import msgspec
+
+        told = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
+        words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, told, str(path.parent)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+    return _attribute(done.stderr, [part for part in parts(scene) if part.built])
+
+
+def _attribute(report: str, built: list[Part]) -> dict[str, float]:
+    owners: dict[str, str] = {}
+    for part in built:
+        for module in part.modules:
+            owners.setdefault(module, part.name)
+    found: dict[str, float] = {}
+    for line in report.splitlines():
+        if not line.startswith("import time:") or "cumulative" in line:
+            continue
+        own_us, total_us, name = line.removeprefix("import time:").split("|")
+        module = name.strip()
+        if module in owners:
+            # The children of a foreign package, other foreign packages among them, belong to who asked for it.
+            us = own_us if module.startswith("tipforce") else total_us
+            found[owners[module]] = found.get(owners[module], 0.0) + 1e-3 * int(us)
+    return found

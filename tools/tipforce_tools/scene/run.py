@@ -1,0 +1,179 @@
+"""`tipforce run SCENE`: all that a scene file names, and a table of what came of it, finger by finger."""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from tipforce.scene.expectations import Check
+    from tipforce.scene.results import FingerResult
+    from tipforce.scene.run import Options, Outcome
+
+_KEYS = ("P_N", "phi_deg", "theta_deg")
+_DIGITS = (3, 2, 2)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce run`. python-can's own three bus flags by hand: loading python-can is for runs on a bus."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "Time is simulated, with no bus and as fast as it goes, unless the scene has a [bus] or a bus flag is given.\n"
+        "Exit code 1: something that the scene expects ([[expect]]) did not hold.\n"
+        "  tipforce run scenes/grasp.toml\n"
+        "  tipforce run scenes/grasp.toml --duration 60 -i socketcan -c vcan0"
+    )
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md; scenes/ has some")
+    parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
+    parser.add_argument("--seed", type=int, metavar="N", help="instead of the scene's seed")
+    parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
+    group = parser.add_argument_group("bus (in real time)")
+    group.add_argument("-i", "--interface", help="python-can's name of the interface: socketcan, virtual, ...")
+    group.add_argument("-c", "--channel", help="such as vcan0")
+    group.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="of the bus, where the interface sets it")
+    group.add_argument("--realtime", action="store_true", help="without these: on a bus inside this process")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the scene; 0, or 1 where an expectation did not hold."""
+    from tipforce.scene.parts import bus_load
+    from tipforce.scene.run import run_scene
+    from tipforce.scene.schema import read_scene
+
+    common.set_up_logging(args)
+    scene = read_scene(args.scene)
+    options = _options(args)
+    if bus_load(scene)[0] > 1.0:
+        common.note(
+            args, f"{args.scene}: no bus of {scene.bit_rate} bit/s carries this: {100 * bus_load(scene)[0]:.0f} % load"
+        )
+    started_s = time.monotonic()
+    with _progress(args, options.duration_s or scene.duration_s) as advance:
+        outcome = run_scene(scene, Path(args.scene).parent, options, advance)
+    if args.json:
+        _print_json(outcome)
+    else:
+        common.console(args).print(_table(scene.title or args.scene, outcome))
+        _print_checks(outcome)
+    frames = sum(outcome.frames_by_id.values())
+    common.note(
+        args,
+        f"{outcome.duration_s:g} s with {outcome.syncs} SYNCs and {frames} frames, in "
+        f"{time.monotonic() - started_s:.1f} s" + "".join(f"; wrote {path}" for path in outcome.files),
+    )
+    return 0 if outcome.ok else 1
+
+
+def _options(args: argparse.Namespace) -> Options:
+    from tipforce.scene.run import Options
+    from tipforce.scene.schema import Bus
+
+    named = any(value is not None for value in (args.interface, args.channel, args.bitrate))
+    bus = Bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate) if named else None
+    return Options(args.duration, args.seed, args.log, bus, args.realtime)
+
+
+@contextmanager
+def _progress(args: argparse.Namespace, duration_s: float) -> Iterator[Callable[[float], None]]:
+    """A bar on a terminal, nothing elsewhere."""
+    if args.quiet or not sys.stderr.isatty():
+        yield lambda _t_s: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
+        task = progress.add_task("simulated seconds", total=duration_s)
+        yield lambda t_s: progress.update(task, completed=t_s)
+
+
+def _table(title: str, outcome: Outcome) -> Table:
+    from rich.table import Table
+
+    table = Table(title=f"{title}: at the end, and errors over all samples with a known value", title_justify="left")
+    table.add_column("node", justify="right")
+    table.add_column("samples", justify="right")
+    table.add_column("", justify="left")
+    for name in ("applied", "estimated", "RMS error", "max error"):
+        table.add_column(name, justify="right")
+    table.add_column("missing", justify="left")
+    table.add_column("EMCY", justify="left")
+    for finger in outcome.fingers:
+        columns = (finger.applied_end, finger.estimated_end, finger.rms_error, finger.max_error)
+        table.add_row(
+            common.shown_id(finger.node_id),
+            f"{finger.samples}\nof {finger.syncs}",
+            "P N\nphi deg\ntheta deg",
+            *("\n".join(_number(value, digits) for value, digits in zip(triple, _DIGITS, strict=True))
+              for triple in columns),
+            _remarks(finger),
+            _counts(finger.emcy),
+            end_section=True,
+        )  # fmt: skip
+    return table
+
+
+def _number(value: float, digits: int) -> str:
+    return "-" if value != value else f"{value:.{digits}f}"  # noqa: PLR0124 (NaN)
+
+
+def _remarks(finger: FingerResult) -> str:
+    """What is missing and why; and where the simulation itself is not to be trusted."""
+    closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
+    return _counts({**finger.missing, **closed})
+
+
+def _counts(found: dict[str, int]) -> str:
+    return "\n".join(f"{count} {name}" for name, count in found.items()) or "-"
+
+
+def _print_checks(outcome: Outcome) -> None:
+    for check in outcome.checks:
+        print(f"{_verdict(check):10} node {check.node_id}, {check.expected}: {check.found}")
+    held, failed = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False))
+    if outcome.checks:
+        print(f"{'PASS' if outcome.ok else 'FAIL'}: {held} of {len(outcome.checks)} expectations hold, {failed} do not")
+
+
+def _verdict(check: Check) -> str:
+    return "not judged" if check.ok is None else "ok" if check.ok else "FAILED"
+
+
+def _print_json(outcome: Outcome) -> None:
+    for finger in outcome.fingers:
+        common.print_json(_finger_record(finger))
+    for check in outcome.checks:
+        common.print_json(
+            {"node": check.node_id, "expected": check.expected, "found": check.found, "verdict": _verdict(check)}
+        )
+    common.print_json(
+        {
+            "summary": True, "ok": outcome.ok, "duration_s": outcome.duration_s, "syncs": outcome.syncs,
+            "built": list(outcome.built), "files": list(outcome.files),
+            "frames": {f"0x{can_id:03X}": count for can_id, count in sorted(outcome.frames_by_id.items())},
+        }
+    )  # fmt: skip
+
+
+def _finger_record(finger: FingerResult) -> dict[str, object]:
+    record: dict[str, object] = {"node": finger.node_id, "syncs": finger.syncs, "samples": finger.samples}
+    for name, triple in (
+        ("applied", finger.applied_end),
+        ("estimated", finger.estimated_end),
+        ("rms_error", finger.rms_error),
+        ("max_error", finger.max_error),
+        ("known", finger.known),
+    ):
+        for key, value in zip(_KEYS, triple, strict=True):
+            record[f"{name}_{key}"] = value
+    return {**record, "slit_closed": finger.slit_closed, "missing": finger.missing, "emcy": finger.emcy}
