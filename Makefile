@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test report long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -29,6 +29,9 @@ lint-types:
 lint-imports:
 	.venv/bin/lint-imports --no-logo
 
+report: bootstrap-test ## error against run time and extreme cases: build/report/index.html, within ten minutes
+	.venv/bin/tipforce report -o build/report
+
 long: bootstrap-test ## the full counts of every long check, and the reports; about an hour
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.device
@@ -39,6 +42,8 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.coverage
 	$(PYTHON) -m bench.fault_detection
 	$(PYTHON) -m bench.optimise
+	$(PYTHON) -m bench.fem
+	.venv/bin/tipforce report -o build/report
 	.venv/bin/tipforce vcan -- $(PYTHON) -m tipforce_tools.conformance.document > docs/conformance.md.new
 	mv docs/conformance.md.new docs/conformance.md
 

@@ -7,7 +7,7 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-MUST_HAVE_EXAMPLES = {"calibration.md", "mechanics.md", "protocol.md"}
+MUST_HAVE_EXAMPLES = {"calibration.md", "finite-elements.md", "mechanics.md", "protocol.md", "scenes.md"}
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

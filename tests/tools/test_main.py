@@ -67,10 +67,10 @@ def test_version(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
 @pytest.mark.parametrize(
     ("word", "hint"),
     [
-        ("scna", "did you mean scan?"),
+        ("scna", "did you mean scan or scene?"),
         ("calibrat", "did you mean calibrate?"),
-        ("DEMO!", "there are: demo, node, scan"),
-        ("--json", "there are: demo, node, scan"),
+        ("DEMO!", "there are: demo, node, run"),
+        ("--json", "there are: demo, node, run"),
     ],
 )
 def test_an_unknown_command(word: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -91,7 +91,7 @@ def test_the_help_of_each_command(name: str, capsys: pytest.CaptureFixture[str])
     assert not err
 
 
-@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"demo", "vcan", "dump", "export", "budget"}))
+@pytest.mark.parametrize("name", sorted(set(COMMANDS) - {"demo", "vcan", "dump", "export", "budget", "report"}))
 def test_what_is_missing_is_a_usage_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
     words = [name, "--no-such-flag"] if name == "scan" else [name]
     with pytest.raises(SystemExit) as caught:

@@ -118,7 +118,12 @@ def shown_id(number: int) -> str:
 
 def print_json(record: dict[str, Any]) -> None:
     """One JSON line; NaN and infinity become null, because JSON has none."""
-    print(json.dumps(_plain(record)))
+    print(json_line(record))
+
+
+def json_line(record: dict[str, Any]) -> str:
+    """What print_json() prints, without the line's end."""
+    return json.dumps(_plain(record))
 
 
 def _plain(value: Any) -> Any:

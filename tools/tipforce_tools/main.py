@@ -19,6 +19,8 @@ from tipforce.errors import (
 COMMANDS = {
     "demo": ("tipforce_tools.demo.command", "the main job with no hardware: calibrate, store, load, decode, compare"),
     "node": ("tipforce_tools.node", "run one fingertip node on a bus"),
+    "run": ("tipforce_tools.scene.run", "run a scene: a hand of nodes, loads, faults, recording"),
+    "scene": ("tipforce_tools.scene.command", "explain what a scene builds, and what it leaves out and why"),
     "scan": ("tipforce_tools.scan", "list the nodes on the bus"),
     "sdo": ("tipforce_tools.sdo", "read or write an object of a node"),
     "config": ("tipforce_tools.config", "apply or verify a configuration file (TOML or DCF)"),
@@ -27,6 +29,7 @@ COMMANDS = {
     "budget": ("tipforce_tools.budget", "the error budget of P, phi and theta, by cause"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
     "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
+    "report": ("tipforce_tools.report.command", "error against run time, and what happens in extreme cases"),
     "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
     "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from statistics import quantiles
 from typing import Protocol
@@ -38,6 +38,8 @@ class Point:
     setting: str
     error: float
     timing: Timing
+    rms_error: float | None = None
+    """Root mean square, where ``error`` is the largest."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,9 +91,13 @@ def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s
             break
         repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
     runs = effort.pick(3, 7)
-    found = sorted(_elapsed(work, repeats) / (repeats * units) for _ in range(runs))
-    first, median, third = quantiles(found, n=4, method="inclusive")
-    return Timing(median, first, third, runs)
+    return quartiles([_elapsed(work, repeats) / (repeats * units) for _ in range(runs)])
+
+
+def quartiles(seconds: Sequence[float]) -> Timing:
+    """What several runs, at least two, took per unit of work."""
+    first, median, third = quantiles(seconds, n=4, method="inclusive")
+    return Timing(median, first, third, len(seconds))
 
 
 def _elapsed(work: Callable[[], object], repeats: int) -> float:

@@ -1,0 +1,206 @@
+"""The page: well-formed, complete, and in need of nothing from outside."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import importlib.util
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.report import page, plots
+from tipforce_tools.report.run import Judged, LeftOut, Report
+from tipforce_tools.report.study import Effort
+from tools.report.made import cases, study
+
+pytestmark = pytest.mark.skipif(
+    importlib.util.find_spec("matplotlib") is None, reason="the page needs the extra `report`"
+)
+VOID = {"meta"}
+
+
+class Elements(HTMLParser):
+    """Every element with its attributes; unbalanced ones are an error."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.found: list[tuple[str, dict[str, str]]] = []
+        self.text: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        assert len({name for name, _ in attrs}) == len(attrs), f"<{tag}> has an attribute twice"
+        self.found.append((tag, {name: value or "" for name, value in attrs}))
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.handle_starttag(tag, attrs)
+        self.handle_endtag(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+    def tags(self, name: str) -> list[dict[str, str]]:
+        return [attributes for tag, attributes in self.found if tag == name]
+
+
+@pytest.fixture(scope="module")
+def report() -> Report:
+    made = Report("2026-01-31", Effort(quick=True), {"processor": "<fast>"})
+    made.studies += [study("near", 1e-5), study("far", 1e-30), study("known", 0.0)]
+    made.cases += [Judged(case, case.check()) for case in cases() if case.key != "other.broken"]
+    made.left_out.append(LeftOut("absent", "skfem is not installed", False))
+    return made
+
+
+@pytest.fixture(scope="module")
+def html(report: Report) -> str:
+    return page.html(report)
+
+
+@pytest.fixture(scope="module")
+def parsed(html: str) -> Elements:
+    parser = Elements()
+    parser.feed(html)
+    parser.close()
+    assert not parser.open
+    return parser
+
+
+def test_one_plot_per_study_and_one_row_per_case(parsed: Elements, report: Report) -> None:
+    assert len(parsed.tags("svg")) == len(report.studies)
+    rows = [row["id"] for row in parsed.tags("tr") if row.get("id", "").startswith("case-")]
+    assert rows == [f"case-{one.case.key}" for one in report.cases]
+    assert "NOT flagged" in "".join(parsed.text)
+    assert "skfem is not installed" in "".join(parsed.text)
+
+
+def test_every_point_stands_in_a_table(parsed: Elements, report: Report) -> None:
+    rows = sum(len(one.points) for study in report.studies for one in study.series)
+    assert len(parsed.tags("tr")) == rows + len(report.studies) + len(report.cases) + 1
+
+
+def test_identifiers_are_unique_and_references_lead_somewhere(parsed: Elements) -> None:
+    identifiers = [attributes["id"] for _, attributes in parsed.found if "id" in attributes]
+    assert len(identifiers) == len(set(identifiers))
+    targets = {attributes["href"] for _, attributes in parsed.found if "href" in attributes}
+    assert targets
+    assert targets <= {f"#{name}" for name in identifiers}
+    clips = {name for _, a in parsed.found for name in re.findall(r"url\((#[^)]*)\)", " ".join(a.values()))}
+    assert clips <= {f"#{name}" for name in identifiers}
+
+
+def test_the_page_needs_nothing_from_outside(html: str, parsed: Elements) -> None:
+    assert "//" not in html
+    assert "@import" not in html
+    assert not {"script", "link", "img", "iframe", "object", "embed"} & {tag for tag, _ in parsed.found}
+    assert not any("src" in attributes or "style" in attributes for _, attributes in parsed.found)
+
+
+def test_the_policy_allows_the_one_style_sheet_and_nothing_else(html: str, parsed: Elements) -> None:
+    (policy,) = [meta["content"] for meta in parsed.tags("meta") if "http-equiv" in meta]
+    sheets = re.findall(r"<style[^>]*>(.*?)</style>", html, flags=re.DOTALL)
+    assert len(sheets) == 1
+    digest = base64.b64encode(hashlib.sha256(sheets[0].encode()).digest()).decode()
+    assert f"style-src 'sha256-{digest}'" in policy
+    assert "default-src 'none'" in policy
+
+
+def test_both_lights_print_and_phones_are_provided_for(html: str, parsed: Elements) -> None:
+    assert {"viewport"} <= {meta.get("name") for meta in parsed.tags("meta")}
+    for query in ("@media print", "prefers-color-scheme:dark", "@media (max-width"):
+        assert query in html
+    used = {name for _, a in parsed.found for name in a.get("class", "").split() if re.match("[fs]-", name)}
+    assert {"s-blue", "f-blue", "s-ink", "s-grid"} <= used
+    assert all(f".{name}{{" in html for name in used)
+
+
+def test_methods_differ_without_colour(report: Report) -> None:
+    from dataclasses import replace
+
+    from tipforce_tools.report.study import Series
+
+    many = replace(
+        report.studies[0],
+        series=tuple(Series(f"m{k}", report.studies[0].series[0].points) for k in range(len(plots._MARKERS))),
+    )
+    with plots.plotting():
+        (axes,) = plots.figure(many).axes
+        bars = [line for line in axes.lines if line.get_linestyle() != "None" and line.get_marker() in plots._MARKERS]
+    assert len({line.get_marker() for line in bars}) == len(plots._MARKERS)
+    assert len({(line.get_color(), line.get_linestyle()) for line in bars}) == len(plots._MARKERS)
+
+
+def test_the_reference_is_a_band_only_where_it_matters(report: Report) -> None:
+    with plots.plotting():
+        bands = [len(plots.figure(one).axes[0].patches) for one in report.studies]
+    assert bands == [1, 0, 0]
+
+
+def test_the_same_report_gives_the_same_bytes(report: Report, html: str) -> None:
+    assert page.html(report) == html
+
+
+@pytest.fixture(scope="module")
+def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return page.write(report, tmp_path_factory.mktemp("report"))
+
+
+def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
+    paths = written
+    assert [path.name for path in paths] == ["index.html", "report.jsonl", "near.svg", "far.svg", "known.svg"]
+    records = [json.loads(line) for line in paths[1].read_text(encoding="utf-8").splitlines()]
+    assert [one["record"] for one in records] == ["report", *["study"] * 3, *["case"] * 5, "left out"]
+
+
+def test_a_place_that_is_not_there_is_said(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(page, "html", lambda _report: "")
+    with pytest.raises(InputError, match=r"index\.html"):
+        page.write(report, tmp_path / "absent")
+
+
+def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:
+    plots.save(report.studies[0], tmp_path / "one.png")
+    plots.save(report.studies[0], tmp_path / "one.svg")
+    assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
+    assert "<svg" in (tmp_path / "one.svg").read_text(encoding="utf-8")
+    with pytest.raises(InputError, match=r"allowed are the endings"):
+        plots.save(report.studies[0], tmp_path / "one.pdf")
+
+
+def test_without_matplotlib_the_extra_is_named(report: Report, monkeypatch: pytest.MonkeyPatch) -> None:
+    import sys
+
+    monkeypatch.setitem(sys.modules, "matplotlib", None)
+    with pytest.raises(EnvironmentLackError, match=re.escape('pip install "tipforce[report]"')):
+        page.html(report)
+
+
+def test_the_document_takes_the_figures_over(
+    report: Report, written: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tipforce_tools.report import document
+
+    docs, built = tmp_path / "docs", written[0].parent
+    (docs / "figures").mkdir(parents=True)
+    (docs / "report.md").write_text(f"before\n{document.BEGIN}old\n{document.END}after\n", encoding="utf-8")
+    monkeypatch.setattr("sys.argv", ["document", str(built), str(docs)])
+    document.main()
+    text = (docs / "report.md").read_text(encoding="utf-8")
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text
+    assert "| turned | 3 <cells> | 1.0e-03 | 30 us | 24 us - 39 us |" in text
+    assert "| `other.wrong` | **NOT flagged** |" in text
+    assert len(list((docs / "figures").iterdir())) == len(report.studies)
+    document.main()  # again: the same
+    assert (docs / "report.md").read_text(encoding="utf-8") == text

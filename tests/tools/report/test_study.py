@@ -1,0 +1,40 @@
+"""How a method is timed, with a clock that the test moves."""
+
+from __future__ import annotations
+
+import pytest
+
+from tipforce_tools.report.study import Effort, quartiles, timed
+
+
+class Clock:
+    """Nanoseconds that only work lets pass."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_ns = 0
+        self.calls = 0
+        monkeypatch.setattr("tipforce_tools.report.study.time.perf_counter_ns", lambda: self.now_ns)
+
+    def work(self) -> None:
+        self.calls += 1
+        self.now_ns += 1_000_000 if self.calls > 1 else 5_000_000_000  # the first call is slow
+
+
+def test_a_time_is_per_unit_and_without_the_first_call(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    timing = timed(clock.work, Effort(quick=True), units=10, at_least_s=0.02)
+    assert timing.seconds == pytest.approx(1e-4)
+    assert timing.first_quartile_s == pytest.approx(1e-4)
+    assert timing.runs == 3
+
+
+def test_each_run_is_long_enough_for_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
+    clock = Clock(monkeypatch)
+    timing = timed(clock.work, Effort(), at_least_s=0.02)
+    assert timing.runs == 7
+    assert clock.calls >= 7 * 20
+
+
+def test_quartiles_of_uneven_runs() -> None:
+    timing = quartiles([5.0, 1.0, 3.0, 2.0, 4.0])
+    assert (timing.first_quartile_s, timing.seconds, timing.third_quartile_s, timing.runs) == (2.0, 3.0, 4.0, 5)

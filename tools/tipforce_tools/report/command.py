@@ -1,0 +1,131 @@
+"""`tipforce report`: error against run time, and what happens in extreme cases."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce_tools.report.run import Run
+
+EPILOG = """\
+Error against run time compares methods for one task beside a reference whose own error is stated. A time is the median
+of several runs with its quartiles: compare times within one run, on a machine that does nothing else. The extreme cases
+say what is promised where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged
+(marked as unknown), refused (an error names the place). Some studies want packages of their own; without them they are
+left out, and the report says so: pip install "tipforce[report]" brings all.
+
+examples:
+  tipforce report --quick
+  tipforce report -o report           # report/index.html, report.jsonl, a plot of each study
+  tipforce report --only decoders,contact --json
+exit codes: 0 every claim held, 1 a claim did not hold or a study failed, 2 usage
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce report`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EPILOG
+    parser.add_argument("--quick", action="store_true", help="below a minute, with fewer samples and runs")
+    parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
+    parser.add_argument("--list", action="store_true", help="the studies and the cases; nothing is run")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
+    parser.add_argument("--seed", type=int, default=None, metavar="N", help="of everything random (default: fixed)")
+    parser.add_argument("--date", metavar="TEXT", help="what the report gives as its date (default: now)")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run and print; 1 where a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
+    from tipforce_tools.report.run import Run, selected
+    from tipforce_tools.report.study import Effort
+
+    common.set_up_logging(args)
+    if args.list:
+        _print_list(args)
+        return 0
+    effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
+    if effort.seed < 0:
+        raise InputError(f"--seed {effort.seed}: allowed is 0 or more")
+    if args.output is not None:
+        _require_output(args.output)
+    date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    job = Run(selected(args.only), effort, date)
+    _carry_out(job, args)
+    if args.output is not None:
+        _write(job, args)
+    return 0 if job.report.sound() else 1
+
+
+def _print_list(args: argparse.Namespace) -> None:
+    from tipforce_tools.report.run import STABILITY, STUDIES, all_cases
+
+    rows = [(key, "study", what) for key, (_, what) in STUDIES.items()]
+    rows.append((STABILITY, "cases", "all cases below"))
+    try:
+        rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
+    except ImportError as lack:
+        common.note(args, f"the cases cannot be listed: {lack}")
+    for key, kind, what in rows:
+        if args.json:
+            common.print_json({"key": key, "kind": kind, "what": what})
+        else:
+            print(f"{key:36} {kind:8} {what}")
+
+
+def _require_output(directory: Path) -> None:
+    """Before minutes of work: the page needs matplotlib, and a place. Raises what plots and mkdir say."""
+    from tipforce_tools.report.plots import plotting
+
+    with plotting():
+        pass
+    try:
+        directory.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--output {directory}: {error.strerror}") from None
+
+
+def _carry_out(job: Run, args: argparse.Namespace) -> None:
+    from tipforce_tools.report import text
+
+    if args.json:
+        common.print_json(text.head_record(job.report))
+    with _progress(args, job.steps) as advance:
+        for item in job.items(advance):
+            if args.json:
+                common.print_json(text.record(item))
+    if args.json:
+        common.note(args, text.summary(job.report))
+    else:
+        text.print_report(common.console(args), job.report)
+
+
+def _write(job: Run, args: argparse.Namespace) -> None:
+    from tipforce_tools.report.page import write
+
+    page, *others = write(job.report, args.output)
+    common.note(args, f"written: {page}, and {len(others)} files beside it")
+
+
+@contextmanager
+def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], None]]:
+    """A progress bar on stderr, on a terminal alone; yields what advances it."""
+    if args.quiet or not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.console import Console
+    from rich.progress import Progress
+
+    # It draws in a thread of its own: twice a second takes nothing from what is timed.
+    with Progress(console=Console(stderr=True), transient=True, refresh_per_second=2) as progress:
+        task = progress.add_task("report", total=total)
+        yield lambda: progress.advance(task)

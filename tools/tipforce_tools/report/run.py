@@ -1,0 +1,227 @@
+"""Runs the studies and the extreme cases. What is missing, or fails, is a line in the report, not the end of it."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any
+
+from tipforce.errors import EnvironmentLackError, InputError, TipforceError
+from tipforce_tools.report.stability.case import Case, Observed
+from tipforce_tools.report.study import Effort, Study
+
+STUDIES: dict[str, tuple[str, str]] = {
+    "structure": ("tipforce_tools.report.studies.structure", "structure models: beams, frame, finite elements"),
+    "integrators": ("tipforce_tools.report.studies.integrators", "time integration: smooth, step, tap, stiff impact"),
+    "estimators": ("tipforce_tools.report.studies.estimators", "arithmetic of the estimator"),
+    "fits": ("tipforce_tools.report.studies.fits", "calibration fits against the number of loads"),
+    "decoders": ("tipforce_tools.report.studies.decoders", "decoders of CAN frames"),
+    "scenes": ("tipforce_tools.report.scene_costs", "what each part of a scene costs"),
+}
+"""Key -> (module with STEPS and studies(effort, advance), what it compares)."""
+STABILITY = "stability"
+CASES_MODULE = "tipforce_tools.report.stability.all"
+_EXTRAS = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}
+_VERSIONS = ("numpy", "scipy", "scikit-fem", "matplotlib", "python-can", "canopen", "cantools")
+
+Advance = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class Judged:
+    """One extreme case and what was seen."""
+
+    case: Case
+    observed: Observed
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A part that did not run; ``failed`` where that is a fault, not a missing package."""
+
+    key: str
+    reason: str
+    failed: bool
+
+
+@dataclass(slots=True)
+class Report:
+    """All that a report shows."""
+
+    date: str
+    effort: Effort
+    machine: dict[str, str]
+    studies: list[Study] = field(default_factory=list)
+    cases: list[Judged] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+
+    def sound(self) -> bool:
+        """Every claim held and nothing failed; what was left out for want of a package does not count."""
+        return all(one.observed.held for one in self.cases) and not any(one.failed for one in self.left_out)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """What to run: keys of STUDIES, and patterns of case keys (none: no cases)."""
+
+    studies: tuple[str, ...]
+    cases: tuple[str, ...]
+
+
+def selected(only: str | None) -> Selection:
+    """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
+
+    Raises InputError for a word that names nothing.
+    """
+    if only is None:
+        return Selection(tuple(STUDIES), ("*",))
+    studies: list[str] = []
+    patterns: list[str] = []
+    for word in filter(None, (part.strip() for part in only.split(","))):
+        if word in STUDIES:
+            studies.append(word)
+        elif word == STABILITY:
+            patterns.append("*")
+        else:
+            _require_case(word)
+            patterns += [word, f"{word}.*"]
+    if not studies and not patterns:
+        raise InputError(f"--only {only!r}: allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list")
+    return Selection(tuple(key for key in STUDIES if key in studies), tuple(patterns))
+
+
+def _require_case(word: str) -> None:
+    try:
+        keys = [case.key for case in all_cases()]
+    except (ImportError, TipforceError):
+        keys = []
+    if not any(fnmatchcase(key, pattern) for key in keys for pattern in (word, f"{word}.*")):
+        raise InputError(f"--only {word!r}: allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list")
+
+
+def all_cases() -> list[Case]:
+    """Every extreme case. Raises ImportError where a package for one of them is missing."""
+    found: list[Case] = importlib.import_module(CASES_MODULE).cases()
+    return found
+
+
+def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
+    """The cases that one of the patterns names."""
+    wanted = tuple(patterns)
+    return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in wanted)]
+
+
+class Run:
+    """One run: first what is there to do (so that progress has a length), then ``report``."""
+
+    def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
+        self.report = Report(date, effort, machine())
+        self._modules: list[tuple[str, Any]] = []
+        self._cases: list[Case] = []
+        for key in selection.studies:
+            with_lack = _guarded(lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
+            self._keep(key, with_lack, lambda module, key=key: self._modules.append((key, module)))  # type: ignore[misc]
+        if selection.cases:
+            self._keep(STABILITY, _guarded(all_cases), self._cases.extend)
+            self._cases = matching(self._cases, selection.cases)
+        self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
+
+    def items(self, advance: Advance) -> Iterator[Study | Judged | LeftOut]:
+        """Run all; each study and case as it is done. The studies come first and alone, because they are timed."""
+        yield from self.report.left_out
+        for key, module in self._modules:
+            before = len(self.report.left_out)
+            found = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
+            self._keep(key, found, self.report.studies.extend)
+            yield from self.report.left_out[before:]
+            if not isinstance(found, _Lack):
+                yield from found
+        for case in self._cases:
+            before = len(self.report.left_out)
+            found = _guarded(lambda case=case: Judged(case, _observed(case)))  # type: ignore[misc]
+            self._keep(case.key, found, self.report.cases.append)
+            yield from self.report.left_out[before:] or [found]
+            advance()
+
+    def _keep(self, key: str, found: Any, take: Callable[[Any], object]) -> None:
+        if isinstance(found, _Lack):
+            self.report.left_out.append(LeftOut(key, found.reason, found.failed))
+        else:
+            take(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lack:
+    reason: str
+    failed: bool
+
+
+def _guarded(work: Callable[[], Any]) -> Any:
+    """What ``work`` returns, or the lack that kept it from doing so."""
+    try:
+        return work()
+    except ModuleNotFoundError as error:
+        return _lack_of_module(error)
+    except TipforceError as error:
+        return _Lack(str(error), failed=not isinstance(error, EnvironmentLackError))
+    except Exception as error:  # a fault in one study must not cost the others
+        return _Lack(_told(error), failed=True)
+
+
+def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
+    name = (error.name or "").split(".")[0]
+    if name in ("tipforce", "tipforce_tools"):
+        return _Lack(f"it is not part of this installation ({error.name})", failed=True)
+    hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else (
+        'pip install "tipforce[report]"')  # fmt: skip
+    return _Lack(f"{name} is not installed: {hint}", failed=False)
+
+
+def _observed(case: Case) -> Observed:
+    """A case that breaks did not hold; one that wants a package that is not there is left out."""
+    try:
+        return case.check()
+    except (ModuleNotFoundError, EnvironmentLackError):
+        raise
+    except Exception as error:
+        return Observed(False, f"the check itself failed: {_told(error)}")
+
+
+def _told(error: Exception) -> str:
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {last.name}(), line {last.lineno} of {last.filename.rsplit('/')[-1]}: {error}"
+
+
+def machine() -> dict[str, str]:
+    """What the times depend on: processor, system, versions."""
+    import os
+    from importlib.metadata import PackageNotFoundError, version
+
+    from tipforce.dictionary.table import SOFTWARE_VERSION
+
+    found = {
+        "processor": f"{_processor()}, {os.cpu_count()} threads",
+        "system": f"{platform.system()} {platform.machine()}",
+        "Python": f"{platform.python_implementation()} {platform.python_version()}",
+        "tipforce": SOFTWARE_VERSION,
+    }
+    for name in _VERSIONS:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+def _processor() -> str:
+    """The name in /proc/cpuinfo where there is one: platform.processor() is often empty on Linux."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()

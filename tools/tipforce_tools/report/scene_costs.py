@@ -1,0 +1,99 @@
+"""What each part of a scene costs, the smallest scene beside the one that names everything: a table of the report."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from tipforce.errors import EnvironmentLackError
+from tipforce_tools.report.study import Effort, Point, Series, Study, quartiles
+
+SCENES = ("static", "full")
+ALL = "all"
+STEPS = len(SCENES)
+
+
+@dataclass(frozen=True, slots=True)
+class SceneCost:
+    """One part of one scene; the part ``all`` is the whole scene. A sample is one node at one SYNC."""
+
+    scene: str
+    part: str
+    built: bool
+    us_per_sample: float | None
+    """Processor time with the part less without it. None: left out, or it cannot be taken away alone."""
+    ms_per_run: float | None
+    """The same for what a run does once."""
+    import_ms: float | None
+    """Of the modules that the part loads. None: left out."""
+
+
+def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
+    """The study of the report: each scene with its parts taken away one after the other, down to the bare nodes."""
+    from msgspec.structs import replace
+
+    from tipforce.scene.schema import read_scene
+    from tipforce_tools.scene.cost import measure, rungs
+
+    series = []
+    for name in SCENES:
+        path = _folder() / f"{name}.toml"
+        scene = read_scene(path)
+        # A picture takes longer than all the rest and does not grow with the samples.
+        ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
+        found = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
+        settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
+        points = [
+            Point(setting, one.P_rms_newtons, quartiles(one.seconds))
+            for setting, one in zip(settings, found, strict=True)
+        ]
+        series.append(Series(name, tuple(points)))
+        advance()
+    whole, least = (one.points[0].timing.seconds for one in (series[1], series[0]))
+    return [
+        Study(
+            "scenes", "What a scene builds: run time and error of P, part by part", "RMS error of P, N",
+            "s per sample", "the load that the scene applies", 0.0, tuple(series),
+            remarks=(
+                f"The scene that names everything takes {whole / least:.0f} times as long per sample as the static.",
+                "A sample is one node at one SYNC; processor time of a whole run, building included.",
+                "Each row takes one more part away. Without the contact in the nodes there is no P, so no error.",
+                "A filter makes the converter work all the time and not at SYNCs alone: that is in its own step.",
+            ),
+        )
+    ]  # fmt: skip
+
+
+def scene_costs(
+    effort: Effort,
+    advance: Callable[[], None] = lambda: None,
+    scenes: Sequence[str] = SCENES,
+    samples: int | None = None,
+) -> list[SceneCost]:
+    """Measure; rows by scene, then by part in the order of `tipforce scene explain`.
+
+    Raises EnvironmentLackError where the folder scenes/ is not there: it belongs to the source tree, not to a wheel.
+    """
+    from tipforce.scene.schema import read_scene
+    from tipforce_tools.scene.cost import part_costs, total
+
+    rows: list[SceneCost] = []
+    for name in scenes:
+        path = _folder() / f"{name}.toml"
+        scene = read_scene(path)
+        costs = part_costs(scene, path, samples or effort.pick(100, 300), effort.pick(2, 5))
+        rows += [
+            SceneCost(name, one.part, one.built, one.us_per_sample, one.ms_per_run, one.import_ms) for one in costs
+        ]
+        whole = total(costs)
+        rows.append(SceneCost(name, ALL, True, whole.us_per_sample, whole.ms_per_run, whole.import_ms))
+        advance()
+    return rows
+
+
+def _folder() -> Path:
+    found = Path(__file__).parents[3] / "scenes"
+    if not found.is_dir():
+        raise EnvironmentLackError(f"{found}: no such folder; run this in a clone of the source, where scenes/ is")
+    return found

@@ -1,0 +1,21 @@
+"""Every extreme case of the stability report."""
+
+from __future__ import annotations
+
+import importlib
+
+from tipforce_tools.report.stability.case import Case
+
+AREAS = (
+    "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
+    "integrators", "impact",
+)  # fmt: skip
+"""Modules of this folder, in the order of the report."""
+
+
+def cases() -> list[Case]:
+    """All cases, area by area. An area's modules are imported here, not with this file."""
+    found: list[Case] = []
+    for area in AREAS:
+        found += importlib.import_module(f"tipforce_tools.report.stability.{area}").cases()
+    return found
