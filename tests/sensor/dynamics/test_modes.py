@@ -85,7 +85,8 @@ def test_the_static_limit_returns_the_applied_force(
     except InputError:
         # Refused only where a very thin beam meets a thick one, or the axial modes of the mass of a thin one.
         thin, thick = sorted((body.h1_m, body.h2_m))
-        assert thin < 3e-6 if beam_density > 0.0 else (thick / thin) ** 3 > 1e13
+        too_thin = thin < 3e-6 or thick / thin > 100.0
+        assert too_thin if beam_density > 0.0 else (thick / thin) ** 3 > 1e13
         return
     for gain in static_gain(found):
         np.testing.assert_allclose(gain, np.eye(3), rtol=0.0, atol=1e-12)
