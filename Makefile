@@ -37,6 +37,9 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.micropython
 	$(PYTHON) -m bench.startup
+	$(PYTHON) -m bench.decode -o docs/decode-performance.md
+	$(PYTHON) -m bench.decode_check
+	$(PYTHON) -m bench.live -o docs/live-performance.md
 	$(PYTHON) -m bench.tshark
 	$(PYTHON) -m bench.calibration
 	$(PYTHON) -m bench.coverage

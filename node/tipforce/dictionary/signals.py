@@ -21,8 +21,9 @@ _CHANNEL_STATUS = 0x6150
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """One quantity in a message: value = raw x ``scale``, in ``unit``; little-endian from bit ``start_bit``.
+    """One quantity in a message: value = raw x ``scale`` + ``offset``, in ``unit``; little-endian from ``start_bit``.
 
+    Where ``big_endian`` (only in foreign messages), ``start_bit`` counts from the lowest bit of the last byte.
     ``minimum`` and ``maximum`` are in ``unit``; ``unknown`` is the raw value that stands for no value (None:
     there is none, or, where ``real``, it is NaN). ``index`` and ``sub`` say which object it was mapped from.
     """
@@ -40,6 +41,8 @@ class Signal:
     index: int
     sub: int
     real: bool = False
+    offset: float = 0.0
+    big_endian: bool = False
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,7 +1,7 @@
 """candump's text as frames: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils).
 
-The other direction is ``candump_format``. What can't be a classic frame is counted, not raised: CAN FD frames,
-drop messages and, by reason and with line numbers, bad lines.
+The other direction is ``candump_format``. CAN FD frames stand beside the classic ones. What is no frame is counted,
+not raised: drop messages and, by reason and with line numbers, bad lines.
 """
 
 from __future__ import annotations
@@ -14,16 +14,22 @@ from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host import fd_frame
+from tipforce.host.fd_frame import FdFrame
+from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames import FRAME, MAX_CHANNELS, SENT, FrameArray
+
+__all__ = [
+    "BLOCK_LINES", "EXPECTED", "BadLine", "BadLineError", "CandumpBlock", "CandumpParser", "read_candump",
+]  # fmt: skip
 
 EXPECTED = {
     "no candump line": "expected candump's text, as `(1700000000.123456) can0 181#0102` or `  can0  181   [2]  01 02`",
     "timestamp": "expected (seconds.microseconds) or (YYYY-MM-DD hh:mm:ss.microseconds)",
-    "interface": "expected at most 4096 different interface names",
+    "interface": f"expected at most {MAX_CHANNELS} different interface names",
     "identifier": "expected 3 hexadecimal digits to 7FF or 8 to 1FFFFFFF (error frames: 20000000 plus their class)",
     "length": "expected 0 to 8 data bytes, as many as [the length] says",
     "data": "expected two hexadecimal digits per data byte, or a remote request",
@@ -31,7 +37,6 @@ EXPECTED = {
 """Why a line is bad, and what was expected in its place."""
 
 BLOCK_LINES = 8192
-_MAX_INTERFACES = 4096
 _MAX_IDENTIFIER = 0x1FFFFFFF
 _LAST_NS = (1 << 63) - 1  # in the year 2262
 _MAX_KEPT = 100
@@ -39,7 +44,7 @@ _SHOWN_CHARACTERS = 80
 
 _LOG = re.compile(r"\((?P<stamp>[^)]*)\)\s+(?P<name>\S+)\s+(?P<id>[^\s#]*)#(?P<rest>\S*)(?:\s+(?P<way>[RT]))?\s*")
 _SCREEN = re.compile(
-    r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<name>\S+)\s+(?:(?P<way>[RT])X [-B] [-E]\s+)?"
+    r"\s*(?:\((?P<stamp>[^)]*)\)\s+)?(?P<name>\S+)\s+(?:(?P<way>[RT])X (?P<switch>[-B]) (?P<state>[-E])\s+)?"
     r"(?P<id>\S+)\s+\[(?P<length>\d+)\](?P<rest>.*)"
 )
 _SECONDS = re.compile(r"(\d{1,10})\.(\d{6}|\d{9})", re.ASCII)
@@ -49,25 +54,7 @@ _LOG_DATA = re.compile(r"(?:[0-9A-Fa-f]{2}\.?)*(?:_[9A-Fa-f])?")  # _F: the raw 
 _SCREEN_DATA = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*")
 _DROPS = re.compile(r"\s*DROPCOUNT: dropped (\d+) CAN frames?")
 _COLOUR = re.compile(r"\x1b\[[0-9;]*m")
-_PACK = struct.Struct("<qIB8s").pack  # one FRAME
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CandumpBlock:
-    """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): -x said TX.
-
-    ``timed`` is False where a line had no timestamp; its ``t_ns`` is 0.
-    """
-
-    frames: FrameArray
-    interface: npt.NDArray[np.uint16]
-    names: tuple[str, ...]
-    sent: npt.NDArray[np.bool_]
-    timed: bool = True
-
-    def take(self, rows: npt.NDArray[np.bool_] | slice) -> CandumpBlock:
-        """The block with some of its frames only."""
-        return CandumpBlock(self.frames[rows], self.interface[rows], self.names, self.sent[rows], self.timed)
+_PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,6 +75,7 @@ class BadLineError(InputError):
 
     def __init__(self, bad: BadLine, block: CandumpBlock) -> None:
         super().__init__(str(bad))
+        self.bad = bad
         self.block = block
 
 
@@ -96,53 +84,78 @@ class CandumpParser:
     """Turns lines into blocks of frames, and keeps count of what it leaves out.
 
     ``strict`` raises BadLineError at the first bad line. ``deltas``: the timestamps are those of -td, each the time
-    since the line before. ``bad`` counts by reason; ``bad_lines`` keeps the first hundred; ``fd_frames`` and
-    ``dropped`` (told by candump -d) count what is not a bad line but no classic frame either.
+    since the line before. ``bad`` counts by reason; ``bad_lines`` keeps the first hundred; ``fd_frames``
+    counts the CAN FD frames, ``dropped`` what candump -d told of; ``last_ns`` is the time of the latest line.
     """
 
     strict: bool = False
     deltas: bool = False
     line_number: int = 0
+    last_ns: int = 0
     bad: dict[str, int] = field(default_factory=dict)
     bad_lines: list[BadLine] = field(default_factory=list)
     fd_frames: int = 0
     dropped: int = 0
     _names: dict[str, int] = field(default_factory=dict)
     _dates: dict[str, int] = field(default_factory=dict)
-    _last_ns: int = 0
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The interfaces so far, by number."""
+        return tuple(self._names)
 
     def parse(self, lines: Iterable[str]) -> CandumpBlock:
         """The frames of some lines, with or without line ends; line numbers go on from call to call."""
         frames = bytearray()
-        interfaces: list[int] = []
-        sent: list[bool] = []
+        fd: list[FdFrame] = []
         timed = True
         bad = None
         for line in lines:
-            self.line_number += 1
             try:
-                found = self._line(line)
-            except ValueError as reason:
-                bad = BadLine(self.line_number, line.rstrip("\r\n"), str(reason))
-                if self.strict:
-                    break
-                self._note(bad)
-                continue
-            if found is not None:
-                t_ns, interface, can_id, length, data, way = found
-                timed = timed and t_ns is not None
-                frames += _PACK(t_ns or 0, can_id, length, data)
-                interfaces.append(interface)
-                sent.append(way == "T")
-        array: FrameArray = np.frombuffer(frames, dtype=FRAME)
-        which = np.array(interfaces, dtype=np.uint16)
-        block = CandumpBlock(array, which, tuple(self._names), np.array(sent, dtype=np.bool_), timed)
-        if self.strict and bad is not None:
+                found = self.frame(self.line_number + 1, line)
+            except BadLineError as error:
+                bad = error.bad
+                break
+            if isinstance(found, FdFrame):
+                timed = timed and found.t_ns >= 0
+                fd.append(found._replace(row=len(frames) // FRAME.itemsize, t_ns=max(found.t_ns, 0)))
+            elif found is not None:
+                frames += found[0]
+                timed = timed and found[1]
+        block = _block(frames, self.names, timed, tuple(fd))
+        if bad is not None:
             raise BadLineError(bad, block)
         return block
 
-    def _line(self, line: str) -> tuple[int | None, int, int, int, bytes, str | None] | None:
-        """One frame as (t_ns, interface, can_id, length, data, R or T); None: no frame. ValueError: the reason."""
+    def frame(self, number: int, line: str) -> tuple[bytes, bool] | FdFrame | None:
+        """What line ``number`` holds: (the bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
+
+        For a reader that takes most lines in another way. An FD frame without a timestamp has t_ns -1. Raises
+        BadLineError with no frames for a bad line, if strict.
+        """
+        self.line_number = number
+        try:
+            found = self._line(line)
+        except ValueError as reason:
+            bad = BadLine(number, line.rstrip("\r\n"), str(reason))
+            if self.strict:
+                raise BadLineError(bad, _block(bytearray(), (), True, ())) from None
+            self._note(bad)
+            return None
+        if found is None:
+            return None
+        if isinstance(found, FdFrame):
+            self.fd_frames += 1
+            return found
+        t_ns, interface, can_id, length, data, way = found
+        packed = _PACK(t_ns or 0, can_id, length, interface, SENT if way == "T" else 0, data)
+        return packed, t_ns is not None
+
+    def _line(self, line: str) -> tuple[int | None, int, int, int, bytes, str | None] | FdFrame | None:
+        """One frame as (t_ns, interface, can_id, length, data, R or T), or CAN FD; None: no frame.
+
+        An FD frame of a line without a timestamp has t_ns -1. ValueError: the reason.
+        """
         match = _LOG.fullmatch(line)
         if match is not None:
             payload = _log_payload(match["rest"])
@@ -157,10 +170,18 @@ class CandumpParser:
         t_ns = None if match["stamp"] is None else self._time(match["stamp"])
         can_id = _identifier(match["id"])
         if payload is None:
-            self.fd_frames += 1
-            return None
+            return self._fd_frame(match, -1 if t_ns is None else t_ns, can_id)
         length, data, flags = payload
-        return t_ns, self._interface(match["name"]), can_id | flags, length, data, match["way"]
+        return t_ns, self.interface_number(match["name"]), can_id | flags, length, data, match["way"]
+
+    def _fd_frame(self, match: re.Match[str], t_ns: int, can_id: int) -> FdFrame:
+        parts = match.groupdict()
+        if "length" in parts:
+            flags = (parts["switch"] == "B") * fd_frame.BIT_RATE_SWITCH + (parts["state"] == "E") * fd_frame.ERROR_STATE
+            data = fd_frame.screen_payload(int(parts["length"]), parts["rest"])
+        else:
+            flags, data = fd_frame.log_payload(parts["rest"])
+        return FdFrame(0, t_ns, can_id, flags, data, self.interface_number(parts["name"]), parts["way"] == "T")
 
     def _no_frame(self, line: str) -> None:
         drops = _DROPS.match(line)
@@ -177,16 +198,16 @@ class CandumpParser:
             date = _DATE.fullmatch(stamp)
             if date is None:
                 raise ValueError("timestamp")
-            t_ns = self._local_time(date[1]) * 1_000_000_000 + int(date[2]) * 1000
+            t_ns = self.local_time(date[1]) * 1_000_000_000 + int(date[2]) * 1000
         if self.deltas:
-            t_ns += self._last_ns
+            t_ns += self.last_ns
         if not 0 <= t_ns <= _LAST_NS:
             raise ValueError("timestamp")
-        self._last_ns = t_ns
+        self.last_ns = t_ns
         return t_ns
 
-    def _local_time(self, date: str) -> int:
-        """Seconds since 1970 of candump -tA's local time."""
+    def local_time(self, date: str) -> int:
+        """Seconds since 1970 of candump -tA's local time. ValueError: it is none."""
         if date not in self._dates:
             self._dates.clear()  # the second before will not come again
             try:
@@ -195,10 +216,11 @@ class CandumpParser:
                 raise ValueError("timestamp") from None
         return self._dates[date]
 
-    def _interface(self, name: str) -> int:
+    def interface_number(self, name: str) -> int:
+        """The number of an interface, given out in the order of their appearance. ValueError: there are too many."""
         number = self._names.get(name)
         if number is None:
-            if len(self._names) >= _MAX_INTERFACES:
+            if len(self._names) >= MAX_CHANNELS:
                 raise ValueError("interface")
             number = self._names[name] = len(self._names)
         return number
@@ -217,6 +239,11 @@ def read_candump(
     iterator = iter(lines)
     while chunk := list(islice(iterator, block_lines)):
         yield parser.parse(chunk)
+
+
+def _block(frames: bytearray, names: tuple[str, ...], timed: bool, fd: tuple[FdFrame, ...]) -> CandumpBlock:
+    array: FrameArray = np.frombuffer(frames, dtype=FRAME)
+    return CandumpBlock(array, array["channel"].astype(np.uint16), names, array["flags"] & SENT != 0, timed, fd)
 
 
 def _identifier(text: str) -> int:

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.dictionary.signals import Message, Signal, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
+from tipforce.host.decode_columns import Column, columns_of
 from tipforce.host.frames import FrameArray
 
 MAX_COB_ID = 0x7FF
@@ -18,8 +18,6 @@ _NO_SLOT = 0
 _WORD = np.dtype("<u8")
 
 Key = tuple[int, str]  # node-id, message name
-Column = npt.NDArray[Any]  # (k,): float64 (measurement), bool (flag) or an integer type (counter, register)
-Words = npt.NDArray[np.uint64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,6 +51,8 @@ class _Plan:
     """Where each identifier goes, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
 
     slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for every longer identifier
+    extended_ids: npt.NDArray[np.uint32]  # (e,) sorted, with EXTENDED_FLAG: of foreign messages
+    extended_slots: npt.NDArray[np.uint16]  # (e,)
     length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
     keys: tuple[Key, ...]  # of slot 1, 2, ...
     groups: tuple[_Group, ...]
@@ -80,6 +80,13 @@ class Decoder:
             for message in messages:
                 can_id = message.cob_id_base + node_id if message.cob_id_base else 0
                 self._messages[node_id, message.name] = can_id, message
+
+    @classmethod
+    def of_messages(cls, messages: Mapping[Key, tuple[int, Message]]) -> Decoder:
+        """A decoder of foreign messages: by key the can_id, with EXTENDED_FLAG for 29 bits, and the layout."""
+        decoder = cls(node_ids=())
+        decoder._messages.update(messages)
+        return decoder
 
     def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
         """Take message ``name`` of one node from ``can_id`` (0: from nowhere) with ``mapping`` (index, sub, bits).
@@ -116,26 +123,25 @@ class Decoder:
         """Decode FRAME array (n,): what each (node-id, message name) said, for those that said something.
 
         ``signals`` names what is wanted; nothing else is computed, and messages without any of it are left out.
-        Remote, error and 29-bit frames and foreign identifiers are ignored. Raises InputError for a name that no
+        Remote and error frames and foreign identifiers are ignored. Raises InputError for a name that no
         message has.
         """
         plan = self._plan(signals)
-        slot = plan.slot_of_id.take(frames["can_id"].astype(np.int64), mode="clip")
+        slot = _slots(plan, frames["can_id"])
         self._drop_short(plan, slot, frames["length"])
         ends = np.cumsum(np.bincount(slot, minlength=len(plan.keys) + 1))
         # Slots of one layout are neighbours: after a stable sort each layout is one run, and each node a slice of it.
         order = np.argsort(slot, kind="stable")[ends[_NO_SLOT] :]
         if not len(order):
             return {}
-        # A FRAME has 21 bytes: one copy to aligned numbers is cheaper than a gather of unaligned ones.
-        words = frames["data"].view(_WORD)[:, 0].astype(np.uint64)[order]
-        t_ns = frames["t_ns"].astype(np.int64)[order]
+        words = frames["data"].view(_WORD)[:, 0][order]
+        t_ns = frames["t_ns"][order]
         ends -= ends[_NO_SLOT]
         found: dict[Key, Samples] = {}
         for group in plan.groups:
             start, stop = ends[group.first - 1], ends[group.first + len(group.node_ids) - 1]
             if start < stop:
-                columns = _columns(words[start:stop], group.signals)
+                columns = columns_of(words[start:stop], group.signals)
                 found |= _split(group, columns, start, ends, t_ns, order)
         return found
 
@@ -181,7 +187,8 @@ def lost_samples(counter: npt.ArrayLike) -> int:
 def _make_plan(
     messages: Mapping[Key, tuple[int, Message]], given: Mapping[int, Key], wanted: frozenset[str] | None
 ) -> _Plan:
-    known = {signal.name for _, message in messages.values() for signal in message.signals}
+    alike = {id(message): message for _, message in messages.values()}
+    known = {signal.name for message in alike.values() for signal in message.signals}
     if wanted is not None and not wanted <= known:
         missing = ", ".join(sorted(wanted - known))
         raise InputError(f"no message has the signal {missing}: allowed are {', '.join(sorted(known))}")
@@ -191,6 +198,7 @@ def _make_plan(
             layouts.setdefault(id(message), (message, []))[1].append((key[0], can_id))
     groups: list[_Group] = []
     slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint16)
+    extended: dict[int, int] = {}
     lengths, keys = [0], list[Key]()
     for message, members in layouts.values():
         signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
@@ -198,10 +206,25 @@ def _make_plan(
             continue
         groups.append(_Group(message, signals, len(lengths), tuple(node_id for node_id, _ in members)))
         for node_id, can_id in members:
-            slot_of_id[can_id] = len(lengths)
+            if can_id <= MAX_COB_ID:
+                slot_of_id[can_id] = len(lengths)
+            else:
+                extended[can_id] = len(lengths)
             lengths.append(message.length_bytes)
             keys.append((node_id, message.name))
-    return _Plan(slot_of_id, np.array(lengths, dtype=np.uint8), tuple(keys), tuple(groups))
+    ids = np.array(sorted(extended), dtype=np.uint32)
+    slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint16)
+    return _Plan(slot_of_id, ids, slots, np.array(lengths, dtype=np.uint8), tuple(keys), tuple(groups))
+
+
+def _slots(plan: _Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16]:
+    """The slot of each identifier (k,): flags and longer identifiers are beyond MAX_COB_ID."""
+    slot: npt.NDArray[np.uint16] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
+    if len(plan.extended_ids):
+        place = np.minimum(np.searchsorted(plan.extended_ids, can_id), len(plan.extended_ids) - 1)
+        found = plan.extended_ids[place] == can_id
+        slot[found] = plan.extended_slots[place[found]]
+    return slot
 
 
 def _split(
@@ -223,39 +246,3 @@ def _split(
             found[key] = Samples(node_id, group.message, t_ns[low:high], order[low:high], of_node)
         low = high
     return found
-
-
-def _columns(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
-    """Each signal (k,) out of the eight data bytes (k,) as one little-endian number: any start bit will do."""
-    flags: dict[int, npt.NDArray[np.uint8]] = {}
-    columns: dict[str, Column] = {}
-    for signal in signals:
-        if signal.bits == 1:
-            byte = signal.start_bit // 8
-            if byte not in flags:
-                flags[byte] = (words >> np.uint64(8 * byte)).astype(np.uint8)
-            columns[signal.name] = (flags[byte] & np.uint8(1 << signal.start_bit % 8)).astype(np.bool_)
-        else:
-            columns[signal.name] = _number(words, signal)
-    return columns
-
-
-def _number(words: Words, signal: Signal) -> Column:
-    shifted = words >> np.uint64(signal.start_bit)
-    if signal.real:
-        with np.errstate(invalid="ignore"):  # a signalling NaN from the wire is a NaN, not a reason to warn
-            return shifted.astype(np.uint32).view(np.float32).astype(np.float64)
-    raw: Column = shifted.astype(f"{'i' if signal.signed else 'u'}{signal.bits // 8}")  # keeps the low bits
-    if signal.unknown is None:
-        return raw
-    values = raw.astype(np.float64)
-    divisor = round(1 / signal.scale)
-    # 474 / 1000 is the double nearest to 0.474; 474 x 0.001 is not.
-    if signal.scale < 1 and abs(signal.scale * divisor - 1) < 1e-9:
-        values /= divisor
-    elif signal.scale != 1:
-        values *= signal.scale
-    unknown = raw == signal.unknown
-    if unknown.any():
-        values[unknown] = np.nan
-    return values

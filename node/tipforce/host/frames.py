@@ -13,10 +13,30 @@ import numpy.typing as npt
 from tipforce.socketcan import raw_can_id
 
 if TYPE_CHECKING:
-    import can  # slow to import; what decodes a log or a simulation needs arrays only
+    import can  # only what it hands over is needed: a log of candump's is read without its 65 ms of import
 
-FRAME = np.dtype([("t_ns", "<i8"), ("can_id", "<u4"), ("length", "u1"), ("data", "u1", (8,))])
-"""One classic CAN frame: receive time in nanoseconds, SocketCAN can_id (flags included), data length, data."""
+FRAME = np.dtype(
+    [
+        ("t_ns", "<i8"),
+        ("can_id", "<u4"),
+        ("length", "u1"),
+        ("channel", "u1"),
+        ("flags", "u1"),
+        ("spare", "u1"),
+        ("data", "u1", (8,)),
+    ]
+)
+"""One classic CAN frame in 24 bytes: receive time in nanoseconds, SocketCAN can_id (flags included), data length,
+channel (an index into the source's list of interface names), flags (SENT), a zero, data.
+
+All numbers are aligned, and behind t_ns it is laid out as Linux' ``struct can_frame``.
+"""
+
+SENT = 1
+"""In ``flags``: this machine sent the frame itself (candump -x says TX, python-can's logs T)."""
+
+MAX_CHANNELS = 256
+"""How many interfaces ``channel`` can tell apart."""
 
 FrameArray = npt.NDArray[np.void]
 RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
@@ -24,7 +44,7 @@ RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
 
 def frame_array(frames: Iterable[RawFrame]) -> FrameArray:
     """Frames as (t_ns, can_id, data of at most 8 bytes) -> FRAME array, shape (n,); missing data bytes are zero."""
-    rows = [(t_ns, can_id, len(data), tuple(data.ljust(8, b"\0"))) for t_ns, can_id, data in frames]
+    rows = [(t_ns, can_id, len(data), 0, 0, 0, tuple(data.ljust(8, b"\0"))) for t_ns, can_id, data in frames]
     return np.array(rows, dtype=FRAME)
 
 
@@ -34,7 +54,7 @@ def raw_frame(message: can.Message) -> RawFrame:
 
 
 class FrameBuffer:
-    """Keeps every classic frame that a python-can Notifier hands it as its listener, until someone takes it.
+    """Keeps every classic frame that a python-can Notifier hands it, until someone takes it.
 
     ``limit`` bounds the memory: beyond it the oldest frames go and ``dropped`` counts them.
     """
@@ -50,7 +70,7 @@ class FrameBuffer:
         self.on_message_received(msg)
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Take one message."""
+        """Keep a frame."""
         if msg.is_fd:
             return
         with self._arrived:

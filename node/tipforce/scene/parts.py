@@ -40,10 +40,13 @@ _RECORDING = (
     "numpy",
 )  # fmt: skip
 _DECODER = (
-    "tipforce.host.decode", "tipforce.dictionary.signals", "tipforce.dictionary.rows", "tipforce.dictionary.types",
-    "numpy",
+    "tipforce.host.decode", "tipforce.host.decode_columns", "tipforce.dictionary.signals", "tipforce.dictionary.rows",
+    "tipforce.dictionary.types", "numpy",
 )  # fmt: skip
-_LOG = ("tipforce.host.candump", "tipforce.host.candump_errors", "tipforce.host.candump_format")
+_LOG = (
+    "tipforce.host.candump", "tipforce.host.candump_errors", "tipforce.host.candump_format", "tipforce.host.fd_frame",
+    "tipforce.host.frame_block",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

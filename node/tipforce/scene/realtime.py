@@ -68,7 +68,9 @@ def run_on_bus(
                 advance(1e-6 * t_us)
             _wait_until(start_s + duration_s)
             time.sleep(_SETTLE_S)
-    heard = [(int(t_ns), int(can_id), bytes(data[:n])) for t_ns, can_id, n, data in buffer.take_all().tolist()]
+    frames = buffer.take_all()
+    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "data"))
+    heard = [(t_ns, can_id, bytes(data[:n])) for t_ns, can_id, n, data in zip(*columns, strict=True)]
     for t_ns, can_id, data in sorted(heard + said, key=lambda row: row[0]):
         recording.add(max(0, (t_ns - epoch_ns) // 1000), can_id, data)
 

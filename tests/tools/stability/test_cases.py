@@ -12,7 +12,7 @@ from tipforce.device.storage import Storage
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
-from tipforce.host import candump, decode
+from tipforce.host import candump, decode, decode_columns
 from tipforce.sensor import calibration as fitting
 from tipforce.sensor import condition, contact, frame, scalar, scalar_parity
 from tipforce.sensor.dynamics import held, integrators, model, switched
@@ -195,7 +195,7 @@ FAULTS = (
     Fault("calibration.flipped_in_transit", calibration.Calibration, "commit", _without_crc),
     Fault("calibration.flipped_in_store", Storage, "read_blob", _unchecked),
     Fault("fit.plane_of_loads", fitting, "require_seen", _plain_residual),
-    Fault("wire.unknown", decode, "_number", _no_unknown),
+    Fault("wire.unknown", decode_columns, "_number", _no_unknown),
     Fault("wire.integer16_overflow", Channels, "_status", _silently_clamped),
     Fault("wire.short_pdo", decode.Decoder, "_drop_short", lambda _right: lambda *_arguments: None),
     Fault("clock.counter_wrap", decode, "unwrap_counter", _wrong_unwrap),

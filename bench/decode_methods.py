@@ -1,0 +1,177 @@
+"""One way to decode a log, in a process of its own: `python -m bench.decode_methods METHOD LOG` prints a JSON line.
+
+The time is the processor's, of the work alone: without start-up and imports. ``sum`` adds the first value of each
+PDO that is not unknown, where a method gets that far: the same for all of them.
+"""
+
+from __future__ import annotations
+
+import json
+import resource
+import sys
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from tipforce.host.frames import FrameArray
+
+DBC = Path(__file__).parents[1] / "dbc" / "tipforce.dbc"
+Result = dict[str, float]
+_UNKNOWN = -32768
+_BUS_EVENT_FLAGS = 0x06  # ASAM MDF 4.1, channel group: bus event, plain bus event
+_FIRST = {"Gauges": "SG1", "Contact": "P"}
+
+
+def parse(log: Path) -> Result:
+    """Text to frames."""
+    from tipforce.host.log_reader import open_log
+
+    return {"frames": sum(len(block) for block in open_log(log, strict=True))}
+
+
+def memory(log: Path) -> Result:
+    """Text to columns, block by block."""
+    from tipforce.host.decode import Decoder
+    from tipforce.host.log_reader import open_log
+
+    decoder, frames, decoded = Decoder(), 0, 0
+    with open_log(log, strict=True) as blocks:
+        for block in blocks:
+            frames += len(block)
+            decoded += sum(len(samples.row) for samples in decoder.decode(block).values())
+    return {"frames": frames, "decoded": decoded}
+
+
+def memory_sum(log: Path) -> float:
+    """What ``memory`` would have found: not timed, for the C program does it on the way and numpy in a further pass."""
+    import numpy as np
+
+    from tipforce.host.decode import Decoder
+    from tipforce.host.log_reader import open_log
+
+    decoder, total = Decoder(), 0.0
+    for block in open_log(log, strict=True):
+        for (_, name), samples in decoder.decode(block).items():
+            total += float(np.nansum(samples.columns[_FIRST[name]]))
+    return total
+
+
+def log_reader(log: Path) -> Result:
+    """python-can's reader alone."""
+    import can
+
+    return {"frames": sum(1 for _ in can.LogReader(log))}
+
+
+def log_reader_cantools(log: Path) -> Result:
+    """python-can's reader, and cantools for each message."""
+    import can
+
+    pairs = ((message.arbitration_id, bytes(message.data)) for message in can.LogReader(log))
+    return _by_cantools(pairs)
+
+
+def cantools_loop(log: Path) -> Result:
+    """A loop over the lines, and cantools for each."""
+    with log.open() as lines:
+        split = (line.split()[2].split("#") for line in lines)
+        return _by_cantools((int(can_id, 16), bytes.fromhex(data)) for can_id, data in split)
+
+
+def _by_cantools(pairs: Any) -> Result:
+    import cantools
+
+    database: Any = cantools.database.load_file(DBC)
+    messages = {message.frame_id: message for message in database.messages if message.length == 8}
+    frames = decoded = 0
+    total = 0.0
+    for can_id, data in pairs:
+        frames += 1
+        message = messages.get(can_id)
+        if message is not None:
+            first = next(iter(message.decode(data).values()))
+            decoded += 1
+            total += first if isinstance(first, float) else 0.0
+    return {"frames": frames, "decoded": decoded, "sum": total}
+
+
+def asammdf(log: Path) -> Result:
+    """asammdf: the frames of an MF4 (made before, not counted) decoded with the DBC."""
+    from asammdf import MDF
+
+    decoded, total = 0, 0.0
+    with MDF(log) as recording:
+        found = recording.extract_bus_logging({"CAN": [(str(DBC), 0)]})
+        for index, group in enumerate(found.groups):
+            names = {channel.name for channel in group.channels}
+            for first, per_unit in (("SG1", 10), ("P", 1000)):
+                if first in names:
+                    raw = found.get(first, group=index, raw=True).samples
+                    decoded += len(raw)
+                    total += float(raw[raw != _UNKNOWN].sum(dtype=float)) / per_unit
+    return {"frames": decoded, "decoded": decoded, "sum": total}
+
+
+def write_mf4(path: Path, frames: FrameArray) -> None:
+    """The frames as bus logging in MF4, as asammdf reads it (python-can's writer takes half a millisecond a frame)."""
+    import numpy as np
+    from asammdf import MDF, Signal, Source
+
+    kind = [
+        (f"CAN_DataFrame.{name}", "u1")
+        for name in ("BusChannel", "IDE", "DLC", "DataLength", "Dir", "EDL", "BRS", "ESI")
+    ]
+    kind += [("CAN_DataFrame.ID", "<u4"), ("CAN_DataFrame.DataBytes", "u1", (8,))]  # type: ignore[list-item]
+    samples = np.zeros(len(frames), dtype=kind)
+    samples["CAN_DataFrame.BusChannel"] = 1
+    samples["CAN_DataFrame.ID"] = frames["can_id"]
+    samples["CAN_DataFrame.DLC"] = samples["CAN_DataFrame.DataLength"] = frames["length"]
+    samples["CAN_DataFrame.DataBytes"] = frames["data"]
+    source = Source(source_type=Source.SOURCE_BUS, bus_type=Source.BUS_TYPE_CAN, name="CAN", path="CAN", comment="")
+    seconds = (frames["t_ns"] - frames["t_ns"][0]) / 1e9
+    with MDF(version="4.10") as recording:
+        signal = Signal(samples, seconds, name="CAN_DataFrame", source=source)
+        recording.append(signal, acq_name="CAN", acq_source=source)
+        recording.groups[-1].channel_group.flags = _BUS_EVENT_FLAGS
+        recording.save(path, overwrite=True)
+
+
+METHODS: dict[str, Callable[[Path], Result]] = {
+    "parse": parse,
+    "memory": memory,
+    "LogReader": log_reader,
+    "LogReader + cantools": log_reader_cantools,
+    "cantools loop": cantools_loop,
+    "asammdf": asammdf,
+}
+
+
+def peak_mb() -> float:
+    """The most memory that this process has had, in MB of 1e6 bytes.
+
+    Not ru_maxrss where there is something better: it is kept over exec, so a child shows its parent's peak.
+    """
+    status = Path("/proc/self/status")
+    if status.exists():
+        line = next(line for line in status.read_text().splitlines() if line.startswith("VmHWM"))
+        return int(line.split()[1]) * 1024 / 1e6
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
+
+
+def main() -> None:
+    """Run one method on one log, after a small log has brought in what it imports."""
+    method, log, warm_up = METHODS[sys.argv[1]], Path(sys.argv[2]), Path(sys.argv[3])
+    method(warm_up)
+    started_s = time.process_time()
+    result = method(log)
+    result["cpu_s"] = time.process_time() - started_s
+    result["peak_mb"] = peak_mb()
+    if method is memory:
+        result["sum"] = memory_sum(log)
+    print(json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

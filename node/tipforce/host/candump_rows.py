@@ -1,0 +1,220 @@
+"""Lines of candump's text that fit one template, as frames: all of them at once."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, STANDARD_MASK
+from tipforce.host.candump import CandumpParser
+from tipforce.host.candump_template import FRONT, Template
+from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.log_lines import Text
+from tipforce.host.swar import FIRST, Rows, Words, decimal, fill, hexadecimal
+
+_RETURN, _SPACE = 13, 32
+_EXTENDED_MASK = 0x1FFFFFFF
+_SECOND_NS = 1_000_000_000
+_FIRST_92 = 92  # of the ten digits of seconds
+_DATE = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", re.ASCII)
+_DATE_CHARACTERS = 19
+_SPACES = np.uint64(0x2020202020202020)
+_NO_LENGTH = np.uint64(255)
+_MAX_LENGTH = np.uint64(8)
+_LOG_DIGITS = 18  # of data, and one more for what is too long
+_LOG_LENGTH = np.array([n // 2 if n % 2 == 0 and n <= 16 else _NO_LENGTH for n in range(_LOG_DIGITS)], dtype=np.uint64)
+_LOG_KEEP = FIRST[np.clip(np.arange(_LOG_DIGITS) - np.array([[0], [8]]), 0, 8)]
+_SCREEN_KEEP = FIRST[np.clip(2 * np.arange(9) - np.array([[0], [8]]), 0, 8)]
+_32, _40, _48 = (np.uint64(number) for number in (32, 40, 48))
+
+Places = npt.NDArray[np.int64]
+
+
+class Block:
+    """The lines of a text, and the FRAMEs that they become: ``words`` (n, 3) are their words, ``kept`` (n,) says of
+    which lines."""
+
+    def __init__(self, text: Text, starts: Places, ends: Places, room: FrameArray | None = None) -> None:
+        self.text = text
+        self.starts = starts
+        self.ends = ends
+        frames = np.empty(len(starts), dtype=FRAME) if room is None or len(room) < len(starts) else room
+        self.words: Words = frames[: len(starts)].view(np.uint64).reshape(-1, 3)
+        self.kept: Rows = np.zeros(len(starts), dtype=np.bool_)
+
+    def line(self, row: int) -> bytes:
+        """The text of a line."""
+        return self.text[self.starts[row] : self.ends[row]].tobytes()
+
+    def frames(self) -> FrameArray:
+        """The frames of the lines that hold one."""
+        words = self.words if self.kept.all() else self.words[self.kept]
+        frames: FrameArray = words.view(FRAME)[:, 0]
+        return frames
+
+
+def take(block: Block, todo: Places, template: Template, channel: int, parser: CandumpParser) -> tuple[Places, Places]:
+    """Take those of the lines ``todo`` (k,) that fit: (the others, those that fit but are not right)."""
+    rows = _rows(block, todo, template)
+    fits = _fits(rows, template)
+    others = todo[:0]
+    if not fits.all():
+        others = todo[~fits]
+        rows, todo = rows[fits], todo[fits]
+    where: Places | slice = slice(None) if len(todo) == len(block.starts) else todo
+    line_ends, last = _without_return(block.text, block.ends[where])
+    t_ns, right = _time(rows, template, parser)
+    if template.length is None:
+        line_ends, sent = _without_way(block.text, line_ends, last)
+        digits, length, fitting = _log_data(rows, template, line_ends - block.starts[where])
+    else:
+        sent = np.uint64(SENT * template.sent)
+        digits, length, fitting = _screen_data(rows, template, line_ends - block.starts[where])
+    digits[2] = fill(_words(rows, template.identifier[0]), template.identifier[1])
+    values, valid = hexadecimal(digits)
+    can_id, known = _can_id(values[2].astype(np.uint32).byteswap(), template)
+    right &= valid
+    right &= known
+    right &= fitting
+    block.words[where, 0] = t_ns.view(np.uint64)
+    can_id |= length << _32 | np.uint64(channel) << _40 | sent << _48
+    block.words[where, 1] = can_id
+    block.words[where, 2] = values[0] | values[1] << _32
+    block.kept[where] = right
+    return others, todo[:0] if right.all() else todo[~right]
+
+
+def _rows(block: Block, todo: Places, template: Template) -> npt.NDArray[np.void]:
+    """A row of fixed width for each line: one gather through a view that overlaps itself."""
+    size = template.row_bytes
+    kind = np.dtype((np.void, size))
+    everywhere: npt.NDArray[np.void] = np.ndarray((len(block.text) - size + 1,), kind, block.text, strides=(1,))
+    starts = block.starts if len(todo) == len(block.starts) else block.starts[todo]
+    return everywhere[starts - FRONT]
+
+
+def _words(rows: npt.NDArray[np.void], offset: int) -> Words:
+    """Eight characters of each row, at any offset: a view."""
+    return np.ndarray((len(rows),), np.uint64, rows, offset, (rows.itemsize,))
+
+
+def _fits(rows: npt.NDArray[np.void], template: Template) -> Rows:
+    (offset, mask, value), *others = template.fixed
+    differs = (_words(rows, offset) & mask) ^ value
+    for offset, mask, value in others:
+        word = _words(rows, offset) & mask
+        word ^= value
+        differs |= word
+    fits: Rows = differs == 0
+    if template.extended and template.length is not None:  # there, candump indents 11-bit identifiers to this width
+        fits &= (_words(rows, template.identifier[0]) & FIRST[1]) != _SPACE
+    return fits
+
+
+def _time(rows: npt.NDArray[np.void], template: Template, parser: CandumpParser) -> tuple[Places, Rows]:
+    if not template.stamp:
+        return np.zeros(len(rows), dtype=np.int64), np.ones(len(rows), dtype=np.bool_)
+    *seconds, (offset, keep, unit) = template.stamp
+    value, right = decimal(_words(rows, offset), keep)
+    t_ns = value.view(np.int64)
+    if unit != 1:
+        t_ns *= unit
+    for offset, keep, unit in seconds:
+        words = _words(rows, offset)
+        first = words[:1] & keep
+        alike = bool(((words & keep) == first).all())  # of the seconds most digits are
+        value, valid = decimal(first if alike else words, keep)
+        if unit > _SECOND_NS:
+            valid &= value < _FIRST_92  # from there on the line parser knows where 64 bits end
+        if not valid.all():
+            right &= valid
+            value *= valid
+        t_ns += value.view(np.int64) * unit
+    if template.date is not None:
+        _add_dates(rows, template.date, parser, t_ns, right)
+    return t_ns, right
+
+
+def _add_dates(rows: npt.NDArray[np.void], offset: int, parser: CandumpParser, t_ns: Places, right: Rows) -> None:
+    """Add the seconds of candump -tA's dates: each date is read once, as long as it stays the same."""
+    changes = np.zeros(len(rows) - 1, dtype=np.bool_)
+    for place in (offset, offset + 8, offset + _DATE_CHARACTERS - 8):
+        words = _words(rows, place)
+        changes |= words[1:] != words[:-1]
+    firsts = np.concatenate(([0], np.flatnonzero(changes) + 1))
+    seconds = np.zeros(len(firsts), dtype=np.int64)
+    known = np.ones(len(firsts), dtype=np.bool_)
+    for number, first in enumerate(firsts.tolist()):
+        date = rows[first].tobytes()[offset : offset + _DATE_CHARACTERS].decode("latin-1")
+        try:
+            seconds[number] = parser.local_time(date)
+            known[number] = _DATE.fullmatch(date) is not None and 0 <= seconds[number] < 9_200_000_000
+        except ValueError:
+            known[number] = False
+    lengths = np.diff(np.append(firsts, len(rows)))
+    t_ns += np.repeat(seconds * known * _SECOND_NS, lengths)
+    right &= np.repeat(known, lengths)
+
+
+def _without_return(text: Text, ends: Places) -> tuple[Places, Text]:
+    """Line ends without a carriage return, and the characters before them."""
+    last = text[ends - 1]
+    returns = last == _RETURN
+    if returns.any():
+        ends = ends - returns
+        last = text[ends - 1]
+    return ends, last
+
+
+def _without_way(text: Text, ends: Places, last: Text) -> tuple[Places, Words | np.uint64]:
+    """Line ends without python-can's " R" or " T", and SENT as flag where that was a T."""
+    if (last <= ord("F")).all():
+        return ends, np.uint64(0)
+    way = ((last == ord("R")) | (last == ord("T"))) & (text[ends - 2] == _SPACE)
+    sent: Words = (way & (last == ord("T"))).astype(np.uint64) * np.uint64(SENT)
+    return ends - 2 * way, sent
+
+
+def _log_data(
+    rows: npt.NDArray[np.void], template: Template, length: Places
+) -> tuple[Words, Words | np.uint64, Rows | np.bool_]:
+    """(digits (3, n) with the last row free, data length (n,) or one for all, True) for lines of ``length`` (n,)."""
+    count = length - (template.data - FRONT)
+    digits = np.empty((3, len(rows)), dtype=np.uint64)
+    if (count == 16).all():
+        digits[0], digits[1] = _words(rows, template.data), _words(rows, template.data + 8)
+        return digits, _MAX_LENGTH, np.True_
+    place = np.minimum(count.view(np.uint64), np.uint64(_LOG_DIGITS - 1)).view(np.int64)  # negative is large
+    digits[0] = fill(_words(rows, template.data), _LOG_KEEP[0][place])
+    digits[1] = fill(_words(rows, template.data + 8), _LOG_KEEP[1][place])
+    length_bytes = _LOG_LENGTH[place]
+    return digits, length_bytes, length_bytes <= _MAX_LENGTH
+
+
+def _screen_data(
+    rows: npt.NDArray[np.void], template: Template, length: Places
+) -> tuple[Words, Words | np.uint64, Rows | np.bool_]:
+    """As ``_log_data``, for " 01 02"; also whether there are spaces between the bytes, and as many as said."""
+    assert template.length is not None
+    size = rows.itemsize
+    told = np.ndarray((len(rows),), np.uint8, rows, template.length, (size,)).astype(np.int64) - ord("0")
+    right = (told >= 0) & (told <= 8)
+    told *= right
+    right &= (length - (template.data - FRONT)) == 3 * told
+    spaces: Text = np.ndarray((len(rows), 8), np.uint8, rows, template.data, (size, 3)).copy()
+    right &= (spaces.view(np.uint64)[:, 0] ^ _SPACES) & FIRST[told] == 0
+    pairs = np.ndarray((len(rows), 8), np.uint16, rows, template.data + 1, (size, 3)).copy().view(np.uint64)
+    digits = np.empty((3, len(rows)), dtype=np.uint64)
+    digits[0] = fill(pairs[:, 0], _SCREEN_KEEP[0][told])
+    digits[1] = fill(pairs[:, 1], _SCREEN_KEEP[1][told])
+    return digits, told.astype(np.uint64), right
+
+
+def _can_id(number: npt.NDArray[np.uint32], template: Template) -> tuple[Words, Rows]:
+    if not template.extended:
+        return number.astype(np.uint64), number <= STANDARD_MASK
+    error = (number & np.uint32(ERROR_FLAG)) != 0
+    known = number <= np.uint32(ERROR_FLAG | _EXTENDED_MASK)
+    return np.where(error, number, number | np.uint32(EXTENDED_FLAG)).astype(np.uint64), known

@@ -1,0 +1,131 @@
+"""The shape of a line of candump's text: where in it the digits are, and which characters stand between them."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+import numpy as np
+
+from tipforce.host.swar import LAST
+
+FRONT = 8
+"""Bytes in front of a line that belong to its row, so that a word can end near the start of the line."""
+
+_STAMP = rb"\((?:(?P<seconds>[0-9]{1,10})\.|(?P<date>%s)\.)(?P<fraction>[0-9]{6}|[0-9]{9})\)" % (
+    rb"[0-9]{4}-[0-9][0-9]-[0-9][0-9] [0-9][0-9]:[0-9][0-9]:[0-9][0-9]"
+)
+_ID = rb"(?P<id>[0-9A-Fa-f]{8}|[0-9A-Fa-f]{3})"
+_NAME = rb"(?P<name>[A-Za-z][A-Za-z0-9_.:-]*)"
+_LOG = re.compile(_STAMP + rb" +" + _NAME + rb" +" + _ID + rb"#")
+_SCREEN = re.compile(
+    rb" *(?:" + _STAMP + rb" +)?" + _NAME + rb" +(?:(?P<way>[RT])X [-B] [-E] +)?" + _ID + rb" +\[(?P<length>[0-8])\] "
+)
+_LONGEST_HEAD = 96
+_SCREEN_DATA = 24  # " 00" for each of eight bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Template:
+    """Lines that differ in nothing but the digits of time, identifier, length and data.
+
+    A row is FRONT bytes, then the line; all offsets count from the start of the row. ``fixed``: (offset, mask, value)
+    of words, for what is the same in each line. ``stamp``: (offset, mask, ns per unit) of words of decimal digits;
+    ``date``: offset of the 19 characters of a date. ``identifier``: (offset, mask) of a word of hexadecimal digits.
+    ``data``: where the line's data start. ``length``: offset of the length, None in the log format.
+    """
+
+    name: str
+    row_bytes: int
+    fixed: tuple[tuple[int, np.uint64, np.uint64], ...]
+    stamp: tuple[tuple[int, np.uint64, int], ...]
+    date: int | None
+    identifier: tuple[int, np.uint64]
+    extended: bool
+    data: int
+    length: int | None
+    sent: bool
+
+    @property
+    def timed(self) -> bool:
+        """Whether the lines have a timestamp."""
+        return bool(self.stamp)
+
+
+class Templates:
+    """Finds the template of a line, and knows the ones it has made."""
+
+    def __init__(self) -> None:
+        self._made: dict[bytes, Template | None] = {}
+
+    def of(self, line: bytes) -> Template | None:
+        """The template of the lines that look like this one; None where this line is nothing for a template."""
+        match = _LOG.match(line) or _SCREEN.match(line)
+        if match is None or match.end() > _LONGEST_HEAD or (match["date"] and len(match["fraction"]) != 6):
+            return None
+        key = _key(match)
+        if key not in self._made:
+            if len(self._made) >= 1024:  # a text full of names must not fill the memory
+                self._made.clear()
+            self._made[key] = _template(match)
+        return self._made[key]
+
+
+def _digit_spans(match: re.Match[bytes]) -> list[tuple[int, int]]:
+    groups = match.groupdict()
+    return [match.span(name) for name in ("seconds", "date", "fraction", "id", "length") if groups.get(name)]
+
+
+def _key(match: re.Match[bytes]) -> bytes:
+    """The start of a line without its digits, and what the digits are told by."""
+    key = bytearray(match.group())
+    for start, stop in _digit_spans(match):
+        key[start:stop] = b"\0" * (stop - start)
+    return bytes(key)
+
+
+def _template(match: re.Match[bytes]) -> Template:
+    log = match.re is _LOG
+    way = None if log else match["way"]
+    end = match.end() + FRONT
+    row_bytes = 64 if end + (16 if log else _SCREEN_DATA) <= 64 else 128
+    stop = match.end("id") + FRONT
+    digits = len(match["id"])
+    return Template(
+        name=match["name"].decode(),
+        row_bytes=row_bytes,
+        fixed=_fixed(match),
+        stamp=_stamp(match),
+        date=match.start("date") + FRONT if match["date"] else None,
+        identifier=(stop - 8, LAST[digits]),
+        extended=digits == 8,
+        data=end,
+        length=None if log else match.start("length") + FRONT,
+        sent=way == b"T",
+    )
+
+
+def _fixed(match: re.Match[bytes]) -> tuple[tuple[int, np.uint64, np.uint64], ...]:
+    mask = bytearray(FRONT) + bytearray(b"\xff" * match.end()) + bytearray(8)
+    for start, stop in _digit_spans(match):
+        mask[start + FRONT : stop + FRONT] = bytes(stop - start)
+    value = bytes(FRONT) + match.group() + bytes(8)
+    found = []
+    for offset in range(FRONT, FRONT + match.end(), 8):
+        word_mask = int.from_bytes(mask[offset : offset + 8], "little")
+        word = int.from_bytes(value[offset : offset + 8], "little") & word_mask
+        if word_mask:
+            found.append((offset, np.uint64(word_mask), np.uint64(word)))
+    return tuple(found)
+
+
+def _stamp(match: re.Match[bytes]) -> tuple[tuple[int, np.uint64, int], ...]:
+    """Words of at most eight digits each, the fraction last."""
+    found = []
+    for name, unit in (("seconds", 1_000_000_000), ("fraction", 10 ** (9 - len(match["fraction"] or b"")))):
+        if match[name]:
+            stop, digits = match.end(name) + FRONT, len(match[name])
+            if digits > 8:
+                found.append((stop - 16, LAST[digits - 8], unit * 100_000_000))
+            found.append((stop - 8, LAST[min(digits, 8)], unit))
+    return tuple(found)

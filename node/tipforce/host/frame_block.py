@@ -1,0 +1,59 @@
+"""A block of frames with the names of their interfaces: what text, logs and live buses come as."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.fd_frame import FdFrame
+from tipforce.host.frames import FrameArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CandumpBlock:
+    """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): -x said TX.
+
+    ``timed`` is False where a line had no timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
+    """
+
+    frames: FrameArray
+    interface: npt.NDArray[np.uint16]
+    names: tuple[str, ...]
+    sent: npt.NDArray[np.bool_]
+    timed: bool = True
+    fd: tuple[FdFrame, ...] = ()
+
+    def __len__(self) -> int:
+        """All frames, CAN FD too."""
+        return len(self.frames) + len(self.fd)
+
+    def take(self, rows: npt.NDArray[np.bool_] | slice, fd_rows: npt.NDArray[np.bool_] | None = None) -> CandumpBlock:
+        """The block with ``rows`` of its classic frames only, and with ``fd_rows`` (None: all) of its FD frames."""
+        if isinstance(rows, slice):
+            kept_rows = np.zeros(len(self.frames), dtype=np.bool_)
+            kept_rows[rows] = True
+            rows = kept_rows
+        if fd_rows is None:
+            fd_rows = np.ones(len(self.fd), dtype=np.bool_)
+        row_now = np.concatenate(([0], np.cumsum(rows))).tolist()
+        fd = tuple(one._replace(row=row_now[one.row]) for one, kept in zip(self.fd, fd_rows, strict=True) if kept)
+        return CandumpBlock(self.frames[rows], self.interface[rows], self.names, self.sent[rows], self.timed, fd)
+
+    def head(self, count: int) -> CandumpBlock:
+        """The block with its first frames only, FD frames counted too."""
+        if count >= len(self):
+            return self
+        fd = [one for number, one in enumerate(self.fd) if one.row + number < count]
+        classic = count - len(fd)
+        return CandumpBlock(
+            self.frames[:classic], self.interface[:classic], self.names, self.sent[:classic], self.timed, tuple(fd)
+        )
+
+    def positions(self) -> npt.NDArray[np.intp]:
+        """Where each classic frame stands among all frames of the block: (n,)."""
+        rows = np.arange(len(self.frames))
+        if not self.fd:
+            return rows
+        return rows + np.searchsorted([one.row for one in self.fd], rows, side="right")

@@ -1,0 +1,218 @@
+"""A log's text as blocks of whole lines: plain, gzip or zstd, a file that is still growing, or stdin."""
+
+from __future__ import annotations
+
+import os
+import sys
+import time
+import zlib
+from collections.abc import Iterator
+from contextlib import suppress
+from io import FileIO
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.log_notes import UNREADABLE, LogNotes
+
+BLOCK_BYTES = 1 << 19
+"""Small enough that a block and what becomes of it stay in the processor's cache; and the longest line."""
+
+PADDING_BYTES = 256
+"""Memory before and behind the lines of a block, so that a reader may look past them."""
+
+TOO_LONG = "no candump line"
+_POLL_S = 0.05
+_GZIP, _ZSTD, _BOM = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\xef\xbb\xbf"
+_KEPT_BYTES = 1 << 24
+_ZSTD_STEP_BYTES = 1024  # bounds what one step can blow up to
+
+Text = npt.NDArray[np.uint8]
+
+
+class Readable(Protocol):
+    """What bytes are read from."""
+
+    def readinto(self, buffer: Any, /) -> int | None:
+        """Fill the start of ``buffer``; how many bytes, 0 at the end."""
+
+
+def open_file(path: Path) -> FileIO:
+    """A file, unbuffered. Raises InputError."""
+    try:
+        return FileIO(path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+
+
+def decompressed(file: FileIO, place: str) -> Readable:
+    """``file`` itself, or what it holds if it is gzip or zstd (by its first bytes, not by its name)."""
+    start = first_bytes(file)
+    if start.startswith(_GZIP):
+        return _Gzip(file)
+    return _Zstd(file, place) if start.startswith(_ZSTD) else file
+
+
+def first_bytes(file: FileIO) -> bytes:
+    """The first bytes of a file, which stay to be read; of a pipe none."""
+    with suppress(OSError):
+        return os.pread(file.fileno(), 16, 0)
+    return b""
+
+
+class LineBlocks:
+    """Blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``, uint8.
+
+    PADDING_BYTES before and behind them may be read too. The memory is used again for the next block. The last line
+    may lack its line end. A line of more than BLOCK_BYTES, and packed data that breaks off, are noted as bad.
+    ``source`` None is stdin: it gives what has arrived as soon as it has. ``follow`` waits for more at the end of a
+    file, and starts again with one that has become shorter. ``live``: somebody waits for each block.
+    """
+
+    def __init__(self, source: Path | None, notes: LogNotes, follow: bool = False) -> None:
+        """Raises InputError for a file that can't be opened, EnvironmentLackError when zstd is not installed."""
+        self._place = "stdin" if source is None else str(source)
+        self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
+        if source is None:
+            _widen(self._file)
+        try:
+            self._readable = decompressed(self._file, self._place)
+        except BaseException:
+            self._file.close()
+            raise
+        self._notes = notes
+        self._follow = follow and self._readable is self._file
+        self.live = source is None or self._follow
+        self._broken = False
+        _keep_freed_memory()
+        self._storage = bytearray(PADDING_BYTES + BLOCK_BYTES + PADDING_BYTES)
+        self._text: Text = np.frombuffer(self._storage, dtype=np.uint8)
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+
+    def __iter__(self) -> Iterator[tuple[Text, int, int]]:
+        storage = self._storage
+        begin = filled = PADDING_BYTES
+        skipping, first = False, True
+        while count := self._read(filled):
+            end = storage.rfind(b"\n", filled, filled + count) + 1
+            filled += count
+            if not end:
+                if filled == PADDING_BYTES + BLOCK_BYTES:
+                    skipping, filled = True, PADDING_BYTES
+                continue
+            if skipping:
+                begin = storage.index(b"\n", PADDING_BYTES) + 1
+                self._too_long()
+            elif first:
+                begin = self._behind_mark()
+            if begin < end:
+                yield self._text, begin, end
+            storage[PADDING_BYTES : PADDING_BYTES + filled - end] = storage[end:filled]
+            filled -= end - PADDING_BYTES
+            begin = PADDING_BYTES
+            skipping = first = False
+        if skipping:
+            self._too_long()
+        elif filled > PADDING_BYTES and not self._broken:
+            begin = self._behind_mark() if first else PADDING_BYTES
+            yield self._text, begin, filled
+
+    def _behind_mark(self) -> int:
+        """Where the text begins in the first block: behind a byte order mark."""
+        return PADDING_BYTES + (len(_BOM) if self._storage.startswith(_BOM, PADDING_BYTES) else 0)
+
+    def _read(self, filled: int) -> int:
+        """Append to the first ``filled`` bytes; 0 at the end."""
+        with memoryview(self._storage) as view:
+            while True:
+                try:
+                    count = self._readable.readinto(view[filled : PADDING_BYTES + BLOCK_BYTES]) or 0
+                except (OSError, EOFError, zlib.error) as error:
+                    self._broken = True
+                    self._notes.note_bad(UNREADABLE, f"{self._place}: breaks off: {error}")
+                    return 0
+                if count or not self._follow:
+                    return count
+                if os.fstat(self._file.fileno()).st_size < self._file.tell():
+                    self._file.seek(0)
+                else:
+                    time.sleep(_POLL_S)
+
+    def _too_long(self) -> None:
+        text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is no line of a log"
+        self._notes.note_bad(TOO_LONG, text)
+
+
+def _widen(file: FileIO) -> None:
+    """Make a pipe hold a whole block, where the system lets one (Linux): fewer and larger reads."""
+    with suppress(ImportError, AttributeError, OSError):
+        import fcntl
+
+        fcntl.fcntl(file.fileno(), fcntl.F_SETPIPE_SZ, BLOCK_BYTES)
+
+
+def _keep_freed_memory() -> None:
+    """Freed once, a large allocation makes the C library keep what is freed later, up to twice as much.
+
+    Without it, each block's arrays are handed back to the system and have to be mapped again: twice the time.
+    """
+    np.empty(_KEPT_BYTES, dtype=np.uint8)  # never written, so no memory is used
+
+
+class _Gzip:
+    """Unpacks gzip, and gives all that comes before the place where a file breaks off."""
+
+    def __init__(self, file: FileIO) -> None:
+        import gzip
+
+        self._file = gzip.GzipFile(fileobj=file)
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error where the file breaks off."""
+        return self._file.readinto1(buffer)
+
+
+class _Zstd:
+    """Unpacks zstd in steps of bounded size. zstandard's own stream reader takes a file that breaks off for whole."""
+
+    def __init__(self, file: FileIO, place: str) -> None:
+        try:
+            import zstandard
+        except ImportError:
+            raise EnvironmentLackError(f"{place} is zstd: `pip install 'tipforce[zstd]'`, or unpack it first") from None
+        self._file = file
+        self._library = zstandard
+        self._frame: Any = None
+        self._packed = b""
+        self._unpacked = memoryview(b"")
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Fill the start of ``buffer``. Raises EOFError where the file breaks off, OSError for what is no zstd."""
+        while not self._unpacked:
+            self._packed = self._packed or self._file.read(_ZSTD_STEP_BYTES)
+            if not self._packed:
+                if self._frame is not None:
+                    raise EOFError("the end of the zstd frame is missing")
+                return 0
+            self._step()
+        count = min(len(buffer), len(self._unpacked))
+        buffer[:count] = self._unpacked[:count]
+        self._unpacked = self._unpacked[count:]
+        return count
+
+    def _step(self) -> None:
+        if self._frame is None:
+            self._frame = self._library.ZstdDecompressor().decompressobj()
+        try:
+            self._unpacked = memoryview(self._frame.decompress(self._packed))
+        except self._library.ZstdError as error:
+            raise OSError(str(error)) from None
+        self._packed = b""
+        if self._frame.eof:
+            self._packed, self._frame = self._frame.unused_data, None

@@ -1,0 +1,63 @@
+"""What a reader of logs counts and keeps beside the frames."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
+from tipforce.errors import InputError
+from tipforce.host.frames import MAX_CHANNELS, FrameArray
+
+FD, ERROR, REMOTE, DROPPED = "CAN FD frame", "error frame", "remote frame", "frame dropped by candump"
+UNREADABLE = "unreadable"
+
+
+@dataclass(slots=True)
+class LogNotes:
+    """Beside the frames of a log: its ``channels`` by number, and what is not a data frame, counted.
+
+    ``bad`` counts lines or records that are not usable by reason, ``first_bad`` says where the first is and what was
+    expected. ``skipped`` counts what holds no data for a decoder: CAN FD frames (left out), error and remote frames
+    (delivered, with their flags), frames that candump itself had dropped. ``timed`` is False once a frame had no
+    timestamp; its ``t_ns`` is 0.
+    """
+
+    strict: bool = False
+    channels: list[str] = field(default_factory=list)
+    bad: dict[str, int] = field(default_factory=dict)
+    first_bad: str | None = None
+    skipped: dict[str, int] = field(default_factory=dict)
+    timed: bool = True
+
+    def skip(self, what: str, count: int = 1) -> None:
+        """Count something that holds no data for a decoder."""
+        if count:
+            self.skipped[what] = self.skipped.get(what, 0) + count
+
+    def note_bad(self, reason: str, text: str) -> None:
+        """Count what is not usable. Raises InputError with ``text``, if the log is read strictly."""
+        if self.strict:
+            raise InputError(text)
+        self.bad[reason] = self.bad.get(reason, 0) + 1
+        if self.first_bad is None:
+            self.first_bad = text
+
+    def channel(self, name: str) -> int | None:
+        """The number of an interface; None where there are too many already."""
+        if name in self.channels:
+            return self.channels.index(name)
+        if len(self.channels) >= MAX_CHANNELS:
+            return None
+        self.channels.append(name)
+        return len(self.channels) - 1
+
+    def count_special(self, frames: FrameArray) -> None:
+        """Count the error and remote frames of a block."""
+        special = frames["can_id"] & np.uint32(ERROR_FLAG | REMOTE_FLAG)
+        if special.any():
+            error: npt.NDArray[np.bool_] = special & np.uint32(ERROR_FLAG) != 0
+            self.skip(ERROR, int(error.sum()))
+            self.skip(REMOTE, int((special[~error] != 0).sum()))

@@ -1,0 +1,174 @@
+"""Where a decoder takes its layouts from, other than the dictionary: a DCF, a node asked over SDO, a DBC."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce.device.codes import EXTENDED_FLAG
+from tipforce.dictionary import table
+from tipforce.dictionary.eds_file import EdsFile, parse
+from tipforce.dictionary.signals import Message, Signal, tpdo_messages
+from tipforce.errors import InputError
+from tipforce.host.decode import MAX_COB_ID, Decoder, Key
+
+if TYPE_CHECKING:
+    from cantools.database.can import Message as DbcMessage
+    from cantools.database.can import Signal as DbcSignal
+
+    from tipforce.host.sdo import SdoChannel
+
+_DISABLED = 1 << 31
+_PRODUCT = 0x54500000
+_IDENTIFIER_MASK = 0x1FFFFFFF
+_OUR_NAME = re.compile(r"TIP(\d+)_(\w+)")
+_UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True, slots=True)
+class NodeLayout:
+    """The TPDOs of one node: by message name (can_id, 0 for disabled, and the mapping as (index, sub, bits))."""
+
+    node_id: int
+    gauges: int
+    pdos: dict[str, tuple[int, tuple[tuple[int, int, int], ...]]]
+
+
+def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
+    """A decoder of these nodes and no others.
+
+    Raises InputError for a repeated node-id, different numbers of gauges, and what ``Decoder.remap`` refuses.
+    """
+    given = list(layouts)
+    nodes = {layout.node_id for layout in given}
+    if len(nodes) < len(given):
+        raise InputError(f"node-ids {[layout.node_id for layout in given]}: each node has one layout")
+    gauges = {layout.gauges for layout in given} or {table.MIN_GAUGES}
+    if len(gauges) > 1:
+        raise InputError(f"nodes with {sorted(gauges)} gauges: one decoder takes nodes with the same number")
+    decoder = Decoder(gauges.pop(), nodes)
+    for layout in given:
+        for name, (can_id, mapping) in layout.pdos.items():
+            decoder.remap(layout.node_id, name, can_id, mapping)
+    return decoder
+
+
+def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
+    """The layout that a DCF (or an EDS, with ``node_id``) gives its node. Raises InputError for a file without one."""
+    try:
+        found = parse(Path(path).read_text(encoding="utf-8", errors="replace"))
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    section = found.sections.get("devicecomissioning")  # spelt so in CiA 306
+    text = section.get("NodeID") if section is not None else None
+    if node_id is None and text is None:
+        raise InputError(f"{path}: no NodeID in [DeviceComissioning]; give the node-id")
+    node = _number(path, "NodeID", text or "", 0) if node_id is None else node_id
+    product = _value(found, path, 0x1018, 2, node)
+    gauges = _gauges(product or 0, str(path))
+    pdos = {}
+    for number, message in enumerate(tpdo_messages(gauges)):
+        cob_id = _value(found, path, 0x1800 + number, 1, node)
+        if cob_id is None:
+            continue
+        count = _value(found, path, 0x1A00 + number, 0, node) or 0
+        words = [_value(found, path, 0x1A00 + number, sub, node) or 0 for sub in range(1, count + 1)]
+        pdos[message.name] = _pdo(str(path), cob_id, words)
+    return NodeLayout(node, gauges, pdos)
+
+
+def node_layout(sdo: SdoChannel) -> NodeLayout:
+    """The layout that a node says it has. Raises as ``SdoChannel.upload``, and InputError for no fingertip node."""
+
+    def number(index: int, sub: int) -> int:
+        return int.from_bytes(sdo.upload(index, sub), "little")
+
+    place = f"node {sdo.node_id}"
+    gauges = _gauges(number(0x1018, 2), place)
+    pdos = {}
+    for position, message in enumerate(tpdo_messages(gauges)):
+        words = [number(0x1A00 + position, sub) for sub in range(1, number(0x1A00 + position, 0) + 1)]
+        pdos[message.name] = _pdo(place, number(0x1800 + position, 1), words)
+    return NodeLayout(sdo.node_id, gauges, pdos)
+
+
+def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
+    """The messages of a DBC (or another database that cantools reads), for ``Decoder.of_messages``.
+
+    A message named as in tipforce's own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name).
+    A raw value that the file calls "unknown" becomes NaN. Multiplexed signals and containers are left out.
+    Raises InputError for a file that can't be read, and for signals beyond the eighth byte.
+    """
+    import cantools
+
+    try:
+        database = cantools.database.load_file(path)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from error
+    except Exception as error:  # each of its parsers has errors of its own
+        raise InputError(f"{path}: not a database that cantools reads: {error}") from error
+    messages = getattr(database, "messages", None)
+    if messages is None or not hasattr(database, "get_message_by_frame_id"):
+        raise InputError(f"{path}: holds no CAN messages")
+    found: dict[Key, tuple[int, Message]] = {}
+    alike: dict[Message, Message] = {}  # the same object for the same layout, so that nodes decode together
+    for message in messages:
+        if message.length <= 8:
+            key, can_id, layout = _dbc_message(path, message)
+            found[key] = can_id, alike.setdefault(layout, layout)
+    return found
+
+
+def _gauges(product: int, place: str) -> int:
+    gauges = product & 0xF
+    if product & 0xFFFFFEF0 != _PRODUCT or not table.MIN_GAUGES <= gauges <= table.MAX_GAUGES:
+        raise InputError(f"{place}: product code 0x{product:08X} is no tipforce node's (0x{_PRODUCT:08X} + gauges)")
+    return gauges
+
+
+def _pdo(place: str, cob_id: int, words: list[int]) -> tuple[int, tuple[tuple[int, int, int], ...]]:
+    can_id = 0 if cob_id & _DISABLED else cob_id & _IDENTIFIER_MASK
+    if can_id > MAX_COB_ID:
+        raise InputError(f"{place}: COB-ID 0x{cob_id:08X} of a TPDO: allowed are identifiers to 0x{MAX_COB_ID:X}")
+    return can_id, tuple((word >> 16, word >> 8 & 0xFF, word & 0xFF) for word in words)
+
+
+def _value(found: EdsFile, path: str | Path, index: int, sub: int, node_id: int) -> int | None:
+    section = found.entry(index, sub)
+    text = None if section is None else section.get("ParameterValue") or section.get("DefaultValue")
+    return None if not text else _number(path, f"0x{index:04X}:{sub:02X}", text, node_id)
+
+
+def _number(path: str | Path, place: str, text: str, node_id: int) -> int:
+    """A number as EDS files have it: a sum of numbers and $NODEID (CiA 306-1, 4.6.3)."""
+    try:
+        return sum(node_id if part.strip().upper() == "$NODEID" else int(part, 0) for part in text.split("+"))
+    except ValueError:
+        raise InputError(f"{path}: {place} = {text!r}: allowed are a number and $NODEID + a number") from None
+
+
+def _dbc_message(path: str | Path, message: DbcMessage) -> tuple[Key, int, Message]:
+    match = _OUR_NAME.fullmatch(message.name)
+    key = (int(match[1]), match[2]) if match else (0, message.name)
+    can_id = message.frame_id | EXTENDED_FLAG if message.is_extended_frame else message.frame_id
+    signals = tuple(_dbc_signal(path, message, signal) for signal in message.signals if not signal.multiplexer_ids)
+    layout = Message("tpdo", 0, key[1], 0, message.length, signals, (), True, 255, 0)
+    return key, can_id, layout
+
+
+def _dbc_signal(path: str | Path, message: DbcMessage, signal: DbcSignal) -> Signal:
+    big_endian = signal.byte_order == "big_endian"
+    start = signal.start
+    if big_endian:  # a DBC names the highest bit; here the lowest counts, from the end of the eighth byte
+        start = 63 - (8 * (start // 8) + 7 - start % 8) - (signal.length - 1)
+    if not 0 <= start <= 64 - signal.length:
+        raise InputError(f"{path}: signal {signal.name} of {message.name} is not within eight bytes")
+    unknown = [raw for raw, text in (signal.choices or {}).items() if str(text) == _UNKNOWN]
+    return Signal(
+        signal.name, start, signal.length, signal.is_signed, float(signal.scale), signal.unit or "",
+        float(signal.minimum or 0), float(signal.maximum or 0), int(unknown[0]) if unknown else None,
+        signal.comment or "", 0, 0, signal.is_float, float(signal.offset), big_endian,
+    )  # fmt: skip

@@ -1,0 +1,55 @@
+"""The sample counters of nodes over a whole recording that comes in blocks: unwrapped, gaps counted as lost samples."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.decode import Key, Samples, lost_samples, unwrap_counter
+
+COUNTER = "counter"
+_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC
+
+
+class SampleCounters:
+    """Goes on counting from block to block, per message of each node.
+
+    ``frames`` and ``lost`` count by (node-id, message name); ``lost`` only where a PDO is sent with SYNC, where each
+    sample is due. Without a counter among the decoded columns, there is nothing to count by.
+    """
+
+    def __init__(self) -> None:
+        self.frames: dict[Key, int] = {}
+        self.lost: dict[Key, int] = {}
+        self._last: dict[Key, tuple[npt.NDArray[np.uint8], int]] = {}
+
+    def add(self, found: Mapping[Key, Samples]) -> None:
+        """Count what a block of frames decoded to."""
+        for key, samples in found.items():
+            self.unwrapped(key, samples)
+
+    def unwrapped(self, key: Key, samples: Samples) -> npt.NDArray[np.int64] | None:
+        """Count the samples of one message, and return their counter as one that does not wrap: (k,), or None.
+
+        It goes on from the block before, and starts with the first value of all.
+        """
+        self.frames[key] = self.frames.get(key, 0) + len(samples.row)
+        counter = samples.columns.get(COUNTER)
+        if counter is None or not len(counter):
+            return None
+        last, count = self._last.get(key, (counter[:1], int(counter[0])))
+        joined = np.concatenate((last, counter))
+        unwrapped = unwrap_counter(joined)[1:] + (count - int(last[0]))
+        self._last[key] = counter[-1:].copy(), int(unwrapped[-1])
+        if 1 <= samples.message.transmission_type <= _LAST_CYCLIC_TYPE:
+            self.lost[key] = self.lost.get(key, 0) + lost_samples(joined)
+        return unwrapped
+
+    def lost_by_node(self) -> dict[int, int]:
+        """Lost samples by node-id: the most that any of its messages lost, for they carry the same counter."""
+        found: dict[int, int] = {}
+        for (node_id, _), lost in self.lost.items():
+            found[node_id] = max(found.get(node_id, 0), lost)
+        return found

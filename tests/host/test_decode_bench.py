@@ -1,0 +1,46 @@
+"""What the benchmark of decoding measures with: its logs, its floor in C, its comparison with cantools."""
+
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from bench.decode import FLOOR
+from bench.decode_check import different_values
+from bench.decode_log import hand_traffic, write_log
+from bench.decode_methods import cantools_loop, memory, memory_sum
+
+from tipforce.host.log_reader import open_log
+
+
+@pytest.fixture(params=[False, True], ids=["fixed", "variable"])
+def log(request: pytest.FixtureRequest, tmp_path: Path) -> Path:
+    path = tmp_path / "hand.log"
+    traffic = hand_traffic(20_000, 3, request.param, 5)
+    write_log(path, traffic)
+    np.testing.assert_array_equal(np.concatenate(list(open_log(path, strict=True))), traffic)
+    assert (len(set(traffic["length"].tolist())) > 1) == request.param
+    return path
+
+
+@pytest.mark.skipif(not shutil.which("gcc"), reason="needs a C compiler")
+def test_the_floor_in_c_finds_the_same(log: Path, tmp_path: Path) -> None:
+    floor = tmp_path / "floor"
+    subprocess.run(["gcc", "-O2", "-Wall", "-Wextra", "-Werror", "-o", floor, FLOOR], check=True)
+    frames, decoded, bad, total, _ = subprocess.run([floor, log], check=True, capture_output=True).stdout.split()
+    found = memory(log)
+    assert (int(frames), int(decoded), int(bad)) == (20_000, found["decoded"], 0)
+    np.testing.assert_allclose(float(total), memory_sum(log), rtol=1e-9)
+
+
+def test_cantools_finds_the_same(log: Path) -> None:
+    found = cantools_loop(log)
+    assert found["decoded"] == memory(log)["decoded"]
+    np.testing.assert_allclose(found["sum"], memory_sum(log), rtol=1e-9)
+
+
+def test_values_equal_cantools() -> None:
+    compared, different = different_values(3000, seed=8)
+    assert compared > 20_000
+    assert different == 0

@@ -1,0 +1,258 @@
+"""Logs of every format and in every state of repair: the frames, the counts, and never a traceback."""
+
+import gzip
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+import zstandard
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host import log_lines
+from tipforce.host.frames import SENT, FrameArray, frame_array
+from tipforce.host.log_reader import LogReader, log_kind, open_log
+
+LOGS = Path(__file__).parent / "logs"
+LINES = [f"(1700000000.{k:06d}) can{k % 2} {0x181 + k % 15:03X}#{k:016X}\n" for k in range(20_000)]
+TEXT = "".join(LINES).encode()
+
+
+def read(source: Path | str, **options: object) -> tuple[FrameArray, LogReader]:
+    with open_log(source, **options) as log:  # type: ignore[arg-type]
+        blocks = list(log)
+    assert all(len(block) for block in blocks)
+    return np.concatenate(blocks) if blocks else frame_array([]), log
+
+
+BROKEN = {
+    "bad_times.log": (2, {"timestamp": 5, "no candump line": 1}, {}),
+    "binary_junk.log": (2, {"no candump line": 2}, {}),
+    "byte_order_mark.log": (2, {}, {}),
+    "crlf.log": (4, {}, {}),
+    "cut_lines.log": (3, {"no candump line": 3, "data": 1}, {}),  # a cut line can be a good one
+    "empty.log": (0, {}, {}),
+    "far_years.log": (4, {"timestamp": 3}, {}),
+    "gzip_checksum.log.gz": (200, {"unreadable": 1}, {}),
+    "gzip_cut.log.gz": (None, {"unreadable": 1}, {}),
+    "gzip_empty.log.gz": (0, {"unreadable": 1}, {}),
+    "huge_line.log": (2, {"no candump line": 1, "length": 1}, {}),
+    "mixed_formats.log": (
+        7,
+        {"no candump line": 2},
+        {"CAN FD frame": 1, "error frame": 1, "remote frame": 2, "frame dropped by candump": 7},
+    ),
+    "no_interface.log": (2, {"no candump line": 3}, {}),
+    "no_last_line_end.log": (3, {}, {}),
+    "nul_bytes.log": (2, {"data": 1, "no candump line": 1}, {}),
+    "odd_digits.log": (2, {"data": 2, "identifier": 1}, {}),
+    "only_line_ends.log": (0, {}, {}),
+    "time_backwards.log": (5, {}, {}),
+    "too_long.log": (2, {"length": 4}, {}),
+    "wrong_hex.log": (2, {"data": 2, "identifier": 1}, {}),
+}
+
+
+def test_the_corpus_is_listed() -> None:
+    assert sorted(BROKEN) == sorted(path.name for path in LOGS.iterdir())
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_a_broken_log_gives_its_counts(name: str) -> None:
+    count, bad, skipped = BROKEN[name]
+    frames, log = read(LOGS / name)
+    assert (log.bad, log.skipped) == (bad, skipped)
+    assert (log.first_bad is None) == (not bad)
+    assert count is None or len(frames) == count
+
+
+@pytest.mark.parametrize("name", [name for name, (_, bad, _) in BROKEN.items() if bad])
+def test_strict_stops_at_the_first_bad_line_after_the_frames_before(name: str) -> None:
+    _, lenient = read(LOGS / name)
+    with open_log(LOGS / name, strict=True) as log:
+        blocks = iter(log)
+        if name != "gzip_empty.log.gz":
+            assert len(next(blocks)) > 0
+        with pytest.raises(InputError) as caught:
+            next(blocks)
+    assert str(caught.value) == lenient.first_bad
+
+
+def test_a_cut_gzip_gives_what_comes_before_the_cut(tmp_path: Path) -> None:
+    path = tmp_path / "x.log.gz"
+    packed = gzip.compress(TEXT)
+    path.write_bytes(packed[: len(packed) // 2])
+    frames, log = read(path)
+    assert 5000 < len(frames) < len(LINES)
+    assert log.bad["unreadable"] == 1
+    np.testing.assert_array_equal(frames["t_ns"], 1_700_000_000_000_000_000 + np.arange(len(frames)) * 1000)
+
+
+def test_times_go_back_as_they_are() -> None:
+    frames, _ = read(LOGS / "time_backwards.log")
+    assert (frames["t_ns"] - 1_700_000_000_000_000_000).tolist() == [5000, 4000, 3000, 2000, 9000]
+
+
+def cut(packed: bytes) -> bytes:
+    return packed[: len(packed) * 2 // 3]
+
+
+@pytest.mark.parametrize("pack", [bytes, gzip.compress, zstandard.compress], ids=["plain", "gzip", "zstd"])
+@pytest.mark.parametrize("name", ["a.log", "b.txt", "without_suffix", "c.log.gz"])
+def test_packed_or_not_by_the_first_bytes(tmp_path: Path, pack: Callable[[bytes], bytes], name: str) -> None:
+    path = tmp_path / name
+    path.write_bytes(pack(TEXT))
+    frames, log = read(path, strict=True)
+    assert log.channels == ["can0", "can1"]
+    np.testing.assert_array_equal(frames["channel"], np.arange(len(LINES)) % 2)
+    np.testing.assert_array_equal(frames["data"].view(">u8")[:, 0], np.arange(len(LINES)))
+
+
+def test_zstd_in_several_frames_and_cut(tmp_path: Path) -> None:
+    path = tmp_path / "x.zst"
+    halves = [zstandard.compress(part) for part in (TEXT[: len(TEXT) // 2], TEXT[len(TEXT) // 2 :])]
+    path.write_bytes(b"".join(halves))
+    assert len(read(path)[0]) == len(LINES)
+    path.write_bytes(halves[0] + cut(halves[1]))
+    frames, log = read(path)
+    assert log.bad == {"unreadable": 1, **{reason: 1 for reason in log.bad if reason != "unreadable"}}
+    assert len(frames) >= len(LINES) // 2 - 1
+    path.write_bytes(halves[0] + b"rubbish behind it")
+    assert read(path)[1].bad["unreadable"] == 1
+
+
+def test_zstd_without_its_library_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "x.zst"
+    path.write_bytes(zstandard.compress(TEXT))
+    monkeypatch.setitem(sys.modules, "zstandard", None)
+    with pytest.raises(EnvironmentLackError, match=r"pip install 'tipforce\[zstd\]'"):
+        open_log(path)
+
+
+def test_lines_across_blocks_and_lines_longer_than_a_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(log_lines, "BLOCK_BYTES", 4096)
+    path = tmp_path / "x.log"
+    long = b"x" * 10_000 + b"\n"
+    path.write_bytes(TEXT[: 46 * 100] + long + TEXT[46 * 100 : 46 * 101] + long + b"y" * 5000)
+    frames, log = read(path)
+    assert len(frames) == 101
+    assert log.bad == {"no candump line": 3}
+    assert log.first_bad == f"{path}: a line of more than 4096 bytes is no line of a log"
+
+
+def test_a_part_by_time() -> None:
+    start = 1_700_000_000_000_003_000
+    frames, _ = read(LOGS / "time_backwards.log", start_ns=start, end_ns=start + 2000)
+    assert (frames["t_ns"] - start).tolist() == [1000, 0]
+    with pytest.raises(InputError, match="no timestamps"):
+        read(LOGS / "mixed_formats.log", start_ns=start)
+
+
+def test_follow_a_file_that_grows_and_starts_again(tmp_path: Path) -> None:
+    path = tmp_path / "x.log"
+    path.write_text(LINES[0] + LINES[1][:20])
+    log = open_log(path, follow=True)
+    blocks = iter(log)
+    assert len(next(blocks)) == 1
+
+    def grow() -> None:
+        with path.open("a") as file:
+            file.write(LINES[1][20:] + LINES[2])
+
+    thread = threading.Timer(0.1, grow)
+    thread.start()
+    assert next(blocks)["data"][:, 7].tolist() == [1, 2]
+    thread.join()
+    thread = threading.Timer(0.1, path.write_text, [LINES[7]])
+    thread.start()
+    assert next(blocks)["data"][:, 7].tolist() == [7]
+    thread.join()
+    log.close()
+
+
+def test_stdin_gives_what_has_arrived() -> None:
+    program = "from tipforce.host.log_reader import open_log\nfor block in open_log('-'): print(len(block), flush=True)"
+    with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
+        assert process.stdin is not None
+        assert process.stdout is not None
+        for count in (1, 3):
+            process.stdin.write("".join(LINES[:count]).encode())
+            process.stdin.flush()
+            assert int(process.stdout.readline()) == count
+        process.stdin.close()
+        assert process.wait(10) == 0
+
+
+START = 1_700_000_000
+MESSAGES = [
+    can.Message(START + 0.25, 0x285, is_extended_id=False, data=bytes(range(8)), channel=0),
+    can.Message(START + 0.5, 0x1234567, data=b"\x07", channel=0),
+    can.Message(START + 1.5, 0x181, is_extended_id=False, is_remote_frame=True, dlc=3, channel=0),
+]
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".trc", ".log", ".asc.gz"])
+def test_what_python_can_writes(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"x{suffix}"
+    with can.Logger(path) as writer:
+        for message in MESSAGES:
+            writer(message)
+        if suffix == ".db":
+            time.sleep(0.2)  # its writer loses rows when it is closed right after
+    frames, log = read(path)
+    assert log.bad == {}
+    expected = [0x285, 0x81234567, 0x40000181]
+    if suffix == ".trc":
+        expected.pop()  # its writer and its reader do not agree on remote frames
+        frames = frames[frames["can_id"] & 0x40000000 == 0]
+    assert frames["can_id"].tolist() == expected
+    remote_length = 0 if suffix == ".log" else 3  # its writer drops that length
+    assert frames["length"].tolist() == [8, 1, remote_length][: len(expected)]
+    assert frames["data"][0].tolist() == list(range(8))
+    steps = np.diff(frames["t_ns"]) / 1e9
+    np.testing.assert_allclose(steps, [0.25, 1.0][: len(steps)], atol=2e-3 if suffix == ".asc.gz" else 1e-3)
+    assert not (frames["flags"] & SENT).any()
+
+
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".csv", ".db", ".mf4", ".trc"])
+def test_junk_under_any_name_is_no_traceback(tmp_path: Path, suffix: str) -> None:
+    path = tmp_path / f"x{suffix}"
+    random = np.random.default_rng(3)
+    for junk in (b"", b"hello\n", bytes(1000), random.bytes(5000), b"1.0 1 285x Rx d 8 00\n1.1 x\n"):
+        path.write_bytes(junk)
+        with suppress(InputError):
+            assert len(read(path)[0]) == 0
+
+
+def test_a_cut_blf_gives_what_it_has(tmp_path: Path) -> None:
+    path = tmp_path / "x.blf"
+    with can.BLFWriter(path) as writer:
+        for k in range(20_000):
+            writer(
+                can.Message(timestamp=1.7e9 + k * 1e-3, arbitration_id=0x181, data=k.to_bytes(8), is_extended_id=False)
+            )
+    path.write_bytes(cut(path.read_bytes()))
+    frames, log = read(path)
+    assert 1000 < len(frames) < 20_000
+    assert sum(log.bad.values()) <= 1
+
+
+def test_what_can_not_be_opened(tmp_path: Path) -> None:
+    for name in ("missing.log", "missing.blf"):
+        with pytest.raises(InputError, match="No such file"):
+            open_log(tmp_path / name)
+    with pytest.raises(InputError, match="Is a directory"):
+        open_log(tmp_path)
+
+
+def test_kinds(tmp_path: Path) -> None:
+    path = tmp_path / "x.blf.GZ"
+    path.write_bytes(b"")
+    assert log_kind(path) == "messages"
+    assert log_kind(LOGS / "crlf.log") == "text"
