@@ -156,6 +156,7 @@ def test_filters(targets: list[str], shown: int, log: Path, capsys: pytest.Captu
         (["missing.log"], "missing.log: no such file"),
         (["-", "-"], "only one"),
         (["-L", "-e", "-"], "-L and -e"),
+        (["-L", "-a", "-"], "-L and -a"),
     ],
 )
 def test_usage_errors(words: list[str], message: str, capsys: pytest.CaptureFixture[str]) -> None:
@@ -170,6 +171,49 @@ def test_timestamps_that_the_text_has_not(tmp_path: Path, capsys: pytest.Capture
     assert "no timestamps" in capsys.readouterr().err
 
 
+FD = """\
+(1700000000.000000) vcan0 285##52E1129239A110303
+(1700000000.000100) vcan0 285#2E1129239A110303
+(1700000000.000200) vcan1 12345678##0000102030405060708090A0B
+(1700000000.000300) vcan0 123##1
+"""
+
+
+def test_can_fd_frames_are_shown_counted_and_filtered_but_not_decoded(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def shown(text: str, *words: str) -> str:
+        path = tmp_path / "run.log"
+        path.write_text(text)
+        assert main(["dump", *words, str(path)]) == 0
+        return capsys.readouterr().out
+
+    lines = FD.splitlines(keepends=True)
+    assert shown(FD, "-L") == FD
+    assert shown(FD, "-L", "-n", "3") == "".join(lines[:3])
+    assert shown(FD, "-L", "vcan0,285:7FF") == "".join(lines[:2])
+    assert shown(FD, "-x", "--decode") == (
+        "  vcan0  RX B -  285  [08]  2E 11 29 23 9A 11 03 03\n"
+        "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03  node 5 (0x05) Contact  "
+        "P=4.398 N phi=90.01 deg theta=45.06 deg contact calibrated #3\n"
+        "  vcan1  RX - -  12345678  [12]  00 01 02 03 04 05 06 07 08 09 0A 0B\n"
+        "  vcan0  RX B -       123  [00] \n"
+    )
+    screen = shown(FD, "-ta", "-x")
+    assert shown(screen, "-ta", "-x") == screen
+    found = records(shown(FD, "--json", "--decode"))
+    assert [record.get("fd", False) for record in found] == [True, False, True, True]
+    assert found[0]["bit_rate_switch"]
+    assert "values" in found[1]
+
+
+def test_ascii(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", "-a", "-n", "4", str(log)]) == 0
+    assert [line.partition("   '")[2] for line in capsys.readouterr().out.splitlines()] == [
+        "..)#....'", "........'", "........'", "'",
+    ]  # fmt: skip
+
+
 def test_count(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["dump", "-n", "2", str(log)]) == 0
     assert len(capsys.readouterr().out.splitlines()) == 2
@@ -178,13 +222,13 @@ def test_count(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 def test_what_was_left_out_is_told_at_the_end() -> None:
     text = GOOD + "rubbish\nmore\n(1700000000.000000) vcan0 123##50001\n(1700000000.0) vcan0 123#00\n"
     done = piped(text + "(1700000002.000000) vcan0 285#00\n", "--decode", "-")
-    assert (done.returncode, len(done.stdout.splitlines())) == (0, 8)
+    assert (done.returncode, len(done.stdout.splitlines())) == (0, 9)
+    assert "  vcan0       123  [02]  00 01\n" in done.stdout
     lines = done.stderr.splitlines()
     assert lines[0].startswith(
         "tipforce dump: 3 bad lines left out (2 no candump line, 1 timestamp), first line 8: 'rubbish': "
     )
     assert lines[1:] == [
-        "tipforce dump: 1 CAN FD frame left out",
         "tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded",
     ]
     assert piped(text, "-q", "-").stderr == ""

@@ -1,27 +1,28 @@
 """`tipforce dump` on buses: python-can's virtual bus, and the SocketCAN reader over sockets that carry can_frames."""
 
 import argparse
+import errno
 import json
 import socket
 import struct
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+import time
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import can
-import numpy as np
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.dump import live_source
-from tipforce_tools.dump.live_source import LiveSource
-from tipforce_tools.dump.targets import Target, parse_target
+from tipforce.host import receive, recvmmsg
+from tipforce.host.can_filter import Selection
+from tipforce_tools.dump.targets import Target
+from tipforce_tools.live import open_targets
 from tipforce_tools.main import main
 
 CONTACT = bytes.fromhex("2E1129239A110303")
-SO_TIMESTAMPNS = 35
 
 
 @contextmanager
@@ -67,7 +68,8 @@ def test_filters_remote_and_fd(capsys: pytest.CaptureFixture[str]) -> None:
     with sending("dump2", *sent):
         assert main(["dump", "-i", "virtual", "-n", "2", "--json", "dump2,285~7FF"]) == 0
     found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
-    assert [(record["id"], record.get("length"), record.get("error")) for record in found] == 2 * [("181", 4, None)]
+    shown = {(record["id"], record.get("length"), record.get("fd"), record.get("error")) for record in found}
+    assert shown == {("181", 4, None, None), ("123", None, True, None)}
     with sending("dump2", *sent):
         assert main(["dump", "-i", "virtual", "-n", "1", "dump2,0~0,#4"]) == 0
     assert capsys.readouterr().out == "  dump2  20000004   [8]  00 00 00 00 00 00 00 00   ERRORFRAME\n"
@@ -102,71 +104,86 @@ def test_a_bus_that_fails_later(monkeypatch: pytest.MonkeyPatch, capsys: pytest.
     assert "the interface went down" in capsys.readouterr().err
 
 
-class SocketBus:
-    """What LiveSource uses of python-can's SocketcanBus."""
-
-    def __init__(self, one: socket.socket) -> None:
-        self.socket = one
-
-    def __enter__(self) -> "SocketBus":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.socket.close()
-
-
 @pytest.fixture
-def source(monkeypatch: pytest.MonkeyPatch) -> Iterator[Callable[..., tuple[LiveSource, list[socket.socket]]]]:
-    """A LiveSource over datagram sockets, and where to send its frames."""
-    senders: list[socket.socket] = []
+def buses(monkeypatch: pytest.MonkeyPatch) -> Iterator[dict[str, socket.socket]]:
+    """Datagram sockets in place of raw CAN sockets, and by channel where to send their frames."""
+    senders: dict[str, socket.socket] = {}
+    opened: list[socket.socket] = []
 
-    def open_bus(_target: Target, _args: argparse.Namespace, _named: bool) -> SocketBus:
+    def open_socket(channel: str, _selection: Selection) -> socket.socket:
         receiver = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         receiver.bind(("127.0.0.1", 0))
-        receiver.setsockopt(socket.SOL_SOCKET, SO_TIMESTAMPNS, 1)
-        sender = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        sender.connect(receiver.getsockname())
-        senders.append(sender)
-        return SocketBus(receiver)
+        receive.prepare_socket(receiver)
+        senders[channel] = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        senders[channel].connect(receiver.getsockname())
+        opened.append(senders[channel])
+        return receiver
 
-    monkeypatch.setattr(socket, "AF_CAN", socket.AF_INET, raising=False)
-    monkeypatch.setattr(live_source, "_open_bus", open_bus)
-    monkeypatch.setattr(live_source, "_configure", lambda _socket, _target: None)
-    yield lambda *targets: (LiveSource([parse_target(text) for text in targets], argparse.Namespace()), senders)
-    for sender in senders:
+    monkeypatch.setattr(receive, "open_socket", open_socket)
+    yield senders
+    for sender in opened:
         sender.close()
 
 
-def test_socketcan_frames(source: Callable[..., tuple[LiveSource, list[socket.socket]]]) -> None:
-    live, (first, second) = source("vcan0", "can1")
-    with live:
+@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+def test_socketcan_frames(buses: dict[str, socket.socket], capsys: pytest.CaptureFixture[str]) -> None:
+    def send() -> None:
+        while len(buses) < 2:
+            time.sleep(0.005)
+        time.sleep(0.05)
         for k in range(3):
-            first.send(struct.pack("=IB3x8s", 0x285, 8, CONTACT))
-            second.send(struct.pack("=IB3x8s", 0x80000123, 1, bytes([k])))
-        first.send(bytes(72))
-        blocks = list(live.blocks(timeout_ms=200))
-    assert live.fd_frames == 1
-    frames = np.concatenate([block.frames for block in blocks])
-    interface = np.concatenate([block.interface for block in blocks])
-    assert blocks[-1].names == ("vcan0", "can1")
-    for block in blocks:
-        assert block.frames["t_ns"].tolist() == sorted(block.frames["t_ns"])
-    assert (frames["t_ns"] % 1000 != 0).any()  # nanoseconds, as the kernel has them
-    assert frames["data"][interface == 0].tobytes() == 3 * CONTACT
-    assert frames["data"][interface == 1, 0].tolist() == [0, 1, 2]
-    assert frames["length"][interface == 1].tolist() == [1, 1, 1]
+            buses["vcan0"].send(struct.pack("=IB3x8s", 0x285, 8, CONTACT))
+            buses["can1"].send(struct.pack("=IB3x8s", 0x80000123, 1, bytes([k])))
+        buses["vcan0"].send(struct.pack("=IBB2x64s", 0x285, 12, 3, bytes(64)))
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    assert main(["dump", "-x", "vcan0", "can1", "-n", "7"]) == 0
+    thread.join()
+    assert sorted(capsys.readouterr().out.splitlines()) == sorted(
+        [
+            "  vcan0  RX - -  285   [8]  2E 11 29 23 9A 11 03 03",
+            *2 * ["  vcan0  RX - -       285   [8]  2E 11 29 23 9A 11 03 03"],
+            *(f"   can1  RX - -  00000123   [1]  0{k}" for k in range(3)),
+            "  vcan0  RX B E       285  [12] " + 12 * " 00",
+        ]
+    )
 
 
+@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
+def test_an_interface_that_goes_down(
+    buses: dict[str, socket.socket], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    down = [OSError(errno.ENETDOWN, "Network is down")]
+    read = recvmmsg.DatagramBatch.read
+
+    def fail_once(batch: recvmmsg.DatagramBatch) -> int:
+        if down:
+            raise down.pop()
+        buses["vcan0"].send(struct.pack("=IB3x8s", 0x123, 0, b""))
+        return read(batch)
+
+    monkeypatch.setattr(recvmmsg.DatagramBatch, "read", fail_once)
+    assert main(["dump", "-D", "-n", "1", "vcan0"]) == 0
+    out, err = capsys.readouterr()
+    assert out == "  vcan0  123   [0] \n"
+    assert "vcan0: interface down" in err
+    down.append(OSError(errno.ENETDOWN, "Network is down"))
+    assert main(["dump", "-n", "1", "vcan0"]) == 2
+    assert "vcan0: interface down" in capsys.readouterr().err
+
+
+@pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
 def test_a_bus_that_can_not_be_opened_closes_the_others(monkeypatch: pytest.MonkeyPatch) -> None:
-    opened: list[SocketBus] = []
+    opened: list[socket.socket] = []
 
-    def open_bus(target: Target, _args: argparse.Namespace, _named: bool) -> SocketBus:
-        if target.channel == "bad":
+    def open_socket(channel: str, _selection: Selection) -> socket.socket:
+        if channel == "bad":
             raise EnvironmentLackError("no such interface")
-        opened.append(SocketBus(socket.socket()))
+        opened.append(socket.socket(socket.AF_INET, socket.SOCK_DGRAM))
         return opened[-1]
 
-    monkeypatch.setattr(live_source, "_open_bus", open_bus)
+    monkeypatch.setattr(receive, "open_socket", open_socket)
     with pytest.raises(EnvironmentLackError):
-        LiveSource([Target("good"), Target("bad")], argparse.Namespace())
-    assert opened[0].socket.fileno() == -1
+        open_targets([Target("good"), Target("bad")], argparse.Namespace(interface="socketcan"))
+    assert opened[0].fileno() == -1

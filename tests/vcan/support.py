@@ -36,7 +36,8 @@ _context.set_forkserver_preload(
         "tipforce.fingertip.loop", "tipforce.fingertip.node", "tipforce.fingertip.store", "tipforce.dictionary.eds",
         "tipforce.sensor.strain",
         *(f"tipforce_tools.{name}" for name in ("main", "node", "sdo", "scan", "config", "calibrate", "layout_file")),
-        *(f"tipforce_tools.dump.{name}" for name in ("command", "session", "live_source")),
+        *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
+        "tipforce.host.receive_group", "tipforce.host.send", "tipforce_tools.log.writers",
     ]
 )  # fmt: skip
 
@@ -121,6 +122,11 @@ class Command:
         """What it has written so far."""
         return self._outputs[1].read_text()
 
+    @property
+    def ended(self) -> bool:
+        """Has the process ended?"""
+        return (self._popen.poll() if self._popen else self._forked.exitcode if self._forked else 0) is not None
+
     def wait(self, timeout_s: float = WAIT_S) -> int:
         """Its exit code, or minus the number of the signal that ended it. Raises AssertionError after the time."""
         code: int | None = None
@@ -144,8 +150,7 @@ class Command:
 
     def close(self) -> None:
         """End the process if it still runs."""
-        ended = self._popen.poll() if self._popen else self._forked.exitcode if self._forked else 0
-        if ended is None:
+        if not self.ended:
             self.end(signal.SIGKILL)
         if self._forked is not None:
             self._forked.close()

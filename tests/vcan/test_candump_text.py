@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import signal
 import subprocess
 from collections.abc import Callable
@@ -44,8 +43,6 @@ SCREEN: tuple[Words, ...] = (
     ("vcan0,185~7FF",),
 )
 OPTIONS = (LOG, *SCREEN)
-_STAMP = re.compile(r"^\((\d+\.\d{6})\) ")
-_FD_LINE = re.compile(r"  \[\d\d\]  |##")  # candump on the screen, and in its log format
 
 
 def between_markers(text: str) -> list[str]:
@@ -95,28 +92,15 @@ def texts(tmp_path_factory: pytest.TempPathFactory) -> dict[Words, Texts]:
         }
 
 
-@pytest.mark.parametrize("words", SCREEN, ids=" ".join)
+@pytest.mark.parametrize("words", OPTIONS, ids=" ".join)
 def test_text_is_candumps_byte_for_byte(texts: dict[Words, Texts], words: Words) -> None:
     ours, theirs, said = texts[words]
-    classic = [line for line in theirs if not _FD_LINE.search(line)]
-    assert len(classic) == len(theirs) - 1, "the FD frame"
-    assert ours == classic
+    assert ours == theirs
     assert len(ours) >= 2 + 9, "the markers, and 123h with 0 to 8 bytes"
-    assert "1 CAN FD frame left out" in said
+    assert sum("[03]" in line or "##" in line for line in ours) == 1, "the FD frame"
+    if words == LOG:
+        assert len(ours) == 2 + len(FRAMES) + 1 + len(CANGENS) * GENERATED
     assert "Traceback" not in said
-
-
-def test_log_text_is_candumps_except_for_the_time(texts: dict[Words, Texts]) -> None:
-    ours, theirs, _ = texts[LOG]
-    classic = [line for line in theirs if not _FD_LINE.search(line)]
-    assert [_STAMP.sub("", line) for line in ours] == [_STAMP.sub("", line) for line in classic]
-    assert len(ours) == 2 + len(FRAMES) + len(CANGENS) * GENERATED
-    for our, their in zip(ours, classic, strict=True):
-        stamps = _STAMP.match(our), _STAMP.match(their)
-        assert stamps[0] is not None, our
-        assert stamps[1] is not None, their
-        # Both read the kernel's time of the same frame.
-        assert float(stamps[0][1]) == pytest.approx(float(stamps[1][1]), abs=0.005)
 
 
 def test_two_buses_with_their_own_filters_are_shown_together(launch: Launch, tmp_path: Path) -> None:

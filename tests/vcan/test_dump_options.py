@@ -1,11 +1,20 @@
-"""`tipforce dump` beside the real candump on a real vcan: the same bytes, timestamps included."""
+"""`tipforce dump` beside the real candump on a real vcan, option by option: the same bytes, time stamps included."""
 
+from __future__ import annotations
+
+import random
 import socket
 import struct
 import subprocess
-import sys
 import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
+
+import pytest
+
+from tipforce.host.fd_frame import LENGTHS
+from vcan.support import WAIT_S, Command, peer, wait_until
 
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"
 WORDS = [
@@ -15,16 +24,21 @@ WORDS = [
     ["-tz", EVERYTHING],
     ["-td", EVERYTHING],
     ["-tA", EVERYTHING],
-    ["-x", "-e", EVERYTHING],
+    ["-e", EVERYTHING],
+    ["-x", EVERYTHING],
+    ["-a", EVERYTHING],
+    ["-x", "-e", "-a", "-tz", EVERYTHING],
     ["-L", "-x", EVERYTHING],
+    ["-n", "37", "-ta", EVERYTHING],
     ["any"],
+    ["any,0:0,#FFFFFFFF", "-x", "-L"],
     ["vcan0,181:7FF,00000123:DFFFFFFF,#4"],
     ["vcan0,181~7FF"],
     ["vcan0,180:780,1:1,j"],
     ["vcan0,12345678:DFFFFFFF"],
     ["vcan0,#FFFFFFFF"],
 ]
-FRAMES = [
+CHOSEN = [
     (0x285, bytes.fromhex("2E1129239A110303")),
     (0x181, b"\x01\x02"),
     (0x80, b""),
@@ -39,38 +53,118 @@ FRAMES = [
     (0xC0000123, bytes(3)),
     (0x7FF, bytes(7)),
     (0x123, b""),
+    (0x60000004, bytes(8)),  # an error frame with the remote flag, which no controller makes
+    (0xA0000004, bytes(8)),
 ]
+RANDOM = 150
 
 
-def raw_listeners() -> int:
-    """How many raw sockets listen to a bus: lines of the kernel's own lists."""
+def random_frame(generator: random.Random) -> bytes:
+    """struct can_frame or canfd_frame: standard, extended, remote or error frame, or CAN FD."""
+    kind = generator.choice(("standard", "extended", "remote", "error", "fd"))
+    can_id = generator.randrange(1 << 11)
+    if kind == "extended" or (kind in {"remote", "fd"} and generator.random() < 0.5):
+        can_id = generator.randrange(1 << 29) | 0x80000000
+    if kind == "error":
+        can_id = generator.randrange(1, 1 << 9) | 0x20000000
+    if kind == "fd":
+        length = generator.choice(LENGTHS)
+        return struct.pack("=IBB2x64s", can_id, length, generator.randrange(4), generator.randbytes(length))
+    length = generator.randrange(9)
+    remote = 0x40000000 if kind == "remote" else 0
+    return struct.pack("=IB3x8s", can_id | remote, length, b"" if remote else generator.randbytes(length))
+
+
+def traffic() -> list[bytes]:
+    """The chosen frames, and random ones of all kinds."""
+    generator = random.Random(6)
+    chosen = [struct.pack("=IB3x8s", can_id, len(data), data) for can_id, data in CHOSEN]
+    return chosen + [random_frame(generator) for _ in range(RANDOM)]
+
+
+def sockets_listening() -> int:
+    """How many raw sockets receive: lines of the kernel's own lists."""
     return sum(path.read_text().count(" raw") for path in Path("/proc/net/can").glob("rcvlist_*"))
 
 
-def started(words: list[str]) -> "subprocess.Popen[bytes]":
-    """A dump that listens: the kernel says so."""
-    before = raw_listeners()
-    process = subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE)
-    deadline = time.monotonic() + 60
-    while raw_listeners() == before and process.poll() is None:
-        assert time.monotonic() < deadline, words
-        time.sleep(0.05)
-    return process
-
-
-def test_the_same_bytes_as_candump() -> None:
-    tipforce = [sys.executable, "-m", "tipforce_tools.main", "dump"]
-    runs = [[started([*command, *words]) for command in (["candump"], tipforce)] for words in WORDS]
-    time.sleep(1)  # the last one sets its filters
+@contextmanager
+def fd_bus(name: str = "vcan0") -> Iterator[socket.socket]:
+    """A raw socket that sends CAN FD frames, too; the interface is made to carry them."""
+    if int(Path(f"/sys/class/net/{name}/mtu").read_text()) < 72:
+        for change in (["down"], ["mtu", "72"], ["up"]):
+            subprocess.run(["ip", "link", "set", name, *change], check=True, timeout=WAIT_S)
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
-        bus.bind(("vcan0",))
-        for can_id, data in FRAMES:
-            bus.send(struct.pack("=IB3x8s", can_id, len(data), data))
-            time.sleep(0.03)
-    time.sleep(1)
-    for words, pair in zip(WORDS, runs, strict=True):
-        for process in pair:
-            process.terminate()
-        theirs, ours = [process.communicate(timeout=60)[0].decode() for process in pair]
-        assert theirs, words
-        assert ours == theirs, words
+        bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FD_FRAMES, 1)
+        bus.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, b"")
+        bus.bind((name,))
+        yield bus
+
+
+@contextmanager
+def listening_candump(words: list[str], output: Path) -> Iterator[None]:
+    """candump, once it listens."""
+    before = sockets_listening()
+    with peer("candump", *words, output=output):
+        wait_until(lambda: sockets_listening() > before, "candump does not listen")
+        yield
+
+
+def start(stack: ExitStack, words: list[str], folder: Path) -> tuple[Command, Path]:
+    """dump and candump with the same words, both listening."""
+    before = sockets_listening()
+    output = folder / f"candump{len(list(folder.iterdir()))}"
+    dump = Command(("dump", *words), folder)
+    stack.callback(dump.close)
+    wait_until(lambda: sockets_listening() > before or dump.ended, "dump does not listen")
+    stack.enter_context(listening_candump(words, output))
+    return dump, output
+
+
+def complete(dump: Command, output: Path) -> bool:
+    """Have both shown as much?"""
+    return 0 < output.stat().st_size == len(dump.stdout.encode())
+
+
+@pytest.fixture(scope="module")
+def texts(tmp_path_factory: pytest.TempPathFactory) -> list[tuple[str, str]]:
+    """What dump and candump say for each of WORDS, all at once on the same traffic."""
+    folder = tmp_path_factory.mktemp("options")
+    with ExitStack() as stack, fd_bus() as bus:
+        runs = [start(stack, words, folder) for words in WORDS]
+        time.sleep(1)  # the last one sets its filters
+        for frame in traffic():
+            bus.send(frame)
+            time.sleep(0.002)
+        with suppress(AssertionError):  # what differs is told run by run
+            wait_until(lambda: all(complete(dump, output) for dump, output in runs), "dump or candump lags")
+        found = []
+        for dump, output in runs:
+            if not dump.ended:
+                dump.end()
+            found.append((dump.stdout, output.read_text()))
+        return found
+
+
+@pytest.mark.parametrize("number", range(len(WORDS)), ids=[" ".join(words) for words in WORDS])
+def test_the_same_bytes_as_candump(texts: list[tuple[str, str]], number: int) -> None:
+    ours, theirs = texts[number]
+    assert theirs
+    assert ours == theirs
+
+
+def test_the_traffic_has_every_kind_of_frame(texts: list[tuple[str, str]]) -> None:
+    everything = texts[0][1]
+    for part in ("  [64]  ", "remote request", "ERRORFRAME", "       123   [0]", "  12345678   [8]", "  [00] "):
+        assert part in everything
+    assert len(everything.splitlines()) == len(CHOSEN) + RANDOM
+
+
+def test_silence_ends_both(tmp_path: Path) -> None:
+    with ExitStack() as stack, fd_bus() as bus:
+        dump, output = start(stack, ["-T", "3000", "-L", EVERYTHING], tmp_path)
+        for frame in traffic()[:5]:
+            bus.send(frame)
+        assert dump.wait() == 0
+        wait_until(lambda: sockets_listening() == 0, "candump goes on")
+        assert dump.stdout == output.read_text()
+        assert dump.stdout.count("\n") == 5

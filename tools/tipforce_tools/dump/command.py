@@ -14,6 +14,7 @@ CHANNEL[,FILTER...] as candump has it, identifiers and masks in hexadecimal:
   ID~MASK   frames with (identifier & MASK) != (ID & MASK)
   #MASK     error frames of these classes (otherwise a bus shows none)
   j         a frame must pass all of the filters, not just one
+Not candump's: -c is the channel (no colour), recording is `tipforce log`.
 At the end stderr tells what was left out (not with -q), and with -v what each message counted.
 With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and python-can's configuration,
 a CHANNEL is a SocketCAN interface.
@@ -47,6 +48,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-L", dest="log", action="store_true", help="log file format")
     look.add_argument("-x", dest="extra", action="store_true", help="say whether a frame was received or sent here")
     look.add_argument("-e", dest="errors", action="store_true", help="say what error frames mean")
+    look.add_argument("-a", dest="ascii", action="store_true", help="show the data as characters, too")
+    look.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
     look.add_argument("-n", dest="count", type=_positive, metavar="COUNT", help="end after COUNT frames")
     look.add_argument("-T", dest="timeout_ms", type=_positive, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--decode", action="store_true", help="add what the PDOs of fingertips say")

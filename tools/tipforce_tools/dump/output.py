@@ -7,9 +7,10 @@ from typing import Any, Protocol
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal
-from tipforce.host.candump import CandumpBlock
 from tipforce.host.candump_format import CandumpFormat, identifier_text
 from tipforce.host.decode import Key, Samples
+from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
+from tipforce.host.frame_block import CandumpBlock
 from tipforce_tools import common
 
 COUNTER = "counter"
@@ -37,10 +38,12 @@ class TextWriter:
         """The text of a block."""
         lines = self._format.lines(block)
         lengths = block.frames["length"].tolist()
+        positions = block.positions()
         for samples in decoded.values():
-            for row, words in zip(samples.row.tolist(), _words(samples), strict=True):
+            rows = samples.row.tolist()
+            for row, line, words in zip(rows, positions[samples.row].tolist(), _words(samples), strict=True):
                 gap = max(_HEX_WIDTH - 3 * lengths[row], 0) if self._aligned else 0
-                lines[row] += " " * (gap + 2) + words
+                lines[line] += " " * (gap + 2) + words
         return "\n".join(lines) + "\n" if lines else ""
 
 
@@ -70,6 +73,17 @@ class JsonWriter:
             records.append(record)
         for samples in decoded.values():
             _add_values(records, samples)
+        for number, frame in enumerate(block.fd):
+            record = {
+                "t": frame.t_ns / 1_000_000_000 if block.timed else None,
+                "interface": block.names[frame.interface],
+                "id": identifier_text(frame.can_id),
+                "data": frame.data.hex().upper(),
+                "fd": True,
+                "bit_rate_switch": bool(frame.flags & BIT_RATE_SWITCH),
+                "error_state": bool(frame.flags & ERROR_STATE),
+            }
+            records.insert(frame.row + number, record)
         return "".join(json.dumps(record) + "\n" for record in records)
 
 

@@ -6,18 +6,24 @@ from argparse import Namespace
 from collections.abc import Iterable, Iterator
 from contextlib import ExitStack
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.candump import BadLineError, CandumpBlock, CandumpParser
+from tipforce.errors import InputError
+from tipforce.host.candump import BadLineError, CandumpParser
 from tipforce.host.candump_format import CandumpFormat
 from tipforce.host.decode import Decoder, Key, Samples, lost_samples
+from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.receive import InterfaceDownError
 from tipforce_tools import common
 from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 from tipforce_tools.dump.text_source import text_blocks
+
+if TYPE_CHECKING:
+    from tipforce.host.receive_group import ReceiverGroup
 
 
 class Tally:
@@ -50,7 +56,9 @@ class Session:
         self._writer: Writer = JsonWriter()
         if not args.json:
             width = max((len(target.channel) for target in targets), default=0)
-            text = CandumpFormat(args.timestamps, log=args.log, extra=args.extra, errors=args.errors, width=width)
+            text = CandumpFormat(
+                args.timestamps, log=args.log, extra=args.extra, errors=args.errors, ascii=args.ascii, width=width
+            )
             self._writer = TextWriter(text, aligned=not args.log)
 
     def show(self, block: CandumpBlock) -> bool:
@@ -58,8 +66,8 @@ class Session:
         if self._needs_time and not block.timed:
             raise InputError("the text has no timestamps, and -t and -L show them: record it with candump -L, or -ta")
         if self._left is not None:
-            block = block.take(slice(self._left))
-            self._left -= len(block.frames)
+            block = block.head(self._left)
+            self._left -= len(block)
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
         for key, samples in decoded.items():
             self.tally.add(key, samples)
@@ -75,8 +83,8 @@ def dump(args: Namespace) -> int:
 
     Raises InputError for targets that are not usable, EnvironmentLackError when a bus can't be opened or fails.
     """
-    if args.log and args.errors and not args.json:
-        raise InputError("-L and -e: the log format has no room for words; leave one out")
+    if args.log and (args.errors or args.ascii) and not args.json:
+        raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no room for words; leave one out")
     source, targets = split_targets(args.targets)
     session = Session(args, targets)
     if source is not None:
@@ -100,24 +108,37 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
-            _report(args, session, parser.fd_frames, parser)
+            _report(args, session, parser.dropped, parser)
     return 0
 
 
 def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
-    import can
-
-    from tipforce_tools.dump.live_source import LiveSource
+    from tipforce_tools.live import open_targets
     from tipforce_tools.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with LiveSource(targets, args) as source:
+    with open_targets(targets, args) as receiver:
         try:
-            _show_all(session, source.blocks(args.timeout_ms))
-        except can.CanError as error:
-            raise EnvironmentLackError(f"the bus failed: {error}; `ip -details link` shows its state") from None
+            _show_all(session, _live_blocks(receiver, args))
         finally:
-            _report(args, session, source.fd_frames, None)
+            _report(args, session, receiver.dropped, None)
+
+
+def _live_blocks(receiver: "ReceiverGroup", args: Namespace) -> Iterator[CandumpBlock]:
+    """What arrives, as soon as it does, until nothing has come for --timeout. With -D, an interface may go down."""
+    timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
+    while True:
+        try:
+            block = receiver.receive_block(timeout_s)
+        except InterfaceDownError as error:
+            if not args.stay:
+                raise
+            common.note(args, f"tipforce dump: {error}")
+            continue
+        if len(block):
+            yield block
+        elif timeout_s is not None:
+            return
 
 
 def _show_all(session: Session, blocks: Iterable[CandumpBlock]) -> None:
@@ -138,7 +159,7 @@ def _count(number: int, what: str) -> str:
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
-def _report(args: Namespace, session: Session, fd_frames: int, parser: CandumpParser | None) -> None:
+def _report(args: Namespace, session: Session, dropped: int, parser: CandumpParser | None) -> None:
     """Say on stderr what was left out, and with -v what was counted."""
     notes = []
     if parser is not None and parser.bad:
@@ -146,10 +167,8 @@ def _report(args: Namespace, session: Session, fd_frames: int, parser: CandumpPa
         notes.append(
             f"{_count(sum(parser.bad.values()), 'bad line')} left out ({reasons}), first {parser.bad_lines[0]}"
         )
-    if parser is not None and parser.dropped:
-        notes.append(f"candump had dropped {_count(parser.dropped, 'frame')}")
-    if fd_frames:
-        notes.append(f"{_count(fd_frames, 'CAN FD frame')} left out")
+    if dropped:
+        notes.append(f"{'candump' if parser is not None else 'the kernel'} had dropped {_count(dropped, 'frame')}")
     for (node_id, name), count in (session.decoder.malformed if session.decoder is not None else {}).items():
         short = _count(count, "frame")
         notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")

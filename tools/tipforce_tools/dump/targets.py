@@ -2,15 +2,16 @@
 
 import re
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG
 from tipforce.errors import InputError
-from tipforce.host.candump import CandumpBlock
+from tipforce.host.can_filter import Filter, Selection
+from tipforce.host.frame_block import CandumpBlock
 
 ANY = "any"
 STDIN = "-"
@@ -20,35 +21,11 @@ _ERROR_FILTER = re.compile(r"#(?:0[xX])?([0-9A-Fa-f]{1,8})")
 
 
 @dataclass(frozen=True, slots=True)
-class Filter:
-    """A frame passes when ((its can_id ^ ``can_id``) & ``mask``) is zero, or is not, where ``inverse``."""
-
-    can_id: int
-    mask: int
-    inverse: bool
-
-    def passes(self, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Which of these can_ids (n,), flags included, pass: (n,)."""
-        differs: npt.NDArray[np.bool_] = ((can_id ^ np.uint32(self.can_id)) & np.uint32(self.mask)).astype(np.bool_)
-        return differs if self.inverse else ~differs
-
-
-@dataclass(frozen=True, slots=True)
 class Target:
-    """A channel and its socket's filters; no filter passes every data frame, an error mask of 0 no error frame."""
+    """A channel, and which of its frames are wanted."""
 
     channel: str
-    filters: tuple[Filter, ...] = ()
-    join: bool = False
-    error_mask: int = 0
-
-    def passes(self, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.bool_]:
-        """Which of these can_ids (n,), flags included, the kernel would hand to candump's socket: (n,)."""
-        error = can_id & np.uint32(ERROR_FLAG) != 0
-        passed = [one.passes(can_id) for one in self.filters] or [np.ones(len(can_id), dtype=np.bool_)]
-        data = np.logical_and.reduce(passed) if self.join else np.logical_or.reduce(passed)
-        wanted: npt.NDArray[np.bool_] = np.where(error, can_id & np.uint32(self.error_mask) != 0, data)
-        return wanted
+    selection: Selection = field(default_factory=Selection)
 
 
 def parse_target(text: str) -> Target:
@@ -68,15 +45,13 @@ def parse_target(text: str) -> Target:
             join = True
         else:
             raise InputError(f"filter {rule!r} of {channel}: expected ID:MASK, ID~MASK or #MASK in hexadecimal, or j")
-    return Target(channel, tuple(filters), join, error_mask)
+    return Target(channel, Selection(tuple(filters), join, error_mask))
 
 
 def _filter(id_digits: str, mask_digits: str, inverse: bool) -> Filter:
     can_id, mask = int(id_digits, 16), int(mask_digits, 16) & ~ERROR_FLAG
     if len(id_digits) == 8:
         can_id |= EXTENDED_FLAG
-    if mask & EXTENDED_FLAG and not can_id & EXTENDED_FLAG:  # the kernel: a filter for 11 bits looks at 11 bits
-        mask &= STANDARD_MASK | EXTENDED_FLAG | REMOTE_FLAG
     return Filter(can_id, mask, inverse)
 
 
@@ -84,13 +59,22 @@ def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
     """The frames of a text that some target asks for: all with no target; a bare channel takes all of its frames."""
     if not targets:
         return block
-    wanted = np.zeros(len(block.frames), dtype=np.bool_)
-    can_id = block.frames["can_id"].astype(np.uint32)
+    names = block.names
+    fd_id = np.array([frame.can_id for frame in block.fd], dtype=np.uint32)
+    fd_interface = np.array([frame.interface for frame in block.fd], dtype=np.intp)
+    rows = _wanted(names, block.frames["can_id"].astype(np.uint32), block.interface.astype(np.intp), targets)
+    fd_rows = _wanted(names, fd_id, fd_interface, targets)
+    return block.take(rows, fd_rows)
+
+
+def _wanted(
+    names: Sequence[str], can_id: npt.NDArray[np.uint32], interface: npt.NDArray[np.intp], targets: Sequence[Target]
+) -> npt.NDArray[np.bool_]:
+    wanted = np.zeros(len(can_id), dtype=np.bool_)
     for target in targets:
-        here = np.array([target.channel in {name, ANY} for name in block.names], dtype=np.bool_)[block.interface]
-        bare = not target.filters and not target.error_mask
-        wanted |= here if bare else here & target.passes(can_id)
-    return block.take(wanted)
+        here = np.array([target.channel in {name, ANY} for name in names], dtype=np.bool_)[interface]
+        wanted |= here if target.selection.everything else here & target.selection.passes(can_id)
+    return wanted
 
 
 def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target, ...]]:

@@ -4,7 +4,8 @@ import os
 import select
 from collections.abc import Iterator, Sequence
 
-from tipforce.host.candump import BadLineError, CandumpBlock, CandumpParser
+from tipforce.host.candump import BadLineError, CandumpParser
+from tipforce.host.frame_block import CandumpBlock
 
 CHUNK_BYTES = 1 << 18
 _LONGEST_LINE_BYTES = 1 << 16  # more without a line end is no text, and must not fill the memory

@@ -1,0 +1,272 @@
+"""The live receive path: frames from a bus in batches, ready for the bulk decoder.
+
+``open_receiver`` gives the same object for every interface. On SocketCAN it reads many frames a call with the kernel's
+time stamps, and the kernel filters (``recvmmsg``); every other interface is read through python-can. What CiA 301 knows
+comes as a FRAME array; CAN FD frames stand beside it, for those who show or record them.
+"""
+
+from __future__ import annotations
+
+import errno
+import select
+import socket
+import struct
+import time
+from collections.abc import Mapping
+from contextlib import suppress
+from typing import Any, Protocol, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host import recvmmsg
+from tipforce.host.can_filter import Selection
+from tipforce.host.fd_frame import FdFrame
+from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
+
+TICK_S = 0.001
+"""The least time between two batches: frames that come faster are handed over together, at most this much later."""
+
+ANY = "any"
+"""The channel of SocketCAN that means all interfaces."""
+
+_BUFFER_BYTES = 16 << 20  # of the socket: 30,000 frames/s for a second, in the kernel's way of counting
+_SO_RCVBUFFORCE = 33  # asm-generic/socket.h
+_SOL_CAN_RAW = 101  # what follows is from linux/can/raw.h; Python's socket has it on Linux alone
+_CAN_RAW_FILTER, _CAN_RAW_ERR_FILTER, _CAN_RAW_FD_FRAMES, _CAN_RAW_JOIN_FILTERS = 1, 2, 5, 6
+_FD_HEADER = struct.Struct("=IBB2x")
+# A frame's second word, little-endian: can_id, length, channel, flags, spare.
+_ID_AND_LENGTH, _LENGTH_SHIFT, _CHANNEL_SHIFT = np.uint64((1 << 40) - 1), np.uint64(32), np.uint64(40)
+_SENT_BIT = np.uint64(SENT << 48)
+_KEEP = np.array([(1 << 8 * length) - 1 for length in range(9)], dtype=np.uint64)  # little-endian, by data length
+
+
+Interfaces = npt.NDArray[np.uint16]
+
+
+class InterfaceDownError(EnvironmentLackError):
+    """The interface went down while it was listened to; when it comes up again, the receiver goes on."""
+
+
+class Receiver(Protocol):
+    """A bus that is listened to. A context manager; ``names`` are the interfaces that frames came from."""
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the kernel dropped because nobody took them in time, as far as it tells."""
+
+    def receive(self, timeout_s: float | None = None) -> FrameArray:
+        """The classic frames that have come, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
+
+        ``channel`` indexes the names of the block. Raises EnvironmentLackError when the bus fails, and then
+        InterfaceDownError if it may recover.
+        """
+
+    def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
+        """The same with interface names and CAN FD frames."""
+
+    def fileno(self) -> int:
+        """A file descriptor to wait on; -1: there is none."""
+
+    def close(self) -> None:
+        """Stop listening."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def open_receiver(
+    options: Mapping[str, Any], selection: Selection | None = None, *, tick_s: float = TICK_S
+) -> Receiver:
+    """Listen to the bus that ``options`` (keywords of ``can.Bus``) name, to what ``selection`` selects (None: data).
+
+    Raises EnvironmentLackError when it can't be opened; the text says what to do.
+    """
+    chosen = Selection() if selection is None else selection
+    if options.get("interface") == "socketcan" and recvmmsg.AVAILABLE and options.get("channel") is not None:
+        channel = str(options["channel"])
+        return SocketReceiver(open_socket(channel, chosen), channel, tick_s=tick_s)
+    from tipforce.host.bus import open_bus
+    from tipforce.host.receive_python_can import PythonCanReceiver
+
+    return PythonCanReceiver(open_bus(**options), chosen, str(options.get("channel") or ""))
+
+
+def open_socket(channel: str, selection: Selection) -> socket.socket:
+    """A raw CAN socket on ``channel`` (``any`` or empty: on all) with filters, time stamps and CAN FD frames."""
+    try:
+        one = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+    except (OSError, AttributeError) as error:
+        raise _not_opened(channel, error) from error
+    try:
+        # All before bind: nothing that the filters leave out ever comes in.
+        one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("=I", selection.error_mask))
+        words = [word for rule in selection.filters for word in rule.kernel_words()] or [0, 0]
+        one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, struct.pack(f"={len(words)}I", *words))
+        if selection.join:
+            one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
+        with suppress(OSError):  # a kernel without CAN FD
+            one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+        prepare_socket(one)
+        one.bind(("" if channel == ANY else channel,))
+    except OSError as error:
+        one.close()
+        raise _not_opened(channel, error) from error
+    return one
+
+
+def prepare_socket(one: socket.socket) -> None:
+    """What any socket gets that a SocketReceiver reads: time stamps, the drop count, a large buffer."""
+    one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_TIMESTAMPNS, 1)
+    one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_RXQ_OVFL, 1)
+    try:
+        one.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
+    except OSError:  # needs CAP_NET_ADMIN; without it the kernel gives what net.core.rmem_max allows
+        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+
+
+class SocketReceiver:
+    """A Receiver over a datagram socket that carries ``struct can_frame``: a raw CAN socket, or one that plays it."""
+
+    def __init__(self, one: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
+        """Takes the socket over. ``tick_s`` 0: every receive returns as soon as there is a frame."""
+        self._socket = one
+        self._channel = channel
+        self._any = channel in {ANY, ""}
+        self._batch = DatagramBatch(one, capacity, addresses=self._any)
+        self._names: dict[str, int] = {} if self._any else {channel: 0}
+        self._name_of_index: dict[int, int] = {}
+        self._tick_s = tick_s
+        self._next_s = 0.0
+        self._poll = select.poll()
+        self._poll.register(one, select.POLLIN)
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the kernel dropped so far."""
+        return self._batch.dropped
+
+    def fileno(self) -> int:
+        """The socket's."""
+        return self._socket.fileno()
+
+    def close(self) -> None:
+        """Close the socket."""
+        self._socket.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def receive(self, timeout_s: float | None = None) -> FrameArray:
+        """See Receiver."""
+        count = self._read(timeout_s)
+        frames, _ = self._frames(count)
+        lengths = self._batch.lengths(count)
+        if (lengths != CLASSIC_BYTES).any():
+            frames = frames[lengths == CLASSIC_BYTES]
+        self._batch.release(count)
+        return frames
+
+    def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
+        """See Receiver."""
+        count = self._read(timeout_s)
+        frames, interface = self._frames(count)
+        sent = self._batch.sent(count)
+        lengths = self._batch.lengths(count)
+        fd: tuple[FdFrame, ...] = ()
+        if (lengths != CLASSIC_BYTES).any():
+            classic = lengths == CLASSIC_BYTES
+            fd = self._fd_frames(frames, np.flatnonzero(lengths == FD_BYTES), interface, np.cumsum(classic))
+            frames, interface, sent = frames[classic], interface[classic], sent[classic]
+        self._batch.release(count)
+        return CandumpBlock(frames, interface, tuple(self._names), sent, fd=fd)
+
+    def _read(self, timeout_s: float | None) -> int:
+        try:
+            now = time.monotonic()
+            if self._next_s > now:
+                # Other threads run meanwhile, and what comes is read in one go.
+                time.sleep(self._next_s - now if timeout_s is None else min(self._next_s - now, timeout_s))
+            count = self._batch.read()
+            if not count and timeout_s != 0:
+                timeout_ms = None if timeout_s is None else max(round((timeout_s - time.monotonic() + now) * 1000), 0)
+                self._poll.poll(timeout_ms)
+                count = self._batch.read()
+        except OSError as error:
+            raise self._failed(error) from error
+        # A full batch says that more waits.
+        self._next_s = time.monotonic() + self._tick_s if 0 < count < self._batch.capacity else 0.0
+        return count
+
+    def _frames(self, count: int) -> tuple[FrameArray, Interfaces]:
+        """What was read as FRAME (count,), CAN FD frames cut to eight bytes; and where each came from."""
+        batch = self._batch
+        frames: FrameArray = np.empty(count, dtype=FRAME)
+        words = frames.view(np.uint64).reshape(count, 3)  # FRAME is a time and a struct can_frame
+        words[:, 0] = batch.times_ns(count).view(np.uint64)
+        words[:, 1:] = batch.words(count)
+        head = words[:, 1]
+        head &= _ID_AND_LENGTH
+        if self._any:
+            interface = self._interfaces(count)
+            head |= interface.astype(np.uint64) << _CHANNEL_SHIFT
+        else:
+            interface = np.zeros(count, dtype=np.uint16)
+        sent = batch.sent(count)
+        if sent.any():
+            head |= sent * _SENT_BIT
+        length = head >> _LENGTH_SHIFT & np.uint64(0xFF)
+        if (length != 8).any():
+            frames["length"] = length = np.minimum(length, 8)
+            words[:, 2] &= _KEEP[length]  # what a sender left behind its data is nobody's
+        return frames, interface
+
+    def _interfaces(self, count: int) -> Interfaces:
+        index = self._batch.interfaces(count).tolist()
+        for one in set(index) - self._name_of_index.keys():
+            name = _interface_name(one)
+            self._name_of_index[one] = self._names.setdefault(name, len(self._names))
+        return np.array([self._name_of_index[one] for one in index], dtype=np.uint16)
+
+    def _fd_frames(
+        self,
+        frames: FrameArray,
+        rows: npt.NDArray[np.intp],
+        interface: Interfaces,
+        classic_before: npt.NDArray[np.intp],
+    ) -> tuple[FdFrame, ...]:
+        found = []
+        for row in rows.tolist():
+            datagram = self._batch.datagram(row)
+            can_id, length, flags = _FD_HEADER.unpack_from(datagram)
+            data = datagram[8 : 8 + min(length, 64)]
+            t_ns, sent = int(frames["t_ns"][row]), bool(frames["flags"][row] & SENT)
+            found.append(FdFrame(int(classic_before[row]), t_ns, can_id, flags, data, int(interface[row]), sent))
+        return tuple(found)
+
+    def _failed(self, error: OSError) -> EnvironmentLackError:
+        if error.errno == errno.ENETDOWN:
+            return InterfaceDownError(f"{self._channel}: interface down; `ip link set {self._channel} up` brings it up")
+        return EnvironmentLackError(f"{self._channel}: {error.strerror}; `ip -details link` shows its state")
+
+
+def _interface_name(index: int) -> str:
+    try:
+        return socket.if_indextoname(index)
+    except OSError:  # it has gone since
+        return f"if{index}"
+
+
+def _not_opened(channel: str, error: Exception) -> EnvironmentLackError:
+    reason = error.strerror if isinstance(error, OSError) else "this system has no SocketCAN"
+    return EnvironmentLackError(
+        f"interface socketcan, channel {channel}: {reason}; "
+        "check -i and -c (`ip -br link` lists interfaces), or run on a kernel with vcan: `tipforce vcan -- ...`"
+    )

@@ -1,0 +1,162 @@
+"""Several receivers as one: what any of them gets, in the order of the time stamps."""
+
+from __future__ import annotations
+
+import queue
+import select
+import threading
+import time
+from collections.abc import Sequence
+from contextlib import ExitStack
+from typing import Self
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.receive import TICK_S, Receiver
+
+_POLL_S = 0.1
+_WAITING_BLOCKS = 64  # of all receivers; the buses themselves hold what does not fit
+
+
+class ReceiverGroup:
+    """Receives from all of ``receivers``, which it takes over. A context manager."""
+
+    def __init__(self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S) -> None:
+        self._receivers = tuple(receivers)
+        self._names: dict[str, int] = {}
+        self._tick_s = tick_s
+        self._next_s = 0.0
+        self._closing = ExitStack()
+        for one in self._receivers:
+            self._closing.callback(one.close)
+        self._poll: select.poll | None = None
+        self._arrived: queue.Queue[CandumpBlock | Exception] = queue.Queue(_WAITING_BLOCKS)
+        self._failure: Exception | None = None
+        if len(self._receivers) > 1:
+            self._prepare()
+
+    def _prepare(self) -> None:
+        if all(one.fileno() >= 0 for one in self._receivers):
+            self._poll = select.poll()
+            for one in self._receivers:
+                self._poll.register(one.fileno(), select.POLLIN)
+            return
+        # One thread per bus: not every bus of python-can has a file to wait for.
+        stop = threading.Event()
+        for one in self._receivers:
+            thread = threading.Thread(target=_receive, args=(one, self._arrived, stop), daemon=True)
+            thread.start()
+            self._closing.callback(thread.join)
+        self._closing.callback(stop.set)  # called first
+
+    @property
+    def dropped(self) -> int:
+        """Frames that the kernel dropped so far, on all buses."""
+        return sum(one.dropped for one in self._receivers)
+
+    def fileno(self) -> int:
+        """The only receiver's; -1 for several."""
+        return self._receivers[0].fileno() if len(self._receivers) == 1 else -1
+
+    def close(self) -> None:
+        """Close all receivers."""
+        self._closing.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def receive(self, timeout_s: float | None = None) -> FrameArray:
+        """See Receiver."""
+        return self.receive_block(timeout_s).frames
+
+    def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
+        """See Receiver."""
+        if len(self._receivers) == 1:
+            return self._receivers[0].receive_block(timeout_s)
+        if self._failure is not None:
+            failure, self._failure = self._failure, None
+            raise failure
+        blocks: list[CandumpBlock] = []
+        for item in self._poll_blocks(timeout_s) if self._poll is not None else self._queued_blocks(timeout_s):
+            if isinstance(item, CandumpBlock):
+                blocks.append(item)
+            elif blocks or self._failure is not None:
+                self._failure = item  # told by the next call: what other buses have given is not lost
+            else:
+                raise item
+        return merged(blocks, self._names)
+
+    def _poll_blocks(self, timeout_s: float | None) -> list[CandumpBlock | Exception]:
+        assert self._poll is not None
+        now = time.monotonic()
+        if self._next_s > now:
+            time.sleep(self._next_s - now if timeout_s is None else min(self._next_s - now, timeout_s))
+        ready = {fd for fd, _ in self._poll.poll(None if timeout_s is None else timeout_s * 1000)}
+        self._next_s = time.monotonic() + self._tick_s if ready else 0.0
+        found: list[CandumpBlock | Exception] = []
+        failures: list[CandumpBlock | Exception] = []
+        for one in self._receivers:
+            if one.fileno() in ready:
+                try:
+                    found.append(one.receive_block(0))
+                except EnvironmentLackError as error:
+                    failures.append(error)
+        return found + failures
+
+    def _queued_blocks(self, timeout_s: float | None) -> list[CandumpBlock | Exception]:
+        found: list[CandumpBlock | Exception] = []
+        try:
+            found.append(self._arrived.get(timeout=timeout_s))
+            while isinstance(found[-1], CandumpBlock):
+                found.append(self._arrived.get_nowait())
+        except queue.Empty:
+            pass
+        return found
+
+
+def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBlock:
+    """The frames of several blocks in the order of their time stamps; ``names`` grows by what is new."""
+    if not blocks:
+        empty = np.zeros(0, dtype=np.uint16)
+        return CandumpBlock(np.zeros(0, dtype=FRAME), empty, tuple(names), empty.astype(np.bool_))
+    number = [np.array([names.setdefault(name, len(names)) for name in block.names], np.uint16) for block in blocks]
+    frames: FrameArray = np.concatenate([block.frames for block in blocks])
+    order = np.argsort(frames["t_ns"], kind="stable")
+    interface = np.concatenate([table[block.interface] for table, block in zip(number, blocks, strict=True)])[order]
+    sent = np.concatenate([block.sent for block in blocks])[order]
+    frames = frames[order]
+    frames["channel"] = interface
+    fd = [
+        one._replace(interface=int(table[one.interface]))
+        for table, block in zip(number, blocks, strict=True)
+        for one in block.fd
+    ]
+    fd.sort(key=lambda one: one.t_ns)
+    rows = np.searchsorted(frames["t_ns"], [one.t_ns for one in fd]).tolist()
+    placed = tuple(one._replace(row=row) for one, row in zip(fd, rows, strict=True))
+    return CandumpBlock(frames, interface, tuple(names), sent, fd=placed)
+
+
+def _receive(one: Receiver, arrived: queue.Queue[CandumpBlock | Exception], stop: threading.Event) -> None:
+    """A thread's work: hand over what one receiver gets until told to stop."""
+    item: CandumpBlock | Exception
+    while not stop.is_set():
+        try:
+            item = one.receive_block(_POLL_S)
+        except EnvironmentLackError as error:
+            item = error
+        if isinstance(item, Exception) or len(item):
+            while not stop.is_set():
+                try:
+                    arrived.put(item, timeout=_POLL_S)
+                    break
+                except queue.Full:
+                    continue
+        if isinstance(item, Exception):
+            return

@@ -1,0 +1,167 @@
+"""Datagrams of a socket in batches: Linux' recvmmsg through ctypes, into memory that numpy reads in place.
+
+One call brings up to ``capacity`` frames with the kernel's time of each. It goes through ctypes.PyDLL, which keeps the
+GIL: with MSG_DONTWAIT the call never blocks, and giving the GIL up at each call would hand it to a busy thread of this
+process for up to sys.getswitchinterval() (5 ms) each time. Needs a little-endian 64-bit Linux; ``AVAILABLE`` says so.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import os
+import socket
+import sys
+import time
+
+import numpy as np
+import numpy.typing as npt
+
+SO_TIMESTAMPNS = 35
+SO_RXQ_OVFL = 40
+"""Options of SOL_SOCKET that Python's socket does not name: nanoseconds of arrival, and how many were dropped."""
+
+CLASSIC_BYTES, FD_BYTES = 16, 72
+"""sizeof struct can_frame and struct canfd_frame."""
+
+_DONTWAIT, _DONTROUTE = 0x40, 0x04  # linux/socket.h
+_NOTHING = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
+_DROP_MODULUS = 1 << 32
+_STAMP_BYTES, _ADDRESS_BYTES = 32, 32  # CMSG_SPACE of a timespec; room for any address
+
+_HEADER = np.dtype(
+    [
+        ("name", "=u8"), ("name_bytes", "=u4"), ("pad_1", "=u4"), ("parts", "=u8"), ("part_count", "=u8"),
+        ("control", "=u8"), ("control_bytes", "=u8"), ("flags", "=i4"), ("pad_2", "=u4"),
+        ("received_bytes", "=u4"), ("pad_3", "=u4"),
+    ]
+)  # fmt: skip
+_PART = np.dtype([("base", "=u8"), ("bytes", "=u8")])
+_CONTROL = np.dtype(
+    [
+        ("bytes_1", "=u8"), ("level_1", "=i4"), ("kind_1", "=i4"), ("seconds", "=i8"), ("nanoseconds", "=i8"),
+        ("bytes_2", "=u8"), ("level_2", "=i4"), ("kind_2", "=i4"), ("drops", "=u4"), ("pad", "=u4"), ("rest", "=u8"),
+    ]
+)  # fmt: skip
+_CAN_ADDRESS = np.dtype([("family", "=u2"), ("pad", "=u2"), ("interface", "=i4"), ("rest", "u1", (24,))])
+
+
+def _function() -> ctypes._NamedFuncPointer | None:
+    if sys.platform != "linux" or sys.byteorder != "little" or ctypes.sizeof(ctypes.c_void_p) != 8:
+        return None
+    try:
+        found = ctypes.PyDLL(None, use_errno=True).recvmmsg
+    except (OSError, AttributeError):
+        return None
+    found.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+    found.restype = ctypes.c_int
+    return found
+
+
+_recvmmsg = _function()
+AVAILABLE = _recvmmsg is not None
+"""Can this machine do it?"""
+
+
+class DatagramBatch:
+    """Memory for ``capacity`` datagrams of one socket, and the call that fills it.
+
+    The socket stays the caller's. Its time stamps and its drop count come if it has SO_TIMESTAMPNS and SO_RXQ_OVFL.
+    """
+
+    def __init__(self, one: socket.socket, capacity: int = 256, *, addresses: bool = False) -> None:
+        """``addresses``: keep which interface each CAN frame came from."""
+        self._fd = one.fileno()
+        self._capacity = capacity
+        self._data = np.zeros((capacity, FD_BYTES), dtype=np.uint8)
+        self._control = np.zeros(capacity, dtype=_CONTROL)
+        self._addresses = np.zeros(capacity, dtype=_CAN_ADDRESS)
+        self._parts = np.zeros(capacity, dtype=_PART)
+        self._headers = np.zeros(capacity, dtype=_HEADER)
+        self._parts["base"] = _rows(self._data)
+        self._parts["bytes"] = FD_BYTES
+        self._headers["parts"] = _rows(self._parts)
+        self._headers["part_count"] = 1
+        self._headers["control"] = _rows(self._control)
+        self._name_bytes = _ADDRESS_BYTES if addresses else 0
+        if addresses:
+            self._headers["name"] = _rows(self._addresses)
+        self._pointer = self._headers.ctypes.data
+        # Views that are made once: to make one takes as long as to copy a hundred numbers.
+        self._words = self._data.view(np.uint64)[:, :2]
+        self._lengths = self._headers["received_bytes"]
+        self._flags = self._headers["flags"]
+        self._control_bytes = self._headers["control_bytes"]
+        self._seconds, self._nanoseconds = self._control["seconds"], self._control["nanoseconds"]
+        self._kind_1, self._kind_2 = self._control["kind_1"], self._control["kind_2"]
+        self._drops = 0
+        self.dropped = 0
+        self.release(capacity)
+
+    @property
+    def capacity(self) -> int:
+        """How many datagrams one read brings at most."""
+        return self._capacity
+
+    def read(self) -> int:
+        """Take what waits in the socket: how many. Raises OSError, for instance ENETDOWN."""
+        assert _recvmmsg is not None, "recvmmsg is not available here"
+        count: int = _recvmmsg(self._fd, self._pointer, self._capacity, _DONTWAIT, None)
+        if count >= 0:
+            return count
+        number = ctypes.get_errno()
+        if number in _NOTHING:
+            return 0
+        raise OSError(number, os.strerror(number))
+
+    def release(self, count: int) -> None:
+        """Make the first ``count`` places ready for the next read; called when what was read has been copied."""
+        self._control_bytes[:count] = _CONTROL.itemsize
+        if self._name_bytes:
+            self._headers["name_bytes"][:count] = self._name_bytes
+
+    def words(self, count: int) -> npt.NDArray[np.uint64]:
+        """The first 16 bytes of each datagram, (count, 2): all of a classic frame. A view."""
+        return self._words[:count]
+
+    def datagram(self, row: int) -> bytes:
+        """All bytes of one datagram."""
+        return self._data[row, : int(self._lengths[row])].tobytes()
+
+    def lengths(self, count: int) -> npt.NDArray[np.uint32]:
+        """How many bytes each datagram has, (count,). A view."""
+        found: npt.NDArray[np.uint32] = self._lengths[:count]
+        return found
+
+    def sent(self, count: int) -> npt.NDArray[np.bool_]:
+        """Which datagrams a process of this machine sent, (count,)."""
+        found: npt.NDArray[np.bool_] = (self._flags[:count] & _DONTROUTE).astype(np.bool_)
+        return found
+
+    def interfaces(self, count: int) -> npt.NDArray[np.int32]:
+        """The index of the interface of each datagram, (count,). A view."""
+        found: npt.NDArray[np.int32] = self._addresses["interface"][:count]
+        return found
+
+    def times_ns(self, count: int) -> npt.NDArray[np.int64]:
+        """When the kernel got each, (count,), in nanoseconds since 1970; now, where it does not say.
+
+        Counts what the kernel dropped, too: the counter travels beside the time.
+        """
+        found: npt.NDArray[np.int64] = self._seconds[:count] * 1_000_000_000 + self._nanoseconds[:count]
+        if not count:
+            return found
+        last = count - 1
+        # A socket with the option stamps every datagram, so one tells for all.
+        if self._control_bytes[last] < _STAMP_BYTES or self._kind_1[last] != SO_TIMESTAMPNS:
+            found[:] = time.time_ns()
+        elif self._control_bytes[last] > _STAMP_BYTES and self._kind_2[last] == SO_RXQ_OVFL:
+            drops = int(self._control["drops"][last])
+            self.dropped += (drops - self._drops) % _DROP_MODULUS
+            self._drops = drops
+        return found
+
+
+def _rows(array: npt.NDArray[np.generic]) -> npt.NDArray[np.uint64]:
+    """The address of each row of a C-contiguous array."""
+    return (array.ctypes.data + np.arange(len(array)) * array.strides[0]).astype(np.uint64)

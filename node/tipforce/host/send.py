@@ -1,0 +1,146 @@
+"""Frames onto a bus, of every kind that it carries: raw SocketCAN, and python-can for every other interface."""
+
+from __future__ import annotations
+
+import errno
+import socket
+import struct
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol, Self
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.fd_frame import FdFrame
+from tipforce.socketcan import CAN_FRAME
+
+_FD_FRAME = struct.Struct("=IBB2x64s")  # struct canfd_frame
+_SOL_CAN_RAW, _CAN_RAW_FILTER, _CAN_RAW_FD_FRAMES = 101, 1, 5  # linux/can/raw.h
+_FULL_QUEUE_WAIT_S = 0.001
+_GIVE_UP_S = 5.0
+
+
+class NotCarriedError(Exception):
+    """The bus does not carry frames of this kind."""
+
+
+class Sender(Protocol):
+    """A bus that is sent on. A context manager."""
+
+    def send(self, can_id: int, length: int, data: bytes) -> None:
+        """Send a classic frame, ``can_id`` with SocketCAN's flags.
+
+        Raises NotCarriedError for a kind that the bus does not carry, EnvironmentLackError when the bus fails.
+        """
+
+    def send_fd(self, frame: FdFrame) -> None:
+        """Send a CAN FD frame. Raises as ``send`` does."""
+
+    def __enter__(self) -> Self: ...
+
+    def __exit__(self, *_: object) -> None: ...
+
+
+def open_sender(options: Mapping[str, Any]) -> Sender:
+    """The bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError when it can't be opened."""
+    if options.get("interface") == "socketcan" and options.get("channel") and hasattr(socket, "AF_CAN"):
+        return SocketCanSender(str(options["channel"]))
+    return PythonCanSender(options)
+
+
+class SocketCanSender:
+    """A raw CAN socket that only sends."""
+
+    def __init__(self, channel: str) -> None:
+        """Raises EnvironmentLackError when there is no such interface."""
+        self._channel = channel
+        try:
+            self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        except OSError as error:
+            raise self._failed(error) from error
+        try:
+            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, b"")
+            self._socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+            self._socket.bind((channel,))
+        except OSError as error:
+            self._socket.close()
+            raise self._failed(error) from error
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._socket.close()
+
+    def send(self, can_id: int, length: int, data: bytes) -> None:
+        """See Sender."""
+        self._send(CAN_FRAME.pack(can_id, length, data))
+
+    def send_fd(self, frame: FdFrame) -> None:
+        """See Sender."""
+        try:
+            self._send(_FD_FRAME.pack(frame.can_id, len(frame.data), frame.flags, frame.data))
+        except EnvironmentLackError as error:
+            cause = error.__cause__
+            if isinstance(cause, OSError) and cause.errno == errno.EINVAL:
+                raise NotCarriedError(f"{self._channel} carries no CAN FD frames") from None
+            raise
+
+    def _send(self, frame: bytes) -> None:
+        give_up_s = 0.0
+        while True:
+            try:
+                self._socket.send(frame)
+                return
+            except OSError as error:
+                now = time.monotonic()
+                give_up_s = give_up_s or now + _GIVE_UP_S
+                if error.errno != errno.ENOBUFS or now > give_up_s:
+                    raise self._failed(error) from error
+            time.sleep(_FULL_QUEUE_WAIT_S)  # poll() does not tell when the queue has room again
+
+    def _failed(self, error: OSError) -> EnvironmentLackError:
+        hint = "`ip -details link` shows its state"
+        if error.errno == errno.ENOBUFS:
+            hint = "the transmit queue stays full: is another node on the bus to acknowledge?"
+        elif error.errno in {errno.ENODEV, errno.EAFNOSUPPORT}:
+            hint = "`ip -br link` lists interfaces; for a kernel that has vcan: `tipforce vcan -- ...`"
+        return EnvironmentLackError(f"interface socketcan, channel {self._channel}: {error.strerror}; {hint}")
+
+
+class PythonCanSender:
+    """Any python-can bus."""
+
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        """Raises EnvironmentLackError when it can't be opened."""
+        from tipforce.host.bus import open_bus
+
+        self._name = str(options.get("channel") or options.get("interface") or "the bus")
+        self._bus = open_bus(**options)
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._bus.shutdown()
+
+    def send(self, can_id: int, length: int, data: bytes) -> None:
+        """See Sender."""
+        import can
+
+        from tipforce.host.messages import message
+
+        try:
+            self._bus.send(message(0, can_id, length, data, "", False))
+        except can.CanError as error:
+            raise EnvironmentLackError(f"{self._name}: a frame was not sent: {error}") from error
+
+    def send_fd(self, frame: FdFrame) -> None:
+        """See Sender."""
+        import can
+
+        from tipforce.host.messages import fd_message
+
+        try:
+            self._bus.send(fd_message(frame, ""))
+        except (can.CanError, ValueError) as error:
+            raise NotCarriedError(f"{self._name} carries no CAN FD frames (with --fd it may): {error}") from None

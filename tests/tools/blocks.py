@@ -1,0 +1,28 @@
+"""Blocks of frames for tests of the log tools: every kind of frame, as candump -L writes it."""
+
+from __future__ import annotations
+
+from tipforce.host.candump import CandumpParser
+from tipforce.host.frame_block import CandumpBlock
+
+MIXED_LOG = """\
+(1700000000.000000) vcan0 285#2E1129239A110303
+(1700000000.000100) vcan0 285##52E1129239A110303
+(1700000000.001000) can1 185#0A0014001E000206
+(1700000000.010000) vcan0 080#
+(1700000000.010001) vcan0 181#R8
+(1700000000.010002) can1 12345678#R
+(1700000000.020000) vcan0 20000004#0004000000000000
+(1700000000.020001) vcan0 12345678#AB
+(1700000000.030000) can1 00000123##0000102030405060708090A0B
+"""
+MIXED: tuple[tuple[int, str | int], ...] = (
+    (0x285, "data"), (0x285, 5), (0x185, "data"), (0x80, "data"), (0x181, "remote"), (0x12345678, "remote"),
+    (0x20000004, "error"), (0x12345678, "data"), (0x123, 0),
+)  # fmt: skip
+"""(identifier, kind) of each line; the kind of a CAN FD frame is its flags."""
+
+
+def block_of_text(text: str) -> CandumpBlock:
+    """The frames of candump's text."""
+    return CandumpParser(strict=True).parse(text.splitlines())

@@ -1,0 +1,73 @@
+"""`tipforce log [vcan0,181:7FF ...] [-o FILE]`: arguments, and nothing else."""
+
+import argparse
+import math
+import re
+
+from tipforce_tools import common
+
+DESCRIPTION = """\
+Record frames until Ctrl-C, SIGTERM, -n or -T. What was received is in the file then, whatever ended it; stderr tells
+how many frames, and how many the kernel had to drop.
+"""
+EPILOG = """\
+CHANNEL[,FILTER...] as `tipforce dump` and candump have it; without #MASK no error frames. The suffix of FILE is the
+format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4 .txt
+(python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered: run-0001.log.
+exit codes: 0 ended by -n or -T, 130 by Ctrl-C or SIGTERM, 1 the disk is full, 2 usage
+
+  tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
+  tipforce log -o run.log.gz vcan0,180:780 vcan1
+  tipforce log -o run.blf -i pcan -c PCAN_USBBUS1 -b 1000000
+  tipforce log -o hand.log --rotate-size 100M --rotate-time 3600 any,0:0,#FFFFFFFF
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.description = DESCRIPTION
+    parser.epilog = EPILOG
+    parser.add_argument("targets", nargs="*", metavar="CHANNEL[,FILTER...]", help="buses with their filters")
+    parser.add_argument("-o", "--output", metavar="FILE", help="default: candump's own name, by date and time")
+    parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
+    parser.add_argument("-n", dest="count", type=_positive, metavar="COUNT", help="end after COUNT frames")
+    parser.add_argument("-T", dest="timeout_ms", type=_positive, metavar="MS", help="end after MS without a frame")
+    parser.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
+    parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
+    parser.add_argument("--rotate-time", type=_seconds, metavar="S", help="a new file after S seconds")
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Record until something ends it. 0, or 130 when that was a signal.
+
+    Raises InputError for a target or a file that is not usable, EnvironmentLackError for a bus that can't be opened
+    or fails, OSError when the disk is full; the file holds what was received until then.
+    """
+    from tipforce_tools.log.session import record
+
+    common.set_up_logging(args)
+    return record(args)
+
+
+def _positive(text: str) -> int:
+    number = int(text)
+    if number < 1:
+        raise ValueError
+    return number
+
+
+def _seconds(text: str) -> float:
+    number = float(text)
+    if not 0 < number < math.inf:
+        raise ValueError
+    return number
+
+
+def _bytes(text: str) -> int:
+    match = re.fullmatch(r"([1-9]\d*)([KMG]?)", text, re.IGNORECASE)
+    if match is None:
+        raise argparse.ArgumentTypeError(f"{text!r}: expected bytes, or a number with K, M or G: 100M")
+    return int(match[1]) << {"": 0, "K": 10, "M": 20, "G": 30}[match[2].upper()]

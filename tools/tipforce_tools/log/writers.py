@@ -1,0 +1,128 @@
+"""Frames to a file: candump's log format by ourselves, every other format by python-can's writers."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.candump_format import CandumpFormat
+from tipforce.host.frame_block import CandumpBlock
+
+if TYPE_CHECKING:
+    import can
+
+CANDUMP_SUFFIXES = (".log",)
+_ZIP = ".gz"
+_ZIP_FLUSH_S = 1.0  # each flush costs compression
+_DRAIN_S = 60.0
+
+
+class LogWriter(Protocol):
+    """A log file that is being written."""
+
+    def write(self, block: CandumpBlock) -> None:
+        """Append the frames of a block; a killed process loses one second of a .gz at most. Raises OSError."""
+
+    def close(self) -> None:
+        """Write what is left and close the file. Raises OSError."""
+
+
+def open_writer(path: Path) -> LogWriter:
+    """A writer of the format that the suffix names. Raises InputError for another suffix."""
+    suffix = format_suffix(path)
+    if suffix in CANDUMP_SUFFIXES:
+        return CandumpWriter(path)
+    return PythonCanWriter(path)
+
+
+def format_suffix(path: Path) -> str:
+    """`.log` of run.log and of run.log.gz. Raises InputError for a format that can't be written."""
+    suffixes = [suffix.lower() for suffix in path.suffixes]
+    zipped = suffixes[-1:] == [_ZIP]
+    suffix = "".join(suffixes[:-1][-1:] if zipped else suffixes[-1:])
+    if suffix in CANDUMP_SUFFIXES:
+        return suffix
+    from can.io.logger import MESSAGE_WRITERS
+
+    known = sorted({*MESSAGE_WRITERS, *CANDUMP_SUFFIXES})
+    if suffix not in known or (zipped and suffix in {".blf", ".db", ".mf4"}):
+        raise InputError(
+            f"{path}: the suffix says which format, and {path.suffix or 'none'} is not one: "
+            f"allowed are {', '.join(known)}, and behind .log, .asc, .csv, .trc and .txt also .gz"
+        )
+    return suffix
+
+
+class CandumpWriter:
+    """candump's log format: one line a frame as `candump -L` has it. Wireshark and canplayer open it."""
+
+    def __init__(self, path: Path) -> None:
+        # Names are not aligned: the width would change when a longer one comes.
+        self._format = CandumpFormat(log=True, align=False)
+        zipped = path.suffix.lower() == _ZIP
+        self._file = _gzip_file(path) if zipped else _plain_file(path)
+        self._flush_every_s = _ZIP_FLUSH_S if zipped else 0.0
+        self._flushed_s = time.monotonic()
+
+    def write(self, block: CandumpBlock) -> None:
+        """See LogWriter."""
+        lines = self._format.lines(block)
+        if lines:
+            self._file.write(("\n".join(lines) + "\n").encode())
+            now = time.monotonic()
+            if now - self._flushed_s >= self._flush_every_s:
+                self._file.flush()
+                self._flushed_s = now
+
+    def close(self) -> None:
+        """See LogWriter."""
+        self._file.close()
+
+
+def _gzip_file(path: Path) -> BinaryIO:
+    import gzip
+
+    return gzip.open(path, "wb", compresslevel=6)  # type: ignore[return-value]  # a file for all that is done here
+
+
+def _plain_file(path: Path) -> BinaryIO:
+    return path.open("wb")
+
+
+class PythonCanWriter:
+    """Any format that python-can writes."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises EnvironmentLackError for a format that needs a package that is not there."""
+        import can
+
+        try:
+            self._writer: Any = can.Logger(path)
+        except (ImportError, NotImplementedError) as error:
+            raise EnvironmentLackError(f"{path}: {error}; for .mf4: pip install asammdf") from error
+
+    def write(self, block: CandumpBlock) -> None:
+        """See LogWriter."""
+        from tipforce.host.messages import block_messages
+
+        for message in block_messages(block):
+            self._writer.on_message_received(message)
+
+    def close(self) -> None:
+        """See LogWriter."""
+        _drain(self._writer)
+        self._writer.stop()
+
+
+def _drain(writer: can.io.generic.MessageWriter) -> None:
+    """Wait until python-can's SQLite writer has taken all messages: its stop() throws the others away."""
+    waiting = getattr(writer, "buffer", None)
+    if waiting is None or not hasattr(waiting, "empty"):
+        return
+    end = time.monotonic() + _DRAIN_S
+    while not waiting.empty() and time.monotonic() < end:
+        time.sleep(0.01)
+    if not waiting.empty():
+        raise OSError(f"the database took longer than {_DRAIN_S:g} s; {waiting.qsize()} frames are not in it")

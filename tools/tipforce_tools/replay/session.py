@@ -1,0 +1,207 @@
+"""One run of `tipforce replay`: frames of a log onto buses, in the log's own time."""
+
+from __future__ import annotations
+
+import sys
+import time
+from argparse import Namespace
+from collections import Counter, deque
+from collections.abc import Iterator
+from contextlib import ExitStack
+from itertools import count, islice
+from typing import NamedTuple
+
+import numpy as np
+
+from tipforce.device.codes import ERROR_FLAG
+from tipforce.errors import InputError
+from tipforce.host.candump import BadLineError, CandumpParser
+from tipforce.host.fd_frame import FdFrame
+from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.send import NotCarriedError, Sender, open_sender
+from tipforce_tools import common
+from tipforce_tools.live import StopSignals, counted, resolved_options
+from tipforce_tools.main import INTERRUPTED
+from tipforce_tools.replay.source import STDIN, log_blocks
+
+_SLICE_S = 0.2  # how long a signal waits at most
+_VIRTUAL = ("virtual", "udp_multicast")
+
+
+class Frame(NamedTuple):
+    """One frame that is to be sent: ``due_s`` after the start; ``fd`` in place of length and data."""
+
+    due_s: float
+    name: str
+    can_id: int
+    length: int
+    data: bytes
+    fd: FdFrame | None
+
+
+class Clock:
+    """When frames are due: the log's own steps, none backwards and none longer than a given gap, times a speed."""
+
+    def __init__(self, speed: float, max_gap_s: float | None) -> None:
+        self._per_ns = 0.0 if speed == np.inf else 1e-9 / speed
+        self._longest_ns = None if max_gap_s is None else round(max_gap_s * 1e9)
+        self._last_ns: int | None = None
+        self._due_s = 0.0
+
+    def due_s(self, t_ns: int) -> float:
+        """Seconds after the start, for the next frame of the log."""
+        step_ns = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)
+        if self._longest_ns is not None:
+            step_ns = min(step_ns, self._longest_ns)
+        self._last_ns = t_ns
+        self._due_s += step_ns * self._per_ns
+        return self._due_s
+
+    def begin_again(self) -> None:
+        """The log starts anew: its first frame is due with its last."""
+        self._last_ns = None
+
+
+class Buses:
+    """The buses that are sent on, opened when the first frame for one comes, and what could not be sent."""
+
+    def __init__(self, args: Namespace, opened: ExitStack) -> None:
+        self._args = args
+        self._opened = opened
+        self._senders: dict[str, Sender] = {}
+        self._targets_of: dict[str, list[str]] = {}
+        for pair in args.assignments:
+            write, _, log = pair.partition("=")
+            self._targets_of.setdefault(log, []).append(write)
+        self._options = resolved_options(args, named=bool(args.assignments) or not getattr(args, "channel", None))
+        self._only = self._options.get("channel") if not args.assignments else None
+        self.sent = 0
+        self.left_out: Counter[str] = Counter()
+        # What is known before the log is read is asked for and opened now, not in the middle.
+        known = [str(self._only)] if self._only else [one for some in self._targets_of.values() for one in some]
+        for target in dict.fromkeys(known):
+            self._open(target)
+
+    def send(self, frame: Frame) -> None:
+        """Send one frame where it goes, or count why not. Raises EnvironmentLackError when the bus fails."""
+        if self._only:
+            self._send(frame, self._only)
+        elif not self._targets_of:
+            self._send(frame, frame.name)
+        elif frame.name not in self._targets_of:
+            self.left_out[f"of {frame.name}, which no assignment names"] += 1
+        else:
+            for target in self._targets_of[frame.name]:
+                self._send(frame, target)
+
+    def _send(self, frame: Frame, target: str) -> None:
+        sender = self._senders.get(target) or self._open(target)
+        if frame.can_id & ERROR_FLAG and not self._virtual(target):
+            self.left_out["error frames, which only a virtual bus carries"] += 1
+            return
+        try:
+            if frame.fd is None:
+                sender.send(frame.can_id, frame.length, frame.data)
+            else:
+                sender.send_fd(frame.fd)
+            self.sent += 1
+        except NotCarriedError as error:
+            self.left_out[f"because {error}"] += 1
+
+    def _open(self, target: str) -> Sender:
+        options = {**self._options, "channel": target}
+        asked = Namespace(**{**vars(self._args), "channel": target, "interface": options.get("interface")})
+        common.confirm(asked, f"this sends the frames of {self._args.log} on {target}")
+        sender = self._senders[target] = self._opened.enter_context(open_sender(options))
+        return sender
+
+    def _virtual(self, target: str) -> bool:
+        return self._options.get("interface") in _VIRTUAL or "vcan" in target
+
+
+def replay(args: Namespace) -> int:
+    """Send all frames of the log. 0, 1 if it had bad lines and --strict, 130 after a signal."""
+    if args.log == STDIN and args.loop != 1:
+        raise InputError("--loop: stdin can be read once only; give a file")
+    if args.assignments and getattr(args, "channel", None):
+        raise InputError("-c sends all frames to one bus, WRITE=LOG assigns them: give one of the two")
+    parser = CandumpParser(strict=args.strict)
+    late_s = [0.0]
+    with StopSignals() as stop, ExitStack() as opened:
+        buses = Buses(args, opened)
+        start_s = time.monotonic()
+        try:
+            for frame in _frames(args, parser):
+                if not _wait_until(start_s + frame.due_s, stop):
+                    break
+                late_s[0] = max(late_s[0], time.monotonic() - start_s - frame.due_s)
+                buses.send(frame)
+        except BadLineError as error:
+            print(f"tipforce replay: {error}", file=sys.stderr)
+            return 1
+        finally:
+            _report(args, buses, parser, time.monotonic() - start_s, late_s[0])
+    return INTERRUPTED if stop.stopped else 0
+
+
+def _frames(args: Namespace, parser: CandumpParser) -> Iterator[Frame]:
+    """All frames in order, as often as --loop says. Raises InputError for a log without time stamps or frames."""
+    clock = Clock(args.speed, args.max_gap)
+    for _ in islice(count(), args.loop):
+        clock.begin_again()
+        empty = True
+        for block in log_blocks(args.log, parser):
+            if not block.timed:
+                raise InputError(f"{args.log} has no time stamps: record it with candump -L or `tipforce log`")
+            empty = empty and not len(block)
+            yield from _block_frames(block, clock)
+        if empty:
+            return
+
+
+def _block_frames(block: CandumpBlock, clock: Clock) -> Iterator[Frame]:
+    frames = block.frames
+    data = frames["data"].tobytes()
+    fd = deque(block.fd)
+    columns = (frames["t_ns"], frames["can_id"], frames["length"], block.interface)
+    for row, (t_ns, can_id, length, interface) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+        while fd and fd[0].row <= row:
+            yield _fd_frame(fd.popleft(), block, clock)
+        payload = data[8 * row : 8 * row + length]
+        yield Frame(clock.due_s(t_ns), block.names[interface], can_id, length, payload, None)
+    for one in fd:
+        yield _fd_frame(one, block, clock)
+
+
+def _fd_frame(one: FdFrame, block: CandumpBlock, clock: Clock) -> Frame:
+    return Frame(clock.due_s(one.t_ns), block.names[one.interface], one.can_id, 0, b"", one)
+
+
+def _wait_until(due_s: float, stop: StopSignals) -> bool:
+    """Sleep until ``due_s`` of the monotonic clock; False when a signal came."""
+    while not stop.stopped:
+        rest_s = due_s - time.monotonic()
+        if rest_s <= 0:
+            return True
+        time.sleep(min(rest_s, _SLICE_S))
+    return False
+
+
+def _report(args: Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
+    late = f", the latest {late_s * 1000:.1f} ms after its time" if args.verbose else ""
+    common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
+    for reason, number in buses.left_out.items():
+        common.note(args, f"tipforce replay: {counted(number, 'frame')} left out: {reason}")
+    if parser.bad:
+        reasons = ", ".join(f"{number} {reason}" for reason, number in parser.bad.items())
+        common.note(args, f"tipforce replay: bad lines left out ({reasons}), first {parser.bad_lines[0]}")
+    if args.json:
+        common.print_json(
+            {
+                "sent": buses.sent,
+                "seconds": round(seconds, 3),
+                "latest_s": round(late_s, 6),
+                "left_out": dict(buses.left_out),
+                "bad_lines": parser.bad,
+            }
+        )
