@@ -79,7 +79,7 @@ def estimates(
     limit = np.inf if saturation_microstrain is None else saturation_microstrain * 1e-6
     tares, was_present, words = tares_of(data), False, dict[int, str]()
     for start in range(0, len(data.line), CHUNK):
-        found = _estimated(calibration, blocks, data, slice(start, start + CHUNK), tares, limit, was_present)
+        found = estimated(calibration, blocks, data, slice(start, start + CHUNK), tares, limit, was_present)
         loaded = found.status[(found.status & TARE) == 0]
         was_present = bool(loaded[-1] & scalar.CONTACT_PRESENT) if loaded.size else was_present
         lines = data.line[start : start + CHUNK].tolist()
@@ -89,7 +89,7 @@ def estimates(
             yield line, values, words[status]
 
 
-def _estimated(
+def estimated(
     calibration: Calibration,
     blocks: FloatArray,
     data: Measurements,
@@ -98,6 +98,10 @@ def _estimated(
     limit: float,
     was_present: bool,
 ) -> Estimates:
+    """Estimates of some rows that follow each other; ``was_present``: contact before the first of them.
+
+    blocks: (n, 4, n, 4), what the calibration contributes; limit: the converter's, strain (inf: none).
+    """
     V = data.strain[rows]
     offset, tare_noise = _offsets(calibration, data, rows, tares)
     F = force_from_strain(calibration.C, V - offset)

@@ -1,0 +1,73 @@
+"""Logs of fingers for the tests of `tipforce decode`: seeded, with losses, unknown values and rare messages."""
+
+from __future__ import annotations
+
+import csv
+import io
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tipforce_tools.main import main
+
+START_US = 1_700_000_000_000_000
+
+
+def log_lines(
+    samples: int = 300,
+    nodes: tuple[int, ...] = (1, 5),
+    *,
+    seed: int = 1,
+    loss: float = 0.02,
+    health: int = 0,
+    bus: str = "vcan0",
+) -> list[str]:
+    """Lines of candump -L: gauges and contact of each node at 1 kHz, some frames lost, some values unknown."""
+    random = np.random.default_rng(seed)
+    lines = []
+    for sample in range(samples):
+        t_us = START_US + 1000 * sample
+        lines.append(f"({t_us // 1_000_000}.{t_us % 1_000_000:06d}) {bus} 080#")
+        frames = [(base + node, node) for base in (0x180, 0x280) for node in nodes]
+        if health and sample % health == health - 1:
+            frames += [(0x480 + node, node) for node in nodes]
+        for position, (identifier, node) in enumerate(frames):
+            words = random.integers(-3000, 3000, 3).astype("<i2")
+            words[random.random(3) < 0.05] = -32768
+            data = words.tobytes() + bytes([0x03 | (0x08 if random.random() < 0.02 else 0), (sample + node) & 0xFF])
+            if identifier > 0x480:
+                data = words.tobytes() + bytes([(sample + node) & 0xFF, 0])
+            if random.random() >= loss:
+                u_us = t_us + 50 * (position + 1)
+                text = data.hex().upper()
+                lines.append(f"({u_us // 1_000_000}.{u_us % 1_000_000:06d}) {bus} {identifier:03X}#{text}")
+    return lines
+
+
+def write_log(path: Path, lines: list[str]) -> Path:
+    """A log of these lines."""
+    path.write_text("".join(line + "\n" for line in lines))
+    return path
+
+
+def decode(*words: object) -> int:
+    """Run `tipforce decode`, quietly."""
+    return main(["decode", "-q", *map(str, words)])
+
+
+def rows_of(path: Path) -> list[dict[str, str]]:
+    """The rows of a CSV file."""
+    return list(csv.DictReader(io.StringIO(path.read_text())))
+
+
+def number(text: str) -> float | None:
+    """A cell; None where it is empty."""
+    return float(text) if text else None
+
+
+def records_of(text: str) -> list[dict[str, Any]]:
+    """JSON lines."""
+    import json
+
+    return [json.loads(line) for line in text.splitlines()]

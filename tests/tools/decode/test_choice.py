@@ -1,0 +1,258 @@
+"""What is chosen of a log: times, layouts, grids, calibrations."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from datetime import UTC, datetime
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from host.bus_with_nodes import connected, finger, new_channel
+from tipforce.host.calibration import Calibration
+from tipforce.host.calibration_file import write_calibration
+from tipforce.sensor.forces import force_vector
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce_tools.decode.resample import Resampler
+from tipforce_tools.decode.table import Column, Table
+from tipforce_tools.main import main
+from tools.decode.logs import decode, log_lines, number, rows_of, write_log
+
+P = Column("P_N", "P", "real", 3, "N", 0)
+PHI = Column("phi_deg", "phi", "real", 2, "degree", 1)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write_log(tmp_path / "run.log", log_lines(200, (1, 5), loss=0.0))
+
+
+@pytest.mark.parametrize(
+    ("start", "end"),
+    [
+        ("0.05", "0.1"),
+        ("1700000000.05", "1700000000.1"),
+        ("2023-11-14T22:13:20.050Z", "2023-11-14T22:13:20.100+00:00"),
+        (datetime.fromtimestamp(1_700_000_000.05).isoformat(), "0.1"),
+    ],
+)
+def test_part_of_the_time(log: Path, tmp_path: Path, start: str, end: str) -> None:
+    assert decode(log, "-o", tmp_path / "all.csv") == 0
+    assert decode(log, "--from", start, "--to", end, "-o", tmp_path / "part.csv") == 0
+    chosen = [row for row in rows_of(tmp_path / "all.csv") if 0.05 <= float(row["t_s"]) - 1_700_000_000 < 0.1]
+    found = rows_of(tmp_path / "part.csv")
+    assert len(found) == 100
+    assert [row["t_s"] for row in found] == [row["t_s"] for row in chosen]
+
+
+def test_relative_time_counts_from_the_first_log(tmp_path: Path) -> None:
+    lines = log_lines(200, (5,), loss=0.0)
+    names = [write_log(tmp_path / f"{k}.log", lines[k * 300 : (k + 1) * 300]) for k in range(2)]
+    assert decode(*names, "--from", "0.15", "-j", 2, "-o", tmp_path / "part.csv") == 0
+    assert len(rows_of(tmp_path / "part.csv")) == 50
+
+
+def test_a_log_without_times_has_no_parts(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = write_log(tmp_path / "screen.log", ["  can0  285   [8]  E8 03 64 00 C8 00 03 01"])
+    assert decode(log, "--from", "1", "-o", tmp_path / "a.csv") == 2
+    assert "no timestamps" in capsys.readouterr().err
+    assert not list(tmp_path.glob("*.csv"))
+    assert decode(log, "-o", tmp_path / "a.csv") == 0
+    assert rows_of(tmp_path / "a.csv")[0]["t_s"] == ""
+
+
+def table_of(t_s: list[float], key: list[int], force: list[float], phi: list[float]) -> Table:
+    count = len(t_s)
+    return Table(
+        np.rint(np.array(t_s) * 1e9).astype(np.int64), np.array(key, dtype=np.uint16), np.zeros(count, dtype=np.int64),
+        np.ones(count, dtype=np.bool_), (P, PHI), {"P_N": np.array(force), "phi_deg": np.array(phi)}, {}, ("can0",),
+    )  # fmt: skip
+
+
+def resampled(tables: list[Table], rate_hz: float) -> list[tuple[float, int, int, float, int, float]]:
+    found = []
+    for table in Resampler(rate_hz).tables(tables):
+        v = table.values
+        columns = (v["count"], v["P_N"], v["n_P_N"], v["phi_deg"])
+        found += [
+            (t / 1e9, int(key), int(c), float(p), int(n), float(phi))
+            for t, key, c, p, n, phi in zip(table.t_ns.tolist(), table.key, *columns, strict=True)
+        ]
+    return found
+
+
+def test_resample_means() -> None:
+    nan = float("nan")
+    times = [10.01, 10.02, 10.09, 10.11, 10.45]
+    found = resampled([table_of(times, [5] * 5, [1.0, 2.0, nan, 4.0, 8.0], [179.0, -179.0, 10.0, nan, 3.0])], 10.0)
+    assert [row[0] for row in found] == [10.0, 10.1, 10.2, 10.3, 10.4]
+    assert [row[2] for row in found] == [3, 1, 0, 0, 1]
+    assert [row[4] for row in found] == [2, 1, 0, 0, 1]
+    np.testing.assert_allclose([row[3] for row in found], [1.5, 4.0, nan, nan, 8.0])
+    angles = np.radians([179.0, -179.0, 10.0])
+    mean = np.degrees(np.arctan2(np.sin(angles).mean(), np.cos(angles).mean()))
+    np.testing.assert_allclose([row[5] for row in found], [mean, nan, nan, nan, 3.0])
+    opposite = resampled([table_of([1.0, 1.01], [5, 5], [1.0, 1.0], [0.0, 180.0])], 1.0)
+    assert np.isnan(opposite[0][5])
+
+
+@given(
+    st.lists(st.tuples(st.integers(0, 3000), st.sampled_from([1, 2]), st.floats(-9, 9)), min_size=1, max_size=60),
+    st.integers(1, 20),
+    st.sampled_from([1.0, 3.0, 7.5, 100.0]),
+)
+@settings(max_examples=100, deadline=None)
+def test_resample_does_not_see_blocks(made: list[tuple[int, int, float]], size: int, rate_hz: float) -> None:
+    made = sorted(made, key=lambda row: row[0])
+    t_s, key, force = ([row[k] for row in made] for k in range(3))
+    times, keys = [t / 1000 for t in t_s], [int(k) for k in key]
+    values = [float(f) for f in force]
+    whole = resampled([table_of(times, keys, values, values)], rate_hz)
+    pieces = [
+        table_of(times[k : k + size], keys[k : k + size], values[k : k + size], values[k : k + size])
+        for k in range(0, len(made), size)
+    ]
+    parts = sorted(resampled(pieces, rate_hz))
+    assert [row[:3] for row in parts] == [row[:3] for row in sorted(whole)]
+    np.testing.assert_allclose([row[3] for row in parts], [row[3] for row in sorted(whole)], atol=1e-12)
+    assert sum(row[2] for row in whole) == len(made)
+    for node in {1, 2} & set(keys):
+        grid = [row[0] for row in whole if row[1] == node]
+        np.testing.assert_allclose(np.diff(grid), 1 / rate_hz, atol=2e-9)
+
+
+def test_a_leap_of_the_clock_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = ["(0000000001.000000) can0 285#E80364006400030A", "(1700000000.000000) can0 285#E80364006400030B"]
+    assert decode(write_log(tmp_path / "a.log", lines), "--resample", "1000", "-o", tmp_path / "a.csv") == 2
+    assert "intervals without a sample" in capsys.readouterr().err
+
+
+def test_calibration_equals_estimate(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    A = strain_matrix(FABRICATED, "I")
+    offset = np.array([20e-6, -30e-6, 5e-6])
+    cal = tmp_path / "cal.toml"
+    calibration = Calibration(calibration_matrix(FABRICATED, "I"), offset, 1e-12 * np.eye(3), layout_code=1, pull=True)
+    write_calibration(cal, calibration)
+    random = np.random.default_rng(7)
+    lines, gauges = [], ["SG1,SG2,SG3"]
+    for k in range(200):
+        load = random.uniform(0.0, 3.0), random.uniform(-3, 3), random.uniform(0.0, 1.5)
+        raw = np.rint((A @ force_vector(*load) + offset) * 1e7).astype("<i2")
+        lines.append(f"(1700000000.{k:06d}) can0 185#{raw.tobytes().hex().upper()}03{k & 0xFF:02X}")
+        gauges.append(",".join(f"{value / 10:.1f}" for value in raw))
+    log = write_log(tmp_path / "run.log", lines)
+    write_log(tmp_path / "gauges.csv", gauges)
+    assert main(["estimate", str(cal), str(tmp_path / "gauges.csv"), "-q"]) == 0
+    expected = list(csv.DictReader(io.StringIO(capsys.readouterr().out)))
+    assert decode(log, "--calibration", f"5={cal}", "-o", tmp_path / "contact.csv") == 0
+    found = rows_of(tmp_path / "contact.csv")
+    assert len(found) == len(expected) == 200
+    for ours, theirs in zip(found, expected, strict=True):
+        for name in ("P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg"):
+            a, b = number(ours[name]), number(theirs[name])
+            assert (a is None) == (b is None), name
+            if a is not None and b is not None:
+                assert a == pytest.approx(b, abs=1e-6, rel=1e-8), name
+        words = {} if theirs["status"] == "ok" else set(theirs["status"].split())
+        assert (ours["contact"] == "0") == ("no_contact" in words)
+        assert (ours["beyond_first_order"] == "1") == ("beyond_first_order" in words)
+    assert decode(log, "--calibration", cal, "--signals", "P,u_P_N", "-o", tmp_path / "few.csv") == 0
+    few = rows_of(tmp_path / "few.csv")
+    assert list(few[0]) == ["t_s", "node", "counter", "P_N", "u_P_N"]
+    assert [row["P_N"] for row in few] == [row["P_N"] for row in found]
+
+
+def test_calibration_without_readings_is_missing(tmp_path: Path) -> None:
+    cal = tmp_path / "cal.toml"
+    write_calibration(
+        cal, Calibration(calibration_matrix(FABRICATED, "I"), np.zeros(3), 1e-12 * np.eye(3), layout_code=1, pull=True)
+    )
+    frames = ["185#0080008000800A01", "185#640064006400070A", "186#6400640064000301", "185#640064006400030B"]
+    lines = [f"(1700000000.{k:06d}) can0 {frame}" for k, frame in enumerate(frames)]
+    assert decode(write_log(tmp_path / "a.log", lines), "--calibration", f"5={cal}", "-o", tmp_path / "a.csv") == 0
+    rows = rows_of(tmp_path / "a.csv")
+    assert [bool(row["P_N"]) for row in rows] == [False, False, False, True]  # stale, saturated, node 6, good
+    assert [row["node"] for row in rows] == ["5", "5", "6", "5"]
+
+
+def test_layouts_of_a_dbc(tmp_path: Path, log: Path) -> None:
+    dbc = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
+    assert decode(log, "--dbc", dbc, "--signals", "P,SG2", "-o", tmp_path / "dbc.csv") == 0
+    assert decode(log, "--signals", "P,SG2", "-o", tmp_path / "own.csv") == 0
+    foreign, own = rows_of(tmp_path / "dbc.csv"), rows_of(tmp_path / "own.csv")
+    theirs = sorted((row["node"], row["P"]) for row in foreign if row.get("P"))
+    assert theirs == sorted((row["node"], row["P_N"]) for row in own if row["P_N"])
+
+
+def test_layout_of_a_dcf(tmp_path: Path) -> None:
+    eds = (Path(__file__).parents[3] / "eds" / "tipforce-3.eds").read_text()
+    dcf = tmp_path / "node.dcf"
+    changed = eds.replace("DefaultValue=$NODEID+0x40000280", "DefaultValue=$NODEID+0x40000280\nParameterValue=0x2F0")
+    assert changed != eds
+    dcf.write_text(changed + "\n[DeviceComissioning]\nNodeID=5\n")
+    lines = ["(1700000000.000000) can0 2F0#E80364006400030A", "(1700000000.001000) can0 285#E80364006400030B"]
+    assert decode(write_log(tmp_path / "a.log", lines), "--dcf", dcf, "-o", tmp_path / "a.csv") == 0
+    rows = rows_of(tmp_path / "a.csv")
+    assert [(row["node"], row["counter"], row["P_N"]) for row in rows] == [("5", "10", "1.000")]
+
+
+@pytest.mark.parametrize(
+    ("words", "says"),
+    [
+        (["--signals", "Q"], "Q"),
+        (["--from", "yesterday"], "--from"),
+        (["--resample", "0"], "--resample"),
+        (["-o", "x.xlsx"], "suffix"),
+        (["--format", "parquet"], "--output"),
+        (["--jobs", "0"], "--jobs"),
+        (["--calibration", "999=a.toml"], "999"),
+        (["--calibration", "missing.toml"], "missing.toml"),
+        (["--dbc", "missing.dbc"], "missing.dbc"),
+        (["--dcf", "missing.dcf"], "missing.dcf"),
+        (["--scheduler", "tcp://127.0.0.1:1"], "--scheduler"),
+    ],
+)
+def test_what_is_not_usable_is_said(
+    log: Path, words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from tipforce_tools.decode import parallel
+
+    monkeypatch.setattr(parallel, "CONNECT_S", 1)
+    assert main(["decode", str(log), *words]) == 2
+    out, err = capsys.readouterr()
+    assert says in err
+    assert "Traceback" not in err
+    assert out == ""
+
+
+def test_times_in_utc(log: Path, tmp_path: Path) -> None:
+    import pyarrow.parquet as pq
+
+    assert decode(log, "-o", tmp_path / "a.parquet") == 0
+    first = pq.read_table(tmp_path / "a.parquet")["t_s"][0].as_py()
+    assert first.replace(tzinfo=UTC, nanosecond=0).timestamp() == pytest.approx(1_700_000_000.00005)
+
+
+def test_summary_counts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert decode(log, "--summary", "--json", "--nodes", "5") == 0
+    summary = json.loads(capsys.readouterr().out)
+    assert [node["node"] for node in summary["nodes"]] == [5]
+    assert summary["nodes"][0]["messages"]["Contact"] == {"frames": 200, "lost": 0}
+
+
+def test_layout_of_a_node_that_is_asked(tmp_path: Path) -> None:
+    channel = new_channel()
+    with connected(finger(4), channel=channel) as (connection, _):
+        sdo = connection.sdo(4)
+        sdo.download(0x1801, 1, (0xC0000284).to_bytes(4, "little"))
+        sdo.download(0x1801, 1, (0x400003F4).to_bytes(4, "little"))
+        log = write_log(tmp_path / "a.log", ["(1700000000.000000) can0 3F4#E80364006400030A"])
+        words = ["--ask", "4", "-i", "virtual", "-c", channel, "-o", tmp_path / "a.csv"]
+        assert decode(log, *words) == 0
+    assert [(row["node"], row["P_N"]) for row in rows_of(tmp_path / "a.csv")] == [("4", "1.000")]

@@ -1,0 +1,245 @@
+"""Samples out of frames: the same rows however a log is cut into blocks, files or parts, and whoever decodes them."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.host.decode import lost_samples
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce_tools.decode import part, recording
+from tipforce_tools.decode.layouts import Layouts
+from tipforce_tools.decode.merge import SampleMerger
+from tipforce_tools.decode.part import Edge, End, Item, Notes, Reading, part_items
+from tipforce_tools.decode.recording import Recording
+from tipforce_tools.decode.table import Table
+from tools.decode.logs import decode, log_lines, rows_of, write_log
+
+Row = tuple[object, ...]
+BASES = {"gauges": 0x180, "contact": 0x280, "health": 0x480}
+
+
+def frames_of(made: list[tuple[str, int, int, int]]) -> FrameArray:
+    """Frames of (PDO, node, counter, milliseconds since the one before)."""
+    frames = np.zeros(len(made), dtype=FRAME)
+    t_ns = 0
+    for row, (name, node, counter, step_ms) in zip(frames, made, strict=True):
+        t_ns += step_ms * 1_000_000
+        row["t_ns"], row["can_id"], row["length"] = t_ns, BASES[name] + node, 8
+        row["data"][:2] = [len(made) & 0xFF, t_ns // 1_000_000 & 0x7F]
+        row["data"][6 if name == "health" else 7] = counter
+    return frames
+
+
+def rows(tables: list[Table | None]) -> list[Row]:
+    """All rows in a form that compares."""
+    found: list[Row] = []
+    for table in tables:
+        if table is None:
+            continue
+        columns = [(c.name, table.values[c.name].tolist()) for c in sorted(table.columns, key=lambda c: c.name)]
+        for k in range(len(table)):
+            values = tuple(
+                (name, repr(v[k])) for name, v in columns if repr(v[k]) not in {"nan", "-1", str(-(1 << 63))}
+            )
+            found.append((int(table.t_ns[k]), int(table.key[k]), int(table.counter[k]), values))
+    return found
+
+
+def merger() -> SampleMerger:
+    return SampleMerger(Layouts().decoder, ["can0"], None)
+
+
+STREAMS = st.lists(
+    st.tuples(
+        st.sampled_from(["gauges", "contact", "contact", "gauges", "health"]),
+        st.sampled_from([1, 2]),
+        st.sampled_from([254, 255, 0, 1]),
+        st.sampled_from([0, 0, 0, 1, 150, 250]),
+    ),
+    max_size=30,
+)
+
+
+@given(STREAMS, st.lists(st.integers(0, 30), max_size=5))
+@settings(max_examples=300, deadline=None)
+def test_blocks_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
+    frames = frames_of(made)
+    whole = merger()
+    expected = rows([whole.add(frames), whole.finish()])
+    pieces = merger()
+    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
+    tables = [pieces.add(frames[start:end]) for start, end in pairwise(edges)]
+    assert rows([*tables, pieces.finish()]) == expected
+    assert pieces.tally == whole.tally
+
+
+def parts(frames: FrameArray, edges: list[int]) -> list[list[Item]]:
+    """What part_items does, of frames instead of logs."""
+    found: list[list[Item]] = []
+    for start, end in pairwise(edges):
+        one = merger()
+        head, rest = one.head(frames[start:end])
+        items: list[Item] = [Edge(head, ("can0",))]
+        table = one.add(rest)
+        items += [] if table is None else [table]
+        found.append([*items, End(Edge(one.held, ("can0",)), one.tally, Notes("", channels=("can0",)))])
+    return found
+
+
+@given(STREAMS, st.lists(st.integers(0, 30), max_size=4))
+@settings(max_examples=300, deadline=None)
+def test_parts_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
+    frames = frames_of(made)
+    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
+    whole, expected = Recording(Reading(Layouts())), list[Table | None]()
+    expected += whole.tables_of_parts([[Edge(frames, ("can0",), whole=True)]])
+    joined = Recording(Reading(Layouts()))
+    items = parts(frames, edges)
+    for one, (start, end) in zip(items, pairwise(edges), strict=True):
+        if len(one) == 2:  # nothing behind its start: what a short log gives
+            last = one[1]
+            assert isinstance(last, End)
+            one[:] = [Edge(frames[start:end], ("can0",), whole=True), replace(last, tail=Edge(frames[:0], ("can0",)))]
+            last = one[1]
+            assert isinstance(last, End)
+            last.tally.messages.clear()
+    found: list[Table | None] = [*joined.tables_of_parts(items)]
+    assert sorted(map(repr, rows(found))) == sorted(map(repr, rows(expected)))
+    assert joined.told.tally.messages == whole.told.tally.messages
+
+
+@given(STREAMS)
+@settings(max_examples=200, deadline=None)
+def test_each_frame_is_in_one_row(made: list[tuple[str, int, int, int]]) -> None:
+    frames = frames_of(made)
+    one = merger()
+    found = [table for table in (one.add(frames), one.finish()) if table is not None]
+    values = sum(
+        int((~np.isnan(table.values[name])).sum())
+        for table in found
+        for name in ("SG1_ue", "P_N", "temperature_degC")
+        if name in table.values
+    )
+    assert values == len(made)
+    assert sum(count.frames for count in one.tally.messages.values()) == len(made)
+
+
+def test_a_sample_is_one_row() -> None:
+    one = merger()
+    made = [(name, 1, k, 0 if name == "contact" else 1) for k in range(5) for name in ("gauges", "contact")]
+    found = rows([one.add(frames_of(made)), one.finish()])
+    assert len(found) == 5
+    late = [("gauges", 1, 7, 0), ("contact", 1, 7, 201)]
+    one = merger()
+    assert len(rows([one.add(frames_of(late)), one.finish()])) == 2
+
+
+def test_a_repeated_counter_is_a_sample_of_its_own() -> None:
+    one = merger()
+    made = [(name, 1, 9, 0) for _ in range(4) for name in ("gauges", "contact")]
+    assert len(rows([one.add(frames_of(made)), one.finish()])) == 4
+
+
+def test_health_joins_the_sample_that_it_tells_of() -> None:
+    one = merger()
+    made = [("gauges", 1, 3, 1), ("contact", 1, 3, 0), ("health", 1, 3, 1), ("health", 1, 3, 1), ("gauges", 1, 4, 1)]
+    found = rows([one.add(frames_of(made)), one.finish()])
+    assert [row[2] for row in found] == [3, 3, 4]
+    names = [repr(row[3]) for row in found]
+    assert "P_N" in names[0]
+    assert "temperature_degC" in names[0]
+    assert "temperature_degC" in names[1]
+    assert "('P_N'" not in names[1]
+
+
+@given(st.lists(st.integers(0, 255), max_size=40), st.lists(st.integers(0, 40), max_size=4))
+@settings(max_examples=100, deadline=None)
+def test_lost_samples_over_borders(counters: list[int], cuts: list[int]) -> None:
+    frames = frames_of([("contact", 1, counter, 1) for counter in counters])
+    one = merger()
+    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
+    for start, end in pairwise(edges):
+        one.add(frames[start:end])
+    one.finish()
+    lost = sum(one.tally.lost().values())
+    assert lost == lost_samples(counters)
+
+
+@pytest.fixture
+def small_heads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts whose start is decided after few frames, so that small logs have a middle."""
+    monkeypatch.setattr(part, "_HEAD_FRAMES", 400)
+
+
+@pytest.mark.usefixtures("small_heads")
+@pytest.mark.parametrize("jobs", [1, 3])
+def test_many_files_equal_one(tmp_path: Path, jobs: int) -> None:
+    lines = log_lines(1500, (1, 5), health=70)
+    write_log(tmp_path / "whole.log", lines)
+    for number, start in enumerate(range(0, len(lines), 1777)):
+        write_log(tmp_path / f"part-{number}.log", lines[start : start + 1777])
+    write_log(tmp_path / "part-10.log", [])  # behind part-9 and not behind part-1
+    assert decode(tmp_path / "whole.log", "-o", tmp_path / "whole.csv") == 0
+    assert decode(tmp_path / "part-*.log", "-o", tmp_path / "parts.csv", "--jobs", jobs) == 0
+    assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
+
+
+@pytest.mark.usefixtures("small_heads")
+def test_parts_of_logs_equal_the_whole(tmp_path: Path) -> None:
+    lines = log_lines(1200, (1, 2, 9))
+    names = [
+        str(write_log(tmp_path / f"{start}.log", lines[start : start + 2001])) for start in range(0, len(lines), 2001)
+    ]
+    reading = Reading(Layouts())
+    one, other = Recording(reading), Recording(reading)
+    expected = rows([*one.tables_of_logs(names)])
+    found = [list(part_items(name, reading)) for name in names]
+    assert any(isinstance(item, Table) for items in found for item in items)
+    assert rows([*other.tables_of_parts(found)]) == expected
+    assert other.told.tally == one.told.tally
+
+
+def test_dask_equals_local(tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    lines = log_lines(300, (1, 5))
+    names = [write_log(tmp_path / f"{k}.log", lines[k * 500 : (k + 1) * 500]) for k in range(3)]
+    assert decode(*names, "-o", tmp_path / "local.csv") == 0
+    with distributed.LocalCluster(
+        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="inproc://"
+    ) as cluster:
+        words = ["-o", tmp_path / "dask.csv", "--scheduler", cluster.scheduler_address]
+        assert decode(*names, *words) == 0
+    assert (tmp_path / "dask.csv").read_bytes() == (tmp_path / "local.csv").read_bytes()
+
+
+def test_nodes_of_two_buses_stay_apart(tmp_path: Path) -> None:
+    first, second = log_lines(50, (5,), bus="can0"), log_lines(50, (5,), seed=2, bus="can1")
+    both = sorted(first + second, key=lambda line: line.split()[0])
+    log = write_log(tmp_path / "both.log", both)
+    assert decode(log, "-o", tmp_path / "both.csv") == 0
+    for name, lines in (("can0", first), ("can1", second)):
+        assert decode(write_log(tmp_path / f"{name}.log", lines), "-o", tmp_path / f"{name}.csv") == 0
+        alone = rows_of(tmp_path / f"{name}.csv")
+        mixed = [dict(row) for row in rows_of(tmp_path / "both.csv") if row.pop("channel") == name]
+        assert mixed == alone
+        assert decode(log, "--bus", name, "-o", tmp_path / "chosen.csv") == 0
+        chosen = [dict(row) for row in rows_of(tmp_path / "chosen.csv")]
+        for row in chosen:
+            row.pop("channel", None)
+        assert chosen == alone
+
+
+def test_counters_go_on() -> None:
+    counters = recording.Counters()
+    one = merger()
+    made = [("contact", 1, k & 0xFF, 1) for k in range(700)]
+    tables = [one.add(frames_of(made)[start : start + 99]) for start in range(0, 700, 99)]
+    found = [counters.unwrapped(table) for table in [*tables, one.finish()] if table is not None]
+    assert np.concatenate([table.counter for table in found]).tolist() == list(range(700))

@@ -1,0 +1,217 @@
+"""Where `tipforce decode` writes, and what is there when it fails."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pyarrow.dataset
+import pyarrow.parquet as pq
+import pytest
+
+from tipforce_tools.decode import writers
+from tipforce_tools.main import main
+from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
+
+DECODE = [sys.executable, "-m", "tipforce_tools.main", "decode"]
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    return write_log(tmp_path / "run.log", log_lines(200, (1, 5, 9), health=40))
+
+
+def test_directory_is_a_table_for_all(log: Path, tmp_path: Path) -> None:
+    assert decode(log, "-o", f"{tmp_path}/parts/") == 0
+    assert decode(log, "-o", tmp_path / "run.parquet") == 0
+    names = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("parts/*/*"))
+    assert names == [f"parts/node={node}/part-0.parquet" for node in (1, 5, 9)]
+    whole = pq.read_table(tmp_path / "run.parquet").sort_by([("node", "ascending"), ("t_s", "ascending")])
+    parts = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
+    parts = parts.sort_by([("node", "ascending"), ("t_s", "ascending")])
+    for name in whole.column_names:
+        assert parts[name].to_pylist() == whole[name].to_pylist(), name
+
+
+def test_polars_and_duckdb_read_it(log: Path, tmp_path: Path) -> None:
+    assert decode(log, "-o", f"{tmp_path}/parts/") == 0
+    expected = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
+    forces = sorted(value for value in expected["P_N"].to_pylist() if value is not None)
+    polars = pytest.importorskip("polars")
+    frame = polars.read_parquet(f"{tmp_path}/parts/*/*.parquet", hive_partitioning=True)
+    assert sorted(frame["P_N"].drop_nulls().to_list()) == forces
+    assert sorted(frame["node"].unique().to_list()) == [1, 5, 9]
+    duckdb = pytest.importorskip("duckdb")
+    query = f"select P_N, node from '{tmp_path}/parts/*/*.parquet' where P_N is not null order by P_N"
+    assert [row[0] for row in duckdb.sql(query).fetchall()] == forces
+
+
+def test_a_directory_with_files_is_not_touched(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    place = tmp_path / "parts"
+    (place / "node=77").mkdir(parents=True)
+    (place / "node=77" / "part-0.parquet").write_text("old")
+    (place / "notes.txt").write_text("mine")
+    assert decode(log, "-o", place) == 2
+    assert "--force" in capsys.readouterr().err
+    assert decode(log, "-o", place, "--force") == 0
+    assert sorted(path.name for path in place.iterdir()) == ["node=1", "node=5", "node=9", "notes.txt"]
+
+
+def test_mcap_is_read_by_its_reader(log: Path, tmp_path: Path) -> None:
+    reader = pytest.importorskip("mcap.reader")
+    assert decode(log, "-o", tmp_path / "run.mcap") == 0
+    assert decode(log, "-o", tmp_path / "run.jsonl") == 0
+    expected = records_of((tmp_path / "run.jsonl").read_text())
+    with (tmp_path / "run.mcap").open("rb") as stream:
+        found = [
+            (schema, channel, message)
+            for schema, channel, message in reader.make_reader(stream).iter_messages(log_time_order=False)
+        ]
+    assert [json.loads(message.data) for _, _, message in found] == expected
+    for schema, channel, message in found:
+        record = json.loads(message.data)
+        assert channel.topic == f"/tipforce/vcan0/node_{record['node']}"
+        assert message.log_time == round(record["t_s"] * 1e6) * 1000
+        assert set(record) <= set(json.loads(schema.data)["properties"])
+
+
+def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.decode import session
+
+    monkeypatch.setattr(session, "_FIRST_ROWS", 1)
+    lines = [line for line in log_lines(100, (5,), loss=0.0) if " 285#" in line]
+    later = [line.replace("170000000", "170000001") for line in log_lines(100, (5,), loss=0.0, bus="vcan1")]
+    names = [write_log(tmp_path / "a.log", lines), write_log(tmp_path / "b.log", later)]
+    for output in ("run.csv", "run.parquet", "parts/"):
+        assert decode(*names, "-j", 1, "-o", f"{tmp_path}/{output}") == 0
+    rows = rows_of(tmp_path / "run.csv")
+    assert [row["channel"] for row in rows] == ["vcan0"] * 100 + ["vcan1"] * 100
+    assert [bool(row["SG1_ue"]) for row in rows[:100]] == [False] * 100
+    table = pq.read_table(tmp_path / "run.parquet")
+    assert table.column_names == list(rows[0])
+    assert table["channel"].to_pylist() == [row["channel"] for row in rows]
+    assert [value is None for value in table["SG2_ue"].to_pylist()] == [not row["SG2_ue"] for row in rows]
+    parts = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
+    assert parts["channel"].to_pylist() == table["channel"].to_pylist()
+
+
+@pytest.mark.parametrize("name", ["out.csv", "out.jsonl", "out.parquet", "out.mcap", "out/"])
+def test_no_partial_output_stays(
+    log: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    place = log.parent / name
+    if not name.endswith("/"):
+        place.write_text("before")
+    opened = writers.open_writer
+
+    def failing(*words: object, **options: object) -> writers.Writer:
+        writer = opened(*words, **options)  # type: ignore[arg-type]
+        write = writer.write
+
+        def full(table: object) -> None:
+            write(table)  # type: ignore[arg-type]
+            raise OSError(28, "No space left on device")
+
+        monkeypatch.setattr(writer, "write", full)
+        return writer
+
+    monkeypatch.setattr("tipforce_tools.decode.session.open_writer", failing)
+    assert decode(log, "-o", f"{log.parent}/{name}") == 1
+    assert "No space left" in capsys.readouterr().err
+    assert sorted(path.name for path in log.parent.iterdir()) == sorted(
+        {"run.log", *([name] if name[-1] != "/" else [])}
+    )
+    assert name.endswith("/") or place.read_text() == "before"
+
+
+def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = log.read_text().splitlines()
+    lines[40:40] = ["(1700000000.9) nonsense"]
+    lines[90:90] = ["(1700000000.900000) can0 28Z#00", "more nonsense"]
+    bad = write_log(tmp_path / "bad.log", lines)
+    out = tmp_path / "bad.csv"
+    assert main(["decode", str(bad), "--strict", "-o", str(out)]) == 1
+    err = capsys.readouterr().err
+    assert f"{bad}: line 41:" in err
+    assert not out.exists()
+    assert main(["decode", str(bad), "-o", str(out)]) == 0
+    err = capsys.readouterr().err
+    assert "1 identifier" in err
+    assert "2 no candump line" in err
+    assert decode(log, "-o", tmp_path / "good.csv") == 0
+    assert out.read_bytes() == (tmp_path / "good.csv").read_bytes()
+
+
+def test_a_csv_of_python_can_is_read_strictly_too(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bad = tmp_path / "bad.asc"
+    bad.write_text("date Tue May 27 04:09:35.000 pm 2014\nbase hex  timestamps absolute\n 1.0 1 zz Rx d 8 00\n")
+    assert main(["decode", str(bad), "--strict"]) in {0, 1}
+    assert "Traceback" not in capsys.readouterr().err
+
+
+def test_packed_logs_and_stdin(log: Path, tmp_path: Path) -> None:
+    assert decode(log, "-o", tmp_path / "a.csv") == 0
+    packed = tmp_path / "run.log.gz"
+    packed.write_bytes(gzip.compress(log.read_bytes()))
+    assert decode(packed, "-o", tmp_path / "b.csv") == 0
+    assert (tmp_path / "b.csv").read_bytes() == (tmp_path / "a.csv").read_bytes()
+    piped = subprocess.run(
+        [*DECODE, "-", "--format", "csv"], input=log.read_bytes(), capture_output=True, timeout=60, check=True
+    )
+    by_cell = [line.split(b",")[:6] for line in piped.stdout.splitlines()]
+    assert by_cell[1:] == [line.split(b",")[:6] for line in (tmp_path / "a.csv").read_bytes().splitlines()][1:]
+
+
+def test_head_ends_quietly(log: Path) -> None:
+    for words in ([], ["--json"], ["--format", "csv"]):
+        text = " ".join([*DECODE, str(log), *words]) + " | head -1"
+        done = subprocess.run(["bash", "-o", "pipefail", "-c", text], capture_output=True, timeout=60, check=False)
+        assert done.returncode == 0
+        assert len(done.stdout.splitlines()) == 1
+        assert done.stderr == b""
+
+
+def test_a_growing_log_is_followed(tmp_path: Path) -> None:
+    lines = log_lines(40, (5,), loss=0.0)
+    log = write_log(tmp_path / "run.log", lines[:60])
+    with subprocess.Popen([*DECODE, "--follow", "--json", str(log)], stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        first = [json.loads(process.stdout.readline()) for _ in range(19)]
+        with log.open("a") as stream:
+            stream.write("".join(line + "\n" for line in lines[60:]))
+        more = [json.loads(process.stdout.readline()) for _ in range(20)]
+        process.terminate()
+        assert process.wait(30) == 130
+    assert [record["counter"] for record in first + more] == list(range(5, 44))
+
+
+def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    frames = ["285#2E1129239A110303", "285#0080008000800204", "28F#E803008000800104"]
+    log = write_log(tmp_path / "a.log", [f"(1700000000.00000{k}) can0 {frame}" for k, frame in enumerate(frames)])
+    assert decode(log) == 0
+    assert capsys.readouterr().out.splitlines() == [
+        "(1700000000.000000)  node   5 (0x05)  P   4.398 N  phi   90.01 deg  theta   45.06 deg  #3  contact calibrated",
+        "(1700000000.000001)  node   5 (0x05)  P unknown N  phi unknown deg  theta unknown deg  #4  calibrated",
+        "(1700000000.000002)  node  15 (0x0F)  P   1.000 N  phi unknown deg  theta unknown deg  #4  contact",
+    ]
+
+
+def test_what_is_not_needed_is_not_imported(log: Path) -> None:
+    code = (
+        "import sys\nfrom tipforce_tools.main import main\nmain(sys.argv[1:])\n"
+        "print(*sorted({'can', 'canopen', 'cantools', 'pyarrow', 'rich', 'scipy', 'dask', 'mcap', 'asyncio'} "
+        "& set(sys.modules)))\n"
+    )
+    words = ["decode", "-q", str(log), "-o", str(log.with_suffix(".csv"))]
+    done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, timeout=60, check=True)
+    assert done.stdout.split() == []
+
+
+def test_a_device_is_written_to(log: Path) -> None:
+    assert decode(log, "-o", "/dev/null", "--format", "csv") == 0
+    assert os.path.exists("/dev/null")
+    assert not list(Path("/dev").glob(".null*"))

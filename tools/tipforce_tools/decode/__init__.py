@@ -1,0 +1,1 @@
+"""`tipforce decode`: logs to tables of samples."""

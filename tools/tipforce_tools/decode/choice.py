@@ -1,0 +1,111 @@
+"""What the flags of `tipforce decode` choose: logs, times, signals, layouts."""
+
+from __future__ import annotations
+
+import glob
+import re
+import sys
+from argparse import Namespace
+from collections.abc import Sequence
+from dataclasses import replace
+from datetime import datetime
+from pathlib import Path
+
+from tipforce.errors import InputError
+from tipforce_tools.decode.layouts import Layouts, signals_named, with_asked, with_dcf
+from tipforce_tools.decode.part import Reading, When, start_of
+
+STDIN = "-"
+_EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame
+
+
+def logs(words: Sequence[str]) -> list[str]:
+    """The logs that words and globs name, in this order; stdin without any. Raises InputError for one not there."""
+    if not words and sys.stdin.isatty():
+        raise InputError("name a log, or pipe candump's text in: `tipforce decode run.log`")
+    found: list[str] = []
+    for word in words or [STDIN]:
+        if word == STDIN or Path(word).exists() or not glob.has_magic(word):
+            found.append(word)
+            continue
+        matches = sorted(glob.glob(word, recursive=True), key=_natural)
+        if not matches:
+            raise InputError(f"{word}: no file matches")
+        found += matches
+    for name in found:
+        if name != STDIN and not Path(name).exists():
+            raise InputError(f"{name}: no such file")
+        if name != STDIN and Path(name).is_dir():
+            raise InputError(f"{name}: is a directory; name its logs, as {name.rstrip('/')}/*.log")
+    if found.count(STDIN) and len(found) > 1:
+        raise InputError("- is stdin: it can't be decoded together with files")
+    return found
+
+
+def _natural(name: str) -> list[tuple[int, str]]:
+    """run-2.log before run-10.log."""
+    return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
+
+
+def when(flag: str, text: str | None) -> When | None:
+    """A time: seconds from the start, seconds of the epoch, or ISO 8601. Raises InputError."""
+    if text is None:
+        return None
+    number = re.fullmatch(r"(\d+)(?:\.(\d{1,9}))?", text.strip())
+    if number is not None:
+        ns = int(number[1]) * 1_000_000_000 + int((number[2] or "0").ljust(9, "0"))
+        return When(ns, int(number[1]) < _EPOCH_FROM_S)
+    try:
+        moment = datetime.fromisoformat(text.strip())
+    except ValueError:
+        raise InputError(
+            f"{flag} {text}: allowed are seconds from the start, seconds of the epoch, or a time as "
+            "2026-05-17T09:30:00 (local; with Z or +02:00 that of the zone)"
+        ) from None
+    moment = moment.astimezone()
+    fraction = moment.microsecond * 1000
+    return When(int(moment.replace(microsecond=0).timestamp()) * 1_000_000_000 + fraction, False)
+
+
+def layouts(args: Namespace) -> Layouts:
+    """The layouts that --gauges, --nodes, --dcf, --dbc and --ask choose. Raises InputError."""
+    if args.dbc and (args.dcf or args.ask):
+        raise InputError("--dbc: gives all layouts; leave out --dcf and --ask")
+    found = Layouts(args.gauges or 3, None if args.nodes is None else tuple(args.nodes), args.dbc)
+    if args.dcf:
+        found = with_dcf(found, args.dcf)
+    if args.ask:
+        names = ("interface", "channel", "bitrate")
+        found = with_asked(found, args.ask, {name: getattr(args, name) for name in names})
+    if args.gauges and found.gauges != args.gauges:
+        raise InputError(f"--gauges {args.gauges}: the layouts are of nodes with {found.gauges}")
+    return found
+
+
+def names_of(text: str | None) -> tuple[str, ...] | None:
+    """`P,theta` as names. Raises InputError for an empty list."""
+    if text is None:
+        return None
+    names = tuple(part.strip() for part in text.split(",") if part.strip())
+    if not names:
+        raise InputError("--signals: write names as P,theta")
+    return names
+
+
+def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tuple[str, ...] | None) -> Reading:
+    """What is read of the logs. Raises InputError."""
+    start, end = when("--from", args.start), when("--to", args.end)
+    found = Reading(
+        chosen, signals, args.bus and tuple(args.bus.split(",")), start, end,
+        strict=args.strict, follow=args.follow, deltas=args.deltas,
+    )  # fmt: skip
+    relative = any(limit is not None and limit.relative for limit in (start, end))
+    if relative and names[0] != STDIN and not Path(names[0]).is_fifo():
+        found = replace(found, origin_ns=start_of(names[0]))
+    return found
+
+
+def checked_signals(chosen: Layouts, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
+    """The signals that names mean. Raises InputError, also for layouts that do not fit together."""
+    decoder = chosen.decoder()
+    return None if names is None else signals_named(decoder, names)

@@ -1,0 +1,141 @@
+"""Contact from gauge PDOs by the host's calibration: P, phi, theta and their standard uncertainties as columns."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.host.calibration import Calibration
+from tipforce.host.calibration_file import read_calibration, read_fit
+from tipforce.host.measurements import Measurements
+from tipforce.sensor import scalar
+from tipforce_tools import estimate_rows
+from tipforce_tools.decode.table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
+
+NEEDED_FLAGS = ("saturated", "stale", "fault")
+"""The node's own word that a gauge reading is none."""
+VALUES = (
+    computed("P", "N"), computed("phi", "degree"), computed("theta", "degree"),
+    computed("u_P", "N"), computed("u_phi", "degree"), computed("u_theta", "degree"),
+)  # fmt: skip
+FLAGS = {
+    "contact": scalar.CONTACT_PRESENT,
+    "theta_unresolved": scalar.THETA_UNRESOLVED,
+    "misses_tip": scalar.MISSES_TIP,
+    "outside_pad": scalar.OUTSIDE_PAD,
+    "beyond_first_order": estimate_rows.BEYOND_FIRST_ORDER,
+}
+_COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Fingertip:
+    calibration: Calibration
+    blocks: npt.NDArray[np.float64]  # (n, 4, n, 4), what the calibration contributes
+
+
+def read_calibrations(texts: Iterable[str]) -> dict[int | None, _Fingertip]:
+    """By node-id the calibrations that `5=thumb.toml` names; None for one without a node. Raises InputError."""
+    found: dict[int | None, _Fingertip] = {}
+    for text in texts:
+        node_text, equals, path = text.partition("=")
+        node = None
+        if equals:
+            try:
+                node = int(node_text, 0)
+            except ValueError:
+                node = 0
+            if not 1 <= node <= 127:
+                raise InputError(f"--calibration {text}: write CAL.toml, or NODE=CAL.toml with a node-id from 1 to 127")
+        if node in found:
+            raise InputError(f"--calibration {text}: {'all nodes have' if node is None else f'node {node} has'} one")
+        name = path if equals else text
+        calibration, fit = read_calibration(name), read_fit(name)
+        n = calibration.gauges
+        found[node] = _Fingertip(calibration, np.zeros((n, 4, n, 4)) if fit is None else fit.parameter_covariance())
+    return found
+
+
+class ContactColumns:
+    """Fills the contact of each sample that has all its gauges; nodes without a calibration keep what they sent."""
+
+    def __init__(self, calibrations: Mapping[int | None, _Fingertip], asked: tuple[str, ...] | None) -> None:
+        self._calibrations = calibrations
+        self._asked = asked
+        self._present: dict[int, bool] = {}
+
+    def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
+        """Each table with its contact columns."""
+        for table in tables:
+            yield self._with_contact(table)
+
+    def _with_contact(self, table: Table) -> Table:
+        columns = {column.name: column for column in table.columns}
+        values = dict(table.values)
+        for column in _COLUMNS:
+            before = values.get(column.name)
+            values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
+            columns[column.name] = column
+        absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in _COLUMNS}}
+        for key in np.unique(table.key).tolist():
+            node = key & ((1 << NODE_BITS) - 1)
+            fingertip = self._calibrations.get(node, self._calibrations.get(None))
+            if fingertip is not None:
+                self._fill(fingertip, key, np.flatnonzero(table.key == key), table, values)
+        shown = [c for c in columns.values() if self._asked is None or c.signal in self._asked]
+        ordered = in_order(shown, self._asked)
+        return replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
+
+    def _fill(
+        self, tip: _Fingertip, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
+    ) -> None:
+        for column in _COLUMNS:
+            values[column.name][rows] = missing_of(column, len(rows))
+        names = [f"SG{k + 1}_ue" for k in range(tip.calibration.gauges)]
+        if not set(names) <= set(table.values):
+            return
+        strain = np.stack([table.values[name][rows] for name in names], axis=-1) * 1e-6
+        good = np.isfinite(strain).all(axis=1)
+        for name in NEEDED_FLAGS:
+            if name in table.values:
+                good &= table.values[name][rows] != 1
+        rows, strain = rows[good], strain[good]
+        if not len(rows):
+            return
+        data = Measurements(table.t_ns[rows], strain, None, None, None, None, None, None, None, (), ())
+        found = estimate_rows.estimated(
+            tip.calibration, tip.blocks, data, slice(None), None, np.inf, self._present.get(key, False)
+        )
+        for number, column in enumerate(VALUES):
+            values[column.name][rows] = found.values[:, number]
+        for name, bit in FLAGS.items():
+            values[name][rows] = found.status & bit != 0
+        self._present[key] = bool(found.status[-1] & scalar.CONTACT_PRESENT)
+
+
+def signals_needed(asked: Iterable[str] | None, gauges: int) -> tuple[str, ...] | None:
+    """What has to be decoded for what is asked: gauges and flags for the contact, and what else a frame carries."""
+    if asked is None:
+        return None
+    computed_here = {column.signal for column in _COLUMNS}
+    kept = [name for name in asked if name not in computed_here]
+    return (*kept, *(n for n in (*(f"SG{k + 1}" for k in range(gauges)), *NEEDED_FLAGS) if n not in kept))
+
+
+def is_computed(name: str) -> str | None:
+    """The signal that a name of a computed column means, if it is one."""
+    return next((column.signal for column in _COLUMNS if name in {column.name, column.signal}), None)
+
+
+def gauges_of(calibrations: Mapping[int | None, _Fingertip]) -> int:
+    """The most gauges that a calibration has."""
+    return max(tip.calibration.gauges for tip in calibrations.values())
+
+
+def column_names() -> tuple[Column, ...]:
+    """The columns that this adds."""
+    return _COLUMNS

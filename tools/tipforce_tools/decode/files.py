@@ -1,0 +1,71 @@
+"""Output files that are whole or not there: written under another name, and renamed at the end."""
+
+from __future__ import annotations
+
+import os
+import shutil
+from pathlib import Path
+
+from tipforce.errors import InputError
+
+
+class NewFile:
+    """A file that takes its name when it is complete. A device or a pipe is written to directly."""
+
+    def __init__(self, path: Path) -> None:
+        """Raises InputError for a place that can't be written to."""
+        self.path = path
+        self._direct = path.exists() and not path.is_file()
+        if path.is_dir():
+            raise InputError(f"--output {path}: is a directory; write {path}/ for one Parquet file per node")
+        self.partial = path if self._direct else path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self.partial.open("ab").close()
+        except OSError as error:
+            raise InputError(f"--output {path}: {error.strerror}") from error
+
+    def keep(self) -> None:
+        """Give the complete file its name; one that has it is replaced."""
+        if not self._direct:
+            self.partial.replace(self.path)
+
+    def drop(self) -> None:
+        """Remove what was written."""
+        if not self._direct:
+            self.partial.unlink(missing_ok=True)
+
+
+class NewDirectory:
+    """A directory that takes its name when all its files are complete."""
+
+    def __init__(self, path: Path, *, force: bool) -> None:
+        """Raises InputError for a directory that has files, unless ``force``."""
+        self.path = path
+        if path.exists() and not path.is_dir():
+            raise InputError(f"--output {path}/: there is a file of this name")
+        if path.exists() and any(path.iterdir()) and not force:
+            raise InputError(f"--output {path}/: is not empty; --force replaces its node=*/part-*.parquet")
+        self.partial = path.with_name(f".{path.name}.{os.getpid()}.part")
+        try:
+            self.partial.mkdir(parents=True)
+        except OSError as error:
+            raise InputError(f"--output {path}/: {error.strerror}") from error
+
+    def keep(self) -> None:
+        """Put the files in their place. Parts that an earlier run left there go; other files stay."""
+        self.path.mkdir(parents=True, exist_ok=True)
+        for old in self.path.glob("node=*/part-*.parquet"):
+            old.unlink()
+        for new in sorted(self.partial.iterdir()):
+            place = self.path / new.name
+            place.mkdir(exist_ok=True)
+            for file in sorted(new.iterdir()):
+                file.replace(place / file.name)
+        for left in self.path.glob("node=*"):
+            if left.is_dir() and not any(left.iterdir()):
+                left.rmdir()
+        shutil.rmtree(self.partial)
+
+    def drop(self) -> None:
+        """Remove what was written."""
+        shutil.rmtree(self.partial, ignore_errors=True)

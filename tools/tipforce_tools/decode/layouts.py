@@ -1,0 +1,95 @@
+"""Which PDOs are decoded: the dictionary's, those of DCF files, of a DBC, or of nodes that were asked."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.decode import Decoder
+from tipforce.host.frames import FRAME
+
+_SUFFIXES = ("_N", "_deg", "_ue", "_degC")
+COUNTER = "counter"
+
+
+@dataclass(frozen=True, slots=True)
+class Layouts:
+    """A description that can be sent to another process. ``nodes`` None is all of them.
+
+    ``pdos``: by node-id the PDOs that differ, as (message name, can_id, mapping).
+    """
+
+    gauges: int = 3
+    nodes: tuple[int, ...] | None = None
+    dbc: str | None = None
+    pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
+
+    def decoder(self) -> Decoder:
+        """A decoder of its own for each bus. Raises InputError for layouts that do not fit together."""
+        if self.dbc is not None:
+            from tipforce.host.pdo_layout import dbc_messages
+
+            wanted = None if self.nodes is None else {*self.nodes}
+            found = dbc_messages(self.dbc)
+            return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
+        decoder = Decoder(self.gauges, range(1, 128) if self.nodes is None else self.nodes)
+        for node, pdos in self.pdos:
+            if self.nodes is None or node in self.nodes:
+                for name, can_id, mapping in pdos:
+                    decoder.remap(node, name, can_id, mapping)
+        return decoder
+
+
+def with_dcf(layouts: Layouts, files: Iterable[str]) -> Layouts:
+    """Take the PDOs of the nodes that DCF files describe. Raises InputError."""
+    from tipforce.host.pdo_layout import dcf_layout
+
+    return _with(layouts, [dcf_layout(path) for path in files])
+
+
+def with_asked(layouts: Layouts, nodes: Sequence[int], options: dict[str, object]) -> Layouts:
+    """Ask nodes on a bus over SDO. Raises what a connection raises."""
+    from tipforce.host.bus import open_bus
+    from tipforce.host.connection import Connection
+    from tipforce.host.pdo_layout import node_layout
+
+    with Connection(open_bus(**options)) as connection:
+        return _with(layouts, [node_layout(connection.sdo(node)) for node in nodes])
+
+
+def _with(layouts: Layouts, found: Sequence[object]) -> Layouts:
+    from tipforce.host.pdo_layout import NodeLayout
+
+    nodes = [layout for layout in found if isinstance(layout, NodeLayout)]
+    gauges = {layout.gauges for layout in nodes}
+    ids = [layout.node_id for layout in nodes]
+    if len(set(ids)) < len(ids):
+        raise InputError(f"node-ids {ids}: each node has one layout")
+    if len(gauges) > 1:
+        raise InputError(f"nodes with {sorted(gauges)} gauges: one decode takes nodes with the same number")
+    pdos = tuple((n.node_id, tuple((name, i, mapping) for name, (i, mapping) in n.pdos.items())) for n in nodes)
+    return Layouts(gauges.pop() if gauges else layouts.gauges, layouts.nodes, layouts.dbc, layouts.pdos + pdos)
+
+
+def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
+    """The signals that names mean: `P` and `P_N` are the same. Raises InputError for what no message has."""
+    found = []
+    for name in names:
+        bare = next((name.removesuffix(suffix) for suffix in _SUFFIXES if name.endswith(suffix)), name)
+        signal = name if bare == name or has_signal(decoder, name) else bare
+        if signal not in found:
+            found.append(signal)
+    decoder.decode(np.zeros(0, dtype=FRAME), found)
+    return tuple(found)
+
+
+def has_signal(decoder: Decoder, name: str) -> bool:
+    """Whether any message of the decoder has a signal."""
+    try:
+        decoder.decode(np.zeros(0, dtype=FRAME), [name])
+    except InputError:
+        return False
+    return True

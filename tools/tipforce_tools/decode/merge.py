@@ -1,0 +1,235 @@
+"""Blocks of frames to tables of samples: decoded, the PDOs of one sample joined, rows complete across blocks."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.decode import Decoder, Key, Samples
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce_tools.decode.layouts import COUNTER, has_signal
+from tipforce_tools.decode.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
+from tipforce_tools.decode.table import (
+    NO_COUNTER,
+    NODE_BITS,
+    BoolArray,
+    Column,
+    Table,
+    Values,
+    column_of,
+    in_order,
+    missing_of,
+)
+from tipforce_tools.decode.tally import Tally
+
+_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC
+
+_PLAIN = f"V{FRAME.itemsize}"  # copied whole, not field by field
+_Found = list[tuple[int, Samples]]  # (channel, samples), their rows counting in the whole block
+_Piece = tuple[IntArray, Samples, BoolArray | slice]  # rows of the table, and which of the samples go there
+
+
+class SampleMerger:
+    """Makes a table of each block. Frames whose row may go on are kept for the next block.
+
+    ``channels`` are the names of the frames' channels and may grow. ``signals`` None is all. ``tally`` counts what
+    has been given out.
+    """
+
+    def __init__(self, decoder: Callable[[], Decoder], channels: list[str], signals: tuple[str, ...] | None) -> None:
+        self._make = decoder
+        self._decoders: dict[int, Decoder] = {}
+        self._signals = signals
+        self._wanted: tuple[str, ...] | None = signals
+        if signals is not None and COUNTER not in signals and has_signal(decoder(), COUNTER):
+            self._wanted = (*signals, COUNTER)
+        self._columns: dict[str, Column] = {}
+        self._names: dict[tuple[int, str], str] = {}  # of columns, by message and signal
+        self._held: FrameArray = np.zeros(0, dtype=FRAME)
+        self._held_number = np.zeros(0, dtype=np.int64)
+        self._count = 0
+        self.channels = channels
+        self.timed = True
+        self.tally = Tally()
+
+    def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
+        """The samples that are complete now; with ``last`` all of them. None where there are none."""
+        before = len(self._held)
+        block = np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if before else frames
+        found = self._decoded(block)
+        decoded, index = _places(len(block), found)
+        arrived = _arrived(found, index, self._number(before, decoded))
+        sorted_out = runs(arrived)
+        end = len(decoded) if last or not len(decoded) else open_from(arrived, sorted_out)
+        table = self._table(arrived, sorted_out, found, index, end)
+        kept = end + np.flatnonzero(sorted_out.start[end:] >= end)
+        self._held, self._held_number = block[decoded[kept]], arrived.number[kept]
+        return table
+
+    def finish(self) -> Table | None:
+        """The rest."""
+        return self.add(np.zeros(0, dtype=FRAME), last=True)
+
+    def head(self, frames: FrameArray) -> tuple[FrameArray, FrameArray]:
+        """Split the start of a recording's part: frames of rows that depend on the part before, and all others."""
+        found = self._decoded(frames)
+        decoded, index = _places(len(frames), found)
+        if not len(decoded):
+            return frames[:0], frames[:0]
+        arrived = _arrived(found, index, np.arange(len(decoded)))
+        sorted_out = runs(arrived)
+        mine = sorted_out.start < certain_from(arrived, sorted_out)
+        return frames[decoded[mine]], frames[decoded[~mine]]
+
+    def decodable(self, frames: FrameArray) -> FrameArray:
+        """The frames that are decoded; all others are left out and, where too short, counted."""
+        return frames[_places(len(frames), self._decoded(frames))[0]]
+
+    @property
+    def held(self) -> FrameArray:
+        """The frames that wait for more."""
+        return self._held
+
+    def _number(self, before: int, decoded: IntArray) -> npt.NDArray[np.int64]:
+        new = len(decoded) - before
+        number = np.concatenate((self._held_number, np.arange(self._count, self._count + new)))
+        self._count += new
+        return number
+
+    def _decoded(self, block: FrameArray) -> _Found:
+        channel = block["channel"]
+        if not len(block):
+            return []
+        low, high = int(channel.min()), int(channel.max())
+        if low == high:
+            return [(low, samples) for samples in self._of_channel(low, block).values()]
+        found: _Found = []
+        for number in np.unique(channel).tolist():
+            rows = np.flatnonzero(channel == number)
+            for samples in self._of_channel(number, block[rows]).values():
+                whole = Samples(samples.node_id, samples.message, samples.t_ns, rows[samples.row], samples.columns)
+                found.append((number, whole))
+        return found
+
+    def _of_channel(self, number: int, frames: FrameArray) -> Mapping[Key, Samples]:
+        if number not in self._decoders:
+            self._decoders[number] = self._make()
+        decoder = self._decoders[number]
+        samples = decoder.decode(frames, self._wanted)
+        if decoder.malformed:
+            for (node, name), short in decoder.malformed.items():
+                place = self.channels[number], node, name
+                self.tally.short[place] = self.tally.short.get(place, 0) + short
+            decoder.malformed.clear()
+        if self._wanted is self._signals:
+            return samples
+        return {key: one for key, one in samples.items() if len(one.columns) > 1 or COUNTER not in one.columns}
+
+    def _table(
+        self, arrived: Frames, sorted_out: Runs, found: _Found, places: list[IntArray], end: int
+    ) -> Table | None:
+        first, row_of_frame = row_numbers(sorted_out.start, end)
+        if not len(first):
+            return None
+        by_message: dict[str, list[_Piece]] = {}
+        for (channel, samples), place in sorted(zip(found, places, strict=True), key=_message_number):
+            index = place
+            kept: BoolArray | slice = slice(None)
+            if index[-1] >= end:
+                kept = _inside(sorted_out.start[index] < end)
+                index = index[kept]
+            self.tally.add(self.channels[channel], samples, kept, _is_cyclic(samples))
+            by_message.setdefault(samples.message.name, []).append((row_of_frame[index], samples, kept))
+        values, absent = self._values(by_message, len(first))
+        shown = in_order((self._columns[name] for name in values), self._signals)
+        return Table(
+            arrived.t_ns[first], arrived.key[first], arrived.counter[first].astype(np.int64), arrived.cyclic[first],
+            shown, {c.name: values[c.name] for c in shown}, absent, tuple(self.channels), self.timed,
+        )  # fmt: skip
+
+    def _values(
+        self, by_message: Mapping[str, list[_Piece]], rows: int
+    ) -> tuple[dict[str, Values], dict[str, BoolArray]]:
+        values: dict[str, Values] = {}
+        covered: dict[str, int] = {}
+        present: dict[str, BoolArray] = {}
+        for pieces in by_message.values():
+            for alike in _alike(pieces):
+                where = np.concatenate([row for row, _, _ in alike])
+                for signal in alike[0][1].columns:
+                    name = self._column_of(alike[0][1], signal)
+                    if signal == COUNTER or covered.get(name) == rows:
+                        continue  # another PDO of each sample said it: they are of one latched sample
+                    what = np.concatenate([samples.columns[signal][kept] for _, samples, kept in alike])
+                    column = self._columns[name]
+                    if len(where) == rows and name not in values:
+                        values[name], covered[name] = np.empty(rows, dtype=missing_of(column, 0).dtype), rows
+                    elif name not in values:
+                        values[name], covered[name] = missing_of(column, rows), 0
+                    if covered[name] == rows:
+                        values[name][where] = what
+                        continue
+                    there = present.setdefault(name, np.zeros(rows, dtype=np.bool_))
+                    new = ~there[where]  # the first PDO of a sample counts, whatever else is in the block
+                    values[name][where[new]] = what[new]
+                    there[where] = True
+                    covered[name] = int(np.count_nonzero(there))
+        return values, {name: ~there for name, there in present.items() if covered[name] < rows}
+
+    def _column_of(self, samples: Samples, name: str) -> str:
+        place = id(samples.message), name
+        if place not in self._names:
+            column = next(column_of(signal) for signal in samples.message.signals if signal.name == name)
+            self._columns.setdefault(column.name, column)
+            self._names[place] = column.name
+        return self._names[place]
+
+
+def _message_number(one: tuple[tuple[int, Samples], IntArray]) -> int:
+    return one[0][1].message.number
+
+
+def _alike(pieces: list[_Piece]) -> list[list[_Piece]]:
+    """The pieces of nodes with the same mapping together."""
+    by_layout: dict[int, list[_Piece]] = {}
+    for piece in pieces:
+        by_layout.setdefault(id(piece[1].message), []).append(piece)
+    return list(by_layout.values())
+
+
+def _inside(inside: BoolArray) -> BoolArray | slice:
+    """The same choice, as a slice where it is the first ones: that needs no copies."""
+    count = int(np.count_nonzero(inside))
+    return slice(count) if inside[:count].all() else inside
+
+
+def _is_cyclic(samples: Samples) -> bool:
+    return COUNTER in samples.columns and 1 <= samples.message.transmission_type <= _LAST_CYCLIC_TYPE
+
+
+def _places(count: int, found: _Found) -> tuple[IntArray, list[IntArray]]:
+    """(rows that were decoded, ascending; for each of the found samples their indices among those)."""
+    is_decoded = np.zeros(count, dtype=np.bool_)
+    for _, samples in found:
+        is_decoded[samples.row] = True
+    place = np.cumsum(is_decoded, dtype=np.intp) - 1
+    return np.flatnonzero(is_decoded), [place[samples.row] for _, samples in found]
+
+
+def _arrived(found: _Found, places: list[IntArray], number: npt.NDArray[np.int64]) -> Frames:
+    count = len(number)
+    t_ns = np.empty(count, dtype=np.int64)
+    key = np.empty(count, dtype=np.uint16)
+    message = np.empty(count, dtype=np.uint8)
+    counter = np.full(count, NO_COUNTER, dtype=np.int16)
+    cyclic = np.zeros(count, dtype=np.bool_)
+    for (channel, samples), index in zip(found, places, strict=True):
+        t_ns[index] = samples.t_ns
+        key[index] = channel << NODE_BITS | samples.node_id
+        message[index] = samples.message.number
+        if COUNTER in samples.columns:
+            counter[index] = samples.columns[COUNTER]
+            cyclic[index] = _is_cyclic(samples)
+    return Frames(number, t_ns, key, message, counter, cyclic)

@@ -1,0 +1,210 @@
+"""Tables as Parquet: one file, or a directory with a file for each node that query engines read as one table."""
+
+from __future__ import annotations
+
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.parquet as pq
+
+from tipforce_tools.decode.files import NewDirectory, NewFile
+from tipforce_tools.decode.table import NO_COUNTER, Column, Table, is_missing
+from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.decode.writers import Shape
+
+ROW_GROUP_ROWS = 1 << 18
+_TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(), "word": pa.string()}
+_BASE = {TIME: pa.timestamp("ns"), NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
+_OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
+
+
+def schema_of(shape: Shape) -> pa.Schema:
+    """The schema of an output, with units as metadata of the fields."""
+    fields = [pa.field(name, _BASE[name]) for name in shape.base]
+    for column in shape.columns:
+        unit = {"unit": column.unit} if column.unit else None
+        fields.append(pa.field(column.name, _TYPES[column.kind], metadata=unit))
+    return pa.schema(fields)
+
+
+def arrow_table(table: Table, schema: pa.Schema) -> pa.Table:
+    """The rows with the columns of ``schema``; what is missing is null."""
+    columns = {column.name: column for column in table.columns}
+    arrays = []
+    for field in schema:
+        column = columns.get(field.name)
+        if column is not None:
+            arrays.append(_array(column, table.values[column.name], field.type))
+        elif field.name in _BASE:
+            arrays.append(_base_array(field.name, table))
+        else:
+            arrays.append(pa.nulls(len(table), field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)
+
+
+def _array(column: Column, values: Any, kind: Any) -> Any:
+    missing = is_missing(column, values)
+    mask = missing if missing.any() else None
+    if column.kind == "flag":
+        return pa.array(values == 1, type=kind, mask=mask)
+    if column.kind == "word":
+        return pa.array(values, type=pa.binary(), mask=mask).cast(kind)
+    return pa.array(values, type=kind, mask=mask)
+
+
+def _base_array(name: str, table: Table) -> Any:
+    if name == TIME:
+        return pa.array(table.t_ns, type=_BASE[TIME]) if table.timed else pa.nulls(len(table), _BASE[TIME])
+    if name == NODE:
+        return pa.array(table.node)
+    if name == CHANNEL:
+        indices = pa.array(table.channel.astype(np.int32))
+        return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(pa.string())
+    missing = table.counter == NO_COUNTER
+    return pa.array(table.counter, mask=missing if missing.any() else None)
+
+
+class FileWriter:
+    """One Parquet file."""
+
+    def __init__(self, path: Path, base: tuple[str, ...]) -> None:
+        """Raises InputError."""
+        self._file = NewFile(path)
+        self._shape = Shape(base)
+        self._parts = _Parts(self._file.partial)
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table."""
+        self._shape.fits(table)
+        self._parts.add(arrow_table(self._shape.of(table), schema_of(self._shape)))
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._parts.finish(schema_of(self._shape), self._shape.channel)
+        self._file.keep()
+
+    def abort(self) -> None:
+        """Remove the file."""
+        self._parts.abort()
+        self._file.drop()
+
+
+class DirectoryWriter:
+    """``DIR/node=5/part-0.parquet``, partitioned as Hive does it."""
+
+    def __init__(self, path: Path, base: tuple[str, ...], *, force: bool) -> None:
+        """Raises InputError."""
+        self._directory = NewDirectory(path, force=force)
+        self._shape = Shape(base)
+        self._parts: dict[int, _Parts] = {}
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table."""
+        self._shape.fits(table)
+        order = np.argsort(table.node, kind="stable")
+        node = table.node[order]
+        rows = arrow_table(self._shape.of(table).take(order), schema_of(self._shape)).drop_columns([NODE])
+        starts = np.flatnonzero(np.append(True, node[1:] != node[:-1]))
+        for start, end in zip(starts.tolist(), [*starts[1:].tolist(), len(node)], strict=True):
+            number = int(node[start])
+            if number not in self._parts:
+                place = self._directory.partial / f"node={number}"
+                place.mkdir()
+                self._parts[number] = _Parts(place / "part-0.parquet")
+            self._parts[number].add(rows.slice(start, end - start))
+
+    def close(self) -> None:
+        """Complete the directory."""
+        schema = schema_of(self._shape)
+        schema = schema.remove(schema.get_field_index(NODE))
+        for parts in self._parts.values():
+            parts.finish(schema, self._shape.channel)
+        self._directory.keep()
+
+    def abort(self) -> None:
+        """Remove the directory."""
+        for parts in self._parts.values():
+            parts.abort()
+        self._directory.drop()
+
+
+class _Parts:
+    """One file in the making. New columns begin a new part; at the end the parts become one."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        self._paths: list[Path] = []
+        self._writer: Any = None
+        self._waiting: list[Any] = []
+        self._rows = 0
+
+    def add(self, rows: Any) -> None:
+        """Append rows; they are written as a row group of many."""
+        if self._waiting and rows.schema != self._waiting[0].schema:
+            self._write()
+        self._waiting.append(rows)
+        self._rows += len(rows)
+        if self._rows >= ROW_GROUP_ROWS:
+            self._write()
+
+    def _write(self) -> None:
+        if not self._waiting:
+            return
+        group = pa.concat_tables(self._waiting)
+        self._waiting, self._rows = [], 0
+        if self._writer is None or group.schema != self._writer.schema:
+            self._end_part()
+            place = self._path if not self._paths else self._path.with_name(f"{self._path.name}.{len(self._paths)}")
+            self._paths.append(place)
+            self._writer = _open(place, group.schema)
+        self._writer.write_table(group, row_group_size=ROW_GROUP_ROWS)
+
+    def _end_part(self) -> None:
+        if self._writer is not None:
+            self._writer.close()
+            self._writer = None
+
+    def finish(self, schema: Any, channel: str) -> None:
+        """Write what waits; make one file of the parts, where ``channel`` was the only one before."""
+        self._write()
+        if self._writer is not None and len(self._paths) == 1 and self._writer.schema == schema:
+            self._end_part()
+            return
+        self._end_part()
+        whole = self._path.with_name(f"{self._path.name}.whole")
+        with _open(whole, schema) as writer:
+            for part in self._paths:
+                for batch in pq.ParquetFile(part).iter_batches(ROW_GROUP_ROWS):
+                    writer.write_table(_widened(pa.Table.from_batches([batch]), schema, channel))
+                part.unlink()
+        whole.replace(self._path)
+
+    def abort(self) -> None:
+        """Close and remove the parts."""
+        with suppress(OSError, pa.ArrowException):
+            self._end_part()
+        for path in [*self._paths, self._path.with_name(f"{self._path.name}.whole")]:
+            path.unlink(missing_ok=True)
+
+
+def _open(path: Path, schema: Any) -> Any:
+    options = dict(_OPTIONS)
+    options["use_dictionary"] = [name for name in (CHANNEL, NODE) if name in schema.names]
+    # What only grows is smaller as differences, and faster to write.
+    options["column_encoding"] = {name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in schema.names}
+    return pq.ParquetWriter(path, schema, **options)
+
+
+def _widened(rows: Any, schema: Any, channel: str) -> Any:
+    arrays = []
+    for field in schema:
+        if field.name in rows.schema.names:
+            arrays.append(rows[field.name])
+        elif field.name == CHANNEL:
+            arrays.append(pa.array([channel] * len(rows), type=pa.string()))
+        else:
+            arrays.append(pa.nulls(len(rows), field.type))
+    return pa.Table.from_arrays(arrays, schema=schema)

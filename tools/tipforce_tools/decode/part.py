@@ -1,0 +1,207 @@
+"""One log as a part of a recording: what can be decoded without the other parts, and what is left at its two ends."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.log_reader import LogReader, open_log
+from tipforce_tools.decode.layouts import Layouts
+from tipforce_tools.decode.merge import SampleMerger
+from tipforce_tools.decode.sample_rows import GAP_FRAMES
+from tipforce_tools.decode.table import Table
+from tipforce_tools.decode.tally import Tally
+
+_HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the part before
+
+
+class StrictError(InputError):
+    """The first bad line of a log that is read strictly; the text has the log and the place."""
+
+
+class When(NamedTuple):
+    """A limit of time: nanoseconds of the epoch, or since the first frame."""
+
+    ns: int
+    relative: bool
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """What is read of a log, and how; it can be sent to another process."""
+
+    layouts: Layouts
+    signals: tuple[str, ...] | None = None
+    buses: tuple[str, ...] | None = None
+    start: When | None = None
+    end: When | None = None
+    origin_ns: int | None = None
+    strict: bool = False
+    follow: bool = False
+    deltas: bool = False
+
+
+@dataclass(slots=True)
+class Notes:
+    """What is said of one log at the end."""
+
+    source: str
+    frames: int = 0
+    bad: dict[str, int] = field(default_factory=dict)
+    first_bad: str | None = None
+    skipped: dict[str, int] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
+    timed: bool = True
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edge:
+    """Frames at an end of a part. ``whole``: at its start, when there is nothing behind them."""
+
+    frames: FrameArray
+    channels: tuple[str, ...]
+    whole: bool = False
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class End:
+    """The last of a part: its open frames, and what it counted."""
+
+    tail: Edge
+    tally: Tally
+    notes: Notes
+
+
+Item = Edge | Table | End
+Progress = Callable[[int], None]
+
+
+class Source:
+    """The frames of one log that are asked for, in blocks; ``notes`` are complete at the end."""
+
+    def __init__(self, name: str, reading: Reading, progress: Progress | None = None) -> None:
+        """Raises InputError for a log that can't be opened."""
+        self._reading = reading
+        self._origin = reading.origin_ns
+        self._progress = progress
+        self.log: LogReader = open_log(
+            name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas
+        )
+        self.notes = Notes(name)
+
+    @property
+    def channels(self) -> list[str]:
+        """The interfaces, by number; grows."""
+        return self.log.channels
+
+    def __iter__(self) -> Iterator[FrameArray]:
+        with self.log as log:
+            try:
+                for block in self._blocks(log):
+                    self.notes.frames += len(block)
+                    frames = self._chosen(block)
+                    if self._progress is not None:
+                        self._progress(_position(log))
+                    if len(frames):
+                        yield frames
+            finally:
+                self._take_notes(log)
+
+    def _blocks(self, log: LogReader) -> Iterator[FrameArray]:
+        try:
+            yield from log
+        except InputError as error:
+            if not self._reading.strict:
+                raise
+            text = str(error)
+            name = "stdin" if self.notes.source == "-" else self.notes.source
+            raise StrictError(text if text.startswith(name) else f"{name}: {text}") from None
+
+    def _take_notes(self, log: LogReader) -> None:
+        notes = self.notes
+        notes.bad, notes.first_bad, notes.skipped = dict(log.bad), log.first_bad, dict(log.skipped)
+        notes.channels, notes.timed = tuple(log.channels), log.timed
+
+    def _chosen(self, block: FrameArray) -> FrameArray:
+        reading = self._reading
+        if reading.start is not None or reading.end is not None:
+            block = self._in_time(block, reading.start, reading.end)
+        if reading.buses is not None:
+            wanted = np.array([name in reading.buses for name in self.log.channels] or [False])
+            block = block[wanted[block["channel"]]]
+        return block
+
+    def _in_time(self, block: FrameArray, start: When | None, end: When | None) -> FrameArray:
+        if not self.log.timed:
+            raise InputError(f"{self.notes.source}: the log has no timestamps, so --from and --to can't choose")
+        if self._origin is None:
+            self._origin = int(block["t_ns"][0])
+        keep = np.ones(len(block), dtype=np.bool_)
+        if start is not None:
+            keep &= block["t_ns"] >= start.ns + (self._origin if start.relative else 0)
+        if end is not None:
+            keep &= block["t_ns"] < end.ns + (self._origin if end.relative else 0)
+        return block[keep]
+
+
+def _position(log: LogReader) -> int:
+    lines = getattr(log, "_lines", None)
+    file = getattr(lines, "_file", None)
+    try:
+        return int(file.tell()) if file is not None else 0
+    except (OSError, ValueError):
+        return 0
+
+
+def start_of(name: str) -> int | None:
+    """Time of the first frame of a log; None if it has none. Raises InputError for a log that can't be opened."""
+    with open_log(name) as log:
+        return next((int(block["t_ns"][0]) for block in log), None)
+
+
+def part_items(name: str, reading: Reading, progress: Progress | None = None) -> Iterator[Item]:
+    """Decode one log on its own: an Edge at its start, tables, and the End.
+
+    Put together by ``Recording``, parts give what one log of all their frames would.
+    """
+    source = Source(name, reading, progress)
+    merger = SampleMerger(reading.layouts.decoder, source.channels, reading.signals)
+    blocks = iter(source)
+    begun, complete = _beginning(blocks, merger, source)
+    tail = begun[:0]
+    if not complete:
+        yield Edge(begun, tuple(source.channels), whole=True)
+    else:
+        head, rest = merger.head(begun)
+        yield Edge(head, tuple(source.channels))
+        for block in _chain(rest, blocks):
+            merger.channels = source.channels
+            merger.timed = source.log.timed
+            table = merger.add(block)
+            if table is not None:
+                yield table
+        tail = merger.held
+    yield End(Edge(tail, tuple(source.channels)), merger.tally, source.notes)
+
+
+def _beginning(blocks: Iterator[FrameArray], merger: SampleMerger, source: Source) -> tuple[FrameArray, bool]:
+    """The first frames, and whether there are enough of them to tell what depends on the part before."""
+    found, count = [np.zeros(0, dtype=FRAME)], 0
+    for block in blocks:
+        merger.channels = source.channels
+        found.append(merger.decodable(block))
+        count += len(found[-1])
+        if count > _HEAD_FRAMES:
+            return np.concatenate(found), True
+    return np.concatenate(found), False
+
+
+def _chain(first: FrameArray, others: Iterator[FrameArray]) -> Iterator[FrameArray]:
+    if len(first):
+        yield first
+    yield from others

@@ -1,0 +1,50 @@
+"""A progress bar on the terminal, in bytes of the logs."""
+
+from __future__ import annotations
+
+import sys
+import time
+from argparse import Namespace
+from collections.abc import Sequence
+from pathlib import Path
+
+_WIDTH = 30
+_EVERY_S = 0.1
+
+
+class ProgressBar:
+    """Shows itself on stderr when that is a terminal and the logs have sizes."""
+
+    def __init__(self, names: Sequence[str], args: Namespace) -> None:
+        self._total = sum(Path(name).stat().st_size for name in names if Path(name).is_file())
+        self._wanted = (
+            sys.stderr.isatty() and not args.quiet and not args.follow and self._total > 0
+            and not (sys.stdout.isatty() and args.output is None and not args.summary)
+        )  # fmt: skip
+        self._before = self._here = 0
+        self._next = 0.0
+        self._shown = False
+
+    @property
+    def wanted(self) -> bool:
+        """Whether there is a terminal to show it."""
+        return self._wanted
+
+    def __call__(self, position: int) -> None:
+        """Say how far the current log is read, in bytes; less than before means the next log."""
+        if position < self._here:
+            self._before += self._here
+        self._here = position
+        now = time.monotonic()
+        if self._wanted and now >= self._next:
+            self._next = now + _EVERY_S
+            share = min((self._before + position) / self._total, 1.0)
+            bar = "#" * round(share * _WIDTH)
+            done, total = (self._before + position) / 1e6, self._total / 1e6
+            print(f"\r[{bar:{_WIDTH}}] {done:.1f} of {total:.1f} MB", end="", file=sys.stderr, flush=True)
+            self._shown = True
+
+    def close(self) -> None:
+        """Take the bar off the screen."""
+        if self._shown:
+            print("\r\x1b[K", end="", file=sys.stderr, flush=True)

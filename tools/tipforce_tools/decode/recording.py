@@ -1,0 +1,152 @@
+"""Parts of a recording put together in their order: the same tables as of one log, with counters that go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.decode import unwrap_counter
+from tipforce.host.frames import FrameArray
+from tipforce_tools.decode.merge import SampleMerger
+from tipforce_tools.decode.part import Edge, End, Item, Notes, Progress, Reading, Source
+from tipforce_tools.decode.sample_rows import IntArray
+from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Table
+from tipforce_tools.decode.tally import Tally
+
+
+class Counters:
+    """Makes counters that do not wrap of tables that follow each other."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, int] = {}
+
+    def unwrapped(self, table: Table) -> Table:
+        """The table with each node's counter going on from its first value.
+
+        An event-driven PDO that is a row of its own tells of the last latch: the count that is nearest. Before
+        the first PDO that follows SYNC it is left as it is.
+        """
+        raw = table.counter
+        counter = raw.copy()
+        order = np.argsort(table.key, kind="stable")
+        key = table.key[order]
+        for rows in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1) if len(key) else []:
+            counter[rows] = self._of_node(int(table.key[rows[0]]), raw[rows], table.cyclic[rows])
+        return replace(table, counter=counter)
+
+    def _of_node(self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+        last = self._last.get(key)
+        steady = raw[cyclic]
+        found = raw.copy()
+        counts = np.zeros(0, dtype=np.int64)
+        if len(steady):
+            seed = steady[:0] if last is None else np.array([last & 0xFF])
+            counts = unwrap_counter(np.concatenate((seed, steady)))
+            counts += 0 if last is None else last - (last & 0xFF)
+            counts = counts[len(seed) :]
+            found[cyclic] = counts
+            self._last[key] = int(counts[-1])
+        if len(steady) < len(raw):
+            event: IntArray = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
+            before = np.cumsum(cyclic)[event]
+            known = np.concatenate(([-1 if last is None else last], counts))[before]
+            nearest = known + ((raw[event] - known + 128) & 0xFF) - 128
+            found[event] = np.where(known < 0, raw[event], nearest)
+        return found
+
+
+@dataclass(slots=True)
+class Told:
+    """What a decode tells beside its tables."""
+
+    tally: Tally
+    notes: list[Notes]
+
+
+class Recording:
+    """Tables of a recording, out of logs one after the other or out of parts that were decoded on their own."""
+
+    def __init__(self, reading: Reading) -> None:
+        self._reading = reading
+        self.channels: list[str] = []
+        self.told = Told(Tally(), [])
+        self._counters = Counters()
+        self._merger = SampleMerger(reading.layouts.decoder, self.channels, reading.signals)
+
+    def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
+        """Read logs in this process, as if they were one."""
+        for name in names:
+            source = Source(name, self._reading, progress)
+            try:
+                for block in source:
+                    yield from self._add(self._numbered(block, source.channels), source.log.timed)
+            finally:
+                self.told.notes.append(source.notes)
+        yield from self._finish()
+
+    def tables_of_parts(self, parts: Iterable[Iterable[Item]]) -> Iterator[Table]:
+        """Put parts together that ``part_items`` made."""
+        for part in parts:
+            for item in part:
+                if isinstance(item, Table):
+                    yield self._counters.unwrapped(self._renamed(item))
+                elif isinstance(item, End):
+                    self._take_counts(item)
+                    yield from self._add(self._numbered(item.tail.frames, item.tail.channels), item.notes.timed)
+                else:
+                    yield from self._join(item)
+        yield from self._finish()
+
+    def _join(self, edge: Edge) -> Iterator[Table]:
+        frames = self._numbered(edge.frames, edge.channels)
+        yield from self._add(frames, self._merger.timed)
+        if not edge.whole:
+            yield from self._flush()
+
+    def _flush(self) -> Iterator[Table]:
+        table = self._merger.finish()
+        if table is not None:
+            yield self._counters.unwrapped(table)
+
+    def _finish(self) -> Iterator[Table]:
+        yield from self._flush()
+        self.told.tally.append(self._merger.tally)
+        self._merger.tally = Tally()
+
+    def _take_counts(self, end: End) -> None:
+        self.told.tally.append(self._merger.tally)  # of the frames before this part
+        self._merger.tally = Tally()
+        self.told.tally.append(end.tally)
+        self.told.notes.append(end.notes)
+
+    def _add(self, frames: FrameArray, timed: bool) -> Iterator[Table]:
+        self._merger.timed = timed
+        table = self._merger.add(frames)
+        if table is not None:
+            yield self._counters.unwrapped(table)
+
+    def _numbers(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
+        for name in names:
+            if name not in self.channels:
+                self.channels.append(name)
+        return np.array([self.channels.index(name) for name in names], dtype=np.uint8)
+
+    def _numbered(self, frames: FrameArray, names: Iterable[str]) -> FrameArray:
+        """The frames with the channel numbers of the whole recording."""
+        numbers = self._numbers(list(names))
+        if not len(frames) or (numbers == np.arange(len(numbers))).all():
+            return frames
+        frames = frames.copy()
+        frames["channel"] = numbers[frames["channel"]]
+        return frames
+
+    def _renamed(self, table: Table) -> Table:
+        numbers = self._numbers(table.channels)
+        if (numbers == np.arange(len(numbers))).all():
+            return replace(table, channels=tuple(self.channels))
+        node = table.key & ((1 << NODE_BITS) - 1)
+        key = (numbers[table.channel].astype(np.uint16) << NODE_BITS | node).astype(np.uint16)
+        return replace(table, key=key, channels=tuple(self.channels))

@@ -1,0 +1,192 @@
+"""Samples on a uniform grid: the mean of each interval, per node; angles by the mean of their directions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce_tools.decode.table import (
+    NO_COUNTER,
+    NODE_BITS,
+    Column,
+    Table,
+    Values,
+    counted,
+    in_order,
+    is_missing,
+)
+
+COUNT = "count"
+MOST_EMPTY = 10_000_000
+"""So many intervals in a row without a sample are a leap of the clock, not a pause."""
+_NO_DIRECTION = 1e-9  # of a mean of unit vectors: they cancel, and no angle is their mean
+_MORE_DIGITS = 3  # that a mean has over its samples
+
+FloatArray = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Groups:
+    """g intervals of nodes, by node and time: ``sums`` by column (g, 3): how many, sum or sine, cosine."""
+
+    key: npt.NDArray[np.uint16]
+    interval: IntArray
+    count: IntArray
+    sums: dict[str, FloatArray]
+
+    def take(self, rows: npt.NDArray[np.intp] | npt.NDArray[np.bool_]) -> _Groups:
+        sums = {name: values[rows] for name, values in self.sums.items()}
+        return _Groups(self.key[rows], self.interval[rows], self.count[rows], sums)
+
+
+class Resampler:
+    """Makes tables with a row for each interval from a node's first sample to its last.
+
+    An interval is 1 / ``rate_hz`` long and begins at a whole multiple of that of the epoch; ``t_ns`` is its start.
+    `count` is how many samples it had, `n_P_N` how many values went into the mean. No value: NaN and 0. A flag
+    becomes the share of samples in which it was set.
+    """
+
+    def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
+        """``asked``: signals in the order of the columns. Raises InputError for a rate that is not above 0."""
+        if not 0 < rate_hz <= 1e9:
+            raise InputError(f"--resample {rate_hz:g}: allowed is above 0 to 1e9, in Hz")
+        self._rate_hz = rate_hz
+        self._asked = asked
+        self._columns: dict[str, Column] = {}
+        self._channels: tuple[str, ...] = ()
+        self._open = _Groups(np.zeros(0, np.uint16), np.zeros(0, np.int64), np.zeros(0, np.int64), {})
+
+    def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
+        """The intervals that are complete after each table. Raises InputError for a log without times."""
+        for table in tables:
+            if not table.timed:
+                raise InputError("--resample: the log has no timestamps")
+            self._channels = table.channels
+            self._columns |= {column.name: column for column in table.columns if column.kind != "word"}
+            groups = _summed(self._joined(self._grouped(table)))
+            last = np.append(groups.key[1:] != groups.key[:-1], True)
+            self._open = groups.take(last)
+            yield from self._rows(groups, ~last)
+        yield from self._rows(self._open, np.ones(len(self._open.key), dtype=np.bool_))
+
+    def _grouped(self, table: Table) -> _Groups:
+        """Each sample as an interval of its own."""
+        interval = self._intervals(table.t_ns)
+        if len(self._open.key):  # a sample that comes late counts in the interval that is still open
+            place = np.minimum(np.searchsorted(self._open.key, table.key), len(self._open.key) - 1)
+            known = self._open.key[place] == table.key
+            interval = np.where(known, np.maximum(interval, self._open.interval[place]), interval)
+        sums = {c.name: _contributions(c, table.values[c.name]) for c in table.columns if c.kind != "word"}
+        return _Groups(table.key, interval, np.ones(len(table), dtype=np.int64), sums)
+
+    def _intervals(self, t_ns: IntArray) -> IntArray:
+        period = 1e9 / self._rate_hz
+        if period == round(period):
+            return np.asarray(t_ns // round(period))
+        seconds, rest = np.divmod(t_ns, 1_000_000_000)
+        whole = np.floor(seconds * self._rate_hz)
+        within = (seconds * self._rate_hz - whole) + rest * 1e-9 * self._rate_hz
+        return np.asarray(whole + np.floor(within + 1e-9)).astype(np.int64)
+
+    def _joined(self, new: _Groups) -> _Groups:
+        old = self._open
+        sums = {}
+        for name in {**old.sums, **new.sums}:
+            before = old.sums.get(name, np.zeros((len(old.key), 3)))
+            sums[name] = np.concatenate((before, new.sums.get(name, np.zeros((len(new.key), 3)))))
+        return _Groups(
+            np.concatenate((old.key, new.key)), np.concatenate((old.interval, new.interval)),
+            np.concatenate((old.count, new.count)), sums,
+        )  # fmt: skip
+
+    def _rows(self, groups: _Groups, done: npt.NDArray[np.bool_]) -> Iterator[Table]:
+        """Rows of the intervals that are done, and of the empty ones behind each that is followed by another."""
+        if not done.any():
+            return
+        empty = np.zeros(len(done), dtype=np.int64)
+        follows = groups.key[1:] == groups.key[:-1]
+        empty[:-1][follows] = (np.diff(groups.interval) - 1)[follows]
+        self._check_empty(groups, empty)
+        repeats = np.where(done, 1 + empty, 0)
+        source = np.repeat(np.arange(len(done)), repeats)
+        step = np.arange(len(source)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
+        order = np.lexsort((groups.key[source], groups.interval[source] + step))
+        source, step = source[order], step[order]
+        found = groups.take(source)
+        is_full = step == 0
+        sums = {name: np.where(is_full[:, np.newaxis], values, 0.0) for name, values in found.sums.items()}
+        yield self._table(found.key, found.interval + step, np.where(is_full, found.count, 0), sums)
+
+    def _check_empty(self, groups: _Groups, empty: IntArray) -> None:
+        worst = int(np.argmax(empty))
+        if empty[worst] > MOST_EMPTY:
+            node = int(groups.key[worst]) & ((1 << NODE_BITS) - 1)
+            raise InputError(
+                f"--resample {self._rate_hz:g}: node {node} has {empty[worst]} intervals without a sample: "
+                "take a lower rate, or choose the part of the log with --from and --to"
+            )
+
+    def _table(
+        self, key: npt.NDArray[np.uint16], interval: IntArray, count: IntArray, sums: dict[str, FloatArray]
+    ) -> Table:
+        values: dict[str, Values] = {COUNT: count}
+        columns = [counted(COUNT)]
+        for column in in_order(self._columns.values(), self._asked):
+            digits = None if column.digits is None else column.digits + _MORE_DIGITS
+            columns.append(Column(column.name, column.signal, "real", digits, column.unit, column.rank))
+            of_column = sums.get(column.name, np.zeros((len(key), 3)))
+            values[column.name] = _mean(column, of_column)
+            if column.kind != "flag":
+                columns.append(counted(f"n_{column.name}"))
+                values[columns[-1].name] = of_column[:, 0].astype(np.int64)
+        period = 1e9 / self._rate_hz
+        t_ns = interval * round(period) if period == round(period) else np.rint(interval * period).astype(np.int64)
+        no_counter = np.full(len(key), NO_COUNTER, dtype=np.int64)
+        cyclic = np.ones(len(key), dtype=np.bool_)
+        return Table(t_ns, key, no_counter, cyclic, tuple(columns), values, {}, self._channels)
+
+
+def _summed(groups: _Groups) -> _Groups:
+    """By node and time, those of the same interval added up."""
+    order = np.lexsort((groups.interval, groups.key))
+    key, interval = groups.key[order], groups.interval[order]
+    starts = np.flatnonzero(np.append(True, (key[1:] != key[:-1]) | (interval[1:] != interval[:-1])))
+    sums = {name: np.add.reduceat(values[order], starts, axis=0) for name, values in groups.sums.items()}
+    return _Groups(key[starts], interval[starts], np.add.reduceat(groups.count[order], starts), sums)
+
+
+def _contributions(column: Column, values: Values) -> FloatArray:
+    """(k, 3): 1 for a value, the value (of angles the sine), of angles the cosine; zeros for a missing one."""
+    valid = ~is_missing(column, values)
+    if column.kind == "real":
+        valid &= np.isfinite(values)
+    found = np.zeros((len(values), 3))
+    found[:, 0] = valid
+    numbers = np.where(valid, values, 0).astype(np.float64)
+    if _circular(column):
+        angle = np.radians(numbers)
+        found[:, 1], found[:, 2] = np.where(valid, np.sin(angle), 0.0), np.where(valid, np.cos(angle), 0.0)
+    else:
+        found[:, 1] = numbers
+    return found
+
+
+def _circular(column: Column) -> bool:
+    return column.kind == "real" and column.angle and not column.signal.startswith("u_")
+
+
+def _mean(column: Column, sums: FloatArray) -> Values:
+    count = sums[:, 0]
+    with np.errstate(invalid="ignore", divide="ignore"):
+        mean = np.where(count > 0, sums[:, 1] / count, np.nan)
+        if _circular(column):
+            cosine = sums[:, 2] / count
+            length = np.hypot(mean, cosine)
+            mean = np.where(length > _NO_DIRECTION, np.degrees(np.arctan2(mean, cosine)), np.nan)
+    return np.asarray(mean)

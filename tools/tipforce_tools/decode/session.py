@@ -1,0 +1,182 @@
+"""One run of `tipforce decode`: from logs through what was asked for to the output, and the report at the end."""
+
+from __future__ import annotations
+
+import os
+import sys
+from argparse import Namespace
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+from tipforce_tools.decode import choice
+from tipforce_tools.decode import summary as summaries
+from tipforce_tools.decode.part import Progress, Reading, StrictError
+from tipforce_tools.decode.progress import ProgressBar
+from tipforce_tools.decode.recording import Recording, Told
+from tipforce_tools.decode.table import Column, Table
+from tipforce_tools.decode.writers import format_of, open_writer
+
+_SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
+_FIRST_ROWS = 100_000  # looked at before the first is written, so that rare columns are known
+
+
+def decode(args: Namespace) -> int:
+    """Decode logs. 0, or 1 for a bad line with --strict.
+
+    Raises InputError for what is not usable, EnvironmentLackError for what is not installed, OSError for a full disk.
+    """
+    names = choice.logs(args.logs)
+    kind = "jsonl" if args.json and args.output in {None, "-"} and args.format is None else None
+    kind = kind or format_of(args.output, args.format)
+    steps = _Steps(args)
+    reading = choice.reading(args, names, steps.layouts, steps.signals)
+    recording = Recording(reading)
+    summary = summaries.Summary()
+    bar = ProgressBar(names, args)
+    tables: Iterable[Table] = summary.passing(steps.contact(_tables(args, names, reading, recording, bar)))
+    tables = steps.resampled(tables)
+    code, complete = 0, False
+    try:
+        _write_all(args, kind, tables, steps)
+        complete = True
+    except StrictError as error:
+        bar.close()
+        print(f"tipforce decode: {error}", file=sys.stderr)
+        code = 1
+    finally:
+        bar.close()
+        _report(args, summary, recording.told, complete)
+    if args.json and (args.output not in {None, "-"} or args.summary):
+        common.print_json(summaries.record(summary, recording.told, args.output))
+    elif args.summary:
+        print("\n".join(summaries.lines(summary, recording.told)))
+    return code
+
+
+class _Steps:
+    """What is done with tables between the logs and the output."""
+
+    def __init__(self, args: Namespace) -> None:
+        self.layouts = choice.layouts(args)
+        names = choice.names_of(args.signals)
+        self._contact = None
+        computed: dict[str, str] = {}
+        if args.calibration:
+            from tipforce_tools.decode import contact_columns
+
+            calibrations = contact_columns.read_calibrations(args.calibration)
+            gauges = contact_columns.gauges_of(calibrations)
+            if not args.gauges and not args.dcf and not args.ask:
+                self.layouts = replace(self.layouts, gauges=gauges)
+            computed = {name: signal for name in names or () if (signal := contact_columns.is_computed(name))}
+            rest = choice.checked_signals(self.layouts, tuple(n for n in names or () if n not in computed))
+            asked = None
+            if names is not None:
+                left = iter(rest or ())
+                asked = tuple(computed[name] if name in computed else next(left, "") for name in names)
+            self._contact = contact_columns.ContactColumns(calibrations, asked)
+            self.asked, self.signals = asked, contact_columns.signals_needed(asked, gauges)
+        else:
+            self.asked = self.signals = choice.checked_signals(self.layouts, names)
+        self.rate_hz: float | None = args.resample
+        self._resampler = None
+        if args.resample is not None:
+            from tipforce_tools.decode.resample import Resampler
+
+            self._resampler = Resampler(args.resample, self.asked)
+
+    def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """With the contact columns, where a calibration is given."""
+        return tables if self._contact is None else self._contact.tables(tables)
+
+    def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
+        """On a uniform grid, where a rate is given."""
+        return tables if self._resampler is None else self._resampler.tables(tables)
+
+
+def _tables(
+    args: Namespace, names: list[str], reading: Reading, recording: Recording, bar: ProgressBar
+) -> Iterator[Table]:
+    progress: Progress | None = bar if bar.wanted else None
+    if args.scheduler is not None:
+        from tipforce_tools.decode.parallel import parts_of_dask
+
+        names = [os.path.abspath(name) for name in names]
+        return recording.tables_of_parts(parts_of_dask(names, reading, args.scheduler))
+    jobs = min(args.jobs or _cores(), len(names))
+    if args.jobs is None and sum(os.path.getsize(name) for name in names if name != "-") < _SMALL_BYTES:
+        jobs = 1
+    if jobs > 1 and not args.follow:
+        from tipforce_tools.decode.parallel import parts_of_processes
+
+        return recording.tables_of_parts(parts_of_processes(names, reading, jobs, progress))
+    return recording.tables_of_logs(names, progress)
+
+
+def _cores() -> int:
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps) -> None:
+    if args.summary and args.output is None:
+        for _ in tables:
+            pass
+        return
+    base = () if steps.rate_hz is not None else ("counter",)
+    writer = open_writer(args.output, kind, force=args.force, rate_base=base)
+    live = args.follow or args.output in {None, "-"}
+    try:
+        for table in tables if live else _looked_ahead(tables):
+            writer.write(table)
+        writer.close()
+    except BaseException:
+        writer.abort()
+        raise
+    left_out = getattr(writer, "left_out", None)
+    if left_out:
+        common.note(args, f"not in the CSV, as they came after its header: {', '.join(sorted(left_out))}")
+
+
+def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
+    """The same tables, the first rows with all the columns that any of them has."""
+    first: list[Table] = []
+    iterator = iter(tables)
+    for table in iterator:
+        first.append(table)
+        if sum(map(len, first)) >= _FIRST_ROWS:
+            break
+    columns: dict[str, Column] = {}
+    for table in first:
+        columns |= {column.name: column for column in table.columns}
+    channels = first[-1].channels if first else ()
+    if first and (len(columns) > len(first[0].columns) or len(first[0].channels) < len(channels)):
+        first[0] = first[0].with_columns(columns.values(), channels)
+    yield from first
+    first.clear()
+    yield from iterator
+
+
+def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: bool) -> None:
+    for line in summaries.notes_lines(told):
+        common.note(args, line)
+    if args.summary and not args.json:
+        return
+    for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
+        common.note(args, line)
+    if complete and args.output not in {None, "-"} and not args.json:
+        lost = sum(told.tally.lost().values())
+        common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+
+
+def check(args: Namespace) -> None:
+    """Flags that do not go together. Raises InputError."""
+    if args.jobs is not None and args.jobs < 1:
+        raise InputError(f"--jobs {args.jobs}: allowed is 1 or more")
+    if args.follow and len(args.logs) > 1:
+        raise InputError("--follow: one log")
+    if args.follow and args.scheduler:
+        raise InputError("--follow: a log that grows is decoded here; leave out --scheduler")
+    if args.scheduler and not [name for name in args.logs if name != "-"]:
+        raise InputError("--scheduler: name the logs as files that its workers see")

@@ -1,0 +1,216 @@
+"""What a decode found, per node: samples, lost ones, values that are missing and why, first and last time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce_tools.decode.recording import Told
+from tipforce_tools.decode.table import NODE_BITS, Column, Table
+
+NO_FRAME, UNKNOWN = "no_frame", "unknown"
+_CONTACT = frozenset({"P", "phi", "theta", "F1", "F2", "F3"})
+_ANGLES = frozenset({"phi", "theta"})
+# (reason, the flag that tells it, whether it is told by the flag being set, for which signals; None: all)
+_REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
+    ("fault", "fault", True, None),
+    ("stale", "stale", True, None),
+    ("uncalibrated", "calibrated", False, _CONTACT),
+    ("saturated", "saturated", True, _CONTACT),
+    ("no_contact", "contact", False, _ANGLES),
+    ("theta_unresolved", "theta_unresolved", True, frozenset({"theta"})),
+    ("misses_tip", "misses_tip", True, frozenset({"theta"})),
+)
+
+
+@dataclass(slots=True)
+class NodeSummary:
+    """One node. Times in nanoseconds, None for a log without.
+
+    ``told``: by column and reason, samples whose frame says that there is no value; ``present``: by column, samples
+    with a frame that carries it.
+    """
+
+    channel: str
+    node: int
+    samples: int = 0
+    first_ns: int | None = None
+    last_ns: int | None = None
+    told: dict[str, dict[str, int]] = field(default_factory=dict)
+    present: dict[str, int] = field(default_factory=dict)
+
+    @property
+    def missing(self) -> dict[str, dict[str, int]]:
+        """By column and reason, how many samples have no value; columns that the node never sent are left out."""
+        found = {}
+        for name, present in self.present.items():
+            reasons = dict(self.told.get(name, {}))
+            if present < self.samples:
+                reasons[NO_FRAME] = self.samples - present
+            if reasons and present:
+                found[name] = reasons
+        return found
+
+    def record(self, told: Told) -> dict[str, Any]:
+        """As JSON has it."""
+        place = self.channel, self.node
+        messages = {
+            name: {"frames": count.frames, **({} if count.lost is None else {"lost": count.lost})}
+            for (channel, node, name), count in told.tally.messages.items()
+            if (channel, node) == place
+        }
+        return {
+            "channel": self.channel,
+            "node": self.node,
+            "samples": self.samples,
+            "lost": told.tally.lost().get(place),
+            "first_s": None if self.first_ns is None else self.first_ns / 1_000_000_000,
+            "last_s": None if self.last_ns is None else self.last_ns / 1_000_000_000,
+            "missing": self.missing,
+            "messages": messages,
+            "short": {
+                name: short for (channel, node, name), short in told.tally.short.items() if (channel, node) == place
+            },
+        }
+
+
+class Summary:
+    """Looks at tables as they pass."""
+
+    def __init__(self) -> None:
+        self._nodes: dict[tuple[str, int], NodeSummary] = {}
+        self.samples = 0
+
+    def passing(self, tables: Iterable[Table]) -> Iterator[Table]:
+        """The same tables."""
+        for table in tables:
+            self.add(table)
+            yield table
+
+    def add(self, table: Table) -> None:
+        """Count a table."""
+        self.samples += len(table)
+        nodes = {}
+        order = np.argsort(table.key, kind="stable")
+        sorted_key, t_ns = table.key[order], table.t_ns[order]
+        starts = np.flatnonzero(np.append(True, sorted_key[1:] != sorted_key[:-1]))
+        counts = np.diff(np.append(starts, len(table)))
+        lows, highs = np.minimum.reduceat(t_ns, starts), np.maximum.reduceat(t_ns, starts)
+        for number, key in enumerate(sorted_key[starts].tolist()):
+            place = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+            node = nodes[key] = self._nodes.setdefault(place, NodeSummary(*place))
+            node.samples += int(counts[number])
+            if table.timed:
+                low, high = int(lows[number]), int(highs[number])
+                node.first_ns = low if node.first_ns is None else min(node.first_ns, low)
+                node.last_ns = high if node.last_ns is None else max(node.last_ns, high)
+        for column in table.columns:
+            if column.kind == "real":
+                absent = table.absent.get(column.name)
+                there = counts if absent is None else np.add.reduceat(~absent[order], starts, dtype=np.int64)
+                for number, key in enumerate(nodes):
+                    nodes[key].present[column.name] = nodes[key].present.get(column.name, 0) + int(there[number])
+                self._add_missing(column, table, nodes)
+
+    def _add_missing(self, column: Column, table: Table, nodes: dict[int, NodeSummary]) -> None:
+        missing = np.isnan(table.values[column.name])
+        if not missing.any():
+            return
+        rows = np.flatnonzero(missing)
+        left = np.ones(len(rows), dtype=np.bool_)
+        absent = table.absent.get(column.name)
+        if absent is not None:
+            left &= ~absent[rows]
+        for reason, name, is_set, signals in _REASONS:
+            if name in table.values and (signals is None or column.signal in signals):
+                told = left & (table.values[name][rows] == (1 if is_set else 0))
+                self._note(column, reason, rows[told], table, nodes)
+                left &= ~told
+        self._note(column, UNKNOWN, rows[left], table, nodes)
+
+    def _note(
+        self, column: Column, reason: str, rows: npt.NDArray[np.intp], table: Table, nodes: dict[int, NodeSummary]
+    ) -> None:
+        if not len(rows):
+            return
+        counts = np.bincount(table.key[rows])
+        for key in np.flatnonzero(counts).tolist():
+            reasons = nodes[key].told.setdefault(column.name, {})
+            reasons[reason] = reasons.get(reason, 0) + int(counts[key])
+
+    def nodes(self) -> list[NodeSummary]:
+        """By channel and node."""
+        return [self._nodes[place] for place in sorted(self._nodes)]
+
+
+def bad_lines(told: Told) -> dict[str, int]:
+    """Bad lines of all logs by reason."""
+    found: dict[str, int] = {}
+    for notes in told.notes:
+        for reason, count in notes.bad.items():
+            found[reason] = found.get(reason, 0) + count
+    return found
+
+
+def skipped(told: Told) -> dict[str, int]:
+    """What holds no samples, of all logs by kind."""
+    found: dict[str, int] = {}
+    for notes in told.notes:
+        for kind, count in notes.skipped.items():
+            found[kind] = found.get(kind, 0) + count
+    return found
+
+
+def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
+    """The whole summary as JSON has it."""
+    return {
+        "output": output,
+        "logs": [notes.source for notes in told.notes],
+        "frames": sum(notes.frames for notes in told.notes),
+        "samples": summary.samples,
+        "lost": sum(told.tally.lost().values()),
+        "bad": bad_lines(told),
+        "skipped": skipped(told),
+        "nodes": [node.record(told) for node in summary.nodes()],
+    }
+
+
+def lines(summary: Summary, told: Told) -> Iterator[str]:
+    """The summary for people, a line for each node."""
+    several = len({node.channel for node in summary.nodes()}) > 1
+    lost = told.tally.lost()
+    for node in summary.nodes():
+        place = f"{node.channel} " if several else ""
+        span = ""
+        if node.first_ns is not None and node.last_ns is not None:
+            span = f" in {(node.last_ns - node.first_ns) / 1e9:.3f} s"
+        line = f"{place}node {node.node} (0x{node.node:02X}): {node.samples} samples{span}"
+        if (node.channel, node.node) in lost:
+            line += f", {lost[node.channel, node.node]} lost"
+        yield line
+        for name, reasons in node.missing.items():
+            yield f"  {name} missing: " + ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+
+
+def lost_lines(told: Told) -> Iterator[str]:
+    """The nodes that lost samples."""
+    for (channel, node), lost in sorted(told.tally.lost().items()):
+        if lost:
+            yield f"{channel} node {node} (0x{node:02X}): {lost} lost samples"
+
+
+def notes_lines(told: Told) -> Iterator[str]:
+    """What went wrong, for stderr."""
+    for notes in told.notes:
+        if notes.bad:
+            counts = ", ".join(f"{count} {reason}" for reason, count in sorted(notes.bad.items()))
+            yield f"{notes.source}: bad lines: {counts}; the first: {notes.first_bad}"
+        if notes.skipped:
+            counts = ", ".join(f"{count} {kind}{'s' if count > 1 else ''}" for kind, count in notes.skipped.items())
+            yield f"{notes.source}: without samples: {counts}"
+    for (channel, node, name), short in sorted(told.tally.short.items()):
+        yield f"{channel} node {node} (0x{node:02X}) {name}: {short} frames too short for their mapping"

@@ -1,0 +1,165 @@
+"""Rows of samples as columns: what every part of `tipforce decode` hands to the next."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary.signals import Signal
+
+Values = npt.NDArray[Any]
+BoolArray = npt.NDArray[np.bool_]
+
+NO_COUNTER = -1
+NO_FLAG = -1
+NO_INTEGER = np.iinfo(np.int64).min
+NODE_BITS = 7
+"""A key is channel << NODE_BITS | node-id: nodes of two buses are not the same."""
+
+_SUFFIX = {"N": "_N", "degree": "_deg", "microstrain": "_ue", "degC": "_degC"}
+_FIRST = ("P", "phi", "theta", "u_P", "u_phi", "u_theta", "F1", "F2", "F3")
+_GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
+
+
+@dataclass(frozen=True, slots=True)
+class Column:
+    """One column: ``kind`` is "real", "flag", "integer" or "word".
+
+    ``digits`` behind the point are its resolution (None: as many as tell the value). ``rank`` orders columns.
+    """
+
+    name: str
+    signal: str
+    kind: str
+    digits: int | None
+    unit: str
+    rank: int
+
+    @property
+    def angle(self) -> bool:
+        """Whether values a full turn apart are the same."""
+        return self.unit == "degree"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Table:
+    """k rows, each a sample of one node, in the order of their first frames.
+
+    ``t_ns`` (k,) receive time of the first frame; ``key`` (k,) channel and node; ``counter`` (k,) of the sample, or
+    NO_COUNTER; ``cyclic`` (k,): whether it came with a PDO that follows SYNC. ``values`` by column name, (k,) each:
+    real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER, word bytes.
+    ``absent``: by column name, where no frame carried it; columns that no row lacks are left out.
+    """
+
+    t_ns: npt.NDArray[np.int64]
+    key: npt.NDArray[np.uint16]
+    counter: npt.NDArray[np.int64]
+    cyclic: BoolArray
+    columns: tuple[Column, ...] = ()
+    values: dict[str, Values] = field(default_factory=dict)
+    absent: dict[str, BoolArray] = field(default_factory=dict)
+    channels: tuple[str, ...] = ()
+    timed: bool = True
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def node(self) -> npt.NDArray[np.uint8]:
+        """(k,) the node-ids; 0 for messages of a DBC that are no node's."""
+        return (self.key & ((1 << NODE_BITS) - 1)).astype(np.uint8)
+
+    @property
+    def channel(self) -> npt.NDArray[np.intp]:
+        """(k,) indices into ``channels``."""
+        return (self.key >> NODE_BITS).astype(np.intp)
+
+    def with_columns(self, columns: Iterable[Column], channels: tuple[str, ...]) -> Table:
+        """The table with further columns, which no row has, and further channels."""
+        new = [column for column in columns if column.name not in self.values]
+        none = {column.name: missing_of(column, len(self)) for column in new}
+        absent = {column.name: np.ones(len(self), dtype=np.bool_) for column in new}
+        ordered = in_order((*self.columns, *new))
+        return replace(
+            self, columns=ordered, values={**self.values, **none}, absent={**self.absent, **absent}, channels=channels
+        )
+
+    def take(self, rows: npt.NDArray[Any]) -> Table:
+        """Some of the rows."""
+        return replace(
+            self,
+            t_ns=self.t_ns[rows],
+            key=self.key[rows],
+            counter=self.counter[rows],
+            cyclic=self.cyclic[rows],
+            values={name: column[rows] for name, column in self.values.items()},
+            absent={name: column[rows] for name, column in self.absent.items()},
+        )
+
+
+def column_of(signal: Signal) -> Column:
+    """The column that a signal fills."""
+    if signal.bits == 1 and signal.unknown is None:
+        return Column(signal.name, signal.name, "flag", 0, "", _rank(signal.name, _FLAG))
+    name = signal.name + ("" if signal.index == 0 else _SUFFIX.get(signal.unit, ""))
+    plain = signal.unknown is None and signal.scale == 1 and not signal.offset and not signal.real
+    if plain and (signal.bits < 64 or signal.signed):
+        return Column(name, signal.name, "integer", 0, signal.unit, _rank(signal.name, _NUMBER))
+    digits = None
+    if not signal.real and 0 < signal.scale <= 1 and not signal.offset:
+        digits = -math.floor(math.log10(signal.scale) + 1e-9)
+        if abs(signal.scale * 10**digits - round(signal.scale * 10**digits)) > 1e-6 or digits > 9:
+            digits = None
+    return Column(name, signal.name, "real", digits, signal.unit, _rank(signal.name, _NUMBER))
+
+
+def computed(name: str, unit: str, digits: int | None = 6) -> Column:
+    """A column of numbers that no frame carried."""
+    return Column(name + _SUFFIX.get(unit, ""), name, "real", digits, unit, _rank(name, _NUMBER))
+
+
+def counted(name: str) -> Column:
+    """A column of whole numbers that no frame carried."""
+    return Column(name, name, "integer", 0, "", _COUNT)
+
+
+def flag(name: str) -> Column:
+    """A column of flags that no frame carried."""
+    return Column(name, name, "flag", 0, "", _rank(name, _FLAG))
+
+
+def _rank(name: str, otherwise: int) -> int:
+    if name in _FIRST:
+        return _FIRST.index(name)
+    return _GAUGE if name.startswith("SG") and name[2:].isdigit() else otherwise
+
+
+def in_order(columns: Iterable[Column], asked: Sequence[str] | None = None) -> tuple[Column, ...]:
+    """Columns as they are shown: contact, forces, gauges, other numbers, flags; or in the order asked for."""
+    if asked is not None:
+        place = {name: number for number, name in enumerate(asked)}
+        return tuple(sorted(columns, key=lambda column: place.get(column.signal, len(place))))
+    return tuple(sorted(columns, key=lambda column: column.rank))
+
+
+def missing_of(column: Column, count: int) -> Values:
+    """``count`` values that are missing."""
+    if column.kind == "flag":
+        return np.full(count, NO_FLAG, dtype=np.int8)
+    if column.kind == "integer":
+        return np.full(count, NO_INTEGER, dtype=np.int64)
+    return np.full(count, b"") if column.kind == "word" else np.full(count, np.nan)
+
+
+def is_missing(column: Column, values: Values) -> BoolArray:
+    """Which values are missing."""
+    if column.kind == "flag":
+        return np.asarray(values == NO_FLAG)
+    if column.kind == "integer":
+        return np.asarray(values == NO_INTEGER)
+    return np.asarray(values == b"") if column.kind == "word" else np.asarray(np.isnan(values))

@@ -1,0 +1,238 @@
+"""Where tables go: stdout or a file, in the format that its name tells."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, BinaryIO, Protocol
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.decode import text_rows
+from tipforce_tools.decode.files import NewFile
+from tipforce_tools.decode.table import Column, Table
+from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+
+FORMATS = ("text", "csv", "jsonl", "parquet", "mcap")
+_SUFFIXES = {
+    ".csv": "csv", ".jsonl": "jsonl", ".ndjson": "jsonl", ".json": "jsonl", ".parquet": "parquet", ".pq": "parquet",
+    ".mcap": "mcap", ".txt": "text",
+}  # fmt: skip
+_EXTRAS = {"parquet": ("pyarrow", "parquet"), "mcap": ("mcap", "mcap")}
+_COPY_BYTES = 1 << 20
+
+
+class Writer(Protocol):
+    """Takes tables; what it writes is complete after ``close``, and gone after ``abort``."""
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table. Raises OSError."""
+
+    def close(self) -> None:
+        """Complete the output. Raises OSError."""
+
+    def abort(self) -> None:
+        """Give up: no partial file stays."""
+
+
+def format_of(output: str | None, wanted: str | None) -> str:
+    """The format of an output. Raises InputError for a name that tells none."""
+    if wanted is not None:
+        return wanted
+    if output is None or output == "-":
+        return "text"
+    if output.endswith("/") or Path(output).is_dir():
+        return "parquet"
+    suffix = Path(output).suffix.lower()
+    if suffix not in _SUFFIXES:
+        known = ", ".join(sorted(_SUFFIXES))
+        raise InputError(f"--output {output}: the suffix says which format: allowed are {known}, a name with / at its "
+                         "end for one Parquet file per node, or --format")  # fmt: skip
+    return _SUFFIXES[suffix]
+
+
+def open_writer(output: str | None, kind: str, *, force: bool, rate_base: tuple[str, ...] = (COUNTER,)) -> Writer:
+    """A writer. Raises InputError for a place that can't be written to, EnvironmentLackError for a lacking library.
+
+    ``rate_base``: the columns behind time and node that every table has.
+    """
+    if kind in _EXTRAS:
+        library, extra = _EXTRAS[kind]
+        from importlib.util import find_spec
+
+        if find_spec(library) is None:
+            raise EnvironmentLackError(f"{kind} needs {library}: `pip install 'tipforce[{extra}]'`")
+        if output is None or output == "-":
+            raise InputError(f"--format {kind}: needs --output FILE")
+    base = (TIME, NODE, *rate_base)
+    if output is None or output == "-":
+        return StreamWriter(sys.stdout.buffer, kind, base)
+    if kind == "parquet":
+        from tipforce_tools.decode import parquet
+
+        if output.endswith("/") or Path(output).is_dir():
+            return parquet.DirectoryWriter(Path(output.rstrip("/") or "/"), base, force=force)
+        return parquet.FileWriter(Path(output), base)
+    if kind == "mcap":
+        from tipforce_tools.decode.mcap_file import McapWriter
+
+        return McapWriter(Path(output), base)
+    return CsvWriter(Path(output), base) if kind == "csv" else LinesWriter(Path(output), kind, base)
+
+
+class Shape:
+    """Which columns an output has so far. New ones come last: rows before have nothing there."""
+
+    def __init__(self, base: tuple[str, ...]) -> None:
+        self.base = base
+        self.columns: tuple[Column, ...] = ()
+        self.channel_at: int | None = None  # number of columns before `channel`, where it came later
+        self.channel = ""
+        self._begun = False
+
+    def fits(self, table: Table) -> bool:
+        """Take in the columns of a table; False when there are new ones after the first."""
+        known = {column.name for column in self.columns}
+        new = tuple(column for column in table.columns if column.name not in known)
+        several = len(table.channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
+        begun, self._begun = self._begun, True
+        self.columns += new
+        if several and not begun:
+            self.base = (self.base[0], CHANNEL, *self.base[1:])
+        elif several:
+            self.channel = table.channels[0]
+            self.columns += (Column(CHANNEL, CHANNEL, "word", None, "", 0),)
+        return not begun or not (new or several)
+
+    def of(self, table: Table) -> Table:
+        """The table with `channel` among its values, where it is a column that came later."""
+        if not any(column.name == CHANNEL for column in self.columns):
+            return table
+        names = np.array([name.encode() for name in table.channels])[table.channel]
+        column = next(column for column in self.columns if column.name == CHANNEL)
+        return replace(table, columns=(*table.columns, column), values={**table.values, CHANNEL: names})
+
+
+class StreamWriter:
+    """Text, CSV or JSON lines on stdout, at once."""
+
+    def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
+        self._stream, self._kind = stream, kind
+        self._shape = Shape(base)
+        self._shown: tuple[Column, ...] | None = None
+        self.left_out: set[str] = set()
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table. CSV keeps the columns that it began with: ``left_out`` names the others."""
+        self._shape.fits(table)
+        self._stream.write(self._text(table))
+        self._stream.flush()
+
+    def _text(self, table: Table) -> bytes:
+        base = self._shape.base
+        if self._kind != "csv":
+            if len(table.channels) > 1 and CHANNEL not in base:
+                base = (base[0], CHANNEL, *base[1:])
+            rows = text_rows.json_rows if self._kind == "jsonl" else text_rows.people_rows
+            return rows(table, base)
+        start = b""
+        if self._shown is None:
+            self._shown, start = self._shape.columns, text_rows.csv_header(base, self._shape.columns)
+        self.left_out |= {column.name for column in self._shape.columns if column not in self._shown}
+        return start + text_rows.csv_rows(table, base, self._shown)
+
+    def close(self) -> None:
+        """Nothing is left to do."""
+
+    def abort(self) -> None:
+        """What was written has gone out."""
+
+
+class LinesWriter:
+    """JSON lines or text in a file."""
+
+    def __init__(self, path: Path, kind: str, base: tuple[str, ...]) -> None:
+        """Raises InputError."""
+        self._file = NewFile(path)
+        self._stream = self._file.partial.open("wb")
+        self._lines = StreamWriter(self._stream, kind, base)
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table."""
+        self._lines.write(table)
+
+    def close(self) -> None:
+        """Complete the file."""
+        self._stream.close()
+        self._file.keep()
+
+    def abort(self) -> None:
+        """Remove the file."""
+        _close_quietly(self._stream.close)
+        self._file.drop()
+
+
+class CsvWriter:
+    """CSV in a file. Where columns come later, the rows before are written again with nothing there."""
+
+    def __init__(self, path: Path, base: tuple[str, ...]) -> None:
+        """Raises InputError."""
+        self._file = NewFile(path)
+        self._stream = self._file.partial.open("wb")
+        self._shape = Shape(base)
+        self._pieces: list[tuple[int, int]] = []  # (where, how many columns) from there on
+
+    def write(self, table: Table) -> None:
+        """Append the rows of a table."""
+        first = not self._pieces
+        if not self._shape.fits(table) or first:
+            if first:
+                self._stream.write(text_rows.csv_header(self._shape.base, self._shape.columns))
+            self._pieces.append((self._stream.tell(), len(self._shape.columns)))
+        self._stream.write(text_rows.csv_rows(self._shape.of(table), self._shape.base, self._shape.columns))
+
+    def close(self) -> None:
+        """Complete the file."""
+        if not self._pieces:
+            self._stream.write(text_rows.csv_header(self._shape.base, ()))
+        self._stream.close()
+        if len(self._pieces) > 1:
+            self._write_again()
+        self._file.keep()
+
+    def _write_again(self) -> None:
+        wider = self._file.partial.with_suffix(".wide")
+        names = [column.name for column in self._shape.columns]
+        try:
+            with self._file.partial.open("rb") as old, wider.open("wb") as new:
+                new.write(text_rows.csv_header(self._shape.base, self._shape.columns))
+                ends = [where for where, _ in self._pieces[1:]] + [None]
+                for (where, count), end in zip(self._pieces, ends, strict=True):
+                    fill = [self._shape.channel if name == CHANNEL else "" for name in names[count:]]
+                    old.seek(where)
+                    for block in _blocks(old, None if end is None else end - where):
+                        new.write(block.replace(b"\n", "".join(f",{text}" for text in fill).encode() + b"\n"))
+            wider.replace(self._file.partial)
+        finally:
+            wider.unlink(missing_ok=True)
+
+    def abort(self) -> None:
+        """Remove the file."""
+        _close_quietly(self._stream.close)
+        self._file.drop()
+
+
+def _blocks(stream: BinaryIO, count: int | None) -> Iterator[bytes]:
+    left = count
+    while block := stream.read(_COPY_BYTES if left is None else min(_COPY_BYTES, left)):
+        left = None if left is None else left - len(block)
+        yield block
+
+
+def _close_quietly(close: Callable[[], Any]) -> None:
+    with suppress(OSError):
+        close()
