@@ -7,7 +7,15 @@ import pytest
 
 ROOT = Path(__file__).parents[2]
 DOCUMENTS = sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/*.md")])
-MUST_HAVE_EXAMPLES = {"calibration.md", "finite-elements.md", "mechanics.md", "protocol.md", "scenes.md"}
+MUST_HAVE_EXAMPLES = {
+    "calibration.md",
+    "decode.md",
+    "finite-elements.md",
+    "mechanics.md",
+    "protocol.md",
+    "scenes.md",
+    "tools.md",
+}
 
 
 @pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: path.name)

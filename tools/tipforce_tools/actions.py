@@ -23,12 +23,18 @@ def add_action(parser: argparse.ArgumentParser, command: str, actions: Actions) 
 
 def run_action(args: argparse.Namespace, command: str, actions: Actions) -> int:
     """Run the action; its exit code."""
-    module_name, summary = actions[args.action]
-    module = importlib.import_module(module_name)
-    description = summary[0].upper() + summary[1:] + "."
-    parser = argparse.ArgumentParser(prog=f"tipforce {command} {args.action}", description=description)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
-    module.add_arguments(parser)
+    parser = action_parser(command, args.action, actions)
+    module = importlib.import_module(actions[args.action][0])
     parsed = parser.parse_intermixed_args(args.words, argparse.Namespace(action=args.action))
     common.set_up_logging(parsed)
     return int(module.run(parsed))
+
+
+def action_parser(command: str, action: str, actions: Actions) -> argparse.ArgumentParser:
+    """The parser of the words behind `tipforce COMMAND ACTION`."""
+    module_name, summary = actions[action]
+    description = summary[0].upper() + summary[1:] + "."
+    parser = argparse.ArgumentParser(prog=f"tipforce {command} {action}", description=description)
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    importlib.import_module(module_name).add_arguments(parser)
+    return parser

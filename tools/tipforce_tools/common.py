@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import json
-import logging
 import math
 import os
 import re
 import sys
-import threading
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
@@ -34,6 +31,8 @@ def add_output_arguments(parser: argparse.ArgumentParser) -> None:
 
 def set_up_logging(args: argparse.Namespace) -> None:
     """Warnings of tipforce to stderr, all with -v, errors only with -q; the libraries' own only with -v."""
+    import logging
+
     level = logging.ERROR if args.quiet else logging.DEBUG if args.verbose else logging.WARNING
     logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
     if not args.verbose:
@@ -44,9 +43,9 @@ def set_up_logging(args: argparse.Namespace) -> None:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
-    import can.cli
+    from tipforce_tools import bus_flags
 
-    can.cli.add_bus_arguments(parser)
+    bus_flags.add_bus_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
@@ -76,6 +75,8 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
 
 def open_connection(args: argparse.Namespace) -> Connection:
     """A host connection on that bus."""
+    import threading
+
     from tipforce.host.connection import Connection
 
     if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
@@ -83,6 +84,14 @@ def open_connection(args: argparse.Namespace) -> Connection:
             f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
         )
     return Connection(open_bus(args), args.timeout, args.retries)
+
+
+def number(text: str) -> float:
+    """A number of a flag that has limits of its own: NaN, which no limit allows, for what is none."""
+    try:
+        return float(text)
+    except ValueError:
+        return math.nan
 
 
 def node_id(text: str) -> int:
@@ -123,6 +132,8 @@ def print_json(record: dict[str, Any]) -> None:
 
 def json_line(record: dict[str, Any]) -> str:
     """What print_json() prints, without the line's end."""
+    import json
+
     return json.dumps(_plain(record))
 
 

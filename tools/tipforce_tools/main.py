@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 from tipforce.errors import (
     EnvironmentLackError,
@@ -14,6 +15,9 @@ from tipforce.errors import (
     SdoAbortError,
     TipforceError,
 )
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS = {
@@ -28,10 +32,16 @@ COMMANDS = {
     "estimate": ("tipforce_tools.estimate", "gauge readings to contact, with standard uncertainties"),
     "budget": ("tipforce_tools.budget", "the error budget of P, phi and theta, by cause"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
+    "decode": ("tipforce_tools.decode.command", "logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
+    "log": ("tipforce_tools.log.command", "record frames to a file that canplayer and Wireshark open"),
+    "replay": ("tipforce_tools.replay.command", "send the frames of a log again, in their own time"),
+    "plot": ("tipforce_tools.plot.command", "draw the contact, gauges and faults of a log"),
+    "monitor": ("tipforce_tools.monitor.command", "a live table of the nodes on a bus or in a log"),
     "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
     "report": ("tipforce_tools.report.command", "error against run time, and what happens in extreme cases"),
     "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
     "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
+    "completion": ("tipforce_tools.completion.command", "the shell's TAB completion of all commands"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
 }
 
@@ -100,20 +110,27 @@ def _run(name: str, words: list[str]) -> int:
         near = difflib.get_close_matches(name, COMMANDS, 3)
         hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
+    import importlib
+
+    parser = command_parser(name)
+    # Flags may stand between the positional words, but not inside another program's command line.
+    passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
+    args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
+    return int(importlib.import_module(COMMANDS[name][0]).run(args))
+
+
+def command_parser(name: str) -> ArgumentParser:
+    """The parser of the command line of COMMANDS' ``name``."""
     import argparse
     import importlib
     import re
 
     module_name, summary = COMMANDS[name]
-    module = importlib.import_module(module_name)
     parser = argparse.ArgumentParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
     # argparse itself takes -1.5e-3 and -1,0,0 for flags that it does not know.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
-    module.add_arguments(parser)
-    # Flags may stand between the positional words, but not inside another program's command line.
-    passes_on = any(action.nargs == argparse.REMAINDER for action in parser._actions)
-    args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
-    return int(module.run(args))
+    importlib.import_module(module_name).add_arguments(parser)
+    return parser
 
 
 def _exit_code(error: TipforceError) -> int:

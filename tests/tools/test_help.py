@@ -1,0 +1,64 @@
+"""`--help` of every command: quick, because nothing heavy is imported, and with examples to paste."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tipforce_tools.completion.model import command_lines
+from tipforce_tools.main import COMMANDS
+
+HEAVY = (
+    "numpy",
+    "can",
+    "canopen",
+    "cantools",
+    "msgspec",
+    "rich",
+    "matplotlib",
+    "scipy",
+    "pyarrow",
+    "importlib.metadata",
+)
+PATHS = [line.path for line in command_lines()]
+CODE = f"""\
+import contextlib, io, sys
+from tipforce_tools.main import main
+for path in {PATHS!r}:
+    text = io.StringIO()
+    with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
+        main([*path, "--help"])
+    assert text.getvalue().startswith("usage: tipforce " + " ".join(path)), path
+    heavy = [name for name in {HEAVY!r} if name in sys.modules]
+    print(*path, "imports" if heavy else "", *heavy)
+    for name in heavy:
+        del sys.modules[name]
+"""
+
+
+@pytest.fixture(scope="module")
+def told() -> list[str]:
+    """A line for each command and action: what heavy its help imports."""
+    done = subprocess.run([sys.executable, "-c", CODE], capture_output=True, text=True, check=False, timeout=60)
+    assert done.returncode == 0, done.stderr
+    return [line.strip() for line in done.stdout.splitlines()]
+
+
+def test_no_help_imports_anything_heavy(told: list[str]) -> None:
+    assert told == [" ".join(path) for path in PATHS]
+
+
+LOG_TOOLS = {"dump", "log", "replay", "decode", "plot", "monitor", "completion"}
+
+
+@pytest.mark.parametrize("name", sorted(LOG_TOOLS & set(COMMANDS)))
+def test_the_help_of_the_log_tools_has_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    from tipforce_tools.main import main
+
+    with pytest.raises(SystemExit) as caught:
+        main([name, "--help"])
+    assert caught.value.code == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert sum(line.startswith("  ") and f"tipforce {name} " in line for line in lines) >= 2

@@ -1,0 +1,470 @@
+"""`tipforce monitor`: the state machine on a clock of the test's own, what is shown, and the command."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import json
+import math
+import struct
+import subprocess
+import sys
+import threading
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.host.frames import FRAME, FrameArray, frame_array
+from tipforce.host.log_reader import open_log
+from tipforce_tools.main import COMMANDS, command_parser, main
+from tipforce_tools.monitor import display
+from tipforce_tools.monitor.session import Loop
+from tipforce_tools.monitor.sources import LogSource, PipeSource
+from tipforce_tools.monitor.state import BusView, Monitor, NodeView
+from tipforce_tools.monitor.window import WINDOW_NS, Window
+from tools.hand_log import START_S, Fault, contact_pdo, hand_log
+
+MS = 1_000_000
+T0 = START_S * 1_000_000_000
+CALIBRATED, CONTACT = 2, 1
+NAN = math.nan
+
+
+def fed(frames: Iterable[tuple[int, int, bytes]], **options: object) -> Monitor:
+    """A monitor that has seen (milliseconds, identifier, data)."""
+    monitor = Monitor(**options)  # type: ignore[arg-type]
+    monitor.feed(frame_array([(T0 + t * MS, can_id, data) for t, can_id, data in frames]), ["can0"])
+    return monitor
+
+
+def bus(monitor: Monitor, t_ms: float = 0) -> BusView:
+    (found,) = monitor.views(T0 + round(t_ms * MS))
+    return found
+
+
+def node(monitor: Monitor, t_ms: float = 0) -> NodeView:
+    (found,) = bus(monitor, t_ms).nodes
+    return found
+
+
+def contacts(count: int, period_ms: int = 10, status: int = 3) -> list[tuple[int, int, bytes]]:
+    return [(k * period_ms, *contact_pdo(5, 1.5, 90.0, -45.0, status, k)) for k in range(count)]
+
+
+# --- values -----------------------------------------------------------------------------------------------------------
+
+
+def test_values_rate_and_age() -> None:
+    found = node(fed(contacts(101)), 1002)
+    assert found.node_id == 5
+    assert [found.readings[name].value for name in ("P", "phi", "theta")] == [1.5, 90.0, -45.0]
+    assert found.rate_hz == pytest.approx(100.0)
+    assert found.periods is not None
+    assert (found.periods.p50_ms, found.periods.p99_ms, found.periods.max_ms) == pytest.approx((10.0, 10.0, 10.0))
+    assert found.age_s == pytest.approx(0.002)
+    assert (found.stale, found.status, found.lost) == (False, ("contact", "calibrated"), 0)
+
+
+def test_one_late_sample_shows_in_the_longest_period() -> None:
+    frames = contacts(100)
+    frames = [(t + (7 if k == 50 else 0), can_id, data) for k, (t, can_id, data) in enumerate(frames)]
+    periods = node(fed(frames), 990).periods
+    assert periods is not None
+    assert (periods.p50_ms, periods.max_ms) == pytest.approx((10.0, 17.0))
+
+
+@pytest.mark.parametrize(("age_ms", "stale"), [(0, False), (499, False), (501, True), (60_000, True)])
+def test_an_old_value_is_never_shown_as_live(age_ms: int, stale: bool) -> None:
+    found = node(fed(contacts(101)), 1000 + age_ms)
+    assert found.stale == stale
+    cells = display.cells(found)
+    assert ("1.500 N" in cells) != stale
+    assert any("STALE" in cell for cell in cells) == stale
+    for reading in found.readings.values():
+        assert (reading.value is None) == stale
+
+
+def test_a_slow_node_may_be_slow() -> None:
+    assert not node(fed(contacts(10, period_ms=1000)), 9_000 + 2_900).stale
+    assert node(fed(contacts(10, period_ms=1000)), 9_000 + 3_100).stale
+
+
+def test_the_rate_of_a_node_that_stops_falls() -> None:
+    monitor = fed(contacts(301))
+    rates = [node(monitor, 3000 + age).rate_hz for age in (0, 20, 500, 1000, 1999, 2001)]
+    assert rates[0] == rates[1] == pytest.approx(100.0)
+    assert sorted(rates, reverse=True) == rates
+    assert rates[-1] == 0.0
+
+
+@pytest.mark.parametrize(
+    ("status", "reasons"),
+    [
+        (0, ("not calibrated",) * 3),
+        (CALIBRATED, ("the node says so", "no contact", "no contact")),
+        (CALIBRATED | 0x80, ("front-end fault",) * 3),
+        (CALIBRATED | 0x08, ("no new sample",) * 3),
+        (CALIBRATED | CONTACT | 0x04, ("gauge saturated",) * 3),
+        (CALIBRATED | CONTACT | 0x10, ("the node says so", "the node says so", "unresolved")),
+        (CALIBRATED | CONTACT | 0x20, ("the node says so", "the node says so", "misses the tip")),
+    ],
+)
+def test_the_unknown_says_why(status: int, reasons: tuple[str, ...]) -> None:
+    found = node(fed([(0, *contact_pdo(5, NAN, NAN, NAN, status))]))
+    assert tuple(found.readings[name].reason for name in ("P", "phi", "theta")) == reasons
+    assert display.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
+
+
+def test_a_known_value_needs_no_reason() -> None:
+    found = node(fed([(0, *contact_pdo(5, 0.01, NAN, NAN, CALIBRATED | 0x10))]))
+    assert [display.shown(found.readings[name]) for name in ("P", "phi", "theta")] == [
+        "0.010 N",
+        "unknown: no contact",
+        "unknown: no contact",
+    ]
+
+
+def test_a_node_that_sends_gauges_alone() -> None:
+    gauges = struct.pack("<hhhBB", 10, 20, 30, 3, 0)
+    found = node(fed([(0, 0x185, gauges), (10, 0x185, gauges)]), 10)
+    assert display.shown(found.readings["P"]) == "unknown: not sent"
+    assert found.rate_hz == pytest.approx(100.0)
+
+
+def test_samples_are_counted_once_with_two_pdos() -> None:
+    gauges = [(t, 0x185, struct.pack("<hhhBB", 10, 20, 30, 3, k)) for k, (t, _, _) in enumerate(contacts(101))]
+    both = [frame for pair in zip(gauges, contacts(101), strict=True) for frame in pair]
+    assert node(fed(both), 1000).rate_hz == pytest.approx(100.0)
+
+
+def test_lost_samples() -> None:
+    frames = [frame for k, frame in enumerate(contacts(300)) if k not in {100, 101, 250}]
+    assert node(fed(frames), 3000).lost == 3
+
+
+# --- services ---------------------------------------------------------------------------------------------------------
+
+
+def test_heartbeat_and_its_loss() -> None:
+    beats = [(t, 0x705, b"\x05") for t in range(0, 3001, 500)]
+    assert [node(fed(beats), t).nmt_lost for t in (3000, 4400, 4600)] == [False, False, True]
+    assert node(fed(beats), 3000).nmt == "operational"
+    assert node(fed([(0, 0x705, b"\x00"), (1, 0x705, b"\x7f")]), 1).nmt == "pre-operational"
+    assert "operational, heartbeat lost" in display.cells(node(fed(beats), 4600))
+    assert "no heartbeat" in display.cells(node(fed(contacts(2)), 10))
+
+
+def test_emergency() -> None:
+    found = node(
+        fed([(0, 0x85, bytes.fromhex("1050810100000000")), (5, 0x85, bytes.fromhex("3050810100000000"))]), 2005
+    )
+    assert found.emergency is not None
+    assert (found.emergency.code, found.emergency.register, found.emergency.text) == (0x5030, 0x81, "front end")
+    assert "5030h front end, 2.0 s ago" in display.cells(found)
+    assert fed([(0, 0x85, b"\x10")]).views(T0)[0].nodes[0].emergency is None
+
+
+def test_sync_is_no_emergency_of_node_0() -> None:
+    found = bus(fed([(10 * k, 0x80, b"") for k in range(101)]), 1000)
+    assert found.sync_hz == pytest.approx(100.0)
+    assert found.nodes == ()
+
+
+def test_other_nodes_are_left_out() -> None:
+    frames = [(0, *contact_pdo(5, 1, 2, 3)), (1, *contact_pdo(6, 1, 2, 3)), (2, 0x706, b"\x05"), (3, 0x86, bytes(8))]
+    assert [found.node_id for found in bus(fed(frames, node_ids=[5])).nodes] == [5]
+    assert [found.node_id for found in bus(fed(frames)).nodes] == [5, 6]
+
+
+def test_error_and_remote_frames_are_no_values() -> None:
+    data = contact_pdo(5, 1, 2, 3)[1]
+    found = bus(
+        fed([(0, 0x285 | REMOTE_FLAG, b""), (1, 0x705 | ERROR_FLAG, b"\x05"), (2, 0x285 | EXTENDED_FLAG, data)])
+    )
+    assert (found.nodes, found.errors) == ((), 1)
+
+
+@pytest.mark.parametrize(("length", "least", "worst"), [(8, 111, 135), (0, 47, 55)])
+def test_the_load_of_standard_frames(length: int, least: int, worst: int) -> None:
+    """The figures for 8 bytes are those of the text books: 111 bits at least, 135 at most."""
+    found = bus(fed([(k, 0x123, bytes(length)) for k in range(2001)]), 2000)
+    assert found.frames_hz == pytest.approx(1000.0, rel=1e-2)
+    assert found.least_bits_hz == pytest.approx(least * 1000.0, rel=1e-2)
+    assert found.worst_bits_hz == pytest.approx(worst * 1000.0, rel=1e-2)
+
+
+def test_extended_frames_are_longer_by_20_bits() -> None:
+    found = bus(fed([(k, 0x123 | EXTENDED_FLAG, bytes(8)) for k in range(2001)]), 2000)
+    assert found.least_bits_hz == pytest.approx(131_000.0, rel=1e-2)
+
+
+def test_the_same_node_on_two_buses() -> None:
+    monitor = Monitor()
+    frames = frame_array([(T0, *contact_pdo(5, 1.0, 2, 3)), (T0 + 1, *contact_pdo(5, 2.0, 2, 3))])
+    frames["channel"] = [0, 1]
+    monitor.feed(frames, ["can0", "can1"])
+    views = monitor.views()
+    assert [(view.name, view.nodes[0].readings["P"].value) for view in views] == [("can0", 1.0), ("can1", 2.0)]
+
+
+# --- windows ----------------------------------------------------------------------------------------------------------
+
+
+def test_a_window_forgets() -> None:
+    rng = np.random.default_rng(3)
+    window, t_ns = Window(columns=1), np.sort(rng.integers(0, 10 * WINDOW_NS, 5000))
+    for part in np.array_split(t_ns, 37):
+        window.add(part, np.full(len(part), 7))
+    recent = t_ns[t_ns > t_ns[-1] - WINDOW_NS]
+    assert window.rate_hz(int(t_ns[-1])) == pytest.approx((len(recent) - 1) * 1e9 / (recent[-1] - recent[0]))
+    assert window.sums(int(t_ns[-1])) == pytest.approx([7e9 * len(recent) / (recent[-1] - recent[0])])
+    periods = window.periods()
+    assert periods is not None
+    assert periods.max_ms == pytest.approx(np.diff(recent).max() * 1e-6)
+
+
+def test_a_clock_that_was_set_back_starts_anew() -> None:
+    monitor = fed(contacts(101))
+    monitor.feed(
+        frame_array([(T0 - 3600_000 * MS + 20 * k * MS, *contact_pdo(5, 1, 2, 3)) for k in range(51)]), ["can0"]
+    )
+    found = monitor.views()[0].nodes[0]
+    assert found.rate_hz == pytest.approx(50.0)
+    assert found.age_s == 0.0
+
+
+def test_nothing_has_come() -> None:
+    monitor = Monitor()
+    monitor.feed(np.zeros(0, dtype=FRAME), [])
+    assert monitor.views() == ()
+    assert Window().periods() is None
+    assert Window(columns=2).sums(0) == [0.0, 0.0]
+
+
+# --- sources ----------------------------------------------------------------------------------------------------------
+
+
+class FakeClock:
+    """Seconds that pass when somebody sleeps."""
+
+    def __init__(self) -> None:
+        self.now = 100.0
+
+    def __call__(self) -> float:
+        return self.now
+
+    def sleep(self, seconds: float) -> None:
+        assert seconds > 0
+        self.now += seconds
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    path = tmp_path / "hand.log"
+    path.write_text(hand_log((5,), 2.0, 100, faults=(Fault(5, "silent", 1.5, 1.6),)))
+    return path
+
+
+@pytest.mark.parametrize("speed", [1.0, 4.0])
+def test_a_log_in_its_own_time(log: Path, speed: float) -> None:
+    clock = FakeClock()
+    with open_log(log) as reader:
+        source = LogSource(reader, speed, 250 * MS, clock, clock.sleep)
+        count = 0
+        while not source.ended:
+            frames, _ = source.take(0.1)
+            count += len(frames)
+            now_ns = source.now_ns()
+            assert now_ns is not None
+            if len(frames):
+                assert int(frames["t_ns"].max()) <= now_ns
+                assert now_ns - T0 <= (clock.now - 100.0) * speed * 1e9 + MS
+    assert count == len(log.read_text().splitlines())
+    assert clock.now - 100.0 == pytest.approx(2.0 / speed, abs=0.02)
+
+
+def test_a_log_as_fast_as_it_is_read(log: Path) -> None:
+    clock = FakeClock()
+    with open_log(log) as reader:
+        source = LogSource(reader, math.inf, 250 * MS, clock, clock.sleep)
+        steps: list[FrameArray] = []
+        while not source.ended:
+            steps.append(source.take(0.1)[0])
+    assert clock.now == 100.0
+    assert len(steps) in {9, 10}
+    assert all(int(step["t_ns"].max() - step["t_ns"].min()) <= 251 * MS for step in steps[:-1])
+
+
+def test_a_pipe_that_goes_quiet_grows_old(log: Path) -> None:
+    clock = FakeClock()
+    with open_log(log) as reader:
+        source = PipeSource(reader, clock)
+        monitor = Monitor()
+        while not source.ended:
+            monitor.feed(*source.take(5.0))
+    clock.sleep(3.0)
+    (view,) = monitor.views(source.now_ns())
+    assert view.nodes[0].stale
+    assert view.nodes[0].age_s == pytest.approx(3.0, abs=0.02)
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+
+def monitor(*words: str) -> int:
+    return main(["monitor", *words])
+
+
+def records(text: str) -> list[dict[str, Any]]:
+    return [json.loads(line) for line in text.splitlines()]
+
+
+def test_a_table_at_the_end_of_a_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor(str(log)) == 0
+    out, err = capsys.readouterr()
+    lines = out.splitlines()
+    assert lines[0].startswith("vcan0: ")
+    assert "SYNC 100.0 Hz" in lines[0]
+    assert lines[1].split()[:2] == ["node", "Hz"]
+    assert lines[2].startswith("5 (0x05)  ")
+    assert " operational " in lines[2]
+    assert len(lines) == 3
+    assert not err
+
+
+def test_a_json_line_for_each_interval_of_the_log(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor(str(log), "--json", "--interval", "0.5") == 0
+    found = records(capsys.readouterr().out)
+    assert [record["t"] for record in found] == pytest.approx([START_S + t for t in (0.5, 1.0, 1.5)], abs=0.01)
+
+
+def test_once(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor(str(log), "--once", "1.55", "--json") == 0
+    (record,) = records(capsys.readouterr().out)
+    assert record["t"] == pytest.approx(START_S + 1.55, abs=0.01)
+    (view,) = record["buses"]
+    (of_node,) = view["nodes"]
+    assert "stale" in of_node["status"]
+    assert of_node["readings"]["P"] == {"value": None, "unit": "N", "reason": "no new sample", "stale": False}
+
+
+def test_nodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor(str(log), "--nodes", "6") == 0
+    assert "no node has said anything yet" in capsys.readouterr().out
+
+
+def test_from_stdin(log: Path) -> None:
+    words = [sys.executable, "-m", "tipforce_tools.main", "monitor", "-"]
+    with log.open() as text:
+        done = subprocess.run(words, stdin=text, capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "5 (0x05)" in done.stdout
+
+
+def test_bad_lines_are_told(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log.write_text(log.read_text() + "nonsense\n")
+    assert monitor(str(log)) == 0
+    assert "tipforce monitor: 1 bad line left out" in capsys.readouterr().err
+
+
+def test_a_log_without_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "empty.log"
+    path.write_text("")
+    assert monitor(str(path)) == 0
+    assert capsys.readouterr().out == "no frame has come\n"
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["--speed", "1", "-i", "virtual", "-c", "x"], "--follow and --speed are for logs"),
+        (["LOG", "can0"], "--nodes selects from a log"),
+        (["nothing.log"], "no such file"),
+    ],
+)
+def test_what_makes_no_sense(words: Sequence[str], message: str, log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor(*[str(log) if word == "LOG" else word for word in words]) == 2
+    assert message in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "words", [["--once", "0"], ["--once", "x"], ["--interval", "nan"], ["--speed", "0"], ["--speed", ""]]
+)
+def test_numbers_out_of_range(words: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        monitor("x.log", *words)
+    assert "allowed" in capsys.readouterr().err
+
+
+def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
+    stop = threading.Event()
+
+    def send() -> None:
+        with can.Bus("monitor1", interface="virtual") as bus_of_node:
+            count = 0
+            while not stop.wait(0.005):
+                can_id, data = contact_pdo(5, 1.5, 90.0, -45.0, counter=count)
+                bus_of_node.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+                count += 1
+
+    thread = threading.Thread(target=send)
+    thread.start()
+    try:
+        assert monitor("-i", "virtual", "-c", "monitor1", "--once", "0.2", "--json") == 0
+    finally:
+        stop.set()
+        thread.join()
+    (record,) = records(capsys.readouterr().out)
+    (of_node,) = record["buses"][0]["nodes"]
+    assert (of_node["node_id"], of_node["readings"]["P"]["value"], of_node["lost"]) == (5, 1.5, 0)
+
+
+def test_a_silent_bus_ends_once(capsys: pytest.CaptureFixture[str]) -> None:
+    assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
+    assert capsys.readouterr().out == "no frame has come\n"
+
+
+def test_the_screen_shows_what_the_text_shows(log: Path) -> None:
+    from rich.console import Console
+
+    watched = Monitor()
+    with open_log(log) as reader:
+        for frames in reader:
+            watched.feed(frames, reader.channels)
+    views = watched.views()
+    stream = io.StringIO()
+    Console(file=stream, width=250, no_color=True).print(display.tables(views, 1_000_000, "the foot"))
+    shown = stream.getvalue()
+    for cell in (*display.cells(views[0].nodes[0]), display.headline(views[0], 1_000_000), "the foot"):
+        assert cell in shown
+    assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
+
+
+def test_the_loop_shows_at_each_interval(log: Path) -> None:
+    seen: list[int | None] = []
+    with open_log(log) as reader:
+        source = LogSource(reader, math.inf, 250 * MS)
+        loop = Loop(None, 0.25, lambda _watched, now_ns: seen.append(now_ns))
+        loop.run(Monitor(), source, lambda: False)
+    assert len(seen) == loop.shown == 7
+    assert [(t or 0) - (seen[0] or 0) for t in seen] == [250 * MS * k for k in range(7)]
+
+
+def test_the_loop_ends_when_told(log: Path) -> None:
+    with open_log(log) as reader:
+        source = LogSource(reader, math.inf, 10 * MS)
+        watched = Monitor()
+        Loop(None, 0.25, None).run(watched, source, lambda: watched.frames > 20)
+        assert 20 < watched.frames < 100
+
+
+def test_it_is_a_command() -> None:
+    assert COMMANDS["monitor"][0] == "tipforce_tools.monitor.command"
+    parser = command_parser("monitor")
+    assert isinstance(parser, argparse.ArgumentParser)
+    assert parser.parse_args([]).speed == math.inf

@@ -1,0 +1,392 @@
+"""`tipforce plot`: bins that lose no peak, angles without jumps, gaps for the unknown, bands, and the command."""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.host.calibration_file import write_calibration
+from tipforce_tools.main import main
+from tipforce_tools.plot.bins import BINS, Bins
+from tipforce_tools.plot.finger import Finger
+from tipforce_tools.plot.lines import broken, wrapped
+from tipforce_tools.plot.traces import COVERAGE, Flags, Line, Lost, Trace
+from tools.hand_log import START_S, Fault, calibration, contact_pdo, hand_log
+
+T0 = 1_700_000_000_000_000_000
+MS = 1_000_000
+NAN = math.nan
+
+
+def times(count: int, step_ns: int = MS) -> np.ndarray[tuple[int], np.dtype[np.int64]]:
+    return T0 + step_ns * np.arange(count)
+
+
+def line_of(trace: Trace) -> Line:
+    line = trace.line()
+    assert line is not None
+    return line
+
+
+def traced(values: list[float], *, angle: bool = False, parts: int = 1, u: list[float] | None = None) -> Line:
+    """One sample per bin: the line has a point for each known value."""
+    trace = Trace(T0, angle=angle)
+    t_ns, x = times(len(values)), np.array(values)
+    given_u = None if u is None else np.array(u)
+    for rows in np.array_split(np.arange(len(x)), parts):
+        trace.add(t_ns[rows], x[rows], None if given_u is None else given_u[rows])
+    return line_of(trace)
+
+
+# --- bins -------------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.integers(1, 4000), st.integers(1, 50_000_000), st.integers(1, 9), st.integers(0, 2**32 - 1), st.booleans())
+def test_bins_keep_extremes_sums_and_ends(count: int, longest_ns: int, parts: int, seed: int, disorder: bool) -> None:
+    """However samples come in blocks and over whatever time: nothing is lost, and every bin agrees with its samples."""
+    rng = np.random.default_rng(seed)
+    t_ns = T0 + np.cumsum(rng.integers(0, longest_ns, count))
+    if disorder:
+        t_ns = t_ns - rng.integers(0, 3 * longest_ns, count)
+    x = rng.normal(size=count)
+    bins = Bins(T0, {"low": (np.minimum, np.inf), "high": (np.maximum, -np.inf), "total": (np.add, 0.0)})
+    for rows in np.array_split(np.arange(count), parts):
+        bins.add(t_ns[rows], low=x[rows], high=x[rows], total=x[rows])
+    found = bins.filled()
+    assert len(found["count"]) <= BINS
+    assert found["count"].sum() == count
+    assert (found["low"].min(), found["high"].max()) == (x.min(), x.max())
+    assert found["total"].sum() == pytest.approx(x.sum())
+    assert (found["first_ns"].min(), found["last_ns"].max()) == (t_ns.min(), t_ns.max())
+    if not disorder:
+        number = (t_ns - T0) // bins.width_ns
+        assert found["low"].tolist() == [x[number == one].min() for one in np.unique(number)]
+
+
+def test_a_single_peak_of_a_million_samples_is_kept() -> None:
+    x = np.zeros(1_000_000)
+    x[654_321] = 7.0
+    trace = Trace(T0)
+    for rows in np.array_split(np.arange(len(x)), 25):
+        trace.add(times(len(x))[rows], x[rows])
+    line = line_of(trace)
+    assert len(line.mean) <= BINS
+    assert line.high.max() == 7.0
+    where = line.t_ns[line.high.argmax()]
+    assert abs(where - (T0 + 654_321 * MS)) < 1e12 / BINS * 2
+
+
+# --- gaps -------------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("parts", [1, 2, 3, 7])
+def test_the_unknown_is_a_gap(parts: int) -> None:
+    line = traced([1, 2, NAN, 3, 4, NAN, NAN, 5], parts=parts)
+    assert line.mean.tolist() == [1, 2, 3, 4, 5]
+    assert line.starts.tolist() == [True, False, True, False, True]
+    t, y = broken(line.starts, line.t_ns.astype(np.float64), line.mean)
+    assert np.isnan(y).tolist() == [False, False, True, False, False, True, False]
+    assert np.isnan(t).tolist() == np.isnan(y).tolist()
+
+
+def test_silence_is_a_gap() -> None:
+    trace = Trace(T0)
+    t_ns = np.concatenate((times(50), times(50) + 200 * MS))
+    for rows in (slice(0, 50), slice(50, 100)):
+        trace.add(t_ns[rows], np.ones(50))
+    assert np.flatnonzero(line_of(trace).starts).tolist() == [0, 50]
+
+
+def test_a_gap_survives_the_growth_of_bins() -> None:
+    x = np.ones(40_000)
+    x[20_000:20_100] = NAN
+    trace = Trace(T0)
+    trace.add(times(len(x)), x)
+    starts = line_of(trace).starts
+    assert 0 < len(starts) <= BINS
+    assert np.count_nonzero(starts) == 2
+
+
+def test_nothing_known_is_no_line() -> None:
+    trace = Trace(T0)
+    trace.add(times(3), np.full(3, NAN))
+    assert trace.line() is None
+    assert trace.unknown == 3
+
+
+# --- angles -----------------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(1.0, 120.0), st.integers(1, 5))
+def test_an_angle_never_jumps(seed: int, step_deg: float, parts: int) -> None:
+    """A walk round the circle: what is drawn is the angle (but for full turns), and no segment is a jump."""
+    rng = np.random.default_rng(seed)
+    true = np.cumsum(rng.uniform(-step_deg, step_deg, 150)) + rng.uniform(-180, 180)
+    sent = (true + 180.0) % 360.0 - 180.0
+    line = traced(sent.tolist(), angle=True, parts=parts)
+    off = (line.mean - true) / 360.0
+    assert off == pytest.approx(np.round(off), abs=1e-9)
+    assert np.abs(np.diff(line.mean)).max() <= step_deg + 1e-9
+    x, y = wrapped(line.starts, (line.t_ns - T0).astype(np.float64), line.mean)
+    steps = np.abs(np.diff(y))
+    assert steps[np.isfinite(steps)].max() <= step_deg + 1e-9
+    # Each sample is drawn where it belongs, within the axis.
+    for t, v in zip((line.t_ns - T0).tolist(), sent.tolist(), strict=True):
+        here = y[x == t]
+        off = (here - v) / 360.0
+        assert (np.abs(off - np.round(off)) < 1e-9).all()
+        assert np.abs(here).min() <= 180.0 + 1e-9
+
+
+def test_an_angle_that_crosses_180_leaves_and_comes_back() -> None:
+    line = traced([170.0, 178.0, -174.0, -166.0], angle=True)
+    assert line.mean.tolist() == [170.0, 178.0, 186.0, 194.0]
+    x, y = wrapped(line.starts, np.arange(4.0), line.mean)
+    assert np.nan_to_num(y, nan=999).tolist() == [170.0, 178.0, 186.0, 999, -182.0, -174.0, -166.0]
+    assert np.nan_to_num(x, nan=999).tolist() == [0.0, 1.0, 2.0, 999, 1.0, 2.0, 3.0]
+
+
+def test_behind_a_gap_an_angle_starts_within_the_circle() -> None:
+    line = traced([170.0, -170.0, NAN, -170.0, -160.0], angle=True)
+    assert line.mean.tolist() == [170.0, 190.0, -170.0, -160.0]
+
+
+# --- bands, flags, losses ---------------------------------------------------------------------------------------------
+
+
+def test_a_band_is_two_standard_uncertainties() -> None:
+    line = traced([1.0, 2.0, 3.0], u=[0.1, NAN, 0.2])
+    assert COVERAGE == 2.0
+    assert np.nan_to_num(line.band_low, nan=-1).tolist() == [0.8, -1, 2.6]
+    assert np.nan_to_num(line.band_high, nan=-1).tolist() == [1.2, -1, 3.4]
+
+
+def test_flags_become_bars() -> None:
+    flags = Flags(T0)
+    stale = np.zeros(100, dtype=np.bool_)
+    stale[10:20] = stale[50] = True
+    flags.add(times(100), {"contact": ~stale, "stale": stale, "fault": np.zeros(100, dtype=np.bool_)})
+    bars = flags.bars()
+    assert set(bars) == {"contact", "stale"}
+    assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["stale"]] == [(10, 20), (50, 51)]
+    assert [((a - T0) // MS, (b - T0) // MS) for a, b in bars["contact"]] == [(0, 10), (20, 50), (51, 99)]
+
+
+def test_a_bar_ends_where_the_samples_end() -> None:
+    flags = Flags(T0)
+    on = np.ones(50, dtype=np.bool_)
+    flags.add(times(50), {"stale": on})
+    flags.add(times(50) + 1000 * MS, {"stale": on})
+    assert [((a - T0) // MS, (b - T0) // MS) for a, b in flags.bars()["stale"]] == [(0, 49), (1000, 1049)]
+
+
+def test_a_flag_of_one_sample_in_a_million_has_its_bar() -> None:
+    flags = Flags(T0)
+    fault = np.zeros(1_000_000, dtype=np.bool_)
+    fault[777_777] = True
+    flags.add(times(len(fault)), {"fault": fault})
+    ((begin, end),) = flags.bars()["fault"]
+    assert begin <= T0 + 777_777 * MS <= end
+
+
+def test_lost_samples_are_marked_and_counted() -> None:
+    lost = Lost(T0)
+    counter = np.array([250, 251, 254, 255, 256, 256, 260])
+    lost.add(times(4), counter[:4])
+    lost.add(times(3) + 4 * MS, counter[4:])
+    assert lost.total == 2 + 3
+    assert ((lost.times_ns() - T0) // MS).tolist() == [2, 6]
+
+
+# --- the command ------------------------------------------------------------------------------------------------------
+
+FAULTS = (
+    Fault(5, "open", 0.6, 0.8), Fault(5, "lost", 1.2, 1.25), Fault(5, "silent", 1.5, 1.6),
+    Fault(5, "saturated", 1.8, 1.85),
+)  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def one(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("plot") / "one.log"
+    path.write_text(hand_log((5,), 2.0, 100, faults=FAULTS))
+    return path
+
+
+def plotted(capsys: pytest.CaptureFixture[str], *words: str) -> list[dict[str, Any]]:
+    """What --json says of each node."""
+    assert main(["plot", *words, "--json"]) == 0
+    found: list[dict[str, Any]] = json.loads(capsys.readouterr().out)["nodes"]
+    return found
+
+
+def words_of(path: Path) -> str:
+    """The text in an SVG: matplotlib leaves it as comments beside the glyphs."""
+    return "\n".join(re.findall(r"<!-- (.*?) -->", path.read_text()))
+
+
+@pytest.mark.parametrize(("suffix", "start"), [(".svg", b"<?xml"), (".pdf", b"%PDF-"), (".PNG", b"\x89PNG\r\n")])
+def test_the_formats(suffix: str, start: bytes, one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / f"run{suffix}"
+    (node,) = plotted(capsys, str(one), "-o", str(path))
+    assert path.read_bytes().startswith(start)
+    assert node["node"] == "node 5 (0x05)"
+    assert node["signals"] == ["P", "phi", "theta", "SG1", "SG2", "SG3"]
+    assert node["lost"] == 5
+
+
+def test_everything_is_written_on_it(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "run.svg"
+    plotted(capsys, str(one), "-o", str(path))
+    text = words_of(path)
+    for words in (
+        "node 5 (0x05), 5 samples lost", "P (N)", "phi (deg)", "theta (deg)", "strain (microstrain)", "SG3", "time (s)",
+        "contact", "saturated", "stale", "theta unresolved", "front-end fault", "lost samples",
+        "from 2023-11-14 22:13:20.000 UTC", "grey: two standard uncertainties to either side (95 %)",
+    ):  # fmt: skip
+        assert words in text, words
+
+
+def test_the_same_log_gives_the_same_picture(one: Path, tmp_path: Path) -> None:
+    for name in ("a.png", "b.png"):
+        assert main(["plot", str(one), "-o", str(tmp_path / name)]) == 0
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_choice_of_signals_times_title_and_size(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "part.png"
+    words = ["--signals", "P,temperature", "--from", "1", "--to", "1.1", "--title", "My title", "--size", "127x76.2mm"]
+    (node,) = plotted(capsys, str(one), "-o", str(path), "--dpi", "100", *words)
+    assert node["signals"] in (["P"], ["P", "temperature"])
+    assert path.read_bytes()[16:24] == (500).to_bytes(4, "big") + (300).to_bytes(4, "big")
+    svg = tmp_path / "part.svg"
+    plotted(capsys, str(one), "-o", str(svg), *words)
+    assert "My title" in words_of(svg)
+    assert "contact" not in words_of(svg)
+
+
+def test_with_a_calibration_the_contact_comes_from_the_gauges(
+    one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The host's contact is as often unknown as the node's, and has bands of its own."""
+    cal = tmp_path / "cal.toml"
+    write_calibration(cal, calibration())
+    no_contact = tmp_path / "gauges.log"
+    no_contact.write_text("".join(line for line in one.read_text().splitlines(True) if " 285#" not in line))
+    (from_node,) = plotted(capsys, str(one), "-o", str(tmp_path / "a.svg"))
+    (from_gauges,) = plotted(capsys, str(no_contact), "-o", str(tmp_path / "b.svg"), "--calibration", f"5={cal}")
+    assert set(from_gauges["signals"]) == set(from_node["signals"])
+    for signal, slack in (("P", 0), ("phi", 4), ("theta", 4)):
+        difference = from_gauges["unknown"][signal] - from_node["unknown"][signal]
+        assert abs(difference) <= slack, signal
+    assert "grey: two standard uncertainties" in words_of(tmp_path / "b.svg")
+
+
+def test_five_fingers_share_a_row(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / "five.log"
+    log.write_text(hand_log((1, 2, 3, 4, 5), 1.0, 100))
+    path = tmp_path / "five.svg"
+    assert len(plotted(capsys, str(log), "-o", str(path))) == 5
+    text = words_of(path)
+    assert text.count("P (N)") == text.count("theta unresolved") == 1
+    assert all(f"node {k} (0x0{k})" in text for k in range(1, 6))
+    assert [node["node"] for node in plotted(capsys, str(log), "-o", str(path), "--nodes", "2-3")] == [
+        "node 2 (0x02)",
+        "node 3 (0x03)",
+    ]
+
+
+def test_several_logs_are_one_recording(one: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    lines = one.read_text().splitlines(True)
+    halves = [tmp_path / "1.log", tmp_path / "2.log"]
+    for path, part in zip(halves, (lines[: len(lines) // 2], lines[len(lines) // 2 :]), strict=True):
+        path.write_text("".join(part))
+    whole = plotted(capsys, str(one), "-o", str(tmp_path / "a.png"))
+    assert plotted(capsys, *map(str, halves), "-o", str(tmp_path / "b.png")) == whole
+    assert (tmp_path / "a.png").read_bytes() == (tmp_path / "b.png").read_bytes()
+
+
+def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    can_id, data = contact_pdo(5, 1.5, 90.0, NAN)
+    log = tmp_path / "point.log"
+    log.write_text(f"({START_S}.000000) can0 {can_id:03X}#{data.hex()}\n")
+    (node,) = plotted(capsys, str(log), "-o", str(tmp_path / "point.svg"))
+    assert node["unknown"] == {"P": 0, "phi": 0, "theta": 1}
+    assert "unknown all the time" in words_of(tmp_path / "point.svg")
+
+
+def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
+    """u_P comes with TPDO4 a few times a second; each P between has the last of them."""
+    from tipforce_tools.decode.layouts import Layouts
+    from tipforce_tools.decode.part import Reading
+    from tipforce_tools.decode.recording import Recording
+
+    finger: Finger | None = None
+    for table in Recording(Reading(Layouts())).tables_of_logs([str(one)]):
+        finger = finger or Finger("5", int(table.t_ns[0]), None, ())
+        finger.add(table, np.arange(len(table)))
+    assert finger is not None
+    line = line_of(finger.traces["P"])
+    known = np.isfinite(line.band_low)
+    assert known.mean() > 0.8
+    width = (line.band_high - line.band_low)[known] / (2 * COVERAGE)
+    assert 0.001 <= width.min() <= width.max() <= 0.1
+
+
+@pytest.mark.parametrize(
+    ("words", "message"),
+    [
+        (["LOG"], "-o FILE.png, .svg or .pdf tells where the picture goes; or --show"),
+        (["LOG", "-o", "x.jpg"], "allowed are the suffixes .png, .svg, .pdf"),
+        (["nothing.log", "-o", "x.png"], "no such file"),
+        (["LOG", "-o", "x.png", "--signals", "Q"], "no message has the signal Q"),
+        (["LOG", "-o", "x.png", "--nodes", "9"], "no PDO of a fingertip in it"),
+        (["LOG", "-o", "/no/such/folder/x.png"], "No such file or directory"),
+        (["UNTIMED", "-o", "x.png"], "no timestamps"),
+    ],
+)
+def test_what_can_not_be_drawn(
+    words: list[str],
+    message: str,
+    one: Path,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    Path("untimed.log").write_text("  can0  285   [8]  2E 11 29 23 9A 11 03 03\n")
+    places = {"LOG": str(one), "UNTIMED": "untimed.log"}
+    assert main(["plot", *(places.get(word, word) for word in words)]) == 2
+    out, err = capsys.readouterr()
+    assert not out
+    assert message in err
+    assert not list(tmp_path.glob("x.*"))
+
+
+@pytest.mark.parametrize("size", ["10", "0x5", "10x10furlong", "1000x1000", "x"])
+def test_sizes_that_are_none(size: str, one: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit):
+        main(["plot", str(one), "-o", "x.png", "--size", size])
+    assert "write 16x10cm, 160x100mm or 7x4in" in capsys.readouterr().err
+
+
+def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:
+    code = (
+        "import sys; sys.modules['matplotlib'] = None\nfrom tipforce_tools.main import main\n"
+        f"sys.exit(main(['plot', {str(one)!r}, '-o', {str(tmp_path / 'x.png')!r}]))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "tipforce: a plot needs matplotlib: pip install 'tipforce[plot]'\n"

@@ -1,0 +1,112 @@
+"""python-can's bus flags without importing python-can, which costs a fifth of a second at each `--help`.
+
+The definitions say what ``can.cli.add_bus_arguments`` says (the tests compare them); what takes more than a conversion
+is parsed by python-can's own code, which is imported then.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import redirect_stdout
+from pathlib import Path
+from typing import Any
+
+BUILT_IN_INTERFACES = (
+    "canalystii", "cantact", "etas", "gs_usb", "iscan", "ixxat", "kvaser", "neousys", "neovi", "nican", "nixnet",
+    "pcan", "robotell", "seeedstudio", "serial", "slcan", "socketcan", "socketcand", "systec", "udp_multicast",
+    "usb2can", "vector", "virtual",
+)  # fmt: skip
+"""What python-can 4.6 brings along; plug-ins add theirs."""
+
+_PLUGIN_GROUP = b"[can.interface]"  # in a distribution's entry_points.txt
+
+
+class Interfaces:
+    """The choices of -i: python-can is asked only for a name that it does not bring along itself."""
+
+    def __init__(self) -> None:
+        self._names: tuple[str, ...] | None = None
+
+    def __contains__(self, name: object) -> bool:
+        return name in BUILT_IN_INTERFACES or name in _valid_interfaces()
+
+    def __iter__(self) -> Iterator[str]:
+        if self._names is None:
+            self._names = _valid_interfaces() if "can" in sys.modules or _some_plugin() else BUILT_IN_INTERFACES
+        return iter(self._names)
+
+
+def _valid_interfaces() -> tuple[str, ...]:
+    import can
+
+    return tuple(sorted(can.VALID_INTERFACES))
+
+
+def _some_plugin() -> bool:
+    """Whether any installed distribution declares an interface for python-can."""
+    for folder in sys.path:
+        for file in Path(folder or ".").glob("*-info/entry_points.txt"):
+            try:
+                if _PLUGIN_GROUP in file.read_bytes():
+                    return True
+            except OSError:  # unreadable: then python-can can't read it either
+                continue
+    return False
+
+
+class _PythonCanAction(argparse.Action):
+    """Parses as the action of the same name in can.cli; what that prints goes to stderr, because stdout is for data."""
+
+    def __call__(
+        self,
+        parser: argparse.ArgumentParser,
+        namespace: argparse.Namespace,
+        values: str | Sequence[Any] | None,
+        option_string: str | None = None,
+    ) -> None:
+        import can.cli
+
+        real = argparse.ArgumentParser(add_help=False)
+        can.cli.add_bus_arguments(real)
+        (action,) = (action for action in real._actions if action.dest == self.dest)
+        with redirect_stdout(sys.stderr):
+            action(parser, namespace, values, option_string)
+
+
+def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
+    """-i -c -b --fd --data-bitrate --timing --bus-kwargs; what is not given stays unset, as with python-can."""
+    group = parser.add_argument_group("bus arguments")
+    unset = argparse.SUPPRESS
+    group.add_argument(
+        "-c", "--channel", default=unset, metavar="CHANNEL",
+        help="Most backend interfaces require some sort of channel. For example with the serial interface the channel "
+        'might be a rfcomm device: "/dev/rfcomm0". With the socketcan interface valid channel examples include: '
+        '"can0", "vcan0".',
+    )  # fmt: skip
+    group.add_argument(
+        "-i", "--interface", default=unset, choices=Interfaces(),
+        help="Specify the backend CAN interface to use. If left blank, fall back to reading from configuration files.",
+    )  # fmt: skip
+    group.add_argument(
+        "-b", "--bitrate", type=int, default=unset, metavar="BITRATE", help="Bitrate to use for the CAN bus."
+    )
+    group.add_argument("--fd", default=unset, action="store_true", help="Activate CAN-FD support")
+    group.add_argument(
+        "--data-bitrate", type=int, default=unset, metavar="DATA_BITRATE",
+        help="Bitrate to use for the data phase in case of CAN-FD.",
+    )  # fmt: skip
+    group.add_argument(
+        "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="TIMING_ARG",
+        help="Configure bit rate and bit timing. For example, use `--timing f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 "
+        "brp=2 nof_samples=1` for classical CAN or `--timing f_clock=80_000_000 nom_tseg1=119 nom_tseg2=40 nom_sjw=40 "
+        "nom_brp=1 data_tseg1=29 data_tseg2=10 data_sjw=10 data_brp=1` for CAN FD. Check the python-can documentation "
+        "to verify whether your CAN interface supports the `timing` argument.",
+    )  # fmt: skip
+    group.add_argument(
+        "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="BUS_KWARG",
+        help="Pass keyword arguments down to the instantiation of the bus class. For example, `-i vector -c 1 "
+        "--bus-kwargs app_name=MyCanApp serial=1234` is equivalent to opening the bus with `can.Bus('vector', "
+        "channel=1, app_name='MyCanApp', serial=1234)",
+    )  # fmt: skip

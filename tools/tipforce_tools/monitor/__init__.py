@@ -1,0 +1,1 @@
+"""`tipforce monitor`: a live table of nodes; what is known of them (state) apart from how it is shown (display)."""

@@ -1,0 +1,95 @@
+"""What a monitor knows, as a table for people and as records for programs."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import asdict
+from typing import TYPE_CHECKING, Any
+
+from tipforce_tools.common import shown_id
+from tipforce_tools.monitor.state import QUANTITIES, BusView, NodeView, Reading
+
+if TYPE_CHECKING:
+    from rich.console import Group
+
+_DIGITS = {"N": 3, "degree": 2}
+_UNITS = {"degree": "deg"}
+COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", "NMT", "last EMCY", "lost")
+
+
+def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[str, Any]:
+    """One JSON record: all buses at a time in seconds."""
+    return {"t": t_s, "buses": [_bus_record(bus, bitrate) for bus in buses]}
+
+
+def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
+    found = asdict(bus)
+    least, worst = found.pop("least_bits_hz"), found.pop("worst_bits_hz")
+    found["load_percent"] = [round(100 * bits / bitrate, 2) for bits in (least, worst)]
+    return found
+
+
+def headline(bus: BusView, bitrate: int) -> str:
+    """The line above a bus' table."""
+    low, high = (100 * bits / bitrate for bits in (bus.least_bits_hz, bus.worst_bits_hz))
+    errors = f", {bus.errors} error frames" if bus.errors else ""
+    load = f"load {low:.0f} to {high:.0f} % of {bitrate / 1000:g} kbit/s"
+    return f"{bus.name or 'bus'}: {bus.frames_hz:.0f} frames/s, {load}, SYNC {bus.sync_hz:.1f} Hz{errors}"
+
+
+def cells(node: NodeView) -> tuple[str, ...]:
+    """One row, in the order of COLUMNS."""
+    periods = node.periods
+    regular = f"{periods.p50_ms:.2f}/{periods.p99_ms:.2f}/{periods.max_ms:.2f}" if periods else "-"
+    age = "-" if node.age_s is None else f"{'STALE ' if node.stale else ''}{_seconds(node.age_s)}"
+    emergency = node.emergency
+    emcy = f"{emergency.code:04X}h {emergency.text}, {_seconds(emergency.age_s)} ago" if emergency else "-"
+    nmt = f"{node.nmt}, heartbeat lost" if node.nmt_lost else node.nmt or "no heartbeat"
+    readings = (shown(node.readings[name]) for name in QUANTITIES)
+    # A node that has gone quiet has no status now, either.
+    status = "STALE" if node.stale else " ".join(node.status) or "-"
+    return shown_id(node.node_id), f"{node.rate_hz:.1f}", regular, age, *readings, status, nmt, emcy, str(node.lost)
+
+
+def shown(reading: Reading) -> str:
+    """`4.398 N`, `unknown: no contact`, `STALE, last 2.0 s ago`."""
+    if reading.value is not None:
+        return f"{reading.value:.{_DIGITS.get(reading.unit, 3)}f} {_UNITS.get(reading.unit, reading.unit)}"
+    return f"STALE, {reading.reason}" if reading.stale else f"unknown: {reading.reason}"
+
+
+def _seconds(seconds: float) -> str:
+    return f"{seconds * 1000:.0f} ms" if seconds < 1 else f"{seconds:.1f} s"
+
+
+def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
+    """Lines of text, columns as wide as they must be."""
+    for bus in buses:
+        yield headline(bus, bitrate)
+        rows = [COLUMNS, *(cells(node) for node in bus.nodes)]
+        widths = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
+        for row in rows:
+            yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        if not bus.nodes:
+            yield "no node has said anything yet"
+
+
+def tables(buses: Sequence[BusView], bitrate: int, foot: str) -> Group:
+    """The same for a terminal."""
+    from rich.console import Group
+    from rich.table import Table
+    from rich.text import Text
+
+    found: list[Any] = []
+    for bus in buses:
+        table = Table(*COLUMNS, title=headline(bus, bitrate), title_justify="left", expand=False)
+        for node in bus.nodes:
+            table.add_row(*(Text(text, style=_style(text)) for text in cells(node)), style="dim" if node.stale else "")
+        found.append(table)
+    return Group(*found, Text(foot, style="dim"))
+
+
+def _style(text: str) -> str:
+    if "STALE" in text or text.endswith("heartbeat lost"):
+        return "bold red"
+    return "yellow" if text.startswith("unknown") else ""

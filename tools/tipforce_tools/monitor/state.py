@@ -1,0 +1,248 @@
+"""What is known of the nodes on one bus: a state machine that is fed frames and asked for a snapshot at a time."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
+from tipforce.dictionary.table import STATUS_BITS
+from tipforce.host.decode import Decoder, Samples
+from tipforce.host.frames import FrameArray
+from tipforce.host.sample_counter import SampleCounters
+from tipforce_tools.monitor.window import Periods, Window
+
+STALE_NS = 500_000_000
+"""A value is stale after this, or after three of its periods if that is longer."""
+QUANTITIES = ("P", "phi", "theta")
+FLAGS = tuple(name for name, _ in STATUS_BITS)
+
+_SYNC, _EMCY_BASE, _HEARTBEAT_BASE = 0x080, 0x080, 0x700
+_FUNCTION, _NODE = 0x780, 0x07F
+# Stuff bits are not known without the bits themselves: none at least, one in four at most (ISO 11898-1).
+_LEAST_BITS = np.array([[47 + 8 * n for n in range(9)], [67 + 8 * n for n in range(9)]])
+_WORST_BITS = _LEAST_BITS + np.array([[(33 + 8 * n) // 4 for n in range(9)], [(53 + 8 * n) // 4 for n in range(9)]])
+# Why a quantity has no value, the first that holds: (flag, what it must be, reason, from which of QUANTITIES on).
+_REASONS = (
+    ("fault", True, "front-end fault", 0),
+    ("stale", True, "no new sample", 0),
+    ("calibrated", False, "not calibrated", 0),
+    ("saturated", True, "gauge saturated", 0),
+    ("contact", False, "no contact", 1),
+    ("misses_tip", True, "misses the tip", 2),
+    ("theta_unresolved", True, "unresolved", 2),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A quantity: its value, or None and why there is none. ``stale``: it has not come for too long."""
+
+    value: float | None
+    unit: str
+    reason: str = ""
+    stale: bool = False
+
+
+@dataclass(frozen=True, slots=True)
+class Emergency:
+    """The last EMCY of a node."""
+
+    code: int
+    register: int
+    text: str
+    age_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class NodeView:
+    """One row. ``age_s`` is of the last sample, None where none has come."""
+
+    node_id: int
+    rate_hz: float
+    periods: Periods | None
+    age_s: float | None
+    stale: bool
+    readings: dict[str, Reading]
+    status: tuple[str, ...]
+    nmt: str
+    nmt_lost: bool
+    emergency: Emergency | None
+    lost: int
+
+
+@dataclass(frozen=True, slots=True)
+class BusView:
+    """A bus: frames and bits per second (at least, at most) and its nodes."""
+
+    name: str
+    frames_hz: float
+    least_bits_hz: float
+    worst_bits_hz: float
+    sync_hz: float
+    errors: int
+    nodes: tuple[NodeView, ...]
+
+
+@dataclass(slots=True)
+class _Node:
+    samples: Window = field(default_factory=Window)
+    values: dict[str, tuple[float, str, int]] = field(default_factory=dict)  # by signal: value, unit, time
+    flags: dict[str, bool] = field(default_factory=dict)
+    source: str = ""  # the message that the samples are counted by
+    nmt: int | None = None
+    heartbeats: Window = field(default_factory=Window)
+    emergency: tuple[int, int, int] | None = None  # code, register, time
+
+
+class BusMonitor:
+    """One bus. ``node_ids`` None watches all of them; only those that have said something get a row."""
+
+    def __init__(self, name: str = "", gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
+        self.name = name
+        self._watched = frozenset(range(1, 128) if node_ids is None else node_ids)
+        self._decoder = Decoder(gauges, sorted(self._watched))
+        self._counters = SampleCounters()
+        self._nodes: dict[int, _Node] = {}
+        self._traffic = Window(columns=3)
+        self._sync = Window()
+        self._errors = 0
+
+    def feed(self, frames: FrameArray) -> None:
+        """Take FRAME array (k,), in the order in which it came."""
+        can_id, t_ns = frames["can_id"], frames["t_ns"]
+        self._count_traffic(frames)
+        data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
+        self._sync.add(t_ns[data & (can_id == _SYNC)])
+        self._take_services(frames[data & ((can_id & _NODE) != 0)])
+        found = self._decoder.decode(frames)
+        self._counters.add(found)
+        for (node_id, name), samples in found.items():
+            self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
+
+    def _count_traffic(self, frames: FrameArray) -> None:
+        can_id = frames["can_id"]
+        error = (can_id & np.uint32(ERROR_FLAG)) != 0
+        self._errors += int(error.sum())
+        frames, can_id = frames[~error], can_id[~error]
+        extended = (can_id >> np.uint32(31)).astype(np.intp)
+        length = np.where(can_id & np.uint32(REMOTE_FLAG), 0, np.minimum(frames["length"], 8))
+        ones = np.ones(len(frames), dtype=np.int64)
+        self._traffic.add(frames["t_ns"], ones, _LEAST_BITS[extended, length], _WORST_BITS[extended, length])
+
+    def _take_services(self, frames: FrameArray) -> None:
+        """Heartbeats and EMCY, of which there are few."""
+        function = frames["can_id"] & _FUNCTION
+        chosen = frames[((function == _HEARTBEAT_BASE) | (function == _EMCY_BASE)) & (frames["length"] > 0)]
+        for frame in chosen:
+            node_id = int(frame["can_id"]) & _NODE
+            if node_id not in self._watched:
+                continue
+            node, t_ns = self._nodes.setdefault(node_id, _Node()), int(frame["t_ns"])
+            if int(frame["can_id"]) & _FUNCTION == _HEARTBEAT_BASE:
+                node.nmt = int(frame["data"][0]) & 0x7F
+                node.heartbeats.add(np.array([t_ns]))
+            elif frame["length"] >= 3:
+                code, register = struct.unpack_from("<HB", frame["data"].tobytes())
+                node.emergency = code, register, t_ns
+
+    def _take_samples(self, node: _Node, name: str, samples: Samples) -> None:
+        t_ns = int(samples.t_ns[-1])
+        for signal in samples.message.signals:
+            last = samples.columns[signal.name][-1]
+            if signal.name in FLAGS:
+                node.flags[signal.name] = bool(last)
+            else:
+                node.values[signal.name] = float(last), signal.unit, t_ns
+        # Samples are counted by one message: that with the contact, as soon as there is one.
+        better = "P" in samples.columns and samples.message.transmission_type <= 240
+        if not node.source or (better and node.source != name and "P" not in node.source):
+            node.source = name
+            node.samples.clear()
+        if name == node.source:
+            node.samples.add(samples.t_ns)
+
+    def view(self, now_ns: int) -> BusView:
+        """What is known at a time of the frames' own clock."""
+        frames_hz, least, worst = self._traffic.sums(now_ns)
+        lost = self._counters.lost_by_node()
+        nodes = tuple(_view(key, self._nodes[key], lost.get(key, 0), now_ns) for key in sorted(self._nodes))
+        return BusView(self.name, frames_hz, least, worst, self._sync.rate_hz(now_ns), self._errors, nodes)
+
+
+def _view(node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
+    periods, last_ns = node.samples.periods(), node.samples.last_ns
+    age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
+    limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
+    stale = age_s is not None and age_s > limit_s
+    readings = {name: _reading(node, number, now_ns, limit_s) for number, name in enumerate(QUANTITIES)}
+    status = tuple(name for name in FLAGS if node.flags.get(name))
+    emergency = None
+    if node.emergency is not None:
+        code, register, t_ns = node.emergency
+        text = EMCY_CODES.get(code, EMCY_CODES.get(code & 0xFF00, "unknown code"))
+        emergency = Emergency(code, register, text, max(now_ns - t_ns, 0) * 1e-9)
+    return NodeView(
+        node_id, node.samples.rate_hz(now_ns), periods, age_s, stale, readings, status,
+        *_nmt(node, now_ns), emergency, lost,
+    )  # fmt: skip
+
+
+def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
+    name = QUANTITIES[number]
+    if name not in node.values:
+        return Reading(None, "", "not sent")
+    value, unit, t_ns = node.values[name]
+    if (now_ns - t_ns) * 1e-9 > limit_s:
+        return Reading(None, unit, f"last {max(now_ns - t_ns, 0) * 1e-9:.1f} s ago", stale=True)
+    if not np.isnan(value):
+        return Reading(value, unit)
+    for flag, bad, reason, first in _REASONS:
+        if number >= first and node.flags.get(flag, not bad) == bad:
+            return Reading(None, unit, reason)
+    return Reading(None, unit, "the node says so")
+
+
+def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
+    """The state, and whether the heartbeat has been missing for three of its periods."""
+    last_ns = node.heartbeats.last_ns
+    if node.nmt is None or last_ns is None:
+        return "", False
+    periods = node.heartbeats.periods()
+    limit_ns = 3e6 * periods.p50_ms if periods else 3e9
+    return NMT_STATES.get(node.nmt, f"state {node.nmt}"), now_ns - last_ns > max(limit_ns, STALE_NS)
+
+
+class Monitor:
+    """All buses of a source, by the names of their interfaces."""
+
+    def __init__(self, gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
+        self._gauges = gauges
+        self._node_ids = None if node_ids is None else tuple(node_ids)
+        self._buses: dict[str, BusMonitor] = {}
+        self.newest_ns: int | None = None
+        self.frames = 0
+
+    def feed(self, frames: FrameArray, names: Iterable[str]) -> None:
+        """Take FRAME array (k,) whose ``channel`` indexes ``names``."""
+        if not len(frames):
+            return
+        self.frames += len(frames)
+        self.newest_ns = int(frames["t_ns"][-1])
+        known = list(names)
+        channel: npt.NDArray[np.uint8] = frames["channel"]
+        for number in np.unique(channel).tolist():
+            name = known[number] if number < len(known) else ""
+            if name not in self._buses:
+                self._buses[name] = BusMonitor(name, self._gauges, self._node_ids)
+            self._buses[name].feed(frames[channel == number])
+
+    def views(self, now_ns: int | None = None) -> tuple[BusView, ...]:
+        """All buses at a time (None: that of the newest frame)."""
+        now = self.newest_ns if now_ns is None else now_ns
+        return () if now is None else tuple(bus.view(now) for bus in self._buses.values())

@@ -1,0 +1,1 @@
+"""`tipforce plot`: a log as a picture."""

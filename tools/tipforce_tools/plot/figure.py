@@ -1,0 +1,263 @@
+"""The picture: a column of panels for each finger, drawn for paper: no panel needs colour to be read."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError
+from tipforce_tools.plot.finger import Finger, Fingers
+from tipforce_tools.plot.lines import TURN, broken, wrapped
+from tipforce_tools.plot.traces import Line
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+COLUMNS = 5  # fingers beside each other; more go below
+_STATUS = "status"
+_TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges": "strain", "temperature": "temperature"}
+_UNITS = {"degree": "deg", "microstrain": "microstrain", "degC": "deg C"}
+_STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (3, 3)), (0, (1, 3)), (0, (8, 2)))
+_INK = ("#0b4f8a", "#a33c00", "#2b6a30", "#5b2a86", "#333333", "#8a6d00", "#00707a", "#91003f")
+_BARS = (
+    ("contact", "contact", ""),
+    ("not calibrated", "not calibrated", "xx"),
+    ("saturated", "saturated", "//"),
+    ("stale", "stale", "\\\\"),
+    ("theta_unresolved", "theta unresolved", ".."),
+    ("misses_tip", "misses the tip", "++"),
+    ("outside_pad", "outside the pad", "oo"),
+    ("fault", "front-end fault", "xx"),
+    ("beyond_first_order", "u beyond first order", ".."),
+)
+LOST = "lost samples"
+_BEYOND = 7.0  # degrees that an axis of the whole circle shows beyond 180: a line at 180 is seen on both sides
+
+
+@dataclass(frozen=True, slots=True)
+class Look:
+    """How the picture looks. ``size_inches`` None: by what is on it."""
+
+    title: str | None = None
+    size_inches: tuple[float, float] | None = None
+    status: bool = True
+
+
+@dataclass(frozen=True, slots=True)
+class _Frame:
+    """What all fingers share: the time, which angles have the whole circle, the rows of the strip."""
+
+    start_ns: int
+    length_s: float
+    circles: frozenset[str]
+    bars: tuple[tuple[str, str, str], ...]  # name, label, hatch
+    note: str
+
+
+def import_matplotlib(*, screen: bool) -> Any:
+    """pyplot, on the screen or for files alone. Raises EnvironmentLackError where it is not installed."""
+    try:
+        import matplotlib as mpl
+    except ImportError:
+        raise EnvironmentLackError("a plot needs matplotlib: pip install 'tipforce[plot]'") from None
+    if not screen:
+        mpl.use("Agg")
+    from matplotlib import pyplot as plt
+
+    return plt
+
+
+def draw(fingers: Fingers, look: Look, plt: Any) -> Figure:
+    """The figure of all fingers."""
+    named = fingers.named()
+    panels = _panels([finger for _, finger in named])
+    rows = [*panels, *([_STATUS] if look.status else [])]
+    across = min(len(named), COLUMNS)
+    down = math.ceil(len(named) / COLUMNS)
+    frame = _frame([finger for _, finger in named], fingers)
+    heights = [
+        *(1.6 if panel in {"P", "phi", "theta"} else 1.3 for panel in panels),
+        *([0.35 + 0.17 * len(frame.bars)] * look.status),
+    ]
+    size = look.size_inches or ((9.0 if across == 1 else 1.2 + 3.3 * across), 1.0 + down * (sum(heights) + 0.6))
+    figure: Figure = plt.figure(figsize=size, layout="constrained")
+    grid = figure.subplots(
+        down * len(rows), across, squeeze=False, sharex=True, sharey=False,
+        gridspec_kw={"height_ratios": heights * down},
+    )  # fmt: skip
+    for number, (name, finger) in enumerate(named):
+        block, column = divmod(number, COLUMNS)
+        axes = list(grid[block * len(rows) : (block + 1) * len(rows), column])
+        _draw_finger(axes, rows, name, finger, frame)
+    for number in range(len(named), across * down):
+        block, column = divmod(number, COLUMNS)
+        for ax in grid[block * len(rows) : (block + 1) * len(rows), column]:
+            ax.set_visible(False)
+    for row, panel in enumerate(rows * down):
+        if panel != _STATUS:
+            _share_limits(list(grid[row]), panel, whole=panel in frame.circles)
+        else:
+            for ax in grid[row][1:]:
+                ax.tick_params(labelleft=False)
+    title = look.title if look.title is not None else _default_title(fingers)
+    figure.suptitle("\n".join(filter(None, (title, frame.note))), fontsize=10)
+    return figure
+
+
+def _default_title(fingers: Fingers) -> str:
+    if not fingers.timed or not fingers.start_ns or fingers.start_ns < 10**17:
+        return "time since the first sample"
+    start = datetime.fromtimestamp(fingers.start_ns // 10**9, UTC)
+    return f"from {start:%Y-%m-%d %H:%M:%S}.{fingers.start_ns // 10**6 % 1000:03d} UTC"
+
+
+def _panels(fingers: Sequence[Finger]) -> list[str]:
+    """The panels that any finger has something for, from the contact down."""
+    found: list[str] = []
+    for finger in fingers:
+        for signal in finger.traces:
+            panel = panel_of(signal)
+            if panel not in found:
+                found.append(panel)
+    order = ["P", "phi", "theta", "force", "gauges"]
+    return sorted(found, key=lambda panel: order.index(panel) if panel in order else len(order))
+
+
+def panel_of(signal: str) -> str:
+    """Where a signal is drawn: gauges together, forces together, all else alone."""
+    if signal[:2] == "SG" and signal[2:].isdigit():
+        return "gauges"
+    return "force" if signal in {"F1", "F2", "F3"} else signal
+
+
+def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
+    lines: dict[str, list[Line]] = {}
+    for finger in fingers:
+        for signal, trace in finger.traces.items():
+            line = trace.line()
+            if line is not None and finger.units[signal] == "degree":
+                lines.setdefault(panel_of(signal), []).append(line)
+    circles = {panel for panel, of_panel in lines.items() if _span(of_panel) >= TURN}
+    happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
+    known = {name for name, _, _ in _BARS}
+    bars = [bar for bar in _BARS if bar[0] in happened or bar[0] == "contact"]
+    bars += [(name, name.replace("_", " "), "xx") for name in sorted(happened - known)]
+    if any(finger.lost.total for finger in fingers):
+        bars.append((LOST, LOST, ""))
+    banded = any(trace.banded for finger in fingers for trace in finger.traces.values())
+    note = "grey: two standard uncertainties to either side (95 %)" if banded else ""
+    start_ns = recording.start_ns or 0
+    return _Frame(start_ns, (recording.end_ns - start_ns) * 1e-9, frozenset(circles), tuple(bars), note)
+
+
+def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: Finger, frame: _Frame) -> None:
+    start_ns = frame.start_ns
+    for ax, panel in zip(axes, rows, strict=True):
+        ax.tick_params(labelsize=8)
+        if panel == _STATUS:
+            _draw_status(ax, finger, frame)
+            continue
+        ax.grid(True, color="0.9", linewidth=0.6)
+        signals = [signal for signal in finger.traces if panel_of(signal) == panel]
+        for number, signal in enumerate(sorted(signals)):
+            line = finger.traces[signal].line()
+            if line is not None:
+                _draw_line(ax, signal, line, number, whole=panel in frame.circles, start_ns=start_ns)
+        unit = finger.units[signals[0]] if signals else ""
+        ax.set_ylabel(f"{_TITLES.get(panel, panel)} ({_UNITS.get(unit, unit)})" if unit else panel, fontsize=8)
+        if len(signals) > 1:
+            ax.margins(y=0.2)  # room for the legend
+            ax.legend(loc="upper right", fontsize=7, ncols=len(signals), handlelength=2.5, framealpha=0.8)
+        if not signals or all(finger.traces[signal].line() is None for signal in signals):
+            text = "unknown all the time" if signals else "not in the log"
+            ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=8, color="0.4")
+    lost = f", {finger.lost.total} samples lost" if finger.lost.total else ""
+    axes[0].set_title(f"{name}{lost}", fontsize=9)
+    axes[-1].set_xlabel("time (s)", fontsize=8)
+    axes[-1].set_xlim(0, max(frame.length_s, 1e-6))
+    axes[-1].tick_params(labelbottom=True)
+
+
+def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, start_ns: int) -> None:
+    x = np.asarray((line.t_ns - start_ns) * 1e-9, dtype=np.float64)
+    columns = (line.mean, line.low, line.high, line.band_low, line.band_high)
+    ink, style = _INK[number % len(_INK)], _STYLES[number % len(_STYLES)]
+    turns: tuple[float, ...] = (0.0,)
+    if whole:
+        t, mean, low, high, band_low, band_high = wrapped(line.starts, x, *columns)
+        turns = (0.0, -TURN, TURN)  # the parts of bands beyond 180 come back at -180
+    else:
+        t, mean, low, high, band_low, band_high = broken(line.starts, x, *columns)
+    has_band = bool(np.isfinite(band_low).any())
+    for turn in turns:
+        if has_band:
+            ax.fill_between(t, band_low + turn, band_high + turn, color="0.78", linewidth=0)
+        if bool((line.high > line.low).any()):
+            ax.fill_between(t, low + turn, high + turn, color=ink, alpha=0.5, linewidth=0.5)
+    ax.plot(t, mean, color=ink, linestyle=style, linewidth=0.9, label=signal if panel_of(signal) != signal else "")
+    # A line of one point has no length.
+    alone = line.starts & np.append(line.starts[1:], True)
+    if alone.any():
+        y = line.mean[alone] - (TURN * np.ceil((line.mean[alone] - TURN / 2) / TURN) if whole else 0.0)
+        ax.plot(x[alone], y, ".", color=ink, markersize=3)
+        ax.vlines(
+            x[alone], y - (line.mean - line.low)[alone], y + (line.high - line.mean)[alone], color=ink, linewidth=0.8
+        )
+
+
+def _span(lines: Sequence[Line]) -> float:
+    """From the lowest to the highest of all lines, bands included."""
+    high = max(np.fmax(line.high, line.band_high).max() for line in lines)
+    return float(high - min(np.fmin(line.low, line.band_low).min() for line in lines))
+
+
+def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:
+    """The same limits in a row, so that fingers compare; an angle that turns round has the whole circle."""
+    from matplotlib.ticker import FuncFormatter, MultipleLocator
+
+    drawn = [ax for ax in axes if ax.get_visible() and ax.has_data()]
+    if not drawn:
+        return
+    low, high = min(ax.get_ylim()[0] for ax in drawn), max(ax.get_ylim()[1] for ax in drawn)
+    if panel in {"phi", "theta"}:
+        if whole:
+            low, high = -TURN / 2 - _BEYOND, TURN / 2 + _BEYOND
+            for ax in drawn:
+                ax.yaxis.set_major_locator(MultipleLocator(90))
+        for ax in drawn:
+            ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: _angle(value)))
+    for ax in drawn:
+        ax.set_ylim(low, high)
+        if ax is not axes[0]:
+            ax.tick_params(labelleft=False)
+            ax.set_ylabel("")
+
+
+def _angle(value: float) -> str:
+    """190 is -170; 180 and -180 keep their signs on an axis of the whole circle."""
+    shown = value if abs(value) <= TURN / 2 else value - TURN * math.ceil((value - TURN / 2) / TURN)
+    return f"{shown:g}"
+
+
+def _draw_status(ax: Axes, finger: Finger, frame: _Frame) -> None:
+    """A row for each thing that happened to any finger, so that fingers compare."""
+    bars = {name: runs for flags in finger.flags.values() for name, runs in flags.bars().items()}
+    for number, (name, _, hatch) in enumerate(frame.bars):
+        if name == LOST:
+            x = (finger.lost.times_ns() - frame.start_ns) * 1e-9
+            ax.plot(x, np.full(len(x), number), linestyle="", marker="x", color="black", markersize=5)
+            continue
+        spans = [((begin - frame.start_ns) * 1e-9, max(end - begin, 1) * 1e-9) for begin, end in bars.get(name, [])]
+        face = "0.55" if name == "contact" else "#f2c9b8"
+        # The edge is seen however short the bar is.
+        ax.broken_barh(spans, (number - 0.35, 0.7), facecolor=face, edgecolor="0.15", linewidth=0.6, hatch=hatch)
+    ax.set_yticks(range(len(frame.bars)), [label for _, label, _ in frame.bars], fontsize=7)
+    ax.set_ylim(len(frame.bars) - 0.5, -0.5)
+    ax.grid(True, axis="x", color="0.9", linewidth=0.6)
+    ax.set_axisbelow(True)

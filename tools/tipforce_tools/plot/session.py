@@ -1,0 +1,121 @@
+"""One run of `tipforce plot`: from logs to the picture, and the report at the end."""
+
+from __future__ import annotations
+
+from argparse import Namespace
+from collections.abc import Iterable
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+from tipforce_tools.decode import choice
+from tipforce_tools.decode.layouts import Layouts
+from tipforce_tools.decode.recording import Recording
+from tipforce_tools.decode.table import Table
+from tipforce_tools.live import counted
+from tipforce_tools.plot import figure
+from tipforce_tools.plot.finger import Fingers
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from tipforce_tools.decode.contact_columns import ContactColumns
+
+FORMATS = (".png", ".svg", ".pdf")
+MOST_FINGERS = 20
+STATUS, GAUGES = "status", "gauges"
+_DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
+
+
+def plot(args: Namespace) -> int:
+    """Draw. 0. Raises InputError for what is not usable, EnvironmentLackError without matplotlib."""
+    path = None if args.output is None else Path(args.output)
+    if path is None and not args.show:
+        raise InputError("-o FILE.png, .svg or .pdf tells where the picture goes; or --show")
+    if path is not None and path.suffix.lower() not in FORMATS:
+        raise InputError(f"-o {path}: allowed are the suffixes {', '.join(FORMATS)}")
+    plt = figure.import_matplotlib(screen=args.show)
+    names = choice.logs(args.logs)
+    wanted = choice.names_of(args.signals) or _DEFAULT
+    layouts, contact, computed = _layouts(args)
+    reading = choice.reading(args, names, layouts, None)
+    recording = Recording(reading)
+    fingers = Fingers(_signals(wanted, layouts, computed), computed)
+    tables: Iterable[Table] = recording.tables_of_logs(names)
+    for table in tables if contact is None else contact.tables(tables):
+        fingers.add(table)
+    _check(fingers, names)
+    drawn = figure.draw(fingers, figure.Look(args.title, args.size, STATUS in wanted), plt)
+    _write(args, drawn, path, plt)
+    for notes in recording.told.notes:
+        if notes.bad:
+            common.note(args, f"tipforce plot: {notes.source}: {counted(sum(notes.bad.values()), 'bad line')} left out")
+    if args.json:
+        common.print_json(_record(fingers, path))
+    return 0
+
+
+def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset[str]]:
+    """The layouts, and what makes the contact from gauges, with the signals that it gives."""
+    layouts = choice.layouts(args)
+    if not args.calibration:
+        return layouts, None, frozenset()
+    from tipforce_tools.decode import contact_columns
+
+    calibrations = contact_columns.read_calibrations(args.calibration)
+    if not args.gauges and not args.dcf:
+        layouts = replace(layouts, gauges=contact_columns.gauges_of(calibrations))
+    computed = frozenset(column.signal for column in contact_columns.column_names())
+    return layouts, contact_columns.ContactColumns(calibrations, None), computed
+
+
+def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
+    """The signals of the panels that are wanted. Raises InputError for a name that there is not."""
+    found: set[str] = set()
+    for name in wanted:
+        if name == GAUGES:
+            found |= {f"SG{k + 1}" for k in range(layouts.gauges)}
+        elif name != STATUS:
+            known = name.rpartition("_")[0] if name in {"P_N", "phi_deg", "theta_deg"} else name
+            found.add(known if known in computed else (choice.checked_signals(layouts, (known,)) or (known,))[0])
+    return frozenset(found)
+
+
+def _check(fingers: Fingers, names: Iterable[str]) -> None:
+    count = len(fingers.named())
+    if not count:
+        raise InputError(f"{', '.join(names)}: no PDO of a fingertip in it, so there is nothing to draw")
+    if not fingers.timed:
+        raise InputError(f"{', '.join(names)}: no timestamps, so there is nothing to draw over; candump -L writes them")
+    if count > MOST_FINGERS:
+        raise InputError(f"{count} nodes: a picture has room for {MOST_FINGERS}; choose with --nodes")
+
+
+def _write(args: Namespace, drawn: Figure, path: Path | None, plt: Any) -> None:
+    try:
+        if path is not None:
+            # No date inside: the same log gives the same file.
+            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
+            drawn.savefig(path, dpi=args.dpi, metadata=metadata)
+        if args.show:
+            plt.show()
+    except OSError as error:
+        raise InputError(f"-o {path}: {error.strerror}") from None
+    finally:
+        plt.close(drawn)
+
+
+def _record(fingers: Fingers, path: Path | None) -> dict[str, object]:
+    nodes = [
+        {
+            "node": name,
+            "signals": list(finger.traces),
+            "lost": finger.lost.total,
+            "unknown": {signal: trace.unknown for signal, trace in finger.traces.items()},
+            "flags": sorted(name for flags in finger.flags.values() for name in flags.bars()),
+        }
+        for name, finger in fingers.named()
+    ]
+    return {"output": None if path is None else str(path), "start_ns": fingers.start_ns, "nodes": nodes}
