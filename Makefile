@@ -39,7 +39,7 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.startup
 	$(PYTHON) -m bench.decode -o docs/decode-performance.md
 	$(PYTHON) -m bench.decode_check
-	$(PYTHON) -m bench.live -o docs/live-performance.md
+	$(PYTHON) -m bench.live
 	$(PYTHON) -m bench.tshark
 	$(PYTHON) -m bench.calibration
 	$(PYTHON) -m bench.coverage
