@@ -6,6 +6,8 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Literal
 
+from tipforce.errors import InputError
+
 Outcome = Literal["pass", "bounded", "flagged", "refused"]
 """pass: the answer is right to rounding. bounded: its error has a stated bound. flagged: the value is marked (NaN,
 unknown, a status bit, EMCY). refused: an error or abort code names the place, and nothing changed."""
@@ -31,3 +33,12 @@ class Case:
     claim: str
     """What is promised, one sentence that ``check`` decides."""
     check: Callable[[], Observed]
+
+
+def refusal(act: Callable[[], object]) -> str:
+    """The text of the InputError that an action raises; empty where it raises none."""
+    try:
+        act()
+    except InputError as error:
+        return str(error)
+    return ""

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 
@@ -18,7 +17,7 @@ from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_c
 from tipforce.sensor.dynamics.sampling import AntiAlias, sampled
 from tipforce.sensor.frame import Frame
 from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce_tools.report.stability.case import Case, Observed
+from tipforce_tools.report.stability.case import Case, Observed, refusal
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -171,16 +170,8 @@ def _overdamped() -> Observed:
     return Observed(worst <= 1e-12 and gap <= 1e-8, f"off by at most {worst:.1e} of the static response")
 
 
-def _said(act: Callable[[], object]) -> str:
-    try:
-        act()
-    except InputError as error:
-        return str(error)
-    return ""
-
-
 def _impossible_damping() -> Observed:
-    said = [_said(lambda zeta=zeta: modes(FABRICATED, zeta)) for zeta in (-1e-9, 2e6, math.nan, math.inf)]  # type: ignore[misc]
+    said = [refusal(lambda zeta=zeta: modes(FABRICATED, zeta)) for zeta in (-1e-9, 2e6, math.nan, math.inf)]  # type: ignore[misc]
     return Observed(all("allowed is 0 to 1e+06" in text for text in said), said[1])
 
 
@@ -226,8 +217,8 @@ def _mixed() -> Observed:
 
 def _impossible_step() -> Observed:
     found, F = modes(FABRICATED), np.ones((2, 3))
-    said = [_said(lambda step=step: stepping.respond(found, F, step)) for step in (-1e-9, math.nan, math.inf)]  # type: ignore[misc]
-    said.append(_said(lambda: stepping.respond_at(found, [1.0, 0.5], F)))
+    said = [refusal(lambda step=step: stepping.respond(found, F, step)) for step in (-1e-9, math.nan, math.inf)]  # type: ignore[misc]
+    said.append(refusal(lambda: stepping.respond_at(found, [1.0, 0.5], F)))
     start = stepping.settled(found, [1.0, 2.0, 3.0])
     same = _difference(stepping.respond(found, F, 0.0, start).end, start)
     return Observed(all("allowed" in text for text in said) and same == 0.0, f"{said[0]}; step 0 changes {same:g}")
@@ -244,7 +235,7 @@ def _load_not_finite() -> Observed:
             seen = stepping.respond(found, spoilt, 1e-4).elastic_newtons
         held &= bool(np.allclose(seen[:500], good[:500], rtol=0.0, atol=1e-12))
         held &= not np.isfinite(seen[500:]).all(axis=1).any()
-        said = _said(lambda spoilt=spoilt: sampled(found, None, spoilt, 100, 500))  # type: ignore[misc]
+        said = refusal(lambda spoilt=spoilt: sampled(found, None, spoilt, 100, 500))  # type: ignore[misc]
         held &= "finite" in said
     return Observed(held, f"500 samples as before, 500 not finite; sampled(): {said}")
 

@@ -4,21 +4,19 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import InputError
 from tipforce.sensor import condition
 from tipforce.sensor.frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
 from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.layouts import LAYOUTS, POINTS
 from tipforce.sensor.merit import LoadSet, merit
 from tipforce.sensor.strain import calibration_matrix, condition_number, strain_matrix, thin_limit_matrix
-from tipforce_tools.report.stability.case import Case, Observed
+from tipforce_tools.report.stability.case import Case, Observed, refusal
 
 FloatArray = npt.NDArray[np.float64]
 _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
@@ -101,21 +99,12 @@ def _thin_limit() -> Observed:
     return Observed(worst <= 1e-5, f"{len(LAYOUTS)} layouts, largest difference {worst:.1e}")
 
 
-def _said(act: Callable[[], object]) -> str:
-    """The InputError that an action raises; empty without."""
-    try:
-        act()
-    except InputError as error:
-        return str(error)
-    return ""
-
-
 def _too_thin() -> Observed:
     said = []
     for h1 in (1e-160, 1e-300, 5e-324, 1e200):
         geometry = replace(FABRICATED, h1_m=h1, h2_m=THIN_BEAM_RATIO * h1)
-        said.append(_said(lambda geometry=geometry: strain_matrix(geometry, "III")) if h1 < 1.0 else "too thick")  # type: ignore[misc]
-        said.append(_said(lambda geometry=geometry: Frame(geometry)))  # type: ignore[misc]
+        said.append(refusal(lambda geometry=geometry: strain_matrix(geometry, "III")) if h1 < 1.0 else "too thick")  # type: ignore[misc]
+        said.append(refusal(lambda geometry=geometry: Frame(geometry)))  # type: ignore[misc]
     return Observed(all("too thin" in text or "too thick" in text for text in said), said[1][-70:])
 
 
@@ -124,7 +113,7 @@ def _impossible() -> Observed:
     for name in FABRICATED.__dataclass_fields__:
         for value in (0.0, -1e-3, math.nan, math.inf, -math.inf, True):
             count += 1
-            named += name in _said(lambda name=name, value=value: replace(FABRICATED, **{name: value}))  # type: ignore[misc]
+            named += name in refusal(lambda name=name, value=value: replace(FABRICATED, **{name: value}))  # type: ignore[misc]
     return Observed(count == named == 42, f"{named} of {count} refused by name")
 
 
@@ -191,7 +180,7 @@ def _rank_2() -> Observed:
         geometry = FABRICATED.thin(float(h1))
         A = strain_matrix(geometry, gauges)
         kappa = condition_number(A)
-        said = _said(lambda geometry=geometry: calibration_matrix(geometry, gauges))  # type: ignore[misc]
+        said = refusal(lambda geometry=geometry: calibration_matrix(geometry, gauges))  # type: ignore[misc]
         if said:
             refused += 1
             held &= "rank" in said and kappa > 1e14
