@@ -95,11 +95,11 @@ def parts_of_dask(names: Sequence[str], reading: Reading, scheduler: str) -> Ite
     except ImportError:
         raise EnvironmentLackError("--scheduler needs Dask: `pip install 'tipforce[dask]'`") from None
     try:
-        client: Any = distributed.Client(scheduler, timeout=CONNECT_S)  # type: ignore[no-untyped-call]
+        client: Any = distributed.Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
         raise EnvironmentLackError(f"--scheduler {scheduler}: no scheduler answers there: {error}") from error
     with client:
-        bag: Any = dask.bag.from_sequence(list(names), npartitions=len(names))  # type: ignore[no-untyped-call]
+        bag: Any = dask.bag.from_sequence(list(names), npartitions=len(names))
         bag = bag.map(_whole_part, reading)
         futures = client.compute(bag.to_delayed())
         for future in futures:
