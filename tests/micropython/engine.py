@@ -50,11 +50,12 @@ def sources() -> dict[str, bytes]:
 
 def compiled(optimisation: int = 0) -> dict[str, bytes]:
     """The on-node files as mpy-cross -O0 to -O3 compiles them. Raises AssertionError with its message."""
-    return {place(path).removesuffix(".py") + ".mpy": _compile(path, optimisation) for path in on_node_files()}
+    return {place(path).removesuffix(".py") + ".mpy": compile_file(path, optimisation) for path in on_node_files()}
 
 
 @cache
-def _compile(path: Path, optimisation: int) -> bytes:
+def compile_file(path: Path, optimisation: int) -> bytes:
+    """One file as mpy-cross compiles it. Raises AssertionError with its message."""
     with tempfile.TemporaryDirectory() as folder:
         out = Path(folder) / "out.mpy"
         # -s: what a traceback names, instead of a path of this machine.

@@ -84,7 +84,7 @@ def test_bash_knows_every_choice(tmp_path: Path) -> None:
         ("tipforce dump --color=al", "always"),
         ("tipforce dump --color al", "always"),
         ("tipforce dump -i soc", "socketcan socketcand"),
-        ("tipforce export ", "eds dbc"),
+        ("tipforce export ", "eds dbc dcf c"),
         ("tipforce export eds ", ""),
         ("tipforce calibrate fit --drift ", "none tare linear"),
         ("tipforce node --layout I", "I II III"),

@@ -1,40 +1,47 @@
-"""`tipforce export eds|dbc`: files for other tools, from the one table of objects."""
+"""`tipforce export eds|dbc|dcf|c`: files for other tools and for C firmware, from the one table of objects."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools import common
 
+if TYPE_CHECKING:
+    from tipforce.dictionary.eds import Values
+    from tipforce.dictionary.table import Converter
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce export`."""
-    parser.epilog = "example: tipforce export dbc --nodes 1-5 -o hand.dbc"
-    parser.add_argument("format", choices=("eds", "dbc"))
-    parser.add_argument("-o", "--output", metavar="FILE", help="default: stdout")
+    parser.epilog = "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/"
+    parser.add_argument("format", choices=("eds", "dbc", "dcf", "c"))
+    parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c: a folder, which is needed")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 8 (default %(default)s)")
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
     )
-    parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="eds: of the converter (default 16)")
-    parser.add_argument("--simulated", action="store_true", help="eds: of a simulated node, with 2200h and 2201h")
+    parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, which is needed")
+    parser.add_argument(
+        "--settings",
+        metavar="FILE",
+        help="dcf: TOML or DCF with what is not at its default, as `config apply` reads it",
+    )
+    parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default 16)")
+    parser.add_argument("--simulated", action="store_true", help="eds, dcf: of a simulated node, with 2200h and 2201h")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file; 0."""
-    if args.format == "eds":
-        from tipforce.dictionary import table
-        from tipforce.dictionary.eds import eds_text
+    """Write the file or files; 0."""
+    from tipforce.dictionary import table
 
-        converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
-        text = eds_text(args.gauges, args.simulated, converter)
-    else:
-        from tipforce.dictionary.dbc import dbc_text
-
-        text = dbc_text(args.nodes, args.gauges)
+    converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
+    if args.format == "c":
+        return _write_c(args, converter)
+    text = _text(args, converter)
     if not args.output or args.output == "-":
         print(text, end="")
         return 0
@@ -43,4 +50,38 @@ def run(args: argparse.Namespace) -> int:
     except OSError as error:
         raise InputError(f"--output {args.output}: {error.strerror}") from None
     common.note(args, f"{args.output}: {len(text.splitlines())} lines")
+    return 0
+
+
+def _text(args: argparse.Namespace, converter: Converter) -> str:
+    if args.format == "dbc":
+        from tipforce.dictionary.dbc import dbc_text
+
+        return dbc_text(args.nodes, args.gauges)
+    from tipforce.dictionary.eds import dcf_text, eds_text
+
+    if args.format == "eds":
+        return eds_text(args.gauges, args.simulated, converter)
+    if args.node_id is None:
+        raise InputError("--node-id: a DCF is that of one node; for example --node-id 5")
+    return dcf_text(args.gauges, args.node_id, _values(args), args.simulated, converter=converter)
+
+
+def _values(args: argparse.Namespace) -> Values:
+    """What the settings file says; without one the DCF has no ParameterValue: all defaults hold."""
+    if not args.settings:
+        return {}
+    from tipforce.host.configuration import read_configuration
+
+    found = read_configuration(args.settings, args.node_id, args.gauges)
+    return {place: value for place, (_entry, value) in found.items()}
+
+
+def _write_c(args: argparse.Namespace, converter: Converter) -> int:
+    from tipforce_tools.export_c.files import write_c_files
+
+    if not args.output or args.output == "-":
+        raise InputError("--output: `export c` writes several files; name a folder")
+    for path in write_c_files(Path(args.output), args.gauges, converter):
+        common.note(args, str(path))
     return 0

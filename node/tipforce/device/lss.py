@@ -38,6 +38,17 @@ class LssSlave:
         self._identified = 0
         self._position = 0
 
+    @property
+    def bit_rate(self) -> int:
+        """Bits a second as configured: 1 Mbit/s until a loop that knows better, a stored one or a master says so."""
+        return BIT_RATES[self._bit_rate_index]
+
+    @bit_rate.setter
+    def bit_rate(self, value: int) -> None:
+        for index, bit_rate in BIT_RATES.items():
+            if bit_rate == value:
+                self._bit_rate_index = index
+
     def restore(self, blob: "bytes | None") -> None:
         """Take the stored node-id and bit rate, if there are any."""
         if blob is not None and len(blob) == struct.calcsize(_STORED):

@@ -1,0 +1,89 @@
+"""The node on a board: one loop that looks after gauges, bus and device, and never waits for any of them."""
+
+import time
+
+from tipforce.device import lss
+from tipforce.fingertip.node import fingertip_node
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .can_port import CanPort
+    from .flash import FlashStore
+    from .source import Gauges
+
+LONGEST_WAIT_US = 100000
+POLL_US = 500  # the longest sleep: gauges and receive buffers are looked after so often
+
+
+class Clock:
+    """Microseconds since power-on that never wrap, from ``ticks`` that does; ``now`` at least once a period of it."""
+
+    def __init__(
+        self, ticks: "Callable[[], int] | None" = None, diff: "Callable[[int, int], int] | None" = None, now_us: int = 0
+    ) -> None:
+        self._ticks: "Callable[[], int]" = ticks or time.ticks_us  # type: ignore[attr-defined]
+        self._diff: "Callable[[int, int], int]" = diff or time.ticks_diff  # type: ignore[attr-defined]
+        self._now_us = now_us
+        self._last = self._ticks()
+
+    def now(self) -> int:
+        """The time."""
+        ticks = self._ticks()
+        self._now_us += self._diff(ticks, self._last)
+        self._last = ticks
+        return self._now_us
+
+
+class Firmware:
+    """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power goes."""
+
+    def __init__(
+        self, node_id: int, gauges: "Gauges", port: "CanPort", store: "FlashStore", serial: int, clock: Clock
+    ) -> None:
+        self.gauges, self.port, self._clock = gauges, port, clock
+        self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load)
+        # What LSS stored holds from power-on (CiA 305); until then what the board began with.
+        self.device.lss.bit_rate = port.bit_rate
+        self.device.lss.restore(self.device.storage.read_blob(lss.GROUP))
+        if self.device.lss.bit_rate != port.bit_rate:
+            port.set_bit_rate(self.device.lss.bit_rate)
+        self._mute_until_us = -1
+        self._bit_rate_at_us, self._bit_rate = -1, 0
+
+    def poll(self) -> int:
+        """Once around; how many microseconds until the node itself has something to do."""
+        now_us = self._clock.now()
+        self._switch(now_us)
+        self.gauges.poll(now_us)
+        sent, due_us = self.device.step(now_us, self.port.receive())
+        if now_us >= self._mute_until_us:
+            for can_id, data in sent:
+                self.port.send(can_id, data)
+        for what, value, delay_ms in self.device.requests:
+            self._request(what, value, delay_ms, now_us)
+        self.device.requests.clear()
+        return max(0, min(due_us - now_us, LONGEST_WAIT_US))
+
+    def run(self, sleep_us: "Callable[[int], None] | None" = None, feed: "Callable[[], None]" = lambda: None) -> None:
+        """Be a node until power goes. ``feed`` is the watchdog's."""
+        sleep_us = sleep_us or time.sleep_us  # type: ignore[attr-defined]
+        while True:
+            wait_us = self.poll()
+            feed()
+            if wait_us and not self.port.busy():
+                sleep_us(min(wait_us, POLL_US))
+
+    def _request(self, what: str, value: int, delay_ms: int, now_us: int) -> None:
+        if what == "bus-restart":
+            self.port.restart()
+        elif what == "bit-rate":
+            # CiA 305, 6.4.4: nobody sends for the delay before the switch and for the delay after it.
+            self._bit_rate, self._bit_rate_at_us = value, now_us + 1000 * delay_ms
+            self._mute_until_us = now_us + 2000 * delay_ms
+
+    def _switch(self, now_us: int) -> None:
+        if self._bit_rate and now_us >= self._bit_rate_at_us:
+            self.port.set_bit_rate(self._bit_rate)
+            self._bit_rate = 0

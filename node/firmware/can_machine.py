@@ -1,0 +1,53 @@
+"""A controller inside the microcontroller by ``machine.CAN``, which MicroPython has after 1.27."""
+
+from tipforce.device import codes
+
+from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+
+class MachineCan(CanPort):
+    """``can`` is ``machine.CAN(number, bit_rate)``."""
+
+    def __init__(self, can: "Any", bit_rate: int) -> None:
+        self._can = can
+        self._states = {
+            can.STATE_WARNING: STATE_WARNING,
+            can.STATE_PASSIVE: STATE_PASSIVE,
+            can.STATE_BUS_OFF: STATE_OFF,
+        }
+        super().__init__(bit_rate)
+
+    def _start(self, bit_rate: int) -> None:
+        self._can.deinit()
+        self._can.init(bit_rate, sample_point=80)
+        self._can.set_filters(None)
+
+    def _next(self) -> "tuple[int, bytes] | None":
+        while True:
+            message = self._can.recv()
+            if message is None:
+                return None
+            can_id, data, flags, errors = message
+            if errors & self._can.RECV_ERR_OVERRUN:
+                self.overrun()
+            if flags & self._can.FLAG_EXT_ID:
+                continue  # this node has no 29-bit identifier
+            if flags & self._can.FLAG_RTR:
+                return can_id | codes.REMOTE_FLAG, b""
+            return can_id, bytes(data)
+
+    def _put(self, can_id: int, data: bytes) -> bool:
+        try:
+            return self._can.send(can_id, data) is not None
+        except OSError:  # bus-off, which the state tells next
+            return False
+
+    def _state(self) -> int:
+        return self._states.get(self._can.state(), STATE_ACTIVE)
+
+    def _restart(self) -> None:
+        self._can.restart()

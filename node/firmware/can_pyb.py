@@ -1,0 +1,57 @@
+"""A controller inside an STM32 by ``pyb.CAN``, for MicroPython before ``machine.CAN``."""
+
+from tipforce.device import codes
+
+from .can_port import STATE_ACTIVE, STATE_OFF, STATE_PASSIVE, STATE_WARNING, CanPort
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Any
+
+_PENDING_TX = 5  # in the list of info()
+
+
+class PybCan(CanPort):
+    """``can`` is ``pyb.CAN(number)``."""
+
+    def __init__(self, can: "Any", bit_rate: int) -> None:
+        self._can = can
+        self._info = [0] * 8
+        self._states = {
+            can.ERROR_WARNING: STATE_WARNING, can.ERROR_PASSIVE: STATE_PASSIVE, can.BUS_OFF: STATE_OFF,
+        }  # fmt: skip
+        super().__init__(bit_rate)
+
+    def _start(self, bit_rate: int) -> None:
+        can = self._can
+        can.init(can.NORMAL, baudrate=bit_rate, sample_point=80, auto_restart=False)
+        # A bank takes data frames or remote frames, not both.
+        can.setfilter(0, can.MASK16, 0, (0, 0, 0, 0), rtr=(False, False))
+        can.setfilter(1, can.MASK16, 0, (0, 0, 0, 0), rtr=(True, True))
+
+    def _next(self) -> "tuple[int, bytes] | None":
+        while self._can.any(0):
+            message = self._can.recv(0, timeout=0)
+            # (id, rtr, filter, data); since MicroPython 1.19 (id, extended, rtr, filter, data).
+            if len(message) > 4 and message[1]:
+                continue  # this node has no 29-bit identifier
+            if message[-3]:
+                return message[0] | codes.REMOTE_FLAG, b""
+            return message[0], bytes(message[-1])
+        return None
+
+    def _put(self, can_id: int, data: bytes) -> bool:
+        # The mailboxes send by identifier, and equal ones by number: one at a time keeps the order.
+        if self._can.info(self._info)[_PENDING_TX]:
+            return False
+        try:
+            self._can.send(data, can_id, timeout=0)
+        except OSError:
+            return False
+        return True
+
+    def _state(self) -> int:
+        return self._states.get(self._can.state(), STATE_ACTIVE)
+
+    def _restart(self) -> None:
+        self._can.restart()

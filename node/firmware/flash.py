@@ -1,0 +1,176 @@
+"""Parameters in flash: two slots, each with all groups and a CRC; a save writes the older one.
+
+A power cut at any byte of a save leaves the other slot as it was, so what is loaded is all of the old or all of the
+new. A slot: magic, sequence number, length, CRC-32 over these and the content; the content is one record a group.
+"""
+
+import binascii
+import os
+import struct
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Protocol
+
+    class Slots(Protocol):
+        """Where two slots lie."""
+
+        def read(self, slot: int) -> bytes:
+            """All that is there; empty if nothing is. May raise OSError."""
+
+        def write(self, slot: int, data: bytes) -> None:
+            """Replace it, and return only when it is in flash. May raise OSError."""
+
+    class BlockDevice(Protocol):
+        """What is used of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
+
+        def readblocks(self, block: int, buffer: bytearray) -> None:
+            """Fill the buffer from whole blocks."""
+
+        def writeblocks(self, block: int, buffer: bytearray) -> None:
+            """Erase and write whole blocks."""
+
+        def ioctl(self, operation: int, argument: int) -> "int | None":
+            """4: count of blocks; 5: size of one; 3: sync."""
+
+
+_MAGIC = 0x31504954  # "TIP1"
+_HEAD = "<IIII"
+_HEAD_SIZE = 16
+_LARGEST = 0x100000
+
+
+class FlashStore:
+    """``save`` and ``load`` of a device over two slots. What failed is in ``error``, for a log."""
+
+    def __init__(self, slots: "Slots") -> None:
+        self._slots = slots
+        self.error = ""
+        self._sequence, self._slot = 0, 1
+        self._groups: "dict[str, bytes]" = {}
+        for slot in (0, 1):
+            found = self._read(slot)
+            if found is not None and (not self._sequence or _newer(found[0], self._sequence)):
+                self._sequence, self._slot, self._groups = found[0], slot, found[1]
+
+    def load(self, group: str) -> "bytes | None":
+        """What was saved for a group; None if nothing was."""
+        return self._groups.get(group)
+
+    def save(self, group: str, data: bytes) -> bool:
+        """Keep a group. False, and all stays as it was, when flash does not hold what was written."""
+        if self._groups.get(group) == data:
+            return True  # flash wears out: what is there already is not written again
+        groups = dict(self._groups)
+        groups[group] = bytes(data)
+        sequence = self._sequence + 1 & 0xFFFFFFFF or 1
+        slot = 1 - self._slot
+        try:
+            self._slots.write(slot, _packed(sequence, groups))
+            found = self._read(slot)
+        except OSError as error:
+            self.error = "slot %d: %r" % (slot, error)
+            return False
+        if found is None or found[0] != sequence or found[1] != groups:
+            self.error = "slot %d: does not read back" % slot
+            return False
+        self._sequence, self._slot, self._groups = sequence, slot, groups
+        return True
+
+    def _read(self, slot: int) -> "tuple[int, dict[str, bytes]] | None":
+        try:
+            return _unpacked(self._slots.read(slot))
+        except OSError:
+            return None
+
+
+def _newer(sequence: int, than: int) -> bool:
+    """Sequence numbers wrap: at most one save lies between the two slots."""
+    return 0 < (sequence - than & 0xFFFFFFFF) < 0x80000000
+
+
+def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
+    content = b""
+    for name in sorted(groups):
+        data = groups[name]
+        content += struct.pack("<BI", len(name), len(data)) + name.encode() + data
+    head = struct.pack("<III", _MAGIC, sequence, len(content))
+    return head + struct.pack("<I", binascii.crc32(head + content) & 0xFFFFFFFF) + content
+
+
+def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]] | None":
+    """(sequence, groups) of a slot, None for one that is empty, torn or damaged. More may follow the content."""
+    if len(image) < _HEAD_SIZE:
+        return None
+    magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
+    if magic != _MAGIC or not sequence or length > len(image) - _HEAD_SIZE:
+        return None
+    content = image[_HEAD_SIZE : _HEAD_SIZE + length]
+    if binascii.crc32(image[:12] + content) & 0xFFFFFFFF != crc:
+        return None
+    groups, at = {}, 0
+    while at < len(content):
+        size, count = struct.unpack("<BI", content[at : at + 5])
+        at += 5 + size + count
+        groups[content[at - count - size : at - count].decode()] = content[at - count : at]
+    return sequence, groups
+
+
+class FileSlots:
+    """Two files in a folder of the board's file system (littlefs or FAT), which is made if it is missing."""
+
+    def __init__(self, folder: str) -> None:
+        self._folder = folder
+        try:
+            os.mkdir(folder)
+        except OSError:
+            pass  # it is there; if not, the first write says so
+
+    def _path(self, slot: int) -> str:
+        return "%s/slot%d.bin" % (self._folder, slot)
+
+    def read(self, slot: int) -> bytes:
+        """The content of the file."""
+        with open(self._path(slot), "rb") as file:
+            return file.read()
+
+    def write(self, slot: int, data: bytes) -> None:
+        """Replace the file; closing brings it into flash, and ``os.sync`` where there is one."""
+        with open(self._path(slot), "wb") as file:
+            file.write(data)
+        if hasattr(os, "sync"):
+            os.sync()
+
+
+class BlockSlots:
+    """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``.
+
+    Raises ValueError for a device of less than two blocks.
+    """
+
+    def __init__(self, device: "BlockDevice") -> None:
+        count, self._size = device.ioctl(4, 0) or 0, device.ioctl(5, 0) or 512
+        if count < 2:
+            raise ValueError("block device: %d blocks, 2 are needed" % count)
+        self._device, self._count = device, count // 2
+
+    def read(self, slot: int) -> bytes:
+        """Whole blocks, as many as the head of the content asks for."""
+        first = bytearray(self._size)
+        self._device.readblocks(slot * self._count, first)
+        magic, _sequence, length, _crc = struct.unpack(_HEAD, first[:_HEAD_SIZE])
+        blocks = (min(length, _LARGEST) + _HEAD_SIZE + self._size - 1) // self._size if magic == _MAGIC else 1
+        if blocks == 1 or blocks > self._count:
+            return bytes(first)
+        rest = bytearray(self._size * (blocks - 1))
+        self._device.readblocks(slot * self._count + 1, rest)
+        return bytes(first + rest)
+
+    def write(self, slot: int, data: bytes) -> None:
+        """Erase and write the blocks; OSError when they do not hold it."""
+        blocks = (len(data) + self._size - 1) // self._size
+        if blocks > self._count:
+            raise OSError(28)  # ENOSPC
+        buffer = bytearray(data + b"\xff" * (blocks * self._size - len(data)))
+        self._device.writeblocks(slot * self._count, buffer)
+        self._device.ioctl(3, 0)

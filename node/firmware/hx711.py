@@ -1,0 +1,99 @@
+"""Avia HX711: 24 bits, a clock and a data pin that are driven by hand.
+
+Facts of the data sheet: DOUT low says that a conversion is ready; each rising edge of PD_SCK then brings a bit, most
+significant first, and the 25th puts DOUT high again. 25, 26 or 27 pulses in all choose what is converted next: channel
+A with gain 128, B with 32, A with 64. PD_SCK high for 60 us switches the chip off; low again resets it, to channel A
+with gain 128. After a reset or a change of input the output settles within four conversions. The pin RATE chooses 10 or
+80 conversions a second.
+"""
+
+from .source import choice, signed24
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .ads1220 import Pin
+
+PULSES = {128: 25, 32: 26, 64: 27}
+SETTLING = 4  # conversions
+RESET_US = 100  # PD_SCK high for 60 us or more
+CONVERSIONS_LOST = 4
+UNKNOWN_TEMPERATURE = -0x8000
+
+
+class Hx711:
+    """One chip with one gauge. ``lock`` and ``unlock`` keep interrupts away while 25 bits are clocked out:
+    ``machine.disable_irq`` and ``machine.enable_irq``. One that came while PD_SCK is high would switch the chip off.
+
+    Raises ValueError for a gain or a rate that the chip has not.
+    """
+
+    channels, bits, count_min, count_max = 1, 24, -0x800000, 0x7FFFFF
+
+    def __init__(
+        self, dout: "Pin", sck: "Pin", gain: int = 128, rate: int = 80,
+        lock: "Callable[[], int]" = lambda: 0, unlock: "Callable[[int], None]" = lambda _state: None,
+    ) -> None:  # fmt: skip
+        choice("gain", gain, (32, 64, 128))
+        choice("rate", rate, (10, 80))
+        self._dout, self._sck, self._lock, self._unlock = dout, sck, lock, unlock
+        self._pulses = PULSES[gain]
+        self.period_us = 1000000 // rate
+        self.faults = 0
+        self.temperature = UNKNOWN_TEMPERATURE
+        self._three = bytearray(3)
+        self._left = SETTLING
+        self._asleep = True  # PD_SCK is put high first: a reset, whatever state the chip is in
+        self._next_us = 0
+        self._deadline_us = 0
+        self._sck.value(1)
+        self._begun = False
+
+    def poll(self, now_us: int) -> "tuple[int, ...] | None":
+        """The counts of a conversion that is ready; a chip that is silent or out of step is reset."""
+        if not self._begun:
+            self._begun, self._next_us = True, now_us + RESET_US
+        if now_us < self._next_us:
+            return None
+        if self._asleep:
+            self._sck.value(0)
+            self._asleep = False
+            self._left = SETTLING
+            # The oscillator is off by up to a third, and the first conversion takes four.
+            self._deadline_us = now_us + 2 * SETTLING * self.period_us
+            return None
+        if self._dout.value():
+            if now_us > self._deadline_us:
+                self._reset(now_us)
+            return None
+        return self._take(now_us)
+
+    def _take(self, now_us: int) -> "tuple[int, ...] | None":
+        sck, dout = self._sck.value, self._dout.value
+        value = 0
+        state = self._lock()
+        for _ in range(24):
+            sck(1)
+            value = value << 1 | dout()
+            sck(0)
+        sck(1)
+        after = dout()  # the 25th pulse puts it high: if not, bits were lost or won
+        sck(0)
+        for _ in range(self._pulses - 25):
+            sck(1)
+            sck(0)
+        self._unlock(state)
+        self._deadline_us = now_us + CONVERSIONS_LOST * self.period_us
+        if not after:
+            self._reset(now_us)
+            return None
+        if self._left:
+            self._left -= 1
+            return None
+        self._three[0], self._three[1], self._three[2] = value >> 16, value >> 8 & 0xFF, value & 0xFF
+        return (signed24(self._three),)
+
+    def _reset(self, now_us: int) -> None:
+        self._sck.value(1)
+        self._asleep, self._next_us = True, now_us + RESET_US

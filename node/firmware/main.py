@@ -1,0 +1,16 @@
+"""The node on a board whose microcontroller has a CAN controller: copy to the board as :main.py."""
+
+from firmware import board, start
+
+try:
+    from machine import CAN
+except ImportError:
+    from pyb import CAN  # of MicroPython up to 1.27
+
+    from firmware.can_pyb import PybCan
+
+    start.run(PybCan(CAN(board.CAN_NUMBER), board.BIT_RATE))
+else:
+    from firmware.can_machine import MachineCan
+
+    start.run(MachineCan(CAN(board.CAN_NUMBER, board.BIT_RATE), board.BIT_RATE))

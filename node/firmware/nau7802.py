@@ -1,0 +1,174 @@
+"""Nuvoton NAU7802: 24 bits, two channels on one converter, I2C address 2Ah.
+
+Register facts (data sheet revision 1.7, section 11): 00h PU_CTRL: RR 0, PUD 1, PUA 2, PUR 3, CS 4, CR 5, OSCS 6,
+AVDDS 7. 01h CTRL1: GAINS 2-0, VLDO 5-3. 02h CTRL2: CALMOD 1-0, CALS 2, CAL_ERR 3, CRS 6-4, CHS 7. 12h-14h ADCO, most
+significant byte first. 15h: 30h turns the chopper's clock off. 1Ch: PGA_CAP_EN 7, the capacitor across the second
+channel's inputs. Power-up: RR, then PUD, PUR within 200 us. CALS goes back to zero when a calibration ends; CAL_ERR
+then tells whether it failed. After a change of channel the filter needs some conversions to settle.
+"""
+
+from .source import choice, signed24
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Protocol
+
+    class I2C(Protocol):
+        """What is used of ``machine.I2C``; an error on the bus is an OSError."""
+
+        def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
+            """Fill the buffer from registers."""
+
+        def writeto_mem(self, address: int, register: int, data: bytes) -> None:
+            """Write registers."""
+
+
+ADDRESS = 0x2A
+PU_CTRL, CTRL1, CTRL2, ADCO, ADC_CTRL, PGA_POWER = 0x00, 0x01, 0x02, 0x12, 0x15, 0x1C
+RR, PUD, PUA, PUR, CS, CR, AVDDS = 0x01, 0x02, 0x04, 0x08, 0x10, 0x20, 0x80
+CALS, CAL_ERR = 0x04, 0x08
+GAINS = (1, 2, 4, 8, 16, 32, 64, 128)
+RATES = (10, 20, 40, 80, 0, 0, 0, 320)  # by CRS
+LDO_MILLIVOLTS = (4500, 4200, 3900, 3600, 3300, 3000, 2700, 2400)  # by VLDO
+UNKNOWN_TEMPERATURE = -0x8000
+SUPPLY = 1 << 11  # of 2124h
+
+RETRY_US = 20000  # after an error on the bus
+POWER_UP_US = 10000  # PUR must have come
+REGULATOR_US = 250000  # the analogue supply has settled
+CALIBRATION_US = 2000000  # CALS must have gone
+CONVERSIONS_LOST = 4  # so many periods without a conversion: begin anew
+
+_RESET, _POWER_UP, _SETTLE, _CALIBRATE, _RUN = 0, 1, 2, 3, 4
+
+
+class Nau7802:
+    """One chip on an I2C bus; two need two buses or a multiplexer, because the address is fixed.
+
+    ``channels`` is 1 or 2; with two each reading costs ``discard`` + 1 conversions a channel. ``ldo_millivolts`` is
+    what the chip's own regulator gives the bridge, 0 where AVDD is supplied from outside. The offset of amplifier and
+    converter is calibrated inside the chip at each start, for each channel. Raises ValueError for a setting it has not.
+    """
+
+    bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
+
+    def __init__(
+        self, i2c: "I2C", channels: int = 1, gain: int = 128, rate: int = 320, ldo_millivolts: int = 3000,
+        discard: int = 6, address: int = ADDRESS,
+    ) -> None:  # fmt: skip
+        choice("channels", channels, (1, 2))
+        self._crs = choice("rate", rate, (10, 20, 40, 80, 320))
+        self._crs = RATES.index(rate)
+        self._ctrl1 = choice("gain", gain, GAINS)
+        self._power = PUD | PUA | CS
+        if ldo_millivolts:
+            self._ctrl1 |= choice("ldo_millivolts", ldo_millivolts, LDO_MILLIVOLTS) << 3
+            self._power |= AVDDS
+        self._i2c, self._address = i2c, address
+        self.channels = channels
+        self._discard = discard if channels > 1 else 0
+        self._conversion_us = 1000000 // rate
+        self.period_us = self._conversion_us * (channels * (self._discard + 1) if channels > 1 else 1)
+        self.faults = 0
+        self.temperature = UNKNOWN_TEMPERATURE
+        self._byte, self._three = bytearray(1), bytearray(3)
+        self._counts = [0] * channels
+        self._channel = self._left = 0
+        self._state, self._next_us, self._deadline_us = _RESET, 0, 0
+
+    def poll(self, now_us: int) -> "tuple[int, ...] | None":
+        """One small step of whatever comes next; the counts of all channels when the last of them is there."""
+        if now_us < self._next_us:
+            return None
+        try:
+            if self._state == _RUN:
+                return self._run(now_us)
+            self._start(now_us)
+        except OSError:  # no acknowledge, or the bus is stuck
+            self._again(now_us)
+        return None
+
+    def _again(self, now_us: int) -> None:
+        self._state, self._next_us = _RESET, now_us + RETRY_US
+
+    def _start(self, now_us: int) -> None:
+        if self._state == _RESET:
+            self._write(PU_CTRL, RR)
+            self._write(PU_CTRL, PUD)
+            self._to(_POWER_UP, now_us + 200, now_us + POWER_UP_US)
+        elif self._state == _POWER_UP:
+            if self._read(PU_CTRL) & PUR:
+                self._configure()
+                self._to(_SETTLE, now_us + REGULATOR_US, 0)
+            elif now_us > self._deadline_us:
+                self.faults |= SUPPLY  # it answers, but does not come up
+                self._again(now_us)
+        elif self._state == _SETTLE:
+            self._begin_calibration(0, now_us)
+        else:
+            self._calibrate(now_us)
+
+    def _configure(self) -> None:
+        self._write(CTRL1, self._ctrl1)
+        self._write(PU_CTRL, self._power)
+        self._write(ADC_CTRL, 0x30)
+        if self.channels == 1:
+            self._write(PGA_POWER, 0x80)
+
+    def _begin_calibration(self, channel: int, now_us: int) -> None:
+        self._channel = channel
+        self._write(CTRL2, self._ctrl2() | CALS)
+        self._to(_CALIBRATE, now_us + 1000, now_us + CALIBRATION_US)
+
+    def _calibrate(self, now_us: int) -> None:
+        ctrl2 = self._read(CTRL2)
+        if ctrl2 & CALS:
+            self._next_us = now_us + 1000
+            if now_us > self._deadline_us:
+                self._again(now_us)
+        elif ctrl2 & CAL_ERR:
+            self._again(now_us)
+        elif self._channel + 1 < self.channels:
+            self._begin_calibration(self._channel + 1, now_us)
+        else:
+            self._channel = 0
+            self._write(CTRL2, self._ctrl2())
+            self._write(PU_CTRL, self._power)  # CS: conversions begin now
+            self._left = 6 if self._discard < 6 else self._discard
+            self._to(_RUN, now_us, now_us + self._conversion_us * CONVERSIONS_LOST)
+
+    def _run(self, now_us: int) -> "tuple[int, ...] | None":
+        power = self._read(PU_CTRL)
+        if power & (PUA | PUR) != PUA | PUR:
+            self.faults |= SUPPLY  # it was without power and has lost its settings
+            self._again(now_us)
+            return None
+        if not power & CR:
+            if now_us > self._deadline_us:
+                self._again(now_us)
+            return None
+        self._i2c.readfrom_mem_into(self._address, ADCO, self._three)  # takes CR back
+        self._next_us = now_us + self._conversion_us // 2
+        self._deadline_us = now_us + self._conversion_us * CONVERSIONS_LOST
+        if self._left:
+            self._left -= 1
+            return None
+        self._counts[self._channel] = signed24(self._three)
+        if self.channels > 1:
+            self._channel = 1 - self._channel
+            self._write(CTRL2, self._ctrl2())
+            self._left = self._discard
+        return None if self._channel else tuple(self._counts)
+
+    def _ctrl2(self) -> int:
+        return self._crs << 4 | self._channel << 7
+
+    def _to(self, state: int, next_us: int, deadline_us: int) -> None:
+        self._state, self._next_us, self._deadline_us = state, next_us, deadline_us
+
+    def _read(self, register: int) -> int:
+        self._i2c.readfrom_mem_into(self._address, register, self._byte)
+        return self._byte[0]
+
+    def _write(self, register: int, value: int) -> None:
+        self._i2c.writeto_mem(self._address, register, bytes((value,)))

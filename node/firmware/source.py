@@ -1,0 +1,121 @@
+"""Gauges behind converter chips as the node's gauge source: chips are polled, and never waited for.
+
+A chip is any object with ``poll(now_us)`` (a tuple of counts when all of its channels have new ones, or None),
+``channels`` (how many), ``count_min``, ``count_max`` (the ends of its range), ``bits``, ``period_us`` (between two
+complete readings), ``faults`` (bits of 2124h that it knows of) and ``temperature`` (0.01 degC, -0x8000 for unknown).
+"""
+
+from tipforce.dictionary import table
+from tipforce.fingertip.source import Reading, Source
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Protocol
+
+    class Chip(Protocol):
+        """A converter with one or more gauges behind it."""
+
+        channels: int
+        bits: int
+        count_min: int
+        count_max: int
+        period_us: int
+        faults: int
+        temperature: int
+
+        def poll(self, now_us: int) -> "tuple[int, ...] | None":
+            """The counts of all channels when there are new ones."""
+
+
+WIRE_BREAK_US = 1000000  # a gauge that stays so long at an end of the range has a wire broken
+
+
+class Gauges(Source):
+    """One or more chips of one kind of range; the gauges in the order of the chips and of their channels.
+
+    ``counts_per_microstrain`` of the bridge, gauge factor, gain and reference together: the default of 6122h, which
+    a calibration replaces. A reading is there when every chip has converted anew; a chip that is gone or stands still
+    gives none, and the core reports the silence (2124h bit 8) after 100 ms.
+
+    Raises ValueError without chips, or for chips of unequal ranges.
+    """
+
+    def __init__(self, chips: "list[Chip]", counts_per_microstrain: float, wire_break_us: int = WIRE_BREAK_US) -> None:
+        if not chips:
+            raise ValueError("chips: none")
+        first = chips[0]
+        for chip in chips:
+            if (chip.bits, chip.count_min, chip.count_max) != (first.bits, first.count_min, first.count_max):
+                raise ValueError("chips: not all have one range")
+        self.chips = chips
+        self.n = sum([chip.channels for chip in chips])
+        self.converter = (first.bits, counts_per_microstrain)
+        self.count_min, self.count_max = first.count_min, first.count_max
+        self.conversion_us = max([chip.period_us for chip in chips])
+        self._wanted_us = self.conversion_us
+        self._fresh: "list[tuple[int, ...] | None]" = [None] * len(chips)
+        self._inside_us = [0] * self.n
+        self._wire_break_us = wire_break_us
+
+    @property
+    def period_us(self) -> int:
+        """The sample period 6114h, but never shorter than what the chips can do."""
+        return max(self._wanted_us, self.conversion_us)
+
+    @period_us.setter
+    def period_us(self, value: int) -> None:
+        self._wanted_us = value
+
+    def poll(self, now_us: int) -> None:
+        """Look after the chips: the loop calls this each time around."""
+        for k in range(len(self.chips)):
+            counts = self.chips[k].poll(now_us)
+            if counts is not None:
+                self._fresh[k] = counts
+
+    def read(self, now_us: int) -> "Reading | None":
+        """The newest counts of all gauges once every chip has new ones."""
+        self.poll(now_us)
+        counts: "list[int]" = []
+        faults, temperature = 0, table.UNKNOWN_I16
+        for k in range(len(self.chips)):
+            fresh = self._fresh[k]
+            if fresh is None:
+                return None
+            counts += fresh
+            chip = self.chips[k]
+            faults |= chip.faults
+            if chip.temperature != table.UNKNOWN_I16:
+                temperature = chip.temperature
+        for k in range(len(self.chips)):
+            self._fresh[k] = None
+            self.chips[k].faults = 0
+        if self._wires_broken(counts, now_us):
+            faults |= 1 << table.FAULT_WIRE_BREAK
+        return Reading(tuple(counts), faults, temperature)
+
+    def due_us(self, now_us: int) -> int:
+        """When the next conversion is there, for a filter."""
+        return now_us + self.period_us
+
+    def _wires_broken(self, counts: "list[int]", now_us: int) -> bool:
+        broken = False
+        for k in range(len(counts)):
+            if self.count_min < counts[k] < self.count_max:
+                self._inside_us[k] = now_us
+            elif now_us - self._inside_us[k] >= self._wire_break_us:
+                broken = True
+        return broken
+
+
+def signed24(data: "bytes | bytearray") -> int:
+    """Three bytes, most significant first, in two's complement."""
+    value = data[0] << 16 | data[1] << 8 | data[2]
+    return value - 0x1000000 if value & 0x800000 else value
+
+
+def choice(name: str, value: int, allowed: "tuple[int, ...]") -> int:
+    """The place of a setting among those that a chip has. Raises ValueError that names them."""
+    if value not in allowed:
+        raise ValueError("%s: %r, allowed %s" % (name, value, ", ".join([str(one) for one in allowed])))
+    return allowed.index(value)

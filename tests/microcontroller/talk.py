@@ -1,0 +1,213 @@
+"""The conversations of ``micropython.scripts``, held with the firmware between fake chips, and recorded.
+
+On CPython a plain device stands beside the firmware and gets the same frames and readings: what the fake bus carries
+must be what it says. So the drivers, the loop and the flash store neither lose nor change anything.
+"""
+
+import json
+import math
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import pytest
+
+from device.conversation import Conversation
+from microcontroller import rig
+from micropython import engine, scripts
+from micropython.recording import Frame, Recording
+from micropython.talk import SYNC, Talk
+from tipforce.dictionary import table
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.source import Reading, Source
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+
+STEPS_PER_CALL = 50
+COUNTS_PER_MICROSTRAIN = 1024.0
+SLOWER = {"nau7802": 4, "ads1220": 1, "hx711": 16}  # SYNCs stay apart by more than a conversion
+_CONTROLLER = {0x10: "passive", 0x40: "active", 0x08: "warning", 0x02: "overrun"}
+_PRODUCT = table.product_code(3, False, table.CONVERTER_24)
+
+
+class _Tap(Source):
+    """Gives the plain device what the firmware's gauges gave."""
+
+    def __init__(self, gauges: Any) -> None:
+        self._gauges = gauges
+        self._found: list[Reading | None] = []
+        self.converter = gauges.converter
+        self.count_min, self.count_max = gauges.count_min, gauges.count_max
+        self._read = gauges.read
+        gauges.read = self._note
+
+    def _note(self, now_us: int) -> Reading | None:
+        self._found.append(self._read(now_us))
+        return self._found[-1]
+
+    def read(self, _now_us: int) -> Reading | None:
+        """What was read, in the same order."""
+        return self._found.pop(0)
+
+    def due_us(self, now_us: int) -> int:
+        """As the gauges say."""
+        due_us: int = self._gauges.due_us(now_us)
+        return due_us
+
+    @property
+    def period_us(self) -> int:
+        """As the gauges have it."""
+        period_us: int = self._gauges.period_us
+        return period_us
+
+    @period_us.setter
+    def period_us(self, value: int) -> None:
+        pass
+
+
+class RecordedFirmware:
+    """The firmware as a device to talk with; each step is noted with its answer."""
+
+    def __init__(self, name: str, header: dict[str, Any]) -> None:
+        self.recording = Recording(name, header)
+        self.rig = rig.Rig(json.loads(json.dumps(header)))
+        self.pending: list[str] = []  # what happens at the next step besides frames
+        firmware = self.rig.firmware
+        self._groups = {name: bytes.fromhex(content) for name, content in header["groups"].items()}
+        # Readings pass through the tap in the order in which the two devices ask: both are built first.
+        self._plain = fingertip_node(
+            header["node_id"], _Tap(firmware.gauges), header["n"], header["serial"],
+            lambda name, data: self._groups.update({name: data}) is None, self._groups.get,
+        )  # fmt: skip
+        self._plain.lss.bit_rate = rig.BIT_RATE
+        self._came: list[Frame] = []
+        receive = firmware.port.receive
+
+        def noted() -> list[Frame]:
+            self._came = receive()
+            return self._came
+
+        firmware.port.receive = noted  # type: ignore[method-assign]
+
+    @property
+    def node_id(self) -> int:
+        """The node-id that it has now."""
+        return self.rig.firmware.device.node_id
+
+    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
+        """One turn of the firmware's loop."""
+        now_us += rig.WARM_UP_US
+        words = [str(now_us), *self.pending]
+        self.pending = []
+        for can_id, data in frames:
+            if can_id & 0x20000000:
+                words.append("!" + self._event(can_id, data))
+            else:
+                words.append(f"{can_id:X}#{bytes(data).hex()}")
+        answer = self.rig.step(" ".join(words))
+        self.recording.steps.append(" ".join(words))
+        self.recording.answers.append(answer)
+        self.recording.stored = self.rig.stored()
+        sent = [_frame(word) for word in answer.split()[1:]]
+        self._compare(now_us, sent)
+        return sent, now_us - rig.WARM_UP_US + int(answer.split()[0])
+
+    def _event(self, can_id: int, data: bytes) -> str:
+        if can_id & 0x40:
+            return "off"
+        return "active" if can_id & 0x100 else _CONTROLLER[data[1]]
+
+    def _compare(self, now_us: int, sent: list[Frame]) -> None:
+        said, _due = self._plain.step(now_us, self._came)
+        self._plain.requests.clear()
+        if now_us >= self.rig.firmware._mute_until_us:
+            assert sent == [(can_id, bytes(data)) for can_id, data in said], self.recording.steps[-1]
+        assert {name: self.rig.store.load(name) for name in self._groups} == self._groups
+
+    def stored(self) -> dict[str, str]:
+        """What is in flash, for a next life of this node."""
+        return {name: content.hex() for name, content in self._groups.items()}
+
+
+def _frame(word: str) -> Frame:
+    can_id, data = word.split("#")
+    return int(can_id, 16), bytes.fromhex(data)
+
+
+def firmware_talk(adc: str, can: str) -> type[Talk]:
+    """A Talk that speaks with the firmware; what a script asks of the simulation is done to the fake chips."""
+
+    class FirmwareTalk(Talk):
+        def __init__(
+            self, name: str, node_id: int = 5, layout: str | Sequence[str] = "I", store: dict[str, str] | None = None,
+            eds: str = "", now_us: int = 0, front_end: dict[str, Any] | None = None,
+        ) -> None:  # fmt: skip
+            assert (eds, front_end) == ("", None), "not part of the firmware"
+            self._rows = strain_matrix(FABRICATED, layout)
+            header = {
+                "node_id": node_id, "serial": 0x01020304, "n": len(self._rows), "adc": adc, "can": can,
+                "now_us": now_us + rig.WARM_UP_US, "counts_per_microstrain": COUNTS_PER_MICROSTRAIN,
+                "groups": store or {},
+            }  # fmt: skip
+            self.recorded = RecordedFirmware(f"{name}, {adc}, {can}", header)  # type: ignore[assignment]
+            self._load = [0.0, 0.0, 0.0]
+            self._fault = [0, 1, 0.0]
+            Conversation.__init__(self, self.recorded, now_us, emcy=True)  # type: ignore[arg-type]
+
+        def put(self, kind: str, index: int, sub: int, value: float) -> int:
+            if index not in (0x2200, 0x2201):
+                return super().put(kind, index, sub, value)
+            (self._fault if index == 0x2200 else self._load)[sub - 1] = value
+            self._apply()
+            return 0
+
+        def _apply(self) -> None:
+            P, phi, theta = self._load[0], math.radians(self._load[1]), math.radians(self._load[2])
+            F = (P * math.sin(phi), P * math.sin(phi - theta), P * math.cos(phi))
+            counts = [round(COUNTS_PER_MICROSTRAIN * 1e6 * float(row @ F)) for row in self._rows]
+            counts = [max(-0x800000, min(0x7FFFFF, one)) for one in counts]
+            fault, gauge = self._fault[0], int(self._fault[1]) - 1
+            if fault in (2, 3):
+                counts[gauge] = 0x7FFFFF
+            pending = self.recorded.pending  # type: ignore[attr-defined]
+            pending += ["@" + ",".join(map(str, counts)), "!silent" if fault == 4 else "!speaking"]
+
+        def sync(self, count: int = 1, period_us: int = 1000) -> list[Frame]:
+            sent: list[Frame] = []
+            for _ in range(count):
+                self.advance(SLOWER[adc] * period_us)
+                sent = self.step([SYNC])
+            return sent
+
+        def fastscan(self, identity: tuple[int, ...]) -> None:
+            super().fastscan((identity[0], _PRODUCT, *identity[2:]))
+
+    return FirmwareTalk
+
+
+def spoken(adc: str, can: str, wanted: Iterable[Callable[[], list[Recording]]]) -> list[Recording]:
+    """Those scripts, held with the firmware."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(scripts, "Talk", firmware_talk(adc, can))
+        return [one for script in wanted for one in script()]
+
+
+def replay(recordings: Sequence[Recording], files: dict[str, bytes]) -> list[list[str]]:
+    """Hold each conversation on MicroPython: the answers to its steps, and what is in flash."""
+    told = dict(files)
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "from microcontroller import rig"]
+    for number, recording in enumerate(recordings):
+        told[f"/recording{number}"] = recording.text().encode()
+        calls.append(f"replay = rig.Replay('/recording{number}')")
+        for left in range(len(recording.steps), 0, -STEPS_PER_CALL):
+            calls.append(f"replay.go({min(left, STEPS_PER_CALL)})")
+        calls.append("replay.end()")
+    lines = iter(engine.run(told, calls))
+    return [[next(lines) for _ in range(len(recording.steps) + 1)] for recording in recordings]
+
+
+def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:
+    """MicroPython answers every step as CPython did, byte for byte, and stores the same."""
+    for recording, answers in zip(recordings, replay(recordings, files), strict=True):
+        for k, (step, here, there) in enumerate(zip(recording.steps, recording.answers, answers[:-1], strict=True)):
+            assert here == there, f"{recording.name}, step {k} ({step}): CPython {here}, MicroPython {there}"
+        assert recording.stored == answers[-1], f"{recording.name}: flash differs"

@@ -1,0 +1,291 @@
+"""The converter drivers against chips that behave as their data sheets say, and against chips that fail."""
+
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from firmware.ads1220 import Ads1220
+from firmware.hx711 import Hx711
+from firmware.nau7802 import Nau7802
+from firmware.source import Gauges
+from microcontroller.fakes import FakeAds1220, FakeClock, FakeHx711, FakeNau7802
+from tipforce.device.node import Device
+from tipforce.dictionary import table
+from tipforce.fingertip.node import fingertip_node
+
+STEP_US = 500
+START_US = 2_000_000
+NO_DATA, WIRE, SUPPLY = (1 << bit for bit in (table.FAULT_NO_DATA, table.FAULT_WIRE_BREAK, table.FAULT_SUPPLY))
+
+
+def nau7802(clock: FakeClock, signal: list[int]) -> tuple[Any, Any]:
+    fake = FakeNau7802(clock, signal)
+    return Nau7802(fake, channels=len(signal)), fake
+
+
+def ads1220(clock: FakeClock, signal: list[int]) -> tuple[Any, Any]:
+    fake = FakeAds1220(clock, signal, offset=77, temperature=-3 * 32)
+    return Ads1220(fake, fake.cs, fake.drdy, channels=len(signal)), fake
+
+
+def hx711(clock: FakeClock, signal: list[int]) -> tuple[Any, Any]:
+    fake = FakeHx711(clock, signal)
+    return Hx711(fake.dout, fake.sck), fake
+
+
+BUILDERS = [nau7802, ads1220, hx711]
+Builder = Callable[[FakeClock, list[int]], tuple[Any, Any]]
+
+
+def run(driver: Any, clock: FakeClock, microseconds: int) -> list[tuple[int, ...]]:
+    """Poll for so long; the readings."""
+    found = []
+    for _ in range(microseconds // STEP_US):
+        clock.now_us += STEP_US
+        counts = driver.poll(clock.now_us)
+        if counts is not None:
+            found.append(counts)
+    return found
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+@pytest.mark.parametrize("counts", [0, 1, -1, 0x123456, -0x123456, 0x7FFFFF, -0x800000])
+def test_counts_arrive_as_they_are(build: Builder, counts: int) -> None:
+    clock = FakeClock()
+    signal = [0]
+    driver, _fake = build(clock, signal)
+    assert set(run(driver, clock, START_US)) == {(0,)}
+    signal[0] = counts
+    found = run(driver, clock, 100_000)
+    assert found[-1] == (counts,)
+    # A converter that is read often enough loses no conversion.
+    assert len(found) >= 100_000 // driver.period_us - 1
+
+
+@pytest.mark.parametrize("build", [nau7802, ads1220])
+def test_two_channels_of_one_chip(build: Builder) -> None:
+    """What the filter shows just after a change of channel is left out: no reading mixes two gauges."""
+    clock, signal = FakeClock(), [1_000_000, -2_000_000]
+    driver, _fake = build(clock, signal)
+    found = run(driver, clock, START_US)
+    assert len(found) > 20
+    assert set(found) == {(1_000_000, -2_000_000)}
+    assert driver.period_us < 50_000
+
+
+def test_nau7802_is_set_up_as_asked() -> None:
+    clock = FakeClock()
+    fake = FakeNau7802(clock, [0, 0])
+    driver = Nau7802(fake, channels=2, gain=64, rate=80, ldo_millivolts=3300)
+    run(driver, clock, START_US)
+    assert fake.calibrated == 3  # the offset of both channels
+    assert fake.registers[1] == 4 << 3 | 6  # VLDO 3.3 V, gain 64
+    assert fake.registers[2] & 0x77 == 3 << 4  # 80 conversions a second, no calibration under way
+    assert fake.registers[0] & 0x96 == 0x96  # digital and analogue part up, converting, own regulator
+    assert fake.registers[0x15] == 0x30
+    single = FakeNau7802(clock, [0])
+    run(Nau7802(single, ldo_millivolts=0), clock, START_US)
+    assert single.registers[0x1C] == 0x80
+    assert not single.registers[0] & 0x80
+
+
+def test_nau7802_calibration_that_fails_is_done_again() -> None:
+    clock = FakeClock()
+    fake = FakeNau7802(clock, [123])
+    fake.fail_calibrations = 2
+    driver = Nau7802(fake)
+    assert set(run(driver, clock, 2 * START_US)) == {(123,)}
+
+
+@pytest.mark.parametrize("rate", [20, 45, 330, 1000, 2000, 350])
+def test_ads1220_is_set_up_as_asked(rate: int) -> None:
+    clock = FakeClock()
+    fake = FakeAds1220(clock, [5], offset=-100)
+    driver = Ads1220(fake, fake.cs, fake.drdy, gain=32, rate=rate, reference="supply")
+    run(driver, clock, START_US)
+    assert fake.registers[0] == 5 << 1
+    assert fake._period_us() == 1000000 // rate
+    assert fake.registers[1] & 6 == 4  # continuous, no temperature
+    assert fake.registers[2] == 0xC0
+    assert driver.offset == -100
+
+
+def test_ads1220_reads_its_temperature_between_gauges() -> None:
+    clock = FakeClock()
+    driver, _fake = ads1220(clock, [7])
+    found = run(driver, clock, 10_500_000)
+    assert driver.temperature == -300
+    assert set(found) == {(7,)}
+
+
+def test_hx711_gains_by_pulses() -> None:
+    for gain, pulses in ((128, 25), (32, 26), (64, 27)):
+        clock = FakeClock()
+        fake = FakeHx711(clock, [9])
+        found = run(Hx711(fake.dout, fake.sck, gain=gain), clock, START_US)
+        assert set(fake.pulses_seen) == {pulses}
+        assert fake.resets == 1
+        assert len(found) > 100
+
+
+def test_hx711_out_of_step_is_reset() -> None:
+    clock, signal = FakeClock(), [0x123456]
+    driver, fake = hx711(clock, signal)
+    run(driver, clock, START_US)
+    fake.glitch = 1
+    found = run(driver, clock, START_US)
+    assert fake.resets == 2
+    assert set(found) == {(0x123456,)}
+
+
+def test_hx711_keeps_interrupts_away_while_it_clocks() -> None:
+    clock = FakeClock()
+    fake = FakeHx711(clock, [1])
+    held: list[str] = []
+
+    def lock() -> int:
+        held.append("lock")
+        return 7
+
+    driver = Hx711(fake.dout, fake.sck, lock=lock, unlock=lambda state: held.append(f"un{state}"))
+    found = run(driver, clock, START_US)
+    assert held[:2] == ["lock", "un7"]
+    assert len(held) == 2 * (len(found) + 4)
+
+
+@pytest.mark.parametrize("build", BUILDERS)
+def test_a_converter_that_stops_gives_nothing_and_comes_back(build: Builder) -> None:
+    clock = FakeClock()
+    driver, fake = build(clock, [42])
+    assert run(driver, clock, START_US)
+    fake.stuck = True
+    run(driver, clock, 20_000)
+    assert run(driver, clock, START_US) == []
+    fake.stuck = False
+    assert set(run(driver, clock, 2 * START_US)) == {(42,)}
+
+
+@pytest.mark.parametrize("build", [nau7802, ads1220])
+def test_a_chip_that_is_gone_is_asked_seldom_and_found_again(build: Builder) -> None:
+    clock = FakeClock()
+    driver, fake = build(clock, [42])
+    fake.dead = True
+    assert run(driver, clock, 1_000_000) == []
+    if isinstance(fake, FakeNau7802):
+        assert fake.transfers < 100  # every 20 ms: the loop has other work
+    fake.dead = False
+    assert set(run(driver, clock, START_US)) == {(42,)}
+    fake.dead = True
+    run(driver, clock, 10_000)
+    assert run(driver, clock, 1_000_000) == []
+
+
+def test_power_that_fails_is_told_with_the_next_reading() -> None:
+    clock = FakeClock()
+    driver, fake = nau7802(clock, [42])
+    run(driver, clock, START_US)
+    fake.reset()
+    assert run(driver, clock, 100_000) == []
+    assert driver.faults == SUPPLY
+    assert set(run(driver, clock, START_US)) == {(42,)}
+    fake.reset()
+    fake.unpowered = True  # it answers, but PUR never comes
+    assert run(driver, clock, START_US) == []
+
+
+def test_no_setting_that_a_chip_has_not() -> None:
+    clock = FakeClock()
+    nau, ads, hx = FakeNau7802(clock, [0]), FakeAds1220(clock, [0]), FakeHx711(clock, [0])
+    for build, message in (
+        (lambda: Nau7802(nau, gain=3), "gain: 3, allowed 1, 2, 4"),
+        (lambda: Nau7802(nau, rate=100), "rate: 100, allowed 10, 20, 40, 80, 320"),
+        (lambda: Nau7802(nau, channels=3), "channels: 3, allowed 1, 2"),
+        (lambda: Nau7802(nau, ldo_millivolts=5000), "ldo_millivolts: 5000"),
+        (lambda: Ads1220(ads, ads.cs, ads.drdy, rate=80), "rate: 80, allowed 20, 45"),
+        (lambda: Ads1220(ads, ads.cs, ads.drdy, reference="x"), "reference: 'x', allowed internal"),
+        (lambda: Hx711(hx.dout, hx.sck, gain=1), "gain: 1, allowed 32, 64, 128"),
+        (lambda: Gauges([], 1.0), "chips: none"),
+    ):
+        with pytest.raises(ValueError, match=message):
+            build()
+
+
+# --- in the node ----------------------------------------------------------------------------------------------------
+
+
+class Node:
+    """A node with two chips: three gauges, the first chip with two of them."""
+
+    def __init__(self) -> None:
+        self.clock = FakeClock()
+        self.signals = [[100, 200], [300]]
+        pairs = [ads1220(self.clock, signal) for signal in self.signals]
+        self.fakes = [pair[1] for pair in pairs]
+        self.gauges = Gauges([pair[0] for pair in pairs], 1000.0)
+        self.device: Device = fingertip_node(5, self.gauges, self.gauges.n)
+        self.emcy: list[str] = []
+        self.frames: list[str] = []
+        self.device.step(0, [(0, b"\1\0")])
+
+    def run(self, microseconds: int) -> None:
+        """A SYNC every ten milliseconds."""
+        for _ in range(microseconds // STEP_US):
+            self.clock.now_us += STEP_US
+            self.gauges.poll(self.clock.now_us)
+            sync = [(0x80, b"")] if self.clock.now_us % 10_000 == 0 else []
+            sent, _due = self.device.step(self.clock.now_us, sync)
+            self.emcy += [data.hex() for can_id, data in sent if can_id == 0x85]
+            self.frames = [data.hex() for can_id, data in sent if can_id == 0x185] or self.frames
+
+    def faults(self) -> int:
+        """2124h."""
+        found = self.device.upload(0x2124, 0)
+        assert isinstance(found, bytes)
+        return int.from_bytes(found, "little")
+
+
+@pytest.fixture
+def node() -> Node:
+    node = Node()
+    node.run(500_000)
+    assert node.emcy[-1:] in ([], ["0000000800000000"])
+    node.emcy.clear()
+    return node
+
+
+def test_all_gauges_in_their_order(node: Node) -> None:
+    counts = [node.device.upload(0x9100, sub) for sub in (1, 2, 3)]
+    assert [int.from_bytes(one, "little") for one in counts if isinstance(one, bytes)] == [100, 200, 300]
+    assert node.faults() == 0
+
+
+def test_a_silent_chip_is_said_within_two_tenths_of_a_second(node: Node) -> None:
+    node.fakes[1].stuck = True
+    node.run(200_000)
+    assert [one[:4] for one in node.emcy] == ["3050"]
+    assert node.faults() == NO_DATA
+    assert node.frames[-1][:12] == "008000800080"  # unknown, never an old value
+    node.fakes[1].stuck = False
+    node.run(500_000)
+    assert node.emcy[-1][:4] == "0000"
+    assert node.faults() == 0
+
+
+def test_the_end_of_the_range_is_saturated_and_for_long_a_broken_wire(node: Node) -> None:
+    node.signals[0][1] = 0x7FFFFF + 5000
+    node.run(100_000)
+    assert node.faults() == 2  # gauge 2
+    node.run(1_200_000)
+    assert node.faults() == 2 | WIRE
+    node.signals[0][1] = 0
+    node.run(100_000)
+    assert node.faults() == 0
+    assert node.emcy[-1][:4] == "0000"
+
+
+def test_the_sample_period_is_never_shorter_than_the_chips_can_do(node: Node) -> None:
+    assert node.gauges.period_us == 2000
+    node.gauges.period_us = 700_000
+    assert node.gauges.period_us == 700_000
+    assert node.gauges.due_us(5) == 700_005

