@@ -36,6 +36,8 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.micropython
+	$(PYTHON) -m bench.firmware
+	$(PYTHON) -m bench.export_c
 	$(PYTHON) -m bench.startup
 	$(PYTHON) -m bench.decode -o docs/decode-performance.md
 	$(PYTHON) -m bench.decode_check

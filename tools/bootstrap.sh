@@ -103,6 +103,7 @@ install_system_packages() {
     if ! command -v linux.uml >/dev/null && ! kernel_has_vcan; then
         missing+=(user-mode-linux)
     fi
+    command -v gcc >/dev/null || missing+=(gcc libc6-dev) # compiles what tipforce export c writes
     # MicroPython runs under Node.js; npm is needed to fetch it only.
     command -v node >/dev/null || missing+=(nodejs)
     have_micropython || command -v npm >/dev/null || missing+=(npm)

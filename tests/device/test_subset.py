@@ -11,7 +11,8 @@ import pytest
 import tipforce
 
 ROOT = Path(str(tipforce.__file__)).parent
-CPYTHON_ONLY = {"store.py", "loop.py", "ports.py"}  # files and sockets of a PC
+# Files, sockets and kernel interfaces of a PC.
+CPYTHON_ONLY = {"store.py", "loop.py", "ports.py", "iio.py", "iio_sysfs.py", "iio_buffer.py", "iio_remote.py"}
 ON_NODE = sorted(ROOT.glob("device/*.py")) + sorted(
     path for path in ROOT.glob("fingertip/*.py") if path.name not in CPYTHON_ONLY
 )

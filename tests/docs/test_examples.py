@@ -11,6 +11,7 @@ MUST_HAVE_EXAMPLES = {
     "calibration.md",
     "decode.md",
     "finite-elements.md",
+    "hardware.md",
     "mechanics.md",
     "protocol.md",
     "scenes.md",

@@ -35,7 +35,7 @@ def test_what_is_stored_is_there_after_a_restart(tmp_path: Path) -> None:
     again = node(tmp_path / "node.json")
     assert again.upload(0x2140) == record()
     assert again.device.storage.damaged == []
-    assert [path.name for path in tmp_path.iterdir()] == ["node.json"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["node.json", "node.json.2"]
 
 
 def test_no_file_yet_is_no_damage(tmp_path: Path) -> None:
@@ -64,7 +64,7 @@ def test_file_is_flushed_then_renamed_then_its_directory_is_flushed(
         fsync(number)
 
     def note_replace(old: Path, new: Path) -> None:
-        assert json.loads(old.read_bytes()) == {"a": "07"}
+        assert json.loads(old.read_bytes())["groups"] == {"a": "07"}
         seen.append("rename")
         replace(old, new)
 
@@ -137,15 +137,100 @@ def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes
     assert node(path).device.storage.damaged == []
 
 
+def slots(path: Path) -> list[Path]:
+    """Both files, the one that was written last first."""
+    both = [path, path.with_name(path.name + ".2")]
+    return sorted(both, key=lambda one: -json.loads(one.read_bytes())["sequence"])
+
+
 def test_one_damaged_group_leaves_the_others(tmp_path: Path) -> None:
     path = tmp_path / "node.json"
     stored(path)
-    content = json.loads(path.read_bytes())
-    content["application"] = "00" + content["application"]
-    path.write_text(json.dumps(content), encoding="utf-8")
+    newest, older = slots(path)
+    older.unlink()
+    content = json.loads(newest.read_bytes())
+    content["groups"]["application"] = "00" + content["groups"]["application"]
+    newest.write_text(json.dumps(content), encoding="utf-8")
     talk = node(path)
     assert talk.device.storage.damaged == ["application"]
     assert talk.upload(0x2140) == record()
+
+
+@pytest.mark.parametrize("cut", [0, 1, 20, -2, "flip"])
+def test_torn_or_corrupt_newest_slot_falls_back_to_the_older(
+    tmp_path: Path, cut: int | str, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = tmp_path / "node.json"
+    talk = stored(path, serial=1)
+    talk.put("I", 0x1010, 1, SAVE)  # the same once more, so that both slots hold all of it
+    talk.stage(record(serial=2))
+    assert talk.commit() == talk.put("I", 0x1010, 4, SAVE) == 0
+    assert node(path).upload(0x2140) == record(serial=2)
+    newest, _older = slots(path)
+    whole = newest.read_bytes()
+    if isinstance(cut, int):
+        newest.write_bytes(whole[:cut])
+    else:
+        newest.write_bytes(whole.replace(b'"calibration": "', b'"calibration": "ff', 1))
+    caplog.clear()
+    again = node(path)
+    assert again.upload(0x2140) == record(serial=1)
+    assert again.device.storage.damaged == []
+    assert caplog.text.count("is not what was stored") == caplog.text.count("the other slot holds") == 1
+    # The next save replaces the damaged slot, never the sound one.
+    again.stage(record(serial=3))
+    assert again.commit() == again.put("I", 0x1010, 4, SAVE) == 0
+    assert slots(path)[0] == newest
+    assert node(path).upload(0x2140) == record(serial=3)
+
+
+def test_a_cut_at_every_byte_of_a_slot_is_noticed(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "node.json")
+    for value in (b"\1", b"\2"):
+        assert store.save("a", value)
+    newest, _older = slots(tmp_path / "node.json")
+    whole = newest.read_bytes()
+    for length in range(len(whole) - 2):  # but for the last brace's line end, which carries nothing
+        newest.write_bytes(whole[:length])
+        assert FileStore(tmp_path / "node.json").load("a") == b"\1", length
+    newest.write_bytes(whole)
+    assert FileStore(tmp_path / "node.json").load("a") == b"\2"
+
+
+def test_saves_alternate_between_the_slots(tmp_path: Path) -> None:
+    store = FileStore(tmp_path / "node.json")
+    written = []
+    for k in range(4):
+        assert store.save("a", bytes([k]))
+        written.append(max(tmp_path.iterdir(), key=lambda path: json.loads(path.read_bytes())["sequence"]).name)
+    assert written == ["node.json", "node.json.2"] * 2
+
+
+def test_trouble_is_said_once_until_a_save_succeeds(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    store = FileStore(tmp_path / "node.json")
+
+    def full(_fd: int) -> None:
+        raise OSError(28, "No space left on device")
+
+    for _ in range(2):
+        caplog.clear()
+        with monkeypatch.context() as patch:
+            patch.setattr(os, "fsync", full)
+            assert [store.save("a", b"\1") for _ in range(5)] == [False] * 5
+        assert caplog.text.count("No space left on device; nothing was changed") == 1
+        assert not (tmp_path / "node.json.new").exists()
+        assert store.save("a", b"\2")
+
+
+def test_the_form_before_there_were_two_slots_is_read(tmp_path: Path) -> None:
+    path = tmp_path / "node.json"
+    path.write_text('{"a": "0102"}')
+    store = FileStore(path)
+    assert store.load("a") == b"\1\2"
+    assert store.save("b", b"\3")
+    assert FileStore(path).load("a") == b"\1\2"
 
 
 def test_file_that_cannot_be_read_is_not_replaced(

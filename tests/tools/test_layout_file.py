@@ -113,7 +113,7 @@ def test_what_cannot_be_written(tmp_path: Path) -> None:
 def test_the_node_reads_what_the_layout_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found: list[Device] = []
 
-    def run(given: Sequence[Device], _port: loop.Port) -> None:
+    def run(given: Sequence[Device], _port: loop.Port, _stop: object) -> None:
         found.extend(given)
         raise KeyboardInterrupt
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
     """The devices that the loop was given; it ends at once, as by Ctrl-C, after one step each."""
     found: list[Device] = []
 
-    def run(given: Sequence[Device], port: loop.Port) -> None:
+    def run(given: Sequence[Device], port: loop.Port, _stop: Callable[[], bool]) -> None:
         found.extend(given)
         for device in given:
             port.send(device.step(0)[0])
@@ -104,7 +104,8 @@ def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("--source iio:0", "--source iio:0: allowed is sim"),
+        ("--source adc", "--source adc: allowed are sim, iio:DEVICE[,DEVICE...], replay:FILE"),
+        ("--source iio:device0", "--layout I: the gauges of a real converter need a [bridge] table"),
         ("--layout IV", "layout 'IV': neither one of I, II, III"),
         ("--noise -1", "--noise -1.0: allowed is 0 or more"),
         ("--noise nan", "--noise nan: allowed is 0 or more"),

@@ -27,7 +27,15 @@ points: three to eight. beam: "H", the horizontal one, or "V", the vertical one.
 from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
 face: on H "lower" (towards the fixture, where nothing else is said) or "upper" (in the slit). gauge_length_mm tells
 the maker what the design was made for; it changes no number, because strain is linear along a beam. [geometry] is
-all or nothing: all seven, in metres and Pa.
+all or nothing: all seven, in metres and Pa. A [bridge] table says how the gauges are wired to a real converter
+(``bridge.BridgeTable``); only `tipforce node --source iio:...` reads it::
+
+    [bridge]
+    kind = "full"            # or "quarter", "half"
+    gauge_factor = 2.1
+    excitation_volts = 3.3
+    gain = 100.0             # of an amplifier before the converter; a list gives one a gauge
+    zero_volts = 1.65        # at the converter with no strain
 """
 
 from __future__ import annotations
@@ -43,6 +51,7 @@ from tipforce.sensor.gauge_positions import Gauge, check_gauges
 from tipforce.sensor.gauge_shift import GaugePosition
 from tipforce.sensor.geometry import FABRICATED, Geometry
 from tipforce.sensor.layouts import LAYOUTS, layout
+from tipforce_tools.bridge import BridgeTable, check_bridge
 
 
 class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
@@ -56,6 +65,23 @@ class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     points: list[str | _Place]
     gauge_length_mm: float | None = None
     geometry: Geometry = FABRICATED
+    bridge: BridgeTable | None = None
+
+
+def read_bridge(name_or_path: str) -> BridgeTable | None:
+    """The [bridge] table of a layout file; None for a layout by name and for a file without one.
+
+    Raises InputError naming the place and what is allowed.
+    """
+    if name_or_path in LAYOUTS:
+        return None
+    content = _content(name_or_path)
+    try:
+        if content.bridge is not None:
+            check_bridge(content.bridge)
+    except InputError as error:
+        raise InputError(f"layout {name_or_path}: {error}") from None
+    return content.bridge
 
 
 def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
@@ -65,18 +91,25 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
     """
     if name_or_path in LAYOUTS:
         return FABRICATED, layout(name_or_path)
-    path = Path(name_or_path)
+    content = _content(name_or_path)
     try:
-        content = msgspec.toml.decode(path.read_bytes(), type=_File)
         if content.gauge_length_mm is not None and not 0.0 < content.gauge_length_mm < float("inf"):
             raise InputError(f"gauge_length_mm = {content.gauge_length_mm!r}: allowed is a positive length")
         return content.geometry, _gauges(content)
+    except InputError as error:
+        raise InputError(f"layout {Path(name_or_path)}: {error}") from None
+
+
+def _content(name_or_path: str) -> _File:
+    path = Path(name_or_path)
+    try:
+        return msgspec.toml.decode(path.read_bytes(), type=_File)
     except FileNotFoundError:
         raise InputError(
             f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
             'a layout file has a line like points = ["K_H", "S_H", "U"]'
         ) from None
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError, InputError) as error:
+    except (OSError, msgspec.DecodeError, UnicodeDecodeError, InputError) as error:  # Geometry raises the last
         raise InputError(f"layout {path}: {error}") from None
 
 

@@ -40,7 +40,7 @@ COMMANDS = {
     "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
     "report": ("tipforce_tools.report.command", "error against run time, and what happens in extreme cases"),
     "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
-    "export": ("tipforce_tools.export", "write the EDS or the DBC from the object dictionary"),
+    "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the object dictionary"),
     "completion": ("tipforce_tools.completion.command", "the shell's TAB completion of all commands"),
     "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
 }

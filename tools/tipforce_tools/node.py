@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import gc
 import math
 import sys
 from typing import TYPE_CHECKING
@@ -11,22 +13,61 @@ from tipforce.errors import InputError
 from tipforce_tools import common
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from tipforce.device.node import Device
     from tipforce.fingertip.front_end import FrontEnd
     from tipforce.fingertip.loop import Port
+    from tipforce.fingertip.source import Source
+    from tipforce.sensor.gauge_positions import Gauge
+    from tipforce.sensor.geometry import Geometry
+
+EPILOG = """\
+examples:
+  tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --store node-5.json
+  tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
+  tipforce node --node-id 5 -i socketcan -c vcan0 --source replay:session.csv --speed 2 --loop
+
+It waits for NMT start (cansend vcan0 000#0105), unless 1F80h says otherwise. SIGTERM and Ctrl-C end it: its last frame
+is a heartbeat with the state STOPPED (7xx#04).
+"""
+
+KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce node`."""
-    parser.epilog = (
-        "example: tipforce node --node-id 5 -i socketcan -c vcan0 --layout I --store node-5.json   "
-        "(it waits for NMT start: cansend vcan0 000#0105)"
-    )
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = EPILOG
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    parser.add_argument("--source", default="sim", help="where gauge readings come from: sim (default %(default)s)")
+    parser.add_argument(
+        "--source", default="sim", help=f"where gauge readings come from: {KINDS} (default %(default)s)"
+    )
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="keep parameters here; without it storing is refused")
     parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)")
+    _add_source_arguments(parser)
+    group = parser.add_argument_group("operation")
+    group.add_argument(
+        "--priority", type=int, metavar="N", help="real-time scheduling, SCHED_FIFO 1 to 99 (80 is usual)"
+    )
+    group.add_argument("--lock-memory", action="store_true", help="keep the process in memory (mlockall)")
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
+    group = parser.add_argument_group("Industrial I/O source")
+    group.add_argument(
+        "--capture", choices=("auto", "poll", "buffer"), default="auto",
+        help="read each value when it is wanted, or let a trigger fill a buffer; auto: by buffer where there is a "
+        "trigger (default %(default)s)",
+    )  # fmt: skip
+    group.add_argument("--trigger", metavar="NAME", help="for the buffer: default the device's own, else a timer")
+    group.add_argument("--scan-rate", type=float, default=1000.0, metavar="HZ", help="of that timer (default 1000)")
+    group = parser.add_argument_group("replayed source")
+    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="times the recorded one (default 1)")
+    group.add_argument("--loop", action="store_true", help="begin anew at the end; else the node reports no data there")
     group = parser.add_argument_group("simulated source")
     group.add_argument(
         "--noise", type=float, default=0.5, metavar="UE", help="of each gauge, microstrain (default %(default)s)"
@@ -40,58 +81,109 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
     group.add_argument("--seed", type=int, default=0, help="of the noise (default %(default)s)")
-    common.add_bus_arguments(parser)
-    common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; 0 then."""
-    from tipforce.fingertip import loop
-    from tipforce_tools.main import terminate_as_interrupt
+    from tipforce_tools import service
 
     common.set_up_logging(args)
-    device = _device(args)
-    port, place = _port(args)
-    terminate_as_interrupt()
-    common.note(args, f"node {common.shown_id(args.node_id)}: layout {args.layout}, {place}; Ctrl-C ends it")
-    try:
-        loop.run([device], port)
-    except KeyboardInterrupt:
-        common.note(args, f"node {common.shown_id(args.node_id)}: stopped")
+    service.mark_levels_for_journal()
+    device, source = _device(args)
+    with contextlib.closing(source):  # a capture that was started is stopped, whatever comes
+        port, place = _port(args)
+        if args.priority is not None:
+            service.set_priority(args.priority)
+            gc.freeze()  # what is there now stays: no collection has to look at it again
+        if args.lock_memory:
+            service.lock_memory()
+        _serve(args, device, port, place)
     return 0
 
 
-def _device(args: argparse.Namespace) -> Device:
+def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> None:
+    """Run until a signal ends it, and tell those who wait for it: the manager, the bus, the person."""
+    from tipforce.fingertip import loop
+    from tipforce_tools import service
+
+    who = f"node {common.shown_id(args.node_id)}"
+    stop, notifier = service.StopSignal(), service.Notifier()
+    common.note(args, f"{who}: layout {args.layout}, {_shown_source(args)}{place}; Ctrl-C ends it")
+
+    def ended() -> bool:
+        notifier.alive()
+        return stop()
+
+    try:
+        notifier.send("READY=1", f"STATUS={who} on {place}, source {args.source}")
+        loop.run([device], port, ended)
+    except KeyboardInterrupt:
+        pass
+    finally:
+        notifier.send("STOPPING=1", f"STATUS={who} stopped")
+        loop.say_stopped([device], port)
+        notifier.close()
+        stop.restore()
+    common.note(args, f"{who}: stopped")
+
+
+def _shown_source(args: argparse.Namespace) -> str:
+    return "" if args.source == "sim" else f"source {args.source}, "
+
+
+def _device(args: argparse.Namespace) -> tuple[Device, Source]:
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.fingertip.simulated import SimulatedSource
     from tipforce.fingertip.store import FileStore
-    from tipforce.sensor.gauge_positions import gauge_matrix
     from tipforce_tools.layout_file import read_layout
 
-    if args.source != "sim":
-        raise InputError(f"--source {args.source}: allowed is sim")
     geometry, gauges = read_layout(args.layout)
-    load = _numbers("--load", args.load, 3)
-    offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
-    if not 0 <= args.noise < math.inf:
-        raise InputError(f"--noise {args.noise}: allowed is 0 or more")
-    if not 0 <= args.noise_1f < math.inf:
-        raise InputError(f"--noise-1f {args.noise_1f}: allowed is 0 or more")
-    front_end = _front_end(args)
-    rows = gauge_matrix(geometry, gauges).tolist()
-    source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=front_end)
-    source.load = (load[0], load[1], load[2])
+    source = _source(args, geometry, gauges)
     store = FileStore(args.store) if args.store else None
-    return fingertip_node(
+    device = fingertip_node(
         args.node_id,
         source,
         len(gauges),
         args.serial or args.node_id,
         store.save if store else None,
         store.load if store else None,
-        eds_text(len(gauges), simulated=True, converter=source.converter).encode(),
+        eds_text(len(gauges), simulated=args.source == "sim", converter=source.converter).encode(),
     )
+    return device, source
+
+
+def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
+    kind, _, rest = args.source.partition(":")
+    if args.source == "sim":
+        return _simulated(args, geometry, gauges)
+    if kind == "iio" and rest:
+        from tipforce_tools.layout_file import read_bridge
+        from tipforce_tools.node_source import open_iio
+
+        if not 0.0 < args.scan_rate <= 100_000.0:
+            raise InputError(f"--scan-rate {args.scan_rate:g}: allowed is above 0 up to 100000 Hz")
+        return open_iio(args, len(gauges), read_bridge(args.layout))
+    if kind == "replay" and rest:
+        from tipforce_tools.replay_file import open_replay
+
+        return open_replay(rest, len(gauges), args.speed, args.loop, args.bits)
+    raise InputError(f"--source {args.source}: allowed are {KINDS}")
+
+
+def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
+    from tipforce.fingertip.simulated import SimulatedSource
+    from tipforce.sensor.gauge_positions import gauge_matrix
+
+    load = _numbers("--load", args.load, 3)
+    offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
+    if not 0 <= args.noise < math.inf:
+        raise InputError(f"--noise {args.noise}: allowed is 0 or more")
+    if not 0 <= args.noise_1f < math.inf:
+        raise InputError(f"--noise-1f {args.noise_1f}: allowed is 0 or more")
+    rows = gauge_matrix(geometry, gauges).tolist()
+    source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=_front_end(args))
+    source.load = (load[0], load[1], load[2])
+    return source
 
 
 def _front_end(args: argparse.Namespace) -> FrontEnd | None:
@@ -101,16 +193,6 @@ def _front_end(args: argparse.Namespace) -> FrontEnd | None:
     from tipforce.fingertip.front_end import FrontEnd
 
     return FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
-
-
-def _numbers(flag: str, text: str, count: int) -> list[float]:
-    try:
-        found = [float(part) for part in text.split(",")]
-    except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
-        raise InputError(f"{flag} {text!r}: write {count} numbers with commas between them")
-    return found
 
 
 def _port(args: argparse.Namespace) -> tuple[Port, str]:
@@ -129,3 +211,14 @@ def _port(args: argparse.Namespace) -> tuple[Port, str]:
             ) from error
     bus = common.open_bus(args)
     return PythonCanPort(bus), str(bus.channel_info)
+
+
+def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
+    """``count`` finite numbers with commas between them. Raises InputError."""
+    try:
+        found = [float(part) for part in text.split(",")]
+    except ValueError:
+        found = []
+    if len(found) != count or not all(map(math.isfinite, found)):
+        raise InputError(f"{flag} {text!r}: write {count} numbers with commas between them")
+    return found

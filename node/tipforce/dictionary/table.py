@@ -26,8 +26,8 @@ if TYPE_CHECKING:  # never run: MicroPython has no typing
     Pdo: TypeAlias = tuple[int, str, int, bool, int, int, Mapped]
     # (symbol, what, 6131h unit, 6132h digits, 6110h type, unit, low, high)
     Channel: TypeAlias = tuple[str, str, int, int, int, str, float, float]
-    # (bits, counts per microstrain)
-    Converter: TypeAlias = tuple[int, float]
+    # (bits, counts per microstrain), and where gauges differ for each (counts at 0, counts at 1000 microstrain)
+    Converter: TypeAlias = tuple[int, float] | tuple[int, float, tuple[tuple[float, float], ...]]
 
 U8, U16, U32, I16, I32, REAL32, STRING, DOMAIN = "B", "H", "I", "h", "i", "f", "s", "D"
 VAR, ARRAY, RECORD = 7, 8, 9
@@ -126,8 +126,9 @@ def objects(n: int = 3, simulated: bool = False, converter: "Converter" = CONVER
     """Every object of a node with ``n`` gauges, ordered by index.
 
     ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code. ``converter`` is (bits, counts per
-    microstrain): its counts give the default of 6122h; with more than 16 bits INTEGER16 cannot hold them, so 7100h,
-    7120h and 7122h are left out, and bit 9 of the product code is set.
+    microstrain): its counts give the default of 6122h; a third element, (counts at 0, counts at 1000 microstrain) for
+    each gauge, gives those of 6120h and 6122h where they differ. With more than 16 bits INTEGER16 cannot hold
+    counts, so 7100h, 7120h and 7122h are left out, and bit 9 of the product code is set.
     Raises ValueError for an ``n`` outside 3..8.
     """
     if not MIN_GAUGES <= n <= MAX_GAUGES:
@@ -450,13 +451,17 @@ def _profile(n: int, converter: "Converter") -> "list[Object]":
         single(0x61A0, "AI filter type", "filter_type", n, U8, "rw", 0, 0, 0, 100),
         single(0x61A1, "AI filter constant", "filter_constant", n, U16, "rw", 0, 1, 1, 65535),
     ]
+    zero: "float | tuple[float, ...]" = 0.0
+    full: "float | tuple[float, ...]" = 1000.0 * converter[1]
+    if len(converter) > 2:
+        zero, full = tuple(points[0] for points in converter[2]), tuple(points[1] for points in converter[2])
     lows, highs = tuple(c[6] for c in chans), tuple(c[7] for c in chans)
     # One value in three forms: REAL32 (6xxxh, the value itself), INTEGER16 and INTEGER32 (views).
     for offset, name, slug, count, access, default, unit in (
         (0x100, "field value", "field_value", n, "ro", 0.0, "counts"),
-        (0x120, "scaling 1 field value", "scaling_1_field", n, "rw", 0.0, "counts"),
+        (0x120, "scaling 1 field value", "scaling_1_field", n, "rw", zero, "counts"),
         (0x121, "scaling 1 process value", "scaling_1_process", n, "rw", 0.0, "microstrain"),
-        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", 1000.0 * converter[1], "counts"),
+        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", full, "counts"),
         (0x123, "scaling 2 process value", "scaling_2_process", n, "rw", 1000.0, "microstrain"),
         (0x124, "process value offset", "process_offset", n, "rw", 0.0, "microstrain"),
         (0x130, "process value", "process_value", total, "ro", 0.0, "unit of 6131h"),

@@ -94,7 +94,7 @@ class Fingertip(Application):
     def on_settings(self) -> None:
         """Find out anew which channels have interrupts to watch for."""
         self.interrupts.load()
-        wanted = self.filtering is not None or self._watching()
+        wanted = self.filtering is not None or self._watching() or self.source.watch_us
         self.due_us = self.device.now_us if wanted else codes.NEVER_US
 
     def _watching(self) -> bool:
@@ -128,16 +128,26 @@ class Fingertip(Application):
         return self.sample.reading is None or now_us - self._read_us >= self.source.period_us
 
     def expire(self, now_us: int) -> None:
-        """A filter takes a conversion. Interrupts are watched: without SYNC take a sample each sample period."""
+        """A filter takes a conversion. Interrupts are watched: without SYNC take a sample each sample period.
+
+        A source that may fail is looked after where no SYNC does, so that its EMCY comes all the same.
+        """
         filtering = self.filtering
         if filtering is None:
-            self.due_us = now_us + self.device.od.integer(0x6114, 1)
+            watching = self._watching()
+            self.due_us = now_us + (self.device.od.integer(0x6114, 1) if watching else self.source.watch_us)
             new = True
         else:
             new = self._news(now_us)
             self.due_us = filtering.due_us
         if new and now_us - self._synced_us >= REFRESH_US and self._watching():
             self._latch(now_us)
+        elif self.source.watch_us and now_us - self.sample.latched_us >= self.source.watch_us:
+            seen = self.source.look(now_us)
+            # What the application itself calls frozen shows in a row of readings only.
+            own = 1 << table.FAULT_FROZEN if self.frozen else 0
+            if seen is not None and seen | own != self.sample.faults | own:
+                self._latch(now_us)
 
     def _latch(self, now_us: int) -> None:
         """Take the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
@@ -156,7 +166,7 @@ class Fingertip(Application):
             self.filtering.fresh = False
         if stale:
             no_data = 1 << table.FAULT_NO_DATA
-            faults = faults & ~no_data | (no_data if self._silent(now_us) else 0)
+            faults = faults & ~no_data | (no_data if self._silent(now_us) else 0) | self.source.faults
         else:
             self._counter = (self._counter + 1) & 0xFF
         was_present = self.sample.present()

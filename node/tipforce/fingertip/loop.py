@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
+from tipforce.device import codes, lss
 from tipforce.device.node import Device
 
 Frame = tuple[int, bytes]
@@ -34,12 +35,27 @@ def now_us() -> int:
 
 
 def run(devices: Sequence[Device], port: Port, stop: Callable[[], bool] = lambda: False) -> None:
-    """Step ``devices`` on one bus until ``stop()`` is true. Each frame goes to every device."""
+    """Step ``devices`` on one bus until ``stop()`` is true, asked at least five times a second.
+
+    Each frame goes to every device. The time of day plays no part: the clock is the monotonic one.
+    """
     frames: list[Frame] = []
     while not stop():
         due_us = _step(devices, port, frames)
         frame = port.receive(min(max(0.0, (due_us - now_us()) * 1e-6), _IDLE_S))
         frames = [] if frame is None else [frame]
+
+
+def say_stopped(devices: Sequence[Device], port: Port) -> None:
+    """The last frame of each node that ends on purpose: a heartbeat with the NMT state STOPPED (04h).
+
+    A host sees at once that no more will come, where a node that was killed is missed only after its heartbeat time.
+    A node that has no node-id yet says nothing.
+    """
+    for device in devices:
+        if device.node_id != lss.UNCONFIGURED:
+            device.nmt.enter(codes.STOPPED)
+            port.send([(0x700 + device.node_id, bytes((codes.STOPPED,)))])
 
 
 def _step(devices: Sequence[Device], port: Port, frames: list[Frame]) -> int:

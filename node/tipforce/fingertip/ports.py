@@ -35,6 +35,7 @@ class SocketCanPort:
     def __init__(self, interface: str) -> None:
         self._interface = interface
         self._overflow = False  # a frame was given up: the device is to hear of it
+        self._refused = False  # said so; a bus where nobody listens would fill a log in days
         self._lost = False  # frames do not pass at present
         self._bound = True  # to an interface that exists
         self._socket = _bound_socket(interface)
@@ -68,6 +69,7 @@ class SocketCanPort:
             except OSError as error:
                 self._send_again(frame, error)
             else:
+                self._refused = False
                 if self._lost:
                     self._find()
 
@@ -87,7 +89,9 @@ class SocketCanPort:
             self._lose(error)
             return
         self._overflow = self._overflow or error.errno == errno.ENOBUFS
-        _LOG.warning("a frame was not sent: %s", error.strerror)
+        if not self._refused:
+            self._refused = True
+            _LOG.warning("a frame was not sent: %s; this is said again when one has passed", error.strerror)
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
         """Restart the controller after bus-off, or switch the bit rate, as ``ip link`` does it; needs its rights."""

@@ -2,6 +2,10 @@
 
 from collections import namedtuple
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.dictionary.table import Converter
+
 # counts: one integer per gauge; faults: bits of 2124h from 8 up; temperature: 0.01 degC or -0x8000 for unknown.
 Reading = namedtuple("Reading", ("counts", "faults", "temperature"))
 
@@ -12,11 +16,16 @@ class Source:
     ``period_us`` is the time between its conversions, set by 6114h. ``converter`` is (bits, counts per microstrain):
     what the node's dictionary follows (see ``dictionary.table``). A reading at ``count_max`` or ``count_min``, the
     converter's ends, is saturated.
+
+    ``faults`` are bits of 2124h that hold now although ``read`` gave None. ``watch_us`` is how often a node looks
+    after the source by ``look`` where no SYNC takes samples; 0 for one that cannot fail by itself.
     """
 
     period_us = 500
-    converter = (16, 10.0)
+    converter: "Converter" = (16, 10.0)
     count_max, count_min = 32767, -32768
+    faults = 0
+    watch_us = 0
 
     def read(self, now_us: int) -> "Reading | None":
         """The newest reading at ``now_us``, or None when there was none since the last call.
@@ -26,9 +35,19 @@ class Source:
         """
         raise NotImplementedError
 
+    def look(self, now_us: int) -> "int | None":  # noqa: ARG002
+        """The bits of 2124h that show now, and nothing else changes: the next ``read`` gives what was seen.
+
+        None when there is nothing new.
+        """
+        return None
+
     def due_us(self, now_us: int) -> int:
         """When the first conversion after ``now_us`` is there; asked for only with a filter (61A0h)."""
         return now_us + self.period_us
+
+    def close(self) -> None:
+        """Release what it holds."""
 
 
 def convert(exact: float, lowest: int, highest: int) -> int:

@@ -1,11 +1,14 @@
-"""Parameters on disk: one file per node, replaced as a whole: it is the old or the new one, never a mixture."""
+"""Parameters on disk in two slots: each save replaces the older one as a whole, so a sound one is always left."""
 
 from __future__ import annotations
 
+import binascii
+import contextlib
 import json
 import logging
 import os
 from pathlib import Path
+from typing import NamedTuple
 
 from tipforce.errors import InputError
 
@@ -13,12 +16,24 @@ _LOG = logging.getLogger(__name__)
 _DAMAGED = b"\0"  # too short for a CRC: the device core reports the group as damaged
 
 
-class FileStore:
-    """``save`` and ``load`` of a device, kept as JSON (group name -> hex) in ``path``.
+class _Slot(NamedTuple):
+    """What a file holds. ``sound``: it is as it was written; if not, ``groups`` is what can still be read of it."""
 
-    A write goes to a temporary file beside it, is flushed to the disk (fsync), takes the name in one step (rename),
-    and the directory is flushed too; ``save`` returns only then. Raises InputError if ``path`` is a directory or lies
-    in a directory that does not exist.
+    path: Path
+    sequence: int
+    groups: dict[str, str]
+    sound: bool
+
+
+class FileStore:
+    """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added.
+
+    Each is JSON: a sequence number, the groups (name -> hex), a CRC-32 over both. A save writes the slot with the lower
+    number: to a temporary file beside it that is flushed to the disk (fsync) and takes the name in one step (rename);
+    then the directory is flushed; ``save`` returns only then. A slot that is torn or corrupt is said once on the
+    log, and the other one holds. Without a sound slot the groups that can be read are given as they are: each has
+    a CRC of its own, which the device checks. Raises InputError if ``path`` is a directory or lies in a directory that
+    does not exist.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -27,56 +42,115 @@ class FileStore:
             raise InputError(f"store {self._path}: is a directory; give the name of a file, for example node-5.json")
         if not self._path.parent.is_dir():
             raise InputError(f"store {self._path}: the directory {self._path.parent} does not exist; create it first")
+        self._paths = self._path, self._path.with_name(self._path.name + ".2")
         self._temporary = self._path.with_name(self._path.name + ".new")
+        self._said: set[str] = set()  # each trouble once, until a save succeeds
 
     def save(self, group: str, data: bytes) -> bool:
         """Replace one group; False, with the reason in the log, when the disk refuses."""
         try:
-            groups = self._read() or {}
+            slots = self._slots()
+            newest = _newest(slots)
+            groups = dict(newest.groups) if newest is not None else {}
             groups[group] = data.hex()
-            self._replace(json.dumps(groups, indent=1).encode() + b"\n")
+            sequence = 1 + max((slot.sequence for slot in slots if slot.sound), default=0)
+            self._replace(self._target(slots), _text(sequence, groups))
         except OSError as error:
-            _LOG.error("store %s: %s; nothing was changed", self._path, error.strerror)
+            self._say(
+                f"{error.strerror}; nothing was changed, and storing is refused (06060000h) until the disk takes it"
+            )
+            with contextlib.suppress(OSError):
+                self._temporary.unlink()  # half a file on a full disk helps nobody
             return False
+        self._said.clear()
         return True
 
     def load(self, group: str) -> bytes | None:
-        """What was stored for ``group``; None if nothing was, bytes that fail their CRC if the file is damaged."""
+        """What was stored for ``group``; None if nothing was, bytes that fail their CRC if the files are damaged."""
         try:
-            groups = self._read()
+            slots = self._slots()
         except OSError as error:
-            _LOG.error("store %s: %s; starting with defaults", self._path, error.strerror)
+            self._say(f"{error.strerror}; starting with defaults")
             return _DAMAGED
-        if groups is None:
-            return _DAMAGED
+        newest = _newest(slots)
+        if newest is None:
+            return _DAMAGED if slots else None
+        if group not in newest.groups:
+            return None
         try:
-            return bytes.fromhex(groups[group]) if group in groups else None
+            return bytes.fromhex(newest.groups[group])
         except (TypeError, ValueError):
             return _DAMAGED
 
-    def _read(self) -> dict[str, str] | None:
-        """All groups; empty if there is no file yet, None if it does not hold what ``save`` writes.
+    def _slots(self) -> list[_Slot]:
+        """The slots that there are.
 
-        Raises OSError if the disk does not give the file: what it holds must then not be replaced either.
+        Raises OSError if the disk does not give a file: what it holds must then not be replaced either.
         """
-        try:
-            content = json.loads(self._path.read_bytes())
-        except FileNotFoundError:
-            return {}
-        except (ValueError, RecursionError) as error:
-            _LOG.error("store %s: not what was stored (%s)", self._path, error)
-            return None
-        return content if isinstance(content, dict) else None
+        found = []
+        for path in self._paths:
+            try:
+                slot = _parsed(path, path.read_bytes())
+            except FileNotFoundError:
+                continue
+            if not slot.sound:
+                self._say(f"{path.name} is not what was stored")
+            found.append(slot)
+        if any(slot.sound for slot in found) and not all(slot.sound for slot in found):
+            self._say("the other slot holds: settings are those of the save before, or of the last one")
+        return found
 
-    def _replace(self, content: bytes) -> None:
+    def _target(self, slots: list[_Slot]) -> Path:
+        """Where the next save goes: the slot that is missing, then one that is damaged, then the older."""
+        there = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
+        return min(self._paths, key=lambda path: there.get(path, -1))
+
+    def _say(self, trouble: str) -> None:
+        if trouble not in self._said:
+            self._said.add(trouble)
+            _LOG.error("store %s: %s", self._path, trouble)
+
+    def _replace(self, path: Path, content: bytes) -> None:
         with open(self._temporary, "wb") as file:
             file.write(content)
             file.flush()
             os.fsync(file.fileno())
-        os.replace(self._temporary, self._path)
+        os.replace(self._temporary, path)
         if os.name == "posix":
             directory = os.open(self._path.parent, os.O_RDONLY)
             try:
                 os.fsync(directory)
             finally:
                 os.close(directory)
+
+
+def _newest(slots: list[_Slot]) -> _Slot | None:
+    """The sound slot that was written last; without one, the one of which most can be read."""
+    sound = [slot for slot in slots if slot.sound]
+    if sound:
+        return max(sound, key=lambda slot: slot.sequence)
+    readable = [slot for slot in slots if slot.groups]
+    return max(readable, key=lambda slot: len(slot.groups)) if readable else None
+
+
+def _text(sequence: int, groups: dict[str, str]) -> bytes:
+    content = {"sequence": sequence, "crc32": _crc32(sequence, groups), "groups": groups}
+    return json.dumps(content, indent=1).encode() + b"\n"
+
+
+def _crc32(sequence: int, groups: dict[str, str]) -> str:
+    """Over a form of the content that no reformatting of the file changes."""
+    return f"{binascii.crc32(json.dumps([sequence, groups], sort_keys=True).encode()):08x}"
+
+
+def _parsed(path: Path, content: bytes) -> _Slot:
+    try:
+        found = json.loads(content)
+        if isinstance(found, dict) and found and all(isinstance(text, str) for text in found.values()):
+            return _Slot(path, 0, found, True)  # the form before there were two slots: the groups alone
+        sequence, groups = found["sequence"], found["groups"]
+        readable = isinstance(groups, dict) and isinstance(sequence, int)
+        sound = readable and found["crc32"] == _crc32(sequence, groups)
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return _Slot(path, 0, {}, False)
+    return _Slot(path, sequence, groups, sound) if readable else _Slot(path, 0, {}, False)

@@ -1,0 +1,215 @@
+"""A node for a day: `python -m bench.endurance --hours 24`. Memory must not grow, and no counter may drift.
+
+The node's own loop runs on a clock that is moved and not waited for. SYNCs come ten times a second, the gauges are an
+Industrial I/O source whose devices are played; once an hour one is pulled out for a second, a gauge saturates, the
+bus loses a SYNC and the calibration is stored. Each simulated hour's memory is compared with that of the first.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import logging
+import sys
+import tempfile
+import time
+from array import array
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import NamedTuple
+from unittest import mock
+
+from tipforce.fingertip import loop
+from tipforce.fingertip.iio import IioSource
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.store import FileStore
+
+NODE_ID = 5
+SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000
+ZERO, ENDS = 2048, (0, 4095)
+OUTAGE_US = 1_000_000
+_STORE = b"\x23\x10\x10\x01save"
+
+
+class Hour(NamedTuple):
+    """What was found after an hour."""
+
+    blocks: int
+    """Memory blocks that Python holds."""
+    resident_kb: int
+    syncs: int
+    heartbeats: int
+    samples: int
+    """Counter steps that the PDOs showed, wraps added up."""
+    emcys: int
+    log_lines: int
+    late_us: int
+    """The largest difference between a PDO and its SYNC, of a heartbeat and its second."""
+
+
+class Gauge:
+    """One device of the source, with one channel; ``trouble`` is "", "gone" or "end"."""
+
+    polled = True
+
+    def __init__(self, name: str, seed: int) -> None:
+        self.name = name
+        self.trouble = ""
+        self._state = seed
+
+    def read(self, _now_us: int) -> tuple[int, ...] | None:
+        if self.trouble == "gone":
+            raise OSError(19, "No such device")
+        self._state = self._state * 1103515245 + 12345 & 0x7FFFFFFF
+        return (ENDS[1] if self.trouble == "end" else ZERO + (self._state >> 16) % 9 - 4,)
+
+    def reopen(self) -> None:
+        if self.trouble == "gone":
+            raise OSError(19, "No such device")
+
+    def temperature(self) -> int:
+        return 2300
+
+    def close(self) -> None:
+        pass
+
+
+class Bus:
+    """The port of the loop: moves the clock to what comes next, and keeps count of what the node sends."""
+
+    def __init__(self, gauges: list[Gauge]) -> None:
+        self.now_us = 1_000_000
+        self.next_sync_us = self.now_us + SYNC_US
+        self.syncs = self.heartbeats = self.samples = self.emcys = self.late_us = 0
+        self.until_us = 0
+        self._gauges = gauges
+        self._counter = 0
+        self._first_heartbeat_us = -1
+        self._pending: list[loop.Frame] = [(0x000, bytes((1, NODE_ID)))]
+        self._hour = 0
+
+    def clock(self) -> int:
+        return self.now_us
+
+    def over(self) -> bool:
+        return self.now_us >= self.until_us
+
+    def receive(self, timeout_s: float) -> loop.Frame | None:
+        if self._pending:
+            return self._pending.pop(0)
+        due_us = self.now_us + round(1e6 * timeout_s)
+        if due_us < self.next_sync_us:
+            self.now_us = max(due_us, self.now_us + 1)
+            return None
+        self.now_us = self.next_sync_us
+        self.next_sync_us += SYNC_US
+        return None if self._hourly() else self._sync()
+
+    def _sync(self) -> loop.Frame:
+        self.syncs += 1
+        return 0x080, b""
+
+    def _hourly(self) -> bool:
+        """What happens once an hour; True when this SYNC is lost."""
+        into_us = self.now_us % HOUR_US
+        self._gauges[1].trouble = "gone" if into_us // OUTAGE_US == 600 else ""
+        self._gauges[2].trouble = "end" if into_us // SYNC_US == 12_000 else ""
+        if into_us // SYNC_US == 18_000:
+            self._pending.append((0x600 + NODE_ID, _STORE))
+        return into_us // SYNC_US == 24_000
+
+    def send(self, frames: Iterable[loop.Frame]) -> None:
+        for can_id, data in frames:
+            if can_id == 0x180 + NODE_ID:
+                self.samples += data[7] - self._counter & 0xFF
+                self._counter = data[7]
+                self._late(self.now_us - (self.next_sync_us - SYNC_US))
+            elif can_id == 0x700 + NODE_ID and data != b"\0":
+                if self._first_heartbeat_us < 0:
+                    self._first_heartbeat_us = self.now_us
+                self._late((self.now_us - self._first_heartbeat_us) - self.heartbeats * HEARTBEAT_US)
+                self.heartbeats += 1
+            elif can_id == 0x080 + NODE_ID:
+                self.emcys += 1
+
+    def _late(self, late_us: int) -> None:
+        self.late_us = max(self.late_us, abs(late_us))
+
+    def request(self, what: str, value: int, delay_ms: int) -> None:
+        pass
+
+
+class _Count(logging.Handler):
+    def __init__(self) -> None:
+        super().__init__()
+        self.lines = 0
+
+    def emit(self, _record: logging.LogRecord) -> None:
+        self.lines += 1
+
+
+@contextmanager
+def _counted_log() -> Iterator[_Count]:
+    log, handler = logging.getLogger("tipforce"), _Count()
+    passed_on, log.propagate = log.propagate, False
+    log.addHandler(handler)
+    try:
+        yield handler
+    finally:
+        log.removeHandler(handler)
+        log.propagate = passed_on
+
+
+def run(hours: int, hour_us: int = HOUR_US, seed: int = 1) -> list[Hour]:
+    """The state after each of ``hours`` hours of ``hour_us``."""
+    gauges = [Gauge(f"iio:device{k}", seed + k) for k in range(3)]
+    bus = Bus(gauges)
+    found = array("q", bytes(8 * len(Hour._fields) * hours))  # what is measured is not to grow by being noted
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        _counted_log() as log,
+        mock.patch.object(loop, "now_us", bus.clock),
+    ):
+        source = IioSource(gauges, 3, (16, 2.0, ((2048.0, 4048.0),) * 3), ENDS, clock=bus.clock)
+        store = FileStore(Path(folder) / "node.json")
+        device = fingertip_node(NODE_ID, source, save=store.save, load=store.load)
+        for number in range(hours):
+            bus.until_us += hour_us if bus.until_us else bus.now_us + hour_us
+            loop.run([device], bus, bus.over)
+            gc.collect()
+            for place, value in enumerate(
+                (sys.getallocatedblocks(), _resident_kb(), bus.syncs, bus.heartbeats, bus.samples, bus.emcys,
+                 log.lines, bus.late_us)
+            ):  # fmt: skip
+                found[number * len(Hour._fields) + place] = value
+    width = len(Hour._fields)
+    return [Hour(*found[number * width : (number + 1) * width]) for number in range(hours)]
+
+
+def _resident_kb() -> int:
+    try:
+        return int(Path("/proc/self/statm").read_text().split()[1]) * 4
+    except OSError:
+        return 0
+
+
+def main() -> int:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--hours", type=int, default=24)
+    args = parser.parse_args()
+    began = time.perf_counter()
+    found = run(args.hours)
+    print("hour  blocks  resident kB    SYNCs  heartbeats  samples  EMCY  log lines  late us")
+    for number, hour in enumerate(found, 1):
+        print(
+            f"{number:4} {hour.blocks:7} {hour.resident_kb:12} {hour.syncs:8} {hour.heartbeats:11} {hour.samples:8}"
+            f" {hour.emcys:5} {hour.log_lines:10} {hour.late_us:8}"
+        )
+    first, last = found[min(1, len(found) - 1)], found[-1]
+    print(f"blocks since the second hour: {last.blocks - first.blocks:+}; {time.perf_counter() - began:.0f} s")
+    return 0 if abs(last.blocks - first.blocks) < 200 and last.late_us == 0 else 1
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,198 @@
+"""Gauges behind Linux Industrial I/O converters as a node's source: counts, or a fault, and never an old value.
+
+What each trouble becomes (2124h): a device that is gone or does not answer, or scans that do not come: no data
+(bit 8); time stamps that do not increase: frozen (bit 9); a gauge that stays at an end of the range: wire break
+(bit 10); a supply channel outside its tolerance: supply (bit 11). A gauge at an end of the range is saturated, and one
+whose value stands still while its noise is known to be a count or more is frozen: the application finds these two.
+A device that comes back is taken up again at the place where it was.
+"""
+
+from __future__ import annotations
+
+import logging
+import time
+from collections.abc import Callable, Sequence
+from typing import Protocol
+
+from tipforce.dictionary import table
+from tipforce.fingertip.iio_buffer import TimestampError
+from tipforce.fingertip.iio_sysfs import UNKNOWN_TEMPERATURE
+from tipforce.fingertip.source import Reading, Source
+
+_LOG = logging.getLogger(__name__)
+WATCH_US = 40_000  # between two looks where no SYNC takes samples
+SILENT_US = 80_000  # a buffer that gave no scan for so long
+RETRY_US = 100_000  # between two tries to take a lost device up again
+WIRE_BREAK_US = 1_000_000  # a gauge that stays so long at an end of the range has a wire broken
+TEMPERATURE_US = 1_000_000
+NO_DATA, FROZEN = 1 << table.FAULT_NO_DATA, 1 << table.FAULT_FROZEN
+WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
+
+
+class Part(Protocol):
+    """One device: some of the gauges."""
+
+    polled: bool
+    """True when ``read`` makes the conversion, False when conversions come by themselves."""
+    name: str
+
+    def read(self, now_us: int) -> tuple[int, ...] | None:
+        """New counts of its channels, or None. Raises OSError."""
+
+    def reopen(self) -> None:
+        """Take a lost device up again. Raises OSError while it is lost."""
+
+    def temperature(self) -> int:
+        """0.01 degC, or -0x8000."""
+
+    def close(self) -> None:
+        """Release it."""
+
+
+def now_us() -> int:
+    """Microseconds of the monotonic clock."""
+    return time.monotonic_ns() // 1000
+
+
+class IioSource(Source):
+    """The channels of one or more devices, in the order of the gauges.
+
+    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is asked every 40 ms and says
+    whether the bridge's supply is out of its tolerance. ``scan_period_us`` is the time between scans of a buffer,
+    where it is known. ``clock`` tells how long a read took.
+    """
+
+    watch_us = WATCH_US
+
+    def __init__(
+        self,
+        parts: Sequence[Part],
+        gauges: int,
+        converter: table.Converter,
+        ends: tuple[int, int],
+        supply_fault: Callable[[], bool] | None = None,
+        scan_period_us: int = 0,
+        clock: Callable[[], int] = now_us,
+    ) -> None:
+        self.parts = list(parts)
+        self.converter = converter
+        self.count_min, self.count_max = ends
+        self.period_us = 500
+        self.faults = 0
+        self._polled = all(part.polled for part in parts)
+        self._silent_us = max(SILENT_US, 3 * scan_period_us)
+        self._supply_fault = supply_fault
+        self._clock = clock
+        self._done_us = 0
+        self._conversion = -1
+        self._fresh: list[tuple[int, ...] | None] = [None] * len(parts)
+        self._retry_us: list[int | None] = [None] * len(parts)  # of a lost device: when to try again
+        self._held: Reading | None = None
+        self._read_us: int | None = None
+        self._inside_us: list[int | None] = [None] * gauges
+        self._temperature, self._temperature_us = UNKNOWN_TEMPERATURE, -TEMPERATURE_US
+        self._supply, self._supply_us = 0, -WATCH_US
+
+    def read(self, now_us: int) -> Reading | None:
+        """The counts of all gauges once every device has new ones; None otherwise, and ``faults`` says why."""
+        held, self._held = self._held, None
+        if self._polled:
+            conversion = now_us // self.period_us
+            if conversion == self._conversion:
+                return held
+            self._conversion = conversion
+        counts = self._counts(now_us)
+        self._done_us = self._clock()
+        if counts is None:
+            return None if self.faults else held
+        self._read_us, self.faults = now_us, 0
+        faults = self._supply_state(now_us) | self._wire_state(counts, now_us)
+        return Reading(counts, faults, self._temperature_now(now_us))
+
+    def due_us(self, now_us: int) -> int:
+        """The next conversion; never before the last read was over, so that slow reads do not pile up."""
+        return max(now_us + self.period_us, self._done_us)
+
+    def look(self, now_us: int) -> int | None:
+        """The faults of now, saturated gauges included; None when there is nothing new. The reading is kept."""
+        reading = self.read(now_us)
+        if reading is None:
+            return self.faults or None
+        self._held = reading
+        found: int = reading.faults
+        for k in range(len(reading.counts)):
+            if not self.count_min < reading.counts[k] < self.count_max:
+                found |= 1 << k
+        return found
+
+    def close(self) -> None:
+        """Stop all captures."""
+        for part in self.parts:
+            part.close()
+
+    def _counts(self, now_us: int) -> tuple[int, ...] | None:
+        """The counts of all devices, joined; None, with ``faults`` set, while one has none."""
+        if self._read_us is None:
+            self._read_us = now_us  # silence is counted from the first call on
+        faults = 0
+        for k in range(len(self.parts)):
+            if self._fresh[k] is None or self._polled:
+                faults |= self._ask(k, now_us)
+        if any(fresh is None for fresh in self._fresh):
+            silent = now_us - self._read_us > self._silent_us
+            self.faults = faults or self.faults & FROZEN or (NO_DATA if silent else 0)
+            if faults:
+                self._fresh = [None] * len(self.parts)  # what the others gave is old when this one is back
+            return None
+        found = tuple([count for fresh in self._fresh if fresh is not None for count in fresh])
+        self._fresh = [None] * len(self.parts)
+        return found
+
+    def _ask(self, k: int, now_us: int) -> int:
+        """Let device ``k`` deliver into ``_fresh``; the fault it has, or 0."""
+        part = self.parts[k]
+        self._fresh[k] = None
+        lost_until_us = self._retry_us[k]
+        try:
+            if lost_until_us is not None:
+                if now_us < lost_until_us:
+                    return NO_DATA
+                part.reopen()
+            self._fresh[k] = part.read(now_us)
+        except TimestampError as error:
+            if not self.faults & FROZEN:
+                _LOG.warning("%s: %s; its readings are not used", part.name, error.strerror)
+            return FROZEN
+        except OSError as error:
+            if lost_until_us is None:
+                _LOG.warning("%s: %s; the node goes on when it is back", part.name, error.strerror or error)
+            self._retry_us[k] = now_us + RETRY_US
+            return NO_DATA
+        if lost_until_us is not None:
+            _LOG.warning("%s: back", part.name)
+            self._retry_us[k] = None
+        return 0
+
+    def _wire_state(self, counts: Sequence[int], now_us: int) -> int:
+        broken = 0
+        for k in range(len(counts)):
+            since_us = self._inside_us[k]
+            if since_us is None or self.count_min < counts[k] < self.count_max:
+                self._inside_us[k] = now_us
+            elif now_us - since_us >= WIRE_BREAK_US:
+                broken = WIRE_BREAK
+        return broken
+
+    def _supply_state(self, now_us: int) -> int:
+        if self._supply_fault is not None and now_us - self._supply_us >= WATCH_US:
+            self._supply_us = now_us
+            self._supply = SUPPLY if self._supply_fault() else 0
+        return self._supply
+
+    def _temperature_now(self, now_us: int) -> int:
+        """Of the first device that has one. Read once a second: some converters stop for it."""
+        if now_us - self._temperature_us >= TEMPERATURE_US:
+            self._temperature_us = now_us
+            found = (part.temperature() for part in self.parts)
+            self._temperature = next((one for one in found if one != UNKNOWN_TEMPERATURE), UNKNOWN_TEMPERATURE)
+        return self._temperature

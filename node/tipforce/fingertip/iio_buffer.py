@@ -1,0 +1,236 @@
+"""Buffered capture of Linux Industrial I/O: a trigger starts each scan, the kernel stamps and keeps it.
+
+What the kernel's documentation (iio/iio_devbuf, iio/iio_configfs) asks for: choose the channels in ``scan_elements``,
+name the trigger, enable the buffer, read whole scans from ``/dev/iio:deviceN``. A scan holds the enabled channels in
+the order of their index, each aligned to its own size, the 64-bit time stamp last.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import os
+import struct
+from collections import deque
+from collections.abc import Sequence
+from pathlib import Path
+from typing import NamedTuple
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.fingertip import iio_sysfs
+from tipforce.fingertip.iio_sysfs import Device, ScanType, at_same_place
+
+DEVICE_FILES = Path("/dev")
+HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
+CLOCK = "monotonic"  # of the time stamps: the node's own, which no setting of the time of day moves
+_KEPT_SCANS = 1024  # in the kernel, and as many here: a loop that sleeps longer loses the oldest
+_CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
+_STAMP = "timestamp"
+
+
+class TimestampError(OSError):
+    """Two scans whose time stamps do not increase: the capture stands still or repeats itself."""
+
+
+class Layout(NamedTuple):
+    """Where the wanted channels and the time stamp lie in a scan."""
+
+    size: int
+    channels: tuple[tuple[int, ScanType], ...]
+    """(offset in bytes, type) of each wanted channel, in the order wanted."""
+    stamp: tuple[int, ScanType] | None
+
+
+def layout_of(types: Sequence[tuple[str, int, ScanType]], wanted: Sequence[str]) -> Layout:
+    """The layout of a scan of (channel, index, type), all of them enabled."""
+    offsets: dict[str, tuple[int, ScanType]] = {}
+    end, widest = 0, 1
+    for channel, _index, kind in sorted(types, key=lambda entry: entry[1]):
+        size = kind.storage_bits // 8
+        end += -end % size
+        offsets[channel] = end, kind
+        end += size
+        widest = max(widest, size)
+    return Layout(end + -end % widest, tuple(offsets[channel] for channel in wanted), offsets.get(_STAMP))
+
+
+def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
+    """One channel of a scan: storage, shifted, cut to its bits, its sign extended."""
+    code = (">" if kind.big_endian else "<") + _CODES[kind.storage_bits].upper()
+    stored: int = struct.unpack_from(code, scan, offset)[0]
+    found = stored >> kind.shift & (1 << kind.bits) - 1
+    return found - (1 << kind.bits) if kind.signed and found >> kind.bits - 1 else found
+
+
+class BufferedDevice:
+    """Channels of one device through its buffer. ``trigger`` is its name; empty for a device that needs none.
+
+    ``read`` gives the newest scan that is not later than the time it is asked for (where scans carry time stamps of
+    the monotonic clock), so that a filter that makes up for lost time sees each scan once. Raises
+    EnvironmentLackError where the device has no buffer, or where the kernel refuses the set-up.
+    """
+
+    polled = False
+
+    def __init__(
+        self, device: Device, channels: Sequence[str], trigger: str, device_files: Path = DEVICE_FILES
+    ) -> None:
+        self.path = device.path
+        self.name = device.number
+        self.channels = tuple(channels)
+        self._trigger = trigger
+        self._device_files = device_files
+        self._fd = -1
+        self._rest = b""
+        self._scans: deque[tuple[int, tuple[int, ...]]] = deque(maxlen=_KEPT_SCANS)
+        self._stamp_ns = -1
+        self._monotonic = False
+        self._layout = Layout(0, (), None)
+        self._temperature: str | None = None
+        try:
+            self.reopen()
+        except OSError as error:
+            raise EnvironmentLackError(
+                f"iio {device}: buffered capture cannot be set up: {error}; as root, or `--capture poll`"
+            ) from error
+
+    def reopen(self) -> None:
+        """Set the capture up and start it. Raises OSError while the device is not there."""
+        self.close()
+        self.path = path = at_same_place(self.path)
+        self._write("buffer/enable", "0")
+        types = [(channel, self._enable(channel)) for channel in self._present()]
+        found = [(channel, int((path / "scan_elements" / f"in_{channel}_index").read_text()), kind)
+                 for channel, kind in types if kind is not None]  # fmt: skip
+        self._layout = layout_of(found, self.channels)
+        with contextlib.suppress(OSError):  # older kernels have one clock, the time of day
+            self._write("current_timestamp_clock", CLOCK)
+        self._monotonic = self._layout.stamp is not None and self._clock() == CLOCK
+        if self._trigger:
+            self._write("trigger/current_trigger", self._trigger)
+        with contextlib.suppress(OSError):
+            self._write("buffer/length", str(_KEPT_SCANS))
+        self._fd = os.open(self._device_files / path.name, os.O_RDONLY | os.O_NONBLOCK)
+        self._write("buffer/enable", "1")
+        self._rest, self._stamp_ns = b"", -1
+        self._scans.clear()
+        self._temperature = iio_sysfs.temperature_channel(path)
+
+    def _present(self) -> list[str]:
+        names = sorted(entry.name[3:-3] for entry in (self.path / "scan_elements").glob("in_*_en"))
+        missing = [channel for channel in self.channels if channel not in names]
+        if missing:
+            raise OSError(2, f"channel {missing[0]} is not in scan_elements")
+        return names
+
+    def _enable(self, channel: str) -> ScanType | None:
+        """Switch a channel of the scan on or off as it is wanted; its type if it is."""
+        wanted = channel in self.channels or channel == _STAMP
+        self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
+        kind = iio_sysfs.scan_type(self.path, channel) if wanted else None
+        if wanted and (kind is None or kind.storage_bits not in _CODES):
+            raise OSError(22, f"in_{channel}_type is of a form that is not known")
+        return kind
+
+    def _clock(self) -> str:
+        try:
+            return (self.path / "current_timestamp_clock").read_text().strip()
+        except OSError:
+            return ""
+
+    def _write(self, name: str, text: str) -> None:
+        fd = os.open(self.path / name, os.O_WRONLY | os.O_TRUNC)  # never create: sysfs has the file or it has not
+        try:
+            os.write(fd, text.encode())
+        finally:
+            os.close(fd)
+
+    def read(self, now_us: int) -> tuple[int, ...] | None:
+        """The newest scan up to ``now_us``, or None when there was none since the last call.
+
+        Raises OSError when the device is gone, TimestampError for time stamps that do not increase.
+        """
+        if not self.path.is_dir():
+            raise FileNotFoundError(2, "No such device")
+        self._fetch()
+        found = None
+        while self._scans and (not self._monotonic or self._scans[0][0] <= now_us):
+            found = self._scans.popleft()[1]
+        return found
+
+    def _fetch(self) -> None:
+        """Take what the kernel has. A scan that is cut off waits for its rest."""
+        size = self._layout.size
+        while True:
+            try:
+                data = os.read(self._fd, size * 64)
+            except BlockingIOError:
+                return
+            if not data:
+                return
+            data = self._rest + data
+            whole = len(data) - len(data) % size
+            self._rest = data[whole:]
+            for at in range(0, whole, size):
+                self._take(data[at : at + size])
+
+    def _take(self, scan: bytes) -> None:
+        stamp_us = 0
+        if self._layout.stamp is not None:
+            stamp_ns = value_of(scan, *self._layout.stamp)
+            if stamp_ns <= self._stamp_ns:
+                before, self._stamp_ns = self._stamp_ns, stamp_ns
+                self._scans.clear()
+                raise TimestampError(5, f"time stamp {stamp_ns} ns after {before} ns")
+            self._stamp_ns, stamp_us = stamp_ns, stamp_ns // 1000
+        self._scans.append((stamp_us, tuple([value_of(scan, *place) for place in self._layout.channels])))
+
+    def temperature(self) -> int:
+        """0.01 degC, or unknown; some drivers refuse it while the buffer runs."""
+        return iio_sysfs.temperature_of(self.path, self._temperature)
+
+    def close(self) -> None:
+        """Stop the capture."""
+        if self._fd >= 0:
+            os.close(self._fd)
+            self._fd = -1
+            with contextlib.suppress(OSError):
+                self._write("buffer/enable", "0")
+
+
+def triggers(root: Path = iio_sysfs.ROOT) -> dict[str, Path]:
+    """The triggers of the bus by name."""
+    found = {}
+    for entry in sorted(root.glob("trigger*")):
+        with contextlib.suppress(OSError):
+            found[(entry / "name").read_text().strip()] = entry
+    return found
+
+
+def own_trigger(device: Device, root: Path = iio_sysfs.ROOT) -> str | None:
+    """The data-ready trigger of a device, which drivers name after it (``NAME-devN``); None if it has none."""
+    number = device.number.removeprefix("iio:device")
+    names = [name for name in triggers(root) if name.endswith(f"-dev{number}") and name.startswith(device.name)]
+    return names[0] if names else None
+
+
+def make_hrtimer(name: str, frequency_hz: float, root: Path = iio_sysfs.ROOT, configfs: Path = HRTIMER) -> str:
+    """A high-resolution timer trigger of that name and rate, made through configfs or found there.
+
+    Raises EnvironmentLackError where the kernel has no such triggers, or refuses.
+    """
+    try:
+        if not configfs.is_dir():
+            raise FileNotFoundError(2, f"{configfs} is missing")
+        (configfs / name).mkdir(exist_ok=True)
+        path = triggers(root)[name]
+        fd = os.open(path / "sampling_frequency", os.O_WRONLY | os.O_TRUNC)
+        try:
+            os.write(fd, f"{frequency_hz:.0f}".encode())
+        finally:
+            os.close(fd)
+    except (OSError, KeyError) as error:
+        raise EnvironmentLackError(
+            f"hrtimer trigger: {error}; as root: `modprobe iio-trig-hrtimer` and "
+            "`mount -t configfs none /sys/kernel/config`, or `--capture poll`"
+        ) from error
+    return name

@@ -1,0 +1,71 @@
+"""Recorded counts as a gauge source, at the speed they were recorded or at another."""
+
+from bisect import bisect_right
+
+from .source import Reading, Source
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tipforce.dictionary.table import Converter
+
+_UNKNOWN_TEMPERATURE = -0x8000
+
+
+class ReplaySource(Source):
+    """Rows of counts at increasing times in microseconds, from the first call of ``read`` on.
+
+    A row of None is a time at which the recording had no reading. ``speed`` 2 plays twice as fast. After the last row
+    there are no readings (so the node reports no data), or with ``loop`` the first row follows after the median step.
+    ``temperatures`` in 0.01 degC, one a row. Raises ValueError for no rows, times that do not increase, a wrong speed.
+    """
+
+    def __init__(
+        self,
+        times_us: "Sequence[int]",
+        rows: "Sequence[tuple[int, ...] | None]",
+        converter: "Converter",
+        ends: "tuple[int, int]",
+        speed: float = 1.0,
+        loop: bool = False,
+        temperatures: "Sequence[int] | None" = None,
+    ) -> None:
+        if not rows or len(rows) != len(times_us):
+            raise ValueError("replay: %d rows at %d times" % (len(rows), len(times_us)))
+        steps = sorted([times_us[k] - times_us[k - 1] for k in range(1, len(times_us))])
+        if steps and steps[0] <= 0:
+            raise ValueError("replay: times that do not increase")
+        if not 0.0 < speed < float("inf"):
+            raise ValueError("replay: speed %r, allowed is a positive number" % speed)
+        self.converter = converter
+        self.count_min, self.count_max = ends
+        self.period_us = 500
+        self._times_us = [time_us - times_us[0] for time_us in times_us]
+        self._rows = rows
+        self._temperatures = temperatures
+        self._length_us = self._times_us[-1] + (steps[len(steps) // 2] if steps else 1000)
+        self._speed = speed
+        self._loop = loop
+        self._start_us = -1
+        self._place = (0, -1)  # how many times through, and the row given last
+
+    @property
+    def over(self) -> bool:
+        """True when the last row was given and nothing follows."""
+        return not self._loop and self._place[1] == len(self._rows) - 1
+
+    def read(self, now_us: int) -> "Reading | None":
+        """The row of now, once."""
+        if self._start_us < 0:
+            self._start_us = now_us
+        played_us = int((now_us - self._start_us) * self._speed)
+        times, in_turn_us = divmod(played_us, self._length_us) if self._loop else (0, played_us)
+        row = bisect_right(self._times_us, in_turn_us) - 1
+        if (times, row) <= self._place:
+            return None
+        self._place = (times, row)
+        counts = self._rows[row]
+        if counts is None:
+            return None
+        return Reading(counts, 0, self._temperatures[row] if self._temperatures else _UNKNOWN_TEMPERATURE)

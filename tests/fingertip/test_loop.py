@@ -1,0 +1,106 @@
+"""The loop of a node: its clock, its end, and hours of it."""
+
+from __future__ import annotations
+
+import errno
+import time
+from collections.abc import Iterable
+from itertools import pairwise
+
+import pytest
+from bench import endurance
+
+from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
+from tipforce.device.lss import UNCONFIGURED
+from tipforce.fingertip import loop, ports
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+
+ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
+
+
+class Port:
+    """A bus where nobody speaks, on a monotonic clock that the test moves."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.now_ns = 10**9
+        self.sent: list[tuple[float, int, bytes]] = []
+        monkeypatch.setattr(time, "monotonic_ns", lambda: self.now_ns)
+
+    def receive(self, timeout_s: float) -> loop.Frame | None:
+        self.now_ns += max(1000, round(1e9 * timeout_s))
+        return None
+
+    def send(self, frames: Iterable[loop.Frame]) -> None:
+        self.sent += [(self.now_ns * 1e-9, can_id, data) for can_id, data in frames]
+
+    def request(self, what: str, value: int, delay_ms: int) -> None:
+        """Nothing to do."""
+
+
+def test_the_time_of_day_plays_no_part(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = Port(monkeypatch)
+
+    def must_not_be_asked() -> float:
+        raise AssertionError("the loop asked for the time of day, which may jump")
+
+    monkeypatch.setattr(time, "time", must_not_be_asked)
+    monkeypatch.setattr(time, "time_ns", must_not_be_asked)
+    loop.run([fingertip_node(5, SimulatedSource(ROWS))], port, lambda: port.now_ns > 8 * 10**9)
+    beats = [now_s for now_s, can_id, data in port.sent if (can_id, data) == (0x705, b"\x7f")]
+    assert len(beats) >= 6
+    assert all(after - before == pytest.approx(1.0, abs=1e-3) for before, after in pairwise(beats))
+
+
+def test_nodes_that_end_say_that_they_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = Port(monkeypatch)
+    devices = [fingertip_node(node_id, SimulatedSource(ROWS)) for node_id in (5, UNCONFIGURED, 7)]
+    loop.run(devices, port, lambda: port.now_ns > 2 * 10**9)
+    port.sent.clear()
+    loop.say_stopped(devices, port)
+    assert [(can_id, data) for _, can_id, data in port.sent] == [(0x705, b"\4"), (0x707, b"\4")]
+
+
+def test_a_bus_where_nobody_listens_does_not_fill_the_log(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
+) -> None:
+    full = [True]
+
+    class Socket:
+        def send(self, _frame: bytes) -> None:
+            if full[0]:
+                raise OSError(errno.ENOBUFS, "No buffer space available")
+
+    monkeypatch.setattr(ports, "_bound_socket", lambda _name: Socket())
+    monkeypatch.setattr(ports, "_FULL_QUEUE_WAIT_S", 0.0)
+    port = ports.SocketCanPort("can0")
+    for full[0] in (True, False, True):
+        port.send([(0x705, b"\5")] * 100)
+    assert caplog.text.count("No buffer space available") == 2
+    assert port.receive(0.0) == TRANSMIT_OVERFLOW, "the device hears of it all the same (EMCY 8110h)"
+
+
+def test_an_endless_loop_is_asked_to_stop_five_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    port = Port(monkeypatch)
+    device = fingertip_node(5, SimulatedSource(ROWS))
+    device.od.values[0x101700] = 0
+    asked: list[int] = []
+
+    def stop() -> bool:
+        asked.append(port.now_ns)
+        return port.now_ns > 5 * 10**9
+
+    loop.run([device], port, stop)
+    assert all(after - before <= 200_001_000 for before, after in pairwise(asked)), "a watchdog of 1 s can be fed"
+
+
+def test_two_hours_leave_no_trace() -> None:
+    first, second = endurance.run(2)
+    assert second.blocks - first.blocks < 100
+    assert second.resident_kb - first.resident_kb < 1024
+    assert second.late_us == 0, "each PDO at its SYNC, each heartbeat on its second"
+    assert second.heartbeats - first.heartbeats == 3600
+    assert second.syncs - first.syncs == 35_999, "one SYNC is lost each hour"
+    # Ten SYNCs fall into the outage, of which one finds the device back only at the next try.
+    assert 10 <= (second.syncs - first.syncs) - (second.samples - first.samples) <= 12
+    assert (second.emcys - first.emcys, second.log_lines - first.log_lines) == (4, 2)

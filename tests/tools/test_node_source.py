@@ -1,0 +1,307 @@
+"""`tipforce node --source iio:... | replay:...`: from the words of the flag to scaled readings, or what to do."""
+
+from __future__ import annotations
+
+import errno
+import re
+import sys
+import types
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import pytest
+
+from fingertip.iio_tree import Tree
+from host.bus_with_nodes import new_channel
+from tipforce.device.node import Device
+from tipforce.fingertip import iio_buffer, iio_sysfs, loop
+from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.iio import IioSource
+from tipforce.fingertip.source import Source
+from tipforce_tools.doctor_iio import LACK, NOTE, OK, iio_checks
+from tipforce_tools.layout_file import layout_text, read_bridge, read_layout
+from tipforce_tools.main import main
+
+POINTS = 'points = ["K_H", "S_H", "U"]\n'
+BRIDGE = f"""{POINTS}[bridge]
+kind = "full"
+gauge_factor = 2.0
+excitation_volts = 5.0
+gain = 100.0
+zero_volts = 2.5
+"""
+WRONG = [
+    ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
+    ("iio:x/", BRIDGE, "no such device"),
+    ("iio:,", BRIDGE, "'' is no device"),
+    ("iio:ip:/adc", BRIDGE, "'ip:/adc' is no device"),
+    ("iio:device0/voltage7", BRIDGE, "no channel 'voltage7'; it has voltage0, voltage1"),
+    ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), and layout"),
+    ("iio:device0,device0/voltage1", BRIDGE, "a channel is named twice"),
+    ("iio:device0,device1", BRIDGE, "the range of counts is 0 to 4095, 0 to 255; all gauges need one range"),
+    ("iio:device0,device2", BRIDGE, "the driver does not state its range of counts"),
+    ("iio:device0,device1", POINTS, "need a [bridge] table"),
+    ("iio:device0,device1", BRIDGE.replace("100.0", "0"), "[bridge] gain = 0"),
+    ("iio:device0,device1", BRIDGE.replace("100.0", "nan"), "[bridge] gain = nan"),
+    ("iio:device0,device1", BRIDGE.replace("5.0", "-5.0"), "excitation_volts = -5.0: allowed is a positive"),
+    ("iio:device0,device1", BRIDGE + "count_range = [5, 5]\n", "[bridge] count_range = [5, 5]"),
+    ("iio:device0,device1", BRIDGE.replace("100.0", "[1, 2]") + "count_range = [0, 255]\n", "2 numbers for 3 gauges"),
+    ("iio:device0,device1", BRIDGE + "colour = 1\n", "unknown field `colour`"),
+    ("iio:device0,device3", BRIDGE, "has no voltage channel"),
+]
+
+
+@pytest.fixture
+def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tree:
+    found = Tree(tmp_path)
+    monkeypatch.setattr(iio_sysfs, "ROOT", found.root)
+    monkeypatch.setattr(iio_buffer, "HRTIMER", tmp_path / "no-configfs")
+    return found
+
+
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
+    """The devices that the loop was given; it ends at once."""
+    found: list[Device] = []
+
+    def run(given: Sequence[Device], _port: loop.Port, _stop: Callable[[], bool]) -> None:
+        found.extend(given)
+
+    monkeypatch.setattr(loop, "run", run)
+    return found
+
+
+def node(layout: Path | str, *words: str) -> int:
+    return main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q", "--layout", str(layout), *words])
+
+
+def layout(folder: Path, text: str) -> Path:
+    path = folder / "finger.toml"
+    path.write_text(text)
+    return path
+
+
+def source_of(device: Device) -> Source:
+    assert isinstance(device.application, Fingertip)
+    return device.application.source
+
+
+# Industrial I/O
+
+
+def test_scaling_follows_from_scale_offset_and_bridge(tree: Tree, devices: list[Device]) -> None:
+    tree.add(0, "spi0.0", {"voltage0": 0, "voltage1": 0, "voltage2": 0}, "ad7799", "be:u24/32>>8",
+             in_voltage_scale="0.000298023223877", in_voltage1_offset="-8388608")  # fmt: skip
+    assert node(layout(tree.folder, BRIDGE), "--source", "iio:ad7799") == 0
+    (device,) = devices
+    assert device.od.get(0x1018, 2) == 0x54500203, "24 bits, not simulated"
+    per_microstrain = 100.0 * 2.0e-6 * 5.0 / 0.298023223877e-6  # gain * k * V, a full bridge, over volts per count
+    zero = [2.5 / 0.298023223877e-6 + offset for offset in (0.0, 8388608.0, 0.0)]
+    for sub in (1, 2, 3):
+        assert device.od.get(0x6120, sub) == pytest.approx(zero[sub - 1], rel=1e-7)
+        assert device.od.get(0x6122, sub) == pytest.approx(zero[sub - 1] + 1000 * per_microstrain, rel=1e-7)
+        assert device.od.get(0x6123, sub) == 1000.0
+    source = source_of(device)
+    assert isinstance(source, IioSource)
+    assert (source.count_min, source.count_max) == (0, (1 << 24) - 1)
+    device.step(0)
+    eds = device.od.get(0x1021)
+    assert isinstance(eds, bytes)
+    stated = re.search(r"\[6120sub2\][^\[]*DefaultValue=(\S+)", eds.decode())
+    assert stated is not None
+    assert float(stated[1]) == pytest.approx(zero[1], rel=1e-7), "1021h says the same"
+
+
+def test_several_devices_channels_and_a_gain_each(tree: Tree, devices: list[Device]) -> None:
+    tree.add(0, "0-0050", {"voltage0": 5, "voltage1": 6}, bits="le:s16/16>>0", in_voltage_scale="0.1")
+    tree.add(1, "0-0051", {"voltage": 7}, bits="le:s16/16>>0", in_voltage_scale="0.2")
+    text = BRIDGE.replace("gain = 100.0", "gain = [100.0, -100.0, 50.0]").replace("2.5", "0.0")
+    assert node(layout(tree.folder, text), "--source", "iio:device0/voltage1,iio:device0/voltage0,0-0051") == 0
+    (device,) = devices
+    assert device.od.get(0x1018, 2) == 0x54500003, "16 bits"
+    assert [device.od.get(0x6122, sub) for sub in (1, 2, 3)] == pytest.approx([10_000, -10_000, 2500])
+    reading = source_of(device).read(0)
+    assert reading is not None
+    assert reading.counts == (6, 5, 7)
+
+
+def test_a_supply_that_is_measured(tree: Tree, devices: list[Device]) -> None:
+    path = tree.add(0, "a", {"voltage0": 5, "voltage1": 6, "voltage2": 7, "voltage3": 2500}, in_voltage_scale="1.0")
+    text = BRIDGE + 'supply = "device0/voltage3"\nsupply_divider = 2.0\n'
+    words = ("--source", "iio:device0/voltage0,device0/voltage1,device0/voltage2")
+    assert node(layout(tree.folder, text), *words) == 0
+    source = source_of(devices[0])
+    for millivolts, faults in ((2500, 0), (2620, 0), (2630, 1 << 11), (2370, 1 << 11)):
+        (path / "in_voltage3_raw").write_text(str(millivolts))
+        source = source_of(devices[0])
+        assert isinstance(source, IioSource)
+        source._supply_us = -1_000_000
+        source._conversion = -1
+        reading = source.read(0)
+        assert reading is not None
+        assert reading.faults == faults, millivolts
+
+
+def test_without_a_scale_the_table_must_state_volts_per_count(
+    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1})
+    path = layout(tree.folder, BRIDGE)
+    assert node(path, "--source", "iio:a") == 2
+    assert "device0/voltage0: the driver states no scale; state the converter's step" in capsys.readouterr().err
+
+    def refuse(_path: Path, _channel: str, name: str) -> float | None:
+        if name == "scale":
+            raise OSError(errno.EINVAL, "Invalid argument")
+        return None
+
+    monkeypatch.setattr(iio_sysfs, "attribute", refuse)
+    assert node(path, "--source", "iio:a") == 2
+    said = capsys.readouterr().err
+    assert "does not tell its scale (Invalid argument: no reference regulator)" in said
+    assert "[bridge] volts_per_count" in said
+    path.write_text(BRIDGE + "volts_per_count = 0.001\n")
+    assert node(path, "--source", "iio:a") == 0
+    assert devices[0].od.get(0x6122, 1) == 2500 + 1000
+
+
+@pytest.mark.parametrize(("words", "text", "message"), WRONG)
+def test_what_does_not_fit_is_said(
+    tree: Tree, devices: list[Device], words: str, text: str, message: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree.add(0, "a", {"voltage0": 1, "voltage1": 1}, in_voltage_scale="1")
+    tree.add(1, "b", {"voltage": 1}, bits="le:u8/8>>0", in_voltage_scale="1")
+    tree.add(2, "c", {"voltage": 1}, bits="", in_voltage_scale="1")
+    tree.add(3, "d", {}, bits="")
+    assert node(layout(tree.folder, text), "--source", words) == 2
+    assert message in capsys.readouterr().err
+    assert not devices
+
+
+def test_capture_by_a_trigger_that_is_not_there(
+    tree: Tree, devices: list[Device], capsys: pytest.CaptureFixture[str]
+) -> None:
+    tree.add(0, "a", {"voltage0": 1, "voltage1": 1, "voltage2": 1}, in_voltage_scale="1")
+    path = layout(tree.folder, BRIDGE)
+    assert node(path, "--source", "iio:a", "--trigger", "t0") == 2
+    assert "--trigger t0: no such trigger; there are none" in capsys.readouterr().err
+    assert node(path, "--source", "iio:a", "--capture", "buffer") == 2
+    assert "modprobe iio-trig-hrtimer" in capsys.readouterr().err
+    assert node(path, "--source", "iio:a", "--scan-rate", "0") == 2
+    assert not devices
+    tree.add_trigger(0, "adc-dev0")
+    assert node(path, "--source", "iio:a") == 0, "a trigger, but no buffer: polled, and said"
+    assert source_of(devices[0]).read(0) is not None
+    assert node(path, "--source", "iio:a", "--capture", "buffer") == 2
+    assert "buffered capture cannot be set up" in capsys.readouterr().err
+
+
+def test_the_bridge_table_is_the_node_s_alone(tmp_path: Path) -> None:
+    path = layout(tmp_path, BRIDGE)
+    assert read_bridge("I") is None
+    assert read_bridge(str(path)) is not None
+    assert "bridge" not in layout_text(*read_layout(str(path)))
+
+
+class _Attribute:
+    def __init__(self, text: str) -> None:
+        self.value = text
+
+
+def test_a_remote_board_by_a_stand_in_for_pylibiio(
+    tree: Tree, devices: list[Device], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """pylibiio itself needs libiio and a board with iiod: here its classes are played by a few lines."""
+    up = [True]
+
+    def channel(name: str, **attributes: str) -> types.SimpleNamespace:
+        attrs = {key: _Attribute(text) for key, text in attributes.items()}
+        return types.SimpleNamespace(id=name, output=False, attrs=attrs)
+
+    board = types.SimpleNamespace(
+        name="adc", id="iio:device0",
+        channels=[channel(f"voltage{k}", raw=str(10 * k), scale="0.5", offset="-3") for k in (0, 1, 2)]
+        + [channel("temp", raw="100", scale="250")],
+    )  # fmt: skip
+
+    class Context:
+        def __init__(self, uri: str) -> None:
+            if not up[0]:
+                raise OSError(errno.ECONNREFUSED, "Connection refused")
+            assert uri == "ip:board"
+            self.devices = [board]
+
+        def set_timeout(self, timeout_ms: int) -> None:
+            assert timeout_ms < 100
+
+        def find_device(self, name: str) -> types.SimpleNamespace | None:
+            return board if name == "adc" else None
+
+    path = layout(tree.folder, BRIDGE + "count_range = [0, 4095]\n")
+    monkeypatch.setitem(sys.modules, "iio", None)
+    assert node(path, "--source", "iio:ip:board/adc") == 2
+    assert "pip install 'tipforce[iio]'" in capsys.readouterr().err
+    monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
+    assert node(path, "--source", "iio:ip:board/dac") == 2
+    assert "no such device there; there are adc" in capsys.readouterr().err
+    assert node(path, "--source", "iio:ip:board/adc") == 0
+    source = source_of(devices[0])
+    assert isinstance(source, IioSource)
+    source.parts[0].reopen()  # the node closed it when it ended
+    reading = source.read(1_000_000)
+    assert reading is not None
+    assert reading == ((0, 10, 20), 0, 2500)
+    assert devices[0].od.get(0x6120, 1) == 5000 + 3
+    board.channels[1].attrs["raw"] = type("Gone", (), {"value": property(_gone)})()
+    assert (source.read(1_001_000), source.faults) == (None, 1 << 8)
+    up[0] = False
+    assert (source.read(1_200_000), source.faults) == (None, 1 << 8)
+    up[0] = True
+    board.channels[1].attrs["raw"] = _Attribute("11")
+    reading = source.read(1_400_000)
+    assert reading is not None
+    assert (reading.counts, source.faults) == ((0, 11, 20), 0)
+    up[0] = False
+    assert node(path, "--source", "iio:ip:board/adc") == 2
+    assert "does iiod run there? `iio_info -u ip:board`" in capsys.readouterr().err
+
+
+def _gone(_self: object) -> str:
+    raise OSError(errno.ETIMEDOUT, "Connection timed out")
+
+
+# tipforce doctor
+
+
+def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
+    tree.add(0, "0-0050", {"voltage": 2}, "adc121c")
+    tree.add(1, "spi0.0", {"voltage0": 1, "voltage1": 2}, "ad7124", in_voltage_scale="1")
+    tree.add(2, "x", {"voltage0": 1}, "odd", bits="", in_voltage_scale="1")
+    (tree.root / "iio:device2/in_voltage0_raw").write_text("?")
+    found = list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))
+    assert [(check.topic, check.state) for check in found] == [
+        ("ADC iio:device0", OK), ("ADC iio:device0", NOTE),
+        ("ADC iio:device1", OK),
+        ("ADC iio:device2", OK), ("ADC iio:device2", LACK), ("ADC iio:device2", NOTE),
+        ("ADC trigger", NOTE),
+    ]  # fmt: skip
+    assert found[0].finding == "iio:device0 (adc121c, 0-0050): voltage, 12 bits"
+    assert found[0].next_step == "--source iio:0-0050"
+    assert "volts_per_count" in found[1].next_step
+    assert "modprobe iio-trig-hrtimer" in found[-1].next_step
+    tree.add_trigger(0, "t")
+    assert list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))[-1].next_step == "--trigger NAME"
+    assert list(iio_checks(tree.root, tree.dev, tree.folder))[-1].finding == "timer triggers can be made"
+    tree.add_trigger(1, "ad7124-dev1")
+    assert list(iio_checks(tree.root, tree.dev))[-1].finding == "data-ready triggers: ad7124-dev1"
+
+
+def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
+    (check,) = iio_checks(tree.root)
+    assert (check.topic, check.state) == ("ADC", LACK)
+    assert "new_device" in check.next_step
+    (check,) = iio_checks(tree.folder / "absent")
+    assert "modprobe industrialio" in check.next_step
+    monkeypatch.setattr(sys, "platform", "darwin")
+    (check,) = iio_checks()
+    assert check.state == NOTE

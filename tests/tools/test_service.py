@@ -1,0 +1,181 @@
+"""Priority, locked memory, systemd's notices, signals, journal levels: what a service needs."""
+
+from __future__ import annotations
+
+import ctypes
+import errno
+import logging
+import os
+import signal
+import socket
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from host.bus_with_nodes import new_channel
+from tipforce_tools import service
+from tipforce_tools.main import main
+
+UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
+
+
+@pytest.fixture
+def manager(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[socket.socket]:
+    """The end of NOTIFY_SOCKET that systemd has."""
+    with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as listening:
+        path = tmp_path / "notify"
+        listening.bind(str(path))
+        listening.settimeout(1.0)
+        monkeypatch.setenv("NOTIFY_SOCKET", str(path))
+        yield listening
+
+
+def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
+    manager: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "2000")
+    from tipforce.fingertip import loop
+
+    def run(_devices: object, _port: object, stop: object) -> None:
+        assert callable(stop)
+        assert stop() is False
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop() is True
+
+    monkeypatch.setattr(loop, "run", run)
+    before = signal.getsignal(signal.SIGTERM)
+    assert main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "-q"]) == 0
+    assert signal.getsignal(signal.SIGTERM) is before
+    told = [manager.recv(1000).decode() for _ in range(3)]
+    assert told[0].startswith("READY=1\nSTATUS=node 5 (0x05) on ")
+    assert told[1] == "WATCHDOG=1"
+    assert told[2] == "STOPPING=1\nSTATUS=node 5 (0x05) stopped"
+
+
+def test_the_watchdog_is_fed_at_half_its_time(manager: socket.socket, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", "2000000")
+    now = [0]
+    notifier = service.Notifier(lambda: now[0])
+    for now[0] in range(0, 5_000_000, 100_000):
+        notifier.alive()
+    manager.setblocking(False)
+    assert [manager.recv(100) for _ in range(5)] == [b"WATCHDOG=1"] * 5
+    with pytest.raises(BlockingIOError):
+        manager.recv(100)
+    notifier.close()
+
+
+@pytest.mark.parametrize(("usec", "pid"), [("", ""), ("x", ""), ("1000", "1")])
+def test_without_a_watchdog_nothing_is_fed(
+    manager: socket.socket, monkeypatch: pytest.MonkeyPatch, usec: str, pid: str
+) -> None:
+    monkeypatch.setenv("WATCHDOG_USEC", usec)
+    if pid:
+        monkeypatch.setenv("WATCHDOG_PID", pid)
+    notifier = service.Notifier()
+    notifier.alive()
+    manager.setblocking(False)
+    with pytest.raises(BlockingIOError):
+        manager.recv(100)
+    notifier.close()
+
+
+def test_without_systemd_or_with_one_that_is_gone_nothing_happens(monkeypatch: pytest.MonkeyPatch) -> None:
+    for address in ("", "/nowhere/notify", "@nobody-listens-here"):
+        monkeypatch.setenv("NOTIFY_SOCKET", address)
+        notifier = service.Notifier()
+        notifier.send("READY=1")
+        notifier.close()
+
+
+def test_priority_is_set_or_its_refusal_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    asked: list[int] = []
+
+    def allow(_pid: int, _policy: int, parameter: os.sched_param) -> None:
+        asked.append(parameter.sched_priority)
+
+    def refuse(_pid: int, _policy: int, _parameter: os.sched_param) -> None:
+        raise PermissionError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "sched_setscheduler", allow)
+    service.set_priority(80)
+    assert asked == [80]
+    monkeypatch.setattr(os, "sched_setscheduler", refuse)
+    words = ["node", "--node-id", "5", "-i", "virtual", "-c", new_channel()]
+    assert main([*words, "--priority", "80"]) == 9
+    assert "LimitRTPRIO=80" in capsys.readouterr().err
+    assert main([*words, "--priority", "100"]) == 2
+    assert "allowed are 1 to 99" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("number", [errno.EPERM, errno.ENOMEM])
+def test_memory_that_may_not_be_locked(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], number: int
+) -> None:
+    class Library:
+        def mlockall(self, flags: int) -> int:
+            assert flags == 3
+            ctypes.set_errno(number)
+            return -1
+
+    monkeypatch.setattr(ctypes, "CDLL", lambda *_args, **_names: Library())
+    assert main(["node", "--node-id", "5", "-i", "virtual", "-c", new_channel(), "--lock-memory"]) == 9
+    assert "LimitMEMLOCK=infinity" in capsys.readouterr().err
+
+
+def test_a_second_ctrl_c_interrupts_and_a_second_sigterm_does_not() -> None:
+    stop = service.StopSignal()
+    try:
+        assert not stop()
+        os.kill(os.getpid(), signal.SIGTERM)
+        os.kill(os.getpid(), signal.SIGTERM)
+        assert stop()
+        with pytest.raises(KeyboardInterrupt):
+            os.kill(os.getpid(), signal.SIGINT)
+    finally:
+        stop.restore()
+
+
+def test_levels_in_the_journal(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    handler = logging.StreamHandler(sys.stderr)
+    root = logging.getLogger()
+    root.addHandler(handler)
+    try:
+        with (tmp_path / "journal").open("w") as file:
+            status = os.fstat(file.fileno())
+            monkeypatch.setattr(os, "fstat", lambda _fd: status)
+            monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino + 1}")
+            service.mark_levels_for_journal()
+            assert handler.formatter is None
+            monkeypatch.setenv("JOURNAL_STREAM", f"{status.st_dev}:{status.st_ino}")
+            kept = [(one, one.formatter) for one in root.handlers]
+            service.mark_levels_for_journal()
+        record = logging.LogRecord("tipforce.x", logging.WARNING, "", 0, "one\ntwo", None, None)
+        assert handler.format(record) == "<4>tipforce.x: one\n<4>two"
+        for one, formatter in kept:
+            one.setFormatter(formatter)
+    finally:
+        root.removeHandler(handler)
+
+
+def test_the_unit_starts_a_command_line_that_the_node_takes() -> None:
+    lines = dict(line.split("=", 1) for line in UNIT.read_text().splitlines() if "=" in line and line[0] not in "#[")
+    assert (lines["Type"], lines["Restart"], lines["KillSignal"]) == ("notify", "always", "SIGTERM")
+    assert lines["After"] == "network.target"
+    assert int(lines["WatchdogSec"]) >= 1
+    words = lines["ExecStart"].replace("%i", "5").split()
+    at = words.index("tipforce")
+    assert words[at + 1] == "node"
+    import argparse
+
+    from tipforce_tools import node
+
+    parser = argparse.ArgumentParser()
+    node.add_arguments(parser)
+    args = parser.parse_args([word for word in words[at + 2 :] if not word.startswith("$")])
+    assert (args.node_id, args.store, args.lock_memory) == (5, "/var/lib/tipforce/node-5.json", True)
+    assert lines["LimitRTPRIO"] == str(args.priority)

@@ -1,0 +1,142 @@
+"""The node in operation: a disk that is full or read-only, a clock that is set, its end, and its scheduling."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import struct
+import subprocess
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from tipforce.errors import SdoAbortError
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce_tools.demo.job import case_calibration
+from vcan.adc import in_user_mode_linux
+from vcan.support import HEARTBEAT, NODE_ID, SDO_ANSWER, SDO_REQUEST, SYNC, RawBus, running_node
+
+OPERATIONAL_BEAT = (HEARTBEAT + NODE_ID, b"\x05")
+
+
+@pytest.fixture
+def disk(tmp_path: Path) -> Iterator[Path]:
+    """A disk of 64 kB of its own."""
+    folder = tmp_path / "disk"
+    folder.mkdir()
+    try:
+        subprocess.run(
+            ["mount", "-t", "tmpfs", "-o", "size=64k", "tmpfs", str(folder)], check=True, capture_output=True
+        )
+    except subprocess.CalledProcessError as error:
+        pytest.skip(f"mounting needs root, `tipforce vcan --uml -- ...` has it: {error.stderr.decode().strip()}")
+    yield folder
+    subprocess.run(["umount", str(folder)], check=True, capture_output=True)
+
+
+def fill(disk: Path) -> None:
+    with (disk / "ballast").open("wb", buffering=0) as file:
+        for size in (4096, 1):
+            try:
+                while True:
+                    file.write(bytes(size))
+            except OSError:
+                continue
+
+
+def remount(disk: Path, mode: str) -> None:
+    subprocess.run(["mount", "-o", f"remount,{mode}", str(disk)], check=True, capture_output=True)
+
+
+def answers_a_sync() -> None:
+    with RawBus() as bus:  # a new one: what came before must not pass for an answer
+        bus.send(0x000, bytes((1, NODE_ID)))
+        bus.send(SYNC)
+        assert {0x180 + NODE_ID, 0x280 + NODE_ID} <= {can_id for can_id, _ in bus.answers()}
+
+
+@pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
+def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
+    disk: Path, host: Connection, tmp_path: Path, trouble: str, message: str
+) -> None:
+    store = ("--store", str(disk / "node.json"))
+    client = FingertipClient(host.sdo(NODE_ID))
+    first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)
+    with running_node(tmp_path, *store) as node:
+        client.apply_calibration(first)
+        fill(disk) if trouble == "full" else remount(disk, "ro")
+        client.apply_calibration(second, store=False)
+        for _ in range(3):
+            with pytest.raises(SdoAbortError) as refused:
+                client.store(calibration=True)
+            assert refused.value.code == 0x06060000
+        assert node.stderr.count(message) == 1
+        assert client.verify_calibration(second) == [], "what is active stays active"
+        answers_a_sync()
+        assert node.end(signal.SIGKILL) == -signal.SIGKILL
+    (disk / "ballast").unlink() if trouble == "full" else remount(disk, "rw")
+    with running_node(tmp_path, *store):
+        assert client.verify_calibration(first) == [], "what was stored is still there"
+        client.apply_calibration(second)
+    with running_node(tmp_path, *store):
+        assert client.verify_calibration(second) == []
+
+
+def test_a_node_starts_from_a_torn_slot_with_the_settings_before(host: Connection, tmp_path: Path) -> None:
+    path = tmp_path / "node.json"
+    client = FingertipClient(host.sdo(NODE_ID))
+    first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)
+    with running_node(tmp_path, "--store", str(path)):
+        client.apply_calibration(first)
+        client.apply_calibration(second)
+    slots = [path, path.with_name("node.json.2")]
+    newest = max(slots, key=lambda slot: json.loads(slot.read_bytes())["sequence"])
+    newest.write_bytes(newest.read_bytes()[:100])
+    with running_node(tmp_path, "--store", str(path)) as node:
+        assert client.verify_calibration(first) == []
+        assert f"{newest.name} is not what was stored" in node.stderr
+
+
+def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:
+    if not in_user_mode_linux():
+        pytest.skip("sets the time of day: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+    with running_node(tmp_path) as node:
+        bus.send(SDO_REQUEST + NODE_ID, b"\x2b\x17\x10\0" + struct.pack("<HH", 20, 0))
+        bus.until(lambda frame: frame[0] == SDO_ANSWER + NODE_ID)
+        bus.send(0x000, bytes((1, NODE_ID)))
+        bus.until(lambda frame: frame == OPERATIONAL_BEAT)
+        before = time.clock_gettime(time.CLOCK_REALTIME)
+        began = time.monotonic()
+        try:
+            for step_s in (86400.0, -2 * 86400.0, 1e9):
+                time.clock_settime(time.CLOCK_REALTIME, time.clock_gettime(time.CLOCK_REALTIME) + step_s)
+                beats = [bus.until(lambda frame: frame == OPERATIONAL_BEAT) for _ in range(10)]
+                assert all(len(frames) == 1 for frames in beats), "nothing but heartbeats: no EMCY, no burst"
+        finally:
+            time.clock_settime(time.CLOCK_REALTIME, before + time.monotonic() - began)
+        # Thirty heartbeats of 20 ms: less would be a burst after a step forward. The lower bound alone is no timing.
+        assert time.monotonic() - began > 0.5
+        answers_a_sync()
+        assert node.end() == 0
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT])
+def test_the_last_frame_of_a_node_says_that_it_stopped(bus: RawBus, tmp_path: Path, number: int) -> None:
+    with running_node(tmp_path) as node:
+        assert node.end(number) == 0
+    frames = bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\x04"))
+    assert frames[-1] == (HEARTBEAT + NODE_ID, b"\x04")
+
+
+def test_priority_and_locked_memory_as_root(tmp_path: Path) -> None:
+    if not in_user_mode_linux():
+        pytest.skip("needs real-time rights; `tipforce vcan --uml -- ...` has them")
+    with running_node(tmp_path, "--priority", "60", "--lock-memory") as node:
+        assert os.sched_getscheduler(node.pid) == os.SCHED_FIFO
+        assert os.sched_getparam(node.pid).sched_priority == 60
+        status = Path(f"/proc/{node.pid}/status").read_text()
+        assert int(status.split("VmLck:")[1].split()[0]) > 1000, "kilobytes"
