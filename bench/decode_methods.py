@@ -161,7 +161,12 @@ def peak_mb() -> float:
 
 
 def main() -> None:
-    """Run one method on one log, after a small log has brought in what it imports."""
+    """Run one method on one log, after a small log has brought in what it imports; `mf4 ARRAY FILE` makes an MF4."""
+    if sys.argv[1] == "mf4":
+        import numpy as np
+
+        write_mf4(Path(sys.argv[3]), np.load(sys.argv[2]))
+        return
     method, log, warm_up = METHODS[sys.argv[1]], Path(sys.argv[2]), Path(sys.argv[3])
     method(warm_up)
     started_s = time.process_time()

@@ -69,10 +69,14 @@ class LineBlocks:
     PADDING_BYTES before and behind them may be read too. The memory is used again for the next block. The last line
     may lack its line end. A line of more than BLOCK_BYTES, and packed data that breaks off, are noted as bad.
     ``source`` None is stdin: it gives what has arrived as soon as it has. ``follow`` waits for more at the end of a
-    file, and starts again with one that has become shorter. ``live``: somebody waits for each block.
+    file, and starts again with one that has become shorter. ``live``: somebody waits for each block. ``part`` of a
+    plain file: from its first byte to behind its last (None: the end), both where lines begin, as ``line_borders``
+    gives them. ``left_out``: lines that were too long, up to the block that came last.
     """
 
-    def __init__(self, source: Path | None, notes: LogNotes, follow: bool = False) -> None:
+    def __init__(
+        self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None)
+    ) -> None:
         """Raises InputError for a file that can't be opened, EnvironmentLackError when zstd is not installed."""
         self._place = "stdin" if source is None else str(source)
         self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
@@ -87,6 +91,10 @@ class LineBlocks:
         self._follow = follow and self._readable is self._file
         self.live = source is None or self._follow
         self._broken = False
+        self._start, self._end = part
+        if self._start:
+            self._file.seek(self._start)
+        self.left_out = 0
         _keep_freed_memory()
         self._storage = bytearray(PADDING_BYTES + BLOCK_BYTES + PADDING_BYTES)
         self._text: Text = np.frombuffer(self._storage, dtype=np.uint8)
@@ -98,7 +106,7 @@ class LineBlocks:
     def __iter__(self) -> Iterator[tuple[Text, int, int]]:
         storage = self._storage
         begin = filled = PADDING_BYTES
-        skipping, first = False, True
+        skipping, first = False, not self._start
         while count := self._read(filled):
             end = storage.rfind(b"\n", filled, filled + count) + 1
             filled += count
@@ -131,8 +139,11 @@ class LineBlocks:
         """Append to the first ``filled`` bytes; 0 at the end."""
         with memoryview(self._storage) as view:
             while True:
+                limit = PADDING_BYTES + BLOCK_BYTES
+                if self._end is not None:
+                    limit = min(limit, filled + self._end - self._file.tell())
                 try:
-                    count = self._readable.readinto(view[filled : PADDING_BYTES + BLOCK_BYTES]) or 0
+                    count = self._readable.readinto(view[filled:limit]) or 0
                 except (OSError, EOFError, zlib.error) as error:
                     self._broken = True
                     self._notes.note_bad(UNREADABLE, f"{self._place}: breaks off: {error}")
@@ -146,7 +157,32 @@ class LineBlocks:
 
     def _too_long(self) -> None:
         text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is no line of a log"
+        self.left_out += 1
         self._notes.note_bad(TOO_LONG, text)
+
+
+def line_borders(path: Path, count: int) -> list[int]:
+    """Where lines begin that cut a plain file into ``count`` parts of about the same size, fewer if lines are long.
+
+    The first is 0, the last the size of the file. Raises InputError for a file that can't be opened.
+    """
+    with open_file(path) as file:
+        size = os.fstat(file.fileno()).st_size
+        borders = [0]
+        for number in range(1, count):
+            place = size * number // count
+            behind = os.pread(file.fileno(), BLOCK_BYTES, place).find(b"\n") + 1
+            if behind and borders[-1] < place + behind < size:
+                borders.append(place + behind)
+    return [*borders, size]
+
+
+def is_plain(path: Path) -> bool:
+    """Whether a file's bytes are its text: a regular file, neither gzip nor zstd. Raises InputError."""
+    if not path.is_file():
+        return False
+    with open_file(path) as file:
+        return not first_bytes(file).startswith((_GZIP, _ZSTD))
 
 
 def _widen(file: FileIO) -> None:

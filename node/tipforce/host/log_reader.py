@@ -9,7 +9,7 @@ from types import TracebackType
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLineError, CandumpParser
+from tipforce.host.candump import BadLine, BadLineError, CandumpParser
 from tipforce.host.candump_bulk import CandumpBulk
 from tipforce.host.frames import FRAME, FrameArray
 from tipforce.host.log_lines import LineBlocks, first_bytes, open_file
@@ -39,14 +39,17 @@ class LogReader(LogNotes):
         deltas: bool = False,
         start_ns: int | None = None,
         end_ns: int | None = None,
+        part: tuple[int, int | None] = (0, None),
     ) -> None:
-        """See ``open_log``."""
+        """See ``open_log``. ``first_bad_line`` and the number of ``lines`` are those of a text."""
         super().__init__(strict)
+        self.first_bad_line: BadLine | None = None
+        self.lines = 0
         self._limits = start_ns, end_ns
         self._lines: LineBlocks | None = None
         kind = "text" if source is None else log_kind(source)
         if source is None or kind == "text":
-            self._lines = LineBlocks(source, self, follow)
+            self._lines = LineBlocks(source, self, follow, part)
             self._blocks = self._text_blocks(self._lines, deltas)
         elif kind == "pcap":
             from tipforce.host.pcap import pcap_blocks
@@ -89,6 +92,8 @@ class LogReader(LogNotes):
         error: InputError | None = None
         try:
             for text, begin, end in lines:
+                parser.line_number += lines.left_out
+                lines.left_out = 0
                 yield from gathered.add(bulk.parse(text, begin, end, gathered.room))
                 self.timed = bulk.timed
                 self._take_counts(parser)
@@ -97,9 +102,11 @@ class LogReader(LogNotes):
         except InputError as bad:  # strict: the frames before it come first
             error = bad
             if isinstance(bad, BadLineError):
+                self.first_bad_line = bad.bad
                 yield from gathered.add(bad.block.frames)
         self.timed = bulk.timed
         self._take_counts(parser)
+        self.lines = parser.line_number + lines.left_out
         yield gathered.take()
         if error is not None:
             raise error
@@ -113,7 +120,8 @@ class LogReader(LogNotes):
             self.bad[reason] = self.bad.get(reason, 0) + count
         parser.bad.clear()
         if self.first_bad is None and parser.bad_lines:
-            self.first_bad = str(parser.bad_lines[0])
+            self.first_bad_line = parser.bad_lines[0]
+            self.first_bad = str(self.first_bad_line)
 
     def close(self) -> None:
         """Close the file; the end of the iteration does, too."""
@@ -166,17 +174,19 @@ def open_log(
     deltas: bool = False,
     start_ns: int | None = None,
     end_ns: int | None = None,
+    part: tuple[int, int | None] = (0, None),
 ) -> LogReader:
     """A log, by what its name and its first bytes say; "-" is candump's text on stdin.
 
     ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
     more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` and ``end_ns`` leave out what is earlier,
-    and what is at that time or later.
+    and what is at that time or later. ``part``: the bytes of a plain text that are read, cut by ``line_borders``; its
+    lines are numbered from 1.
     Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library that
     is not installed; while iterating, InputError for a bad line (strict), and for times wanted where there are none.
     """
     path = None if str(source) == STDIN else Path(source)
-    return LogReader(path, strict=strict, follow=follow, deltas=deltas, start_ns=start_ns, end_ns=end_ns)
+    return LogReader(path, strict=strict, follow=follow, deltas=deltas, start_ns=start_ns, end_ns=end_ns, part=part)
 
 
 def log_kind(path: Path) -> str:

@@ -16,7 +16,7 @@ from tipforce.host.frames import FRAME, FrameArray
 from tipforce_tools.decode import part, recording
 from tipforce_tools.decode.layouts import Layouts
 from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.part import Edge, End, Item, Notes, Reading, part_items
+from tipforce_tools.decode.part import Edge, End, Item, Notes, Piece, Reading, part_items
 from tipforce_tools.decode.recording import Recording
 from tipforce_tools.decode.table import Table
 from tools.decode.logs import decode, log_lines, rows_of, write_log
@@ -200,7 +200,7 @@ def test_parts_of_logs_equal_the_whole(tmp_path: Path) -> None:
     reading = Reading(Layouts())
     one, other = Recording(reading), Recording(reading)
     expected = rows([*one.tables_of_logs(names)])
-    found = [list(part_items(name, reading)) for name in names]
+    found = [list(part_items(Piece(name), reading)) for name in names]
     assert any(isinstance(item, Table) for items in found for item in items)
     assert rows([*other.tables_of_parts(found)]) == expected
     assert other.told.tally == one.told.tally

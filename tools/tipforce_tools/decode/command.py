@@ -45,7 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     _add_choice(parser.add_argument_group("choice"))
     _add_layouts(parser.add_argument_group("layouts (default: the dictionary's PDOs)"))
     group = parser.add_argument_group("work")
-    group.add_argument("-j", "--jobs", type=int, metavar="N", help="logs at a time (default: one for each core)")
+    group.add_argument(
+        "-j",
+        "--jobs",
+        type=int,
+        metavar="N",
+        help="processes (default: one for each core, and for each log; given, a big log is also cut)",
+    )
     group.add_argument("--scheduler", metavar="ADDRESS", help="as a Dask bag on this cluster, which sees the files")
     common.add_output_arguments(parser)
 

@@ -1,55 +1,63 @@
-"""Many logs at a time: one process for each core, or the workers of a Dask cluster. The order of the logs is kept."""
+"""Many logs, or pieces of a large one, at a time: a process for each core, or the workers of a Dask cluster.
+
+The order of the logs is kept.
+"""
 
 from __future__ import annotations
 
 import multiprocessing
 import queue
+import sys
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce_tools.decode.part import End, Item, Progress, Reading, part_items
+from tipforce_tools.decode.part import End, Item, Piece, Progress, Reading, part_items
 
-_WAITING_TABLES = 8  # of each log, so that memory stays bounded
+_WAITING_TABLES = 16  # of each log, so that memory stays bounded
 _POLL_S = 0.5
 CONNECT_S = 10
 """How long a scheduler may take to answer."""
 
 
 def parts_of_processes(
-    names: Sequence[str], reading: Reading, jobs: int, progress: Progress | None = None
+    pieces: Sequence[Piece], reading: Reading, jobs: int, progress: Progress | None = None
 ) -> Iterator[Iterator[Item]]:
-    """The parts of a recording, ``jobs`` of them decoded at a time, each in a process of its own.
+    """The parts of a recording, decoded by ``jobs`` processes that take turns. They start now, not at the first part.
 
+    All are forked at once, where there is fork: before a library that an output needs has threads.
     Raises what the decoding raised, at the log where it did.
     """
-    context = multiprocessing.get_context()
-    running: list[tuple[Any, Any]] = []
-    todo = list(names)
+    context: Any = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
+    workers = [
+        _started(context, pieces[number::jobs], reading, number == 0) for number in range(min(jobs, len(pieces)))
+    ]
+    return _parts_in_turn(pieces, workers, progress)
+
+
+def _parts_in_turn(
+    pieces: Sequence[Piece], workers: list[tuple[Any, Any]], progress: Progress | None
+) -> Iterator[Iterator[Item]]:
     done = [0]
     try:
-        for name in names:
-            while todo and len(running) < jobs:
-                running.append(_started(context, todo.pop(0), reading))
-            process, items = running[0]
-            yield _received(name, process, items, progress, done)
-            process.join()
-            running.pop(0)
+        for number, piece in enumerate(pieces):
+            process, items = workers[number % len(workers)]
+            yield _received(piece, process, items, progress, done)
     finally:
-        for process, _ in running:
+        for process, _ in workers:
             process.kill()
             process.join()
 
 
-def _started(context: Any, name: str, reading: Reading) -> tuple[Any, Any]:
+def _started(context: Any, pieces: Sequence[Piece], reading: Reading, first: bool) -> tuple[Any, Any]:
     items = context.Queue(_WAITING_TABLES)
-    process = context.Process(target=_work, args=(name, reading, items), daemon=True)
+    process = context.Process(target=_work, args=(pieces, reading, items, first), daemon=True)
     process.start()
     return process, items
 
 
-def _work(name: str, reading: Reading, items: Any) -> None:
+def _work(pieces: Sequence[Piece], reading: Reading, items: Any, first: bool) -> None:
     with suppress(KeyboardInterrupt):
         position = [0]
 
@@ -57,13 +65,14 @@ def _work(name: str, reading: Reading, items: Any) -> None:
             position[0] = here
 
         try:
-            for item in part_items(name, reading, note):
-                items.put((item, position[0]))
+            for number, piece in enumerate(pieces):
+                for item in part_items(piece, reading, note, first=first and number == 0):
+                    items.put((item, position[0] - piece.start))
         except (TipforceError, OSError) as error:
             items.put((error, 0))
 
 
-def _received(name: str, process: Any, items: Any, progress: Progress | None, done: list[int]) -> Iterator[Item]:
+def _received(piece: Piece, process: Any, items: Any, progress: Progress | None, done: list[int]) -> Iterator[Item]:
     position = 0
     while True:
         try:
@@ -72,7 +81,8 @@ def _received(name: str, process: Any, items: Any, progress: Progress | None, do
             if process.is_alive() or not items.empty():
                 continue
             raise EnvironmentLackError(
-                f"{name}: the process that decoded it ended with {process.exitcode}: too little memory? Try --jobs 1"
+                f"{piece.name}: the process that decoded it ended with {process.exitcode}: too little memory? "
+                "Try --jobs 1"
             ) from None
         if isinstance(item, Exception):
             raise item
@@ -113,6 +123,6 @@ def parts_of_dask(names: Sequence[str], reading: Reading, scheduler: str) -> Ite
 def _whole_part(name: str, reading: Reading) -> list[Item] | TipforceError:
     """All of a part, or what was wrong with it."""
     try:
-        return list(part_items(name, reading))
+        return list(part_items(Piece(name), reading))
     except TipforceError as error:
         return error

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
 import numpy as np
 
 from tipforce.errors import InputError
+from tipforce.host.candump import BadLine
 from tipforce.host.frames import FRAME, FrameArray
 from tipforce.host.log_reader import LogReader, open_log
 from tipforce_tools.decode.layouts import Layouts
@@ -21,7 +22,21 @@ _HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the part bef
 
 
 class StrictError(InputError):
-    """The first bad line of a log that is read strictly; the text has the log and the place."""
+    """The first bad line of a log that is read strictly; the text has the log and the place.
+
+    ``bad`` is the line, if it is known; ``goes_on``: its number counts within a piece behind the first.
+    """
+
+    bad: BadLine | None = None
+    goes_on: bool = False
+
+
+class Piece(NamedTuple):
+    """A log, or of a large one the bytes from ``start`` to ``end`` (None: to its end)."""
+
+    name: str
+    start: int = 0
+    end: int | None = None
 
 
 class When(NamedTuple):
@@ -48,7 +63,10 @@ class Reading:
 
 @dataclass(slots=True)
 class Notes:
-    """What is said of one log at the end."""
+    """What is said of one log at the end. ``goes_on``: it is of the same log as the part before.
+
+    ``first_bad_line`` is numbered within the part; ``lines`` is how many it has.
+    """
 
     source: str
     frames: int = 0
@@ -57,6 +75,28 @@ class Notes:
     skipped: dict[str, int] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
     timed: bool = True
+    goes_on: bool = False
+    first_bad_line: BadLine | None = None
+    lines: int = 0
+
+    def append(self, other: Notes) -> None:
+        """Add what was noted in the next part of the same log."""
+        if self.first_bad is None and other.first_bad is not None:
+            line = other.first_bad_line
+            moved = line is not None and other.first_bad == str(line)
+            self.first_bad = str(numbered_from(self.lines, line)) if moved and line is not None else other.first_bad
+        self.frames += other.frames
+        self.lines += other.lines
+        for mine, more in ((self.bad, other.bad), (self.skipped, other.skipped)):
+            for reason, count in more.items():
+                mine[reason] = mine.get(reason, 0) + count
+        self.channels += tuple(name for name in other.channels if name not in self.channels)
+        self.timed = self.timed and other.timed
+
+
+def numbered_from(lines: int, bad: BadLine) -> BadLine:
+    """The bad line of a part that has ``lines`` lines before it."""
+    return replace(bad, number=lines + bad.number)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,15 +124,17 @@ Progress = Callable[[int], None]
 class Source:
     """The frames of one log that are asked for, in blocks; ``notes`` are complete at the end."""
 
-    def __init__(self, name: str, reading: Reading, progress: Progress | None = None) -> None:
+    def __init__(self, piece: Piece, reading: Reading, progress: Progress | None = None) -> None:
         """Raises InputError for a log that can't be opened."""
+        name = piece.name
         self._reading = reading
         self._origin = reading.origin_ns
         self._progress = progress
         self.log: LogReader = open_log(
-            name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas
-        )
-        self.notes = Notes(name)
+            name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas,
+            part=(piece.start, piece.end),
+        )  # fmt: skip
+        self.notes = Notes(name, goes_on=piece.start > 0)
 
     @property
     def channels(self) -> list[str]:
@@ -120,12 +162,15 @@ class Source:
                 raise
             text = str(error)
             name = "stdin" if self.notes.source == "-" else self.notes.source
-            raise StrictError(text if text.startswith(name) else f"{name}: {text}") from None
+            strict = StrictError(text if text.startswith(name) else f"{name}: {text}")
+            strict.bad, strict.goes_on = log.first_bad_line, self.notes.goes_on
+            raise strict from None
 
     def _take_notes(self, log: LogReader) -> None:
         notes = self.notes
         notes.bad, notes.first_bad, notes.skipped = dict(log.bad), log.first_bad, dict(log.skipped)
         notes.channels, notes.timed = tuple(log.channels), log.timed
+        notes.first_bad_line, notes.lines = log.first_bad_line, log.lines
 
     def _chosen(self, block: FrameArray) -> FrameArray:
         reading = self._reading
@@ -164,21 +209,25 @@ def start_of(name: str) -> int | None:
         return next((int(block["t_ns"][0]) for block in log), None)
 
 
-def part_items(name: str, reading: Reading, progress: Progress | None = None) -> Iterator[Item]:
-    """Decode one log on its own: an Edge at its start, tables, and the End.
+def part_items(
+    piece: Piece, reading: Reading, progress: Progress | None = None, *, first: bool = False
+) -> Iterator[Item]:
+    """Decode one log, or a piece of one, on its own: an Edge at its start, tables, and the End.
 
-    Put together by ``Recording``, parts give what one log of all their frames would.
+    Put together by ``Recording``, parts give what one log of all their frames would. ``first``: no part is before
+    this one, so there is no Edge.
     """
-    source = Source(name, reading, progress)
+    source = Source(piece, reading, progress)
     merger = SampleMerger(reading.layouts.decoder, source.channels, reading.signals)
     blocks = iter(source)
-    begun, complete = _beginning(blocks, merger, source)
+    begun, complete = (np.zeros(0, dtype=FRAME), True) if first else _beginning(blocks, merger, source)
     tail = begun[:0]
     if not complete:
         yield Edge(begun, tuple(source.channels), whole=True)
     else:
         head, rest = merger.head(begun)
-        yield Edge(head, tuple(source.channels))
+        if not first:
+            yield Edge(head, tuple(source.channels))
         for block in _chain(rest, blocks):
             merger.channels = source.channels
             merger.timed = source.log.timed

@@ -8,10 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.errors import InputError
 from tipforce.host.decode import unwrap_counter
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames import MAX_CHANNELS, FrameArray
 from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.part import Edge, End, Item, Notes, Progress, Reading, Source
+from tipforce_tools.decode.part import (
+    Edge,
+    End,
+    Item,
+    Notes,
+    Piece,
+    Progress,
+    Reading,
+    Source,
+    StrictError,
+    numbered_from,
+)
 from tipforce_tools.decode.sample_rows import IntArray
 from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Table
 from tipforce_tools.decode.tally import Tally
@@ -79,7 +91,7 @@ class Recording:
     def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
         """Read logs in this process, as if they were one."""
         for name in names:
-            source = Source(name, self._reading, progress)
+            source = Source(Piece(name), self._reading, progress)
             try:
                 for block in source:
                     yield from self._add(self._numbered(block, source.channels), source.log.timed)
@@ -90,7 +102,7 @@ class Recording:
     def tables_of_parts(self, parts: Iterable[Iterable[Item]]) -> Iterator[Table]:
         """Put parts together that ``part_items`` made."""
         for part in parts:
-            for item in part:
+            for item in self._strictly(part):
                 if isinstance(item, Table):
                     yield self._counters.unwrapped(self._renamed(item))
                 elif isinstance(item, End):
@@ -99,6 +111,16 @@ class Recording:
                 else:
                     yield from self._join(item)
         yield from self._finish()
+
+    def _strictly(self, part: Iterable[Item]) -> Iterator[Item]:
+        """The items; of a piece that has a bad line, its number in the whole log."""
+        try:
+            yield from part
+        except StrictError as error:
+            before = self.told.notes[-1] if error.goes_on and self.told.notes else None
+            if before is None or error.bad is None:
+                raise
+            raise StrictError(f"{before.source}: {numbered_from(before.lines, error.bad)}") from None
 
     def _join(self, edge: Edge) -> Iterator[Table]:
         frames = self._numbered(edge.frames, edge.channels)
@@ -120,7 +142,10 @@ class Recording:
         self.told.tally.append(self._merger.tally)  # of the frames before this part
         self._merger.tally = Tally()
         self.told.tally.append(end.tally)
-        self.told.notes.append(end.notes)
+        if end.notes.goes_on and self.told.notes:
+            self.told.notes[-1].append(end.notes)
+        else:
+            self.told.notes.append(end.notes)
 
     def _add(self, frames: FrameArray, timed: bool) -> Iterator[Table]:
         self._merger.timed = timed
@@ -132,6 +157,8 @@ class Recording:
         for name in names:
             if name not in self.channels:
                 self.channels.append(name)
+        if len(self.channels) > MAX_CHANNELS:
+            raise InputError(f"the logs have more than {MAX_CHANNELS} interfaces; decode one at a time, with --jobs 1")
         return np.array([self.channels.index(name) for name in names], dtype=np.uint8)
 
     def _numbered(self, frames: FrameArray, names: Iterable[str]) -> FrameArray:

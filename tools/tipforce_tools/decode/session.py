@@ -5,20 +5,25 @@ from __future__ import annotations
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
 
 from tipforce.errors import InputError
+from tipforce.host.log_lines import is_plain, line_borders
+from tipforce.host.log_reader import log_kind
 from tipforce_tools import common
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.part import Progress, Reading, StrictError
+from tipforce_tools.decode.part import Piece, Progress, Reading, StrictError
 from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.recording import Recording, Told
 from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.decode.writers import format_of, open_writer
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
+_LEAST_PIECE_BYTES = 8_000_000  # less is not worth a piece
+_PIECE_BYTES = 32_000_000  # of a large log: what becomes of it can wait in memory
 _FIRST_ROWS = 100_000  # looked at before the first is written, so that rare columns are known
 
 
@@ -105,14 +110,38 @@ def _tables(
 
         names = [os.path.abspath(name) for name in names]
         return recording.tables_of_parts(parts_of_dask(names, reading, args.scheduler))
-    jobs = min(args.jobs or _cores(), len(names))
+    jobs = 1 if args.follow else args.jobs or _cores()
     if args.jobs is None and sum(os.path.getsize(name) for name in names if name != "-") < _SMALL_BYTES:
         jobs = 1
-    if jobs > 1 and not args.follow:
+    pieces = pieces_of(args, names, jobs)
+    if jobs > 1 and len(pieces) > 1:
         from tipforce_tools.decode.parallel import parts_of_processes
 
-        return recording.tables_of_parts(parts_of_processes(names, reading, jobs, progress))
+        return recording.tables_of_parts(parts_of_processes(pieces, reading, jobs, progress))
     return recording.tables_of_logs(names, progress)
+
+
+def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
+    """The logs, each large one that is plain text in pieces: as many for each job, none too large.
+
+    Where each line tells of its own time only. With --strict what goes to stdout ends at the bad line: in one piece.
+    """
+    shown = args.output in {None, "-"} or args.summary or args.json
+    found: list[Piece] = []
+    for name in names:
+        # Only when asked for: whether it gains anything depends on the machine, and it costs memory.
+        whole = name == "-" or args.jobs is None or jobs < 2 or args.deltas or (args.strict and shown)
+        size = 0 if whole else os.path.getsize(name)
+        count = max(size // _LEAST_PIECE_BYTES, 1)
+        if count > 1:
+            count = min(count, jobs * -(-size // (jobs * _PIECE_BYTES)))
+        if count == 1 or log_kind(Path(name)) != "text" or not is_plain(Path(name)):
+            found.append(Piece(name))
+            continue
+        borders = line_borders(Path(name), count)
+        ends: list[int | None] = [*borders[1:-1], None]
+        found += [Piece(name, start, end) for start, end in zip(borders[:-1], ends, strict=True)]
+    return found
 
 
 def _cores() -> int:

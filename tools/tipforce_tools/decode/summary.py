@@ -25,6 +25,7 @@ _REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
     ("theta_unresolved", "theta_unresolved", True, frozenset({"theta"})),
     ("misses_tip", "misses_tip", True, frozenset({"theta"})),
 )
+_ORDER = (*(reason for reason, *_ in _REASONS), UNKNOWN)
 
 
 @dataclass(slots=True)
@@ -48,7 +49,8 @@ class NodeSummary:
         """By column and reason, how many samples have no value; columns that the node never sent are left out."""
         found = {}
         for name, present in self.present.items():
-            reasons = dict(self.told.get(name, {}))
+            told = self.told.get(name, {})
+            reasons = {reason: told[reason] for reason in _ORDER if reason in told}
             if present < self.samples:
                 reasons[NO_FRAME] = self.samples - present
             if reasons and present:

@@ -1,0 +1,165 @@
+"""A large log in pieces, each decoded by a process: the same output, counts and bad lines as in one."""
+
+from __future__ import annotations
+
+import json
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.host.frames import FrameArray
+from tipforce.host.log_lines import BLOCK_BYTES, line_borders
+from tipforce.host.log_reader import LogReader, open_log
+from tipforce_tools.decode import part, session
+from tipforce_tools.decode.layouts import Layouts
+from tipforce_tools.decode.part import Notes, Piece, Reading, Source
+from tipforce_tools.main import main
+from tools.decode.logs import decode, log_lines, write_log
+
+PIECE_BYTES = 20_000
+
+
+@pytest.fixture(autouse=True)
+def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
+    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
+    monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
+    monkeypatch.setattr(part, "_HEAD_FRAMES", 100)
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Health of each node in the first block, so that all columns are known there; two buses; losses."""
+    lines = log_lines(2000, (1, 5), health=30) + log_lines(600, (2,), seed=3, bus="can1")
+    lines[40:40] = ["(1700000000.000001) vcan0 500##1AABB", "(1700000000.000001) vcan0 181#R"]
+    return write_log(tmp_path / "run.log", lines)
+
+
+def spoil(log: Path, share: float) -> int:
+    """Replace a line behind this share of a log by one that is bad; its number."""
+    lines = log.read_text().splitlines()
+    number = int(share * len(lines))
+    lines[number] = "(1700000000.5) vcan0 181#01"
+    write_log(log, lines)
+    return number + 1
+
+
+@pytest.mark.parametrize("form", ["csv", "parquet"])
+@pytest.mark.parametrize("jobs", [2, 3])
+def test_the_same_bytes(log: Path, tmp_path: Path, form: str, jobs: int) -> None:
+    one, several = tmp_path / f"one.{form}", tmp_path / f"several.{form}"
+    assert decode(log, "-o", one, "--jobs", 1) == 0
+    assert decode(log, "-o", several, "--jobs", jobs) == 0
+    assert one.stat().st_size > 10_000
+    assert several.read_bytes() == one.read_bytes()
+
+
+def test_the_log_is_really_cut(log: Path) -> None:
+    from argparse import Namespace
+
+    args = Namespace(jobs=2, output="a.csv", summary=False, json=False, deltas=False, strict=True)
+    pieces = session.pieces_of(args, [str(log)], 3)
+    assert len(pieces) > 3
+    assert [piece.start for piece in pieces[1:]] == [piece.end for piece in pieces[:-1]]
+    for other in ({"deltas": True}, {"output": None}):
+        assert session.pieces_of(Namespace(**{**vars(args), **other}), [str(log)], 3) == [Piece(str(log))]
+    assert session.pieces_of(args, ["-"], 3) == [Piece("-")]
+
+
+def test_the_same_summary_and_notes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoil(log, 0.9)
+    number = spoil(log, 0.6)
+    said = []
+    for jobs in ("1", "3"):
+        assert main(["decode", str(log), "--json", "--summary", "--jobs", jobs]) == 0
+        said.append(capsys.readouterr())
+    assert said[1] == said[0]
+    record = json.loads(said[0].out)
+    assert sum(record["bad"].values()) == 2
+    assert record["lost"] > 0
+    assert set(record["skipped"]) == {"CAN FD frame", "remote frame"}
+    assert f"line {number}:" in said[0].err
+
+
+def test_the_same_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    spoil(log, 0.95)
+    number = spoil(log, 0.7)
+    said = []
+    for jobs in (1, 3):
+        assert decode(log, "--strict", "-o", tmp_path / "a.csv", "--jobs", jobs) == 1
+        said.append(capsys.readouterr().err)
+        assert not (tmp_path / "a.csv").exists()
+    assert said[1] == said[0]
+    assert f"{log}: line {number}:" in said[0]
+
+
+def test_a_time_range_in_pieces(log: Path, tmp_path: Path) -> None:
+    for jobs in (1, 3):
+        assert decode(log, "--from", "0.5", "--to", "1.5", "-o", tmp_path / f"{jobs}.csv", "--jobs", jobs) == 0
+    assert (tmp_path / "3.csv").read_bytes() == (tmp_path / "1.csv").read_bytes()
+
+
+LINES = st.lists(
+    st.sampled_from(
+        [
+            b"(1700000000.000001) can0 181#0102030405060708", b"(1700000000.000002) can1 281#01", b"", b"what",
+            b"(1700000000.000003) can0 500##1AABB", b"x" * 200, b"\xef\xbb\xbf(1700000000.000004) can0 080#",
+            b"  can2  181   [2]  01 02", b"(1700000000.000005) can0 181#R\r",
+        ]
+    ),
+    max_size=40,
+)  # fmt: skip
+
+
+@given(LINES, st.integers(1, 9), st.booleans())
+@settings(max_examples=150, deadline=None)
+def test_any_lines(tmp_path_factory: pytest.TempPathFactory, lines: list[bytes], count: int, ended: bool) -> None:
+    log = tmp_path_factory.mktemp("pieces") / "a.log"
+    log.write_bytes(b"\n".join(lines) + (b"\n" if ended else b""))
+    borders = line_borders(log, count)
+    assert (borders[0], borders[-1]) == (0, log.stat().st_size)
+    text = log.read_bytes()
+    assert all(text[place - 1 : place] == b"\n" for place in borders[1:-1])
+    whole, notes = _read(log, [(0, None)])
+    pieces, joined = _read(log, list(pairwise(borders)))
+    assert pieces == whole
+    assert (joined.frames, joined.bad, joined.first_bad, joined.skipped, joined.channels) == (
+        notes.frames, notes.bad, notes.first_bad, notes.skipped, notes.channels,
+    )  # fmt: skip
+
+
+def _read(log: Path, ranges: list[tuple[int, int | None]]) -> tuple[list[tuple[object, ...]], Notes]:
+    found: list[tuple[object, ...]] = []
+    notes: list[Notes] = []
+    for start, end in ranges:
+        source = Source(Piece(str(log), start, end), Reading(Layouts()))
+        for block in source:
+            found += _rows(block, source.channels)
+        notes.append(source.notes)
+    for more in notes[1:]:
+        notes[0].append(more)
+    return found, notes[0]
+
+
+def _rows(block: FrameArray, channels: list[str]) -> list[tuple[object, ...]]:
+    return [(channels[row["channel"]], *row.tolist()[:3], row["data"].tobytes()) for row in block]
+
+
+def test_lines_that_are_too_long_are_counted(tmp_path: Path) -> None:
+    log = tmp_path / "long.log"
+    long = b"y" * (BLOCK_BYTES + 7)
+    good = b"(1700000000.000001) can0 181#01"
+    log.write_bytes(b"\n".join([good, long, good, long, b"(1) can0 1#", good, b""]))
+    with open_log(log) as reader:
+        assert isinstance(reader, LogReader)
+        assert np.concatenate(list(reader))["can_id"].tolist() == [0x181] * 3
+    assert reader.bad == {"no candump line": 2, "timestamp": 1}
+    assert reader.lines == 6
+    text = log.read_bytes()
+    borders = line_borders(log, 12)  # most places would be within the long lines
+    assert len(borders) < 8
+    assert all(text[place - 1 : place] == b"\n" for place in borders[1:-1])
