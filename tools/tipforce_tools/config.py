@@ -1,28 +1,48 @@
-"""`tipforce config apply|verify`: a TOML or DCF file to a node, and the comparison with what a node has."""
+"""`tipforce config show|apply|diff|save|verify`: a TOML or DCF file to a node and back, and the comparison."""
 
 from __future__ import annotations
 
 import argparse
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING
 
+from tipforce.errors import InputError
 from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce.dictionary.types import Value
+    from tipforce.host.configuration import Configuration
+    from tipforce.host.sdo import SdoChannel
+
+WITH_FILE = ("apply", "diff", "save", "verify")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce config`."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
+        "show    the settings of a node that are not at their default (--all: every one)\n"
+        "apply   a file to the node, then read back; if the node refuses one, what was there before is put back\n"
+        "verify  does the node have what the file says? (exit code 1 if not)\n"
+        "diff    the same both ways: also what the node has changed and the file does not mention\n"
+        "save    write the node's settings to a file: TOML, or a DCF by its ending\n\n"
         "A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:\n"
         "  [objects]\n"
         '  "heartbeat.producer_ms" = 500\n'
         '  "0x6114:01" = 1000\n'
         '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
+        '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
         "PDOs are changed by the procedure of CiA 301: made invalid, remapped, made valid again.\n"
-        "  tipforce config apply 5 hand.toml -i socketcan -c can0 --store"
+        "The calibration is not part of it: see `tipforce calibrate apply`.\n\n"
+        "  tipforce config save 5 finger.toml -i socketcan -c can0\n"
+        "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store"
     )
-    parser.add_argument("action", choices=("apply", "verify"))
+    parser.add_argument("action", choices=("show", *WITH_FILE))
     parser.add_argument("node", type=common.node_id, metavar="ID")
-    parser.add_argument("file", metavar="FILE", help="*.dcf, or TOML")
+    parser.add_argument("file", nargs="?", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
+    parser.add_argument("--all", action="store_true", help="show, save: every setting, not only the changed ones")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
@@ -30,16 +50,27 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Apply (0) or verify (0 equal, 1 different); each difference is a line."""
+    """0; apply, verify and diff: 1 when something is different, a line for each."""
+    common.set_up_logging(args)
+    if (args.file is None) is (args.action in WITH_FILE):
+        needs = "which FILE? For example" if args.file is None else "takes no FILE; did you mean"
+        raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
+    if args.action == "show":
+        return _show(args)
+    return _save(args) if args.action == "save" else _with_file(args)
+
+
+def _with_file(args: argparse.Namespace) -> int:
     from tipforce.host.configuration import apply_configuration, read_configuration, verify_configuration
     from tipforce.host.fingertip import FingertipClient
 
-    common.set_up_logging(args)
     wanted = read_configuration(args.file, args.node, args.gauges)
     if args.action == "apply" and args.store:
         common.confirm(args, f"node {common.shown_id(args.node)}: this replaces its stored parameters")
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
+        if args.action == "diff":
+            return _diff(args, sdo, wanted)
         if args.action == "apply":
             apply_configuration(sdo, wanted)
         differences = verify_configuration(sdo, wanted)
@@ -52,3 +83,76 @@ def run(args: argparse.Namespace) -> int:
             print(f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}")
     common.note(args, f"node {common.shown_id(args.node)}: {len(wanted)} objects, {len(differences)} different")
     return 1 if differences else 0
+
+
+def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> int:
+    from dataclasses import asdict
+
+    from tipforce.host.settings import compare
+
+    differences = compare(_read(args, sdo), wanted, args.node, args.gauges)
+    for found in differences:
+        if args.json:
+            common.print_json(asdict(found))
+        else:
+            there = "is not in the file" if found.other is None else f"{args.file} has {found.other}"
+            print(f"{found.name} ({found.entry}): the node has {found.node}, {there}")
+    common.note(args, f"node {common.shown_id(args.node)}: {len(differences)} different")
+    return 1 if differences else 0
+
+
+def _show(args: argparse.Namespace) -> int:
+    from tipforce.dictionary import types
+    from tipforce.host.settings import changed_settings, default_settings, setting_rows
+
+    with common.open_connection(args) as connection:
+        settings = _read(args, connection.sdo(args.node))
+    known, defaults = setting_rows(args.gauges), default_settings(args.node, args.gauges)
+    shown = settings if args.all else changed_settings(settings, args.node, args.gauges)
+    for place, value in sorted(shown.items()):
+        row, texts = known[place], [types.format_value(known[place].letter, v) for v in (value, defaults[place])]
+        if args.json:
+            common.print_json(
+                {"index": f"0x{row.index:04X}", "sub": row.sub, "name": row.dotted, "value": value,
+                 "default": defaults[place], "unit": row.unit}
+            )  # fmt: skip
+        else:
+            default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
+            print(f"0x{row.index:04X}:{row.sub:02X}  {row.dotted:32} {texts[0]} {row.unit}{default}".rstrip())
+    common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
+    return 0
+
+
+def _save(args: argparse.Namespace) -> int:
+    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.settings import changed_settings, settings_dcf, settings_toml
+
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
+        simulated = FingertipClient(sdo).identity().simulated
+        settings = _read(args, sdo)
+    chosen = settings if args.all else changed_settings(settings, args.node, args.gauges)
+    if str(args.file).lower().endswith((".dcf", ".eds")):
+        text = settings_dcf(chosen, args.node, args.gauges, simulated)
+    else:
+        text = settings_toml(chosen, args.node, args.gauges)
+    if args.file == "-":
+        print(text, end="")
+        return 0
+    Path(args.file).write_text(text, encoding="utf-8", newline="")
+    common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of node {common.shown_id(args.node)}")
+    return 0
+
+
+def _read(args: argparse.Namespace, sdo: SdoChannel) -> dict[tuple[int, int], Value]:
+    """All settings, with a bar on a terminal: it takes a transfer for each."""
+    from tipforce.host.settings import read_settings, setting_rows
+
+    if args.quiet or not sys.stderr.isatty():
+        return read_settings(sdo, args.gauges)
+    from rich.console import Console
+    from rich.progress import Progress
+
+    with Progress(transient=True, console=Console(stderr=True)) as progress:
+        task = progress.add_task("read", total=len(setting_rows(args.gauges)))
+        return read_settings(sdo, args.gauges, lambda: progress.advance(task))

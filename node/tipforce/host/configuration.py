@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -17,7 +18,12 @@ from tipforce.host.sdo import SdoChannel
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
 """By (index, sub), in index order: the entry and the value it shall have."""
 
+NODE_ID_MARK = "$NODEID"
+"""In a value: the node-id that the file is applied to, as in a DCF (CiA 306): "$NODEID+0x40000180"."""
+
 _INVALID = 0x80000000  # COB-ID bit 31
+_NUMBER = r"(0[xX][0-9a-fA-F]+|\d+)"
+_FOLLOWS_NODE_ID = re.compile(rf"(?i:\$NODEID)(?:\s*\+\s*{_NUMBER})?|{_NUMBER}\s*\+\s*(?i:\$NODEID)")
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -30,7 +36,9 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
     Raises InputError naming the file, the object, the value and what is allowed.
     """
     found = (
-        _read_dcf(path, node_id, gauges) if str(path).lower().endswith((".dcf", ".eds")) else _read_toml(path, gauges)
+        _read_dcf(path, node_id, gauges)
+        if str(path).lower().endswith((".dcf", ".eds"))
+        else _read_toml(path, node_id, gauges)
     )
     for entry, value in found.values():
         if entry.access not in ("rw", "wo"):
@@ -49,7 +57,7 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
     return dict(sorted(found.items()))
 
 
-def _read_toml(path: str | Path, gauges: int) -> Configuration:
+def _read_toml(path: str | Path, node_id: int, gauges: int) -> Configuration:
     try:
         content = msgspec.toml.decode(Path(path).read_bytes(), type=_File)
     except OSError as error:
@@ -59,11 +67,21 @@ def _read_toml(path: str | Path, gauges: int) -> Configuration:
     found: Configuration = {}
     for name, value in content.objects.items():
         try:
-            for entry, single in _single_values(name, value, gauges):
+            for entry, single in _single_values(name, _numbered(value, node_id), gauges):
                 found[entry.index, entry.sub] = entry, single
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
     return found
+
+
+def _numbered(value: object, node_id: int) -> object:
+    """A value that follows the node-id, with this one."""
+    if not isinstance(value, str) or NODE_ID_MARK not in value.upper():
+        return value
+    match = _FOLLOWS_NODE_ID.fullmatch(value.strip())
+    if match is None:
+        raise InputError(f"{value!r}: write {NODE_ID_MARK}+0x180 or 0x180+{NODE_ID_MARK}")
+    return int(match[1] or match[2] or "0", 0) + node_id
 
 
 def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Value], Value]]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import threading
 import time
+from contextlib import suppress
 from types import TracebackType
 from typing import Any
 
@@ -13,6 +14,7 @@ import canopen
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.bus import open_bus
 from tipforce.host.frames import FrameArray, FrameBuffer
+from tipforce.host.heartbeats import Heartbeats
 from tipforce.host.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
 
 NMT_COMMANDS = {"start": 1, "stop": 2, "preop": 128, "reset-node": 129, "reset-comm": 130}
@@ -35,7 +37,8 @@ class Connection:
         self.network = canopen.Network(bus)
         self.network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
         self.buffer = FrameBuffer()
-        self.network.listeners.append(self.buffer)  # type: ignore[arg-type]
+        self.heartbeats = Heartbeats()
+        self.network.listeners += [self.buffer, self.heartbeats]  # type: ignore[list-item]
         self.network.connect()
 
     @classmethod
@@ -76,7 +79,7 @@ class Connection:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError when the bus refuses it."""
         try:
             self.network.send_message(can_id, data)
-        except can.CanError as error:
+        except (can.CanError, RuntimeError) as error:  # canopen says so of a closed bus
             raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
 
     def wait_for(self, can_ids: set[int], timeout_s: float = 1.0) -> FrameArray:
@@ -98,8 +101,11 @@ class Connection:
         return frames
 
     def close(self) -> None:
-        """Stop receiving and release the bus."""
-        self.network.disconnect()
+        """Stop receiving and release the bus; also one that has failed, whose error was for those who waited."""
+        if self.network.notifier is not None:
+            self.network.notifier.exception = None  # canopen would log it, and raise it when all is released
+        with suppress(can.CanError):
+            self.network.disconnect()
 
     def __enter__(self) -> Connection:
         return self

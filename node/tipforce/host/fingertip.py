@@ -54,6 +54,14 @@ class Identity:
         return bool(self.product & 0x100)
 
 
+@dataclass(frozen=True, slots=True)
+class Tare:
+    """What a node takes off its force (2111h): F1, F2, F3 in newtons, and for how long it has done so."""
+
+    force_newtons: tuple[float, float, float]
+    age_s: int
+
+
 class FingertipClient:
     """The host's handle on one node. Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does."""
 
@@ -118,6 +126,19 @@ class FingertipClient:
     def store(self, calibration: bool = False) -> None:
         """Store all parameters (1010h:1), or the calibration alone (1010h:4)."""
         self.sdo.write(od.STORE[4 if calibration else 1], table.SIGNATURE_SAVE)
+
+    def tare(self) -> None:
+        """Take the force of the latest sample as zero (6139h); SdoAbortError when there is no force to take."""
+        self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
+
+    def clear_tare(self) -> None:
+        """End the tare (2130h)."""
+        self.sdo.write(od.COMMAND, table.COMMAND_CLEAR_TARE)
+
+    def tare_state(self) -> Tare:
+        """What is taken off now."""
+        read = self.sdo.read
+        return Tare((read(od.TARE_F1), read(od.TARE_F2), read(od.TARE_F3)), read(od.TARE_AGE_S))
 
     def _write_refusable(self, entry: Entry[T], value: T) -> None:
         try:

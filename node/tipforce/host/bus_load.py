@@ -1,0 +1,177 @@
+"""How full a bus is: the budget of a hand on paper, and the bits of frames that were seen (ISO 11898-1, 10.5)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.errors import InputError
+from tipforce.host.frames import FrameArray
+
+DEFAULT_BIT_RATE = 1_000_000
+LIMIT = 0.8
+"""Of the bit rate, with worst-case stuffing: above it the lowest priority may miss its SYNC period now and then."""
+
+_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
+_AFTER_CRC = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge slot and delimiter, end of frame, intermission: never stuffed
+_CRC_POLYNOMIAL = 0x4599
+
+
+def least_bits(data_bytes: int, extended: bool = False) -> int:
+    """Bits of a frame without one stuff bit, intermission included: 47 + 8 n, or 67 + 8 n with a 29-bit identifier."""
+    return _stuffable(data_bytes, extended) + _AFTER_CRC
+
+
+def most_bits(data_bytes: int, extended: bool = False) -> int:
+    """The same with as many stuff bits as there can be: one after the first five bits, then one for every four."""
+    stuffable = _stuffable(data_bytes, extended)
+    return stuffable + _AFTER_CRC + (stuffable - 1) // 4
+
+
+def _stuffable(data_bytes: int, extended: bool) -> int:
+    """Start of frame to the end of the CRC sequence."""
+    return (54 if extended else 34) + 8 * data_bytes
+
+
+@dataclass(frozen=True, slots=True)
+class Traffic:
+    """One kind of frame: how often per second on the whole bus, and with how many data bytes."""
+
+    name: str
+    per_second: float
+    data_bytes: int
+
+    @property
+    def least_bits_per_second(self) -> float:
+        """Without stuffing."""
+        return self.per_second * least_bits(self.data_bytes)
+
+    @property
+    def most_bits_per_second(self) -> float:
+        """With worst-case stuffing."""
+        return self.per_second * most_bits(self.data_bytes)
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What a hand puts on its bus. Loads are fractions of the bit rate."""
+
+    traffic: tuple[Traffic, ...]
+    bit_rate: int
+
+    @property
+    def least_load(self) -> float:
+        """Without stuffing."""
+        return sum(t.least_bits_per_second for t in self.traffic) / self.bit_rate
+
+    @property
+    def most_load(self) -> float:
+        """With worst-case stuffing."""
+        return sum(t.most_bits_per_second for t in self.traffic) / self.bit_rate
+
+
+def hand_budget(
+    nodes: int,
+    sync_hz: float,
+    pdos: Sequence[str] = ("Contact",),
+    gauges: int = 3,
+    bit_rate: int = DEFAULT_BIT_RATE,
+    heartbeat_s: float = 1.0,
+) -> Budget:
+    """The budget of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs a second.
+
+    Health goes with its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError.
+    """
+    if not (1 <= nodes <= 127 and sync_hz > 0 and bit_rate > 0 and heartbeat_s >= 0):
+        raise InputError(
+            f"{nodes} nodes, {sync_hz:g} Hz, {bit_rate} bit/s, heartbeat {heartbeat_s:g} s: allowed are "
+            "1 to 127 nodes, and rates over 0"
+        )
+    lengths = {message.name: message.length_bytes for message in tpdo_messages(gauges)}
+    unknown = [name for name in pdos if name not in lengths]
+    if unknown or not pdos:
+        raise InputError(f"PDO {', '.join(unknown) or 'none'}: allowed are {', '.join(lengths)}")
+    traffic = [Traffic("SYNC", sync_hz, 0)]
+    for name in dict.fromkeys(pdos):
+        traffic.append(Traffic(name, nodes * (1.0 if name == "Health" else sync_hz), lengths[name]))
+    if heartbeat_s:
+        traffic.append(Traffic("heartbeat", nodes / heartbeat_s, 1))
+    return Budget(tuple(traffic), bit_rate)
+
+
+def highest_rate_hz(
+    nodes: int, pdos: Sequence[str], gauges: int = 3, bit_rate: int = DEFAULT_BIT_RATE, limit: float = LIMIT
+) -> float:
+    """The SYNC rate at which the worst case reaches ``limit``; 0 where not even the rest of the traffic fits."""
+    at_one, at_two = (hand_budget(nodes, hz, pdos, gauges, bit_rate).most_load for hz in (1.0, 2.0))
+    each = at_two - at_one
+    return max(0.0, (limit - (at_one - each)) / each)
+
+
+def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
+    """Bits of each FRAME (n,) on the wire, its own stuff bits and intermission included; 0 for error frames.
+
+    An error frame of SocketCAN tells of an error and is not what was on the wire.
+    """
+    bits, length = _bit_matrix(frames)
+    count = length + _AFTER_CRC + _stuff_bits(bits, length)
+    count[(frames["can_id"] & _ERROR) != 0] = 0
+    return count
+
+
+def _bit_matrix(frames: FrameArray) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
+    """Start of frame to the CRC's end as bits (n, 118), and how many of them each frame has (n,)."""
+    can_id = frames["can_id"].astype(np.int64)
+    extended, remote = (can_id & _EXTENDED) != 0, (can_id & _REMOTE) != 0
+    data_bytes = np.where(remote, 0, frames["length"]).astype(np.int64)
+    n = len(frames)
+    bits = np.zeros((n, 118), dtype=np.uint8)
+    control = np.minimum(frames["length"], 8).astype(np.int64)
+    # Standard: SOF, 11 bits, RTR, IDE, r0, DLC. Extended: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC.
+    header = np.where(
+        extended,
+        ((can_id >> 18 & 0x7FF) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | remote.astype(np.int64) << 6 | control),
+        ((can_id & 0x7FF) << 7 | remote.astype(np.int64) << 6 | control),
+    )
+    start = np.where(extended, 39, 19)
+    columns = np.arange(118)
+    shift = start[:, None] - 1 - columns
+    inside = shift >= 0
+    bits[inside] = (header[:, None] >> np.where(inside, shift, 0) & 1)[inside].astype(np.uint8)
+    payload = np.unpackbits(frames["data"], axis=1)
+    for width in (19, 39):
+        rows = np.flatnonzero(start == width)
+        bits[rows[:, None], width + np.arange(64)] = payload[rows]
+    before_crc = start + 8 * data_bytes
+    bits[columns >= before_crc[:, None]] = 0
+    crc = _crc15(bits, before_crc)
+    place = before_crc[:, None] + np.arange(15)
+    bits[np.arange(n)[:, None], place] = (crc[:, None] >> (14 - np.arange(15)) & 1).astype(np.uint8)
+    return bits, before_crc + 15
+
+
+def _crc15(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    crc = np.zeros(len(bits), dtype=np.int64)
+    for k in range(int(length.max(initial=0))):
+        mixed = (crc << 1) ^ np.where((crc >> 14 & 1) ^ bits[:, k], _CRC_POLYNOMIAL, 0)
+        crc = np.where(k < length, mixed & 0x7FFF, crc)
+    return crc
+
+
+def _stuff_bits(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """After five equal bits comes their opposite, which counts for the next five."""
+    stuffed = np.zeros(len(bits), dtype=np.int64)
+    last = np.full(len(bits), 2, dtype=np.uint8)
+    run = np.zeros(len(bits), dtype=np.int64)
+    for k in range(int(length.max(initial=0))):
+        run = np.where(bits[:, k] == last, run + 1, 1)
+        last = bits[:, k]
+        full = (run == 5) & (k < length)
+        stuffed += full
+        last = np.where(full, 1 - last, last).astype(np.uint8)
+        run = np.where(full, 1, run)
+    return stuffed

@@ -1,0 +1,59 @@
+"""The NMT state of every node, as its heartbeats tell it (CiA 301, 7.2.8.3.2)."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Collection
+
+import can
+
+BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+
+_AFTER_ERROR_S = 0.05
+
+
+class Heartbeats(can.Listener):
+    """Keeps each node's last heartbeat; any number of threads may wait for one."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[float, int]] = {}
+        self._arrived = threading.Condition()
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Called by the Notifier's thread."""
+        if not 0x700 < msg.arbitration_id <= 0x77F or len(msg.data) != 1:
+            return
+        if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
+            return
+        with self._arrived:
+            self._last[msg.arbitration_id & 0x7F] = time.monotonic(), msg.data[0] & 0x7F
+            self._arrived.notify_all()
+
+    def on_error(self, exc: Exception) -> None:
+        """Called by the Notifier when the bus fails: it keeps the error for those who wait, and goes on listening.
+
+        Without this its thread would end with a traceback. A bus that fails at once again must not keep a core busy.
+        """
+        del exc
+        time.sleep(_AFTER_ERROR_S)
+
+    def stop(self) -> None:
+        """Called by the Notifier when it ends."""
+
+    def state(self, node_id: int) -> int | None:
+        """NMT state of the last heartbeat, None for a node that was never heard."""
+        with self._arrived:
+            return self._last[node_id][1] if node_id in self._last else None
+
+    def wait(self, node_id: int, states: Collection[int], since_s: float, timeout_s: float) -> bool:
+        """Wait for a heartbeat with one of ``states`` that came after ``since_s`` (monotonic); False if none does."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._arrived:
+            while True:
+                heard_s, state = self._last.get(node_id, (-1.0, -1))
+                if heard_s >= since_s and state in states:
+                    return True
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0 or not self._arrived.wait(left_s):
+                    return False

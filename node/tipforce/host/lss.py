@@ -1,0 +1,142 @@
+"""LSS master (CiA 305): find nodes that have no node-id, give them one, store it.
+
+The ``canopen`` package has a master too; it sleeps 0.2 s in each part of an identity and waits half a second for each
+bit of a fastscan, so that a hand of five fingers would take a minute to number.
+"""
+
+from __future__ import annotations
+
+import queue
+import struct
+from collections.abc import Sequence
+from dataclasses import dataclass
+from types import TracebackType
+
+from tipforce.errors import InputError, NoResponseError, RefusedError
+from tipforce.host.connection import Connection
+
+REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
+UNCONFIGURED = 255  # what a node without a node-id calls its own
+DEFAULT_TIMEOUT_S = 0.1
+STORE_TIMEOUT_S = 2.0  # a node answers when its memory is written
+PARTS = ("vendor", "product", "revision", "serial")
+
+_SWITCH_GLOBAL, _NODE_ID, _STORE, _FASTSCAN, _INQUIRE_NODE_ID = 0x04, 0x11, 0x17, 0x51, 0x5E
+_SELECT_VENDOR, _SELECTED, _IDENTIFIED = 0x40, 0x44, 0x4F
+_IDENTIFY_UNCONFIGURED, _UNCONFIGURED = 0x4C, 0x50
+_ANYONE = 0x80
+_STORE_ERRORS = {1: "it has no memory for it", 2: "its memory failed"}
+
+
+@dataclass(frozen=True, slots=True)
+class LssAddress:
+    """The four numbers of 1018h by which LSS tells devices apart (CiA 305, 5.2)."""
+
+    vendor: int
+    product: int
+    revision: int
+    serial: int
+
+    def __str__(self) -> str:
+        numbers = f"vendor 0x{self.vendor:08X} product 0x{self.product:08X} revision 0x{self.revision:08X}"
+        return f"{numbers} serial {self.serial}"
+
+
+class LssMaster:
+    """The one LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
+
+    def __init__(self, connection: Connection, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+        self._connection = connection
+        self._timeout_s = timeout_s
+        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        connection.network.subscribe(ANSWER_ID, self._on_answer)
+
+    def __enter__(self) -> LssMaster:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.release()
+        self._connection.network.unsubscribe(ANSWER_ID, self._on_answer)
+
+    def release(self) -> None:
+        """All nodes to the waiting state; one that was given its first node-id boots with it now (CiA 305, 6.3.2)."""
+        self._send(_SWITCH_GLOBAL, b"\x00")
+
+    def any_unconfigured(self) -> bool:
+        """Whether a node without a node-id answers."""
+        return self._ask(_IDENTIFY_UNCONFIGURED, b"", _UNCONFIGURED) is not None
+
+    def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
+        """Find one node without a node-id, and leave it in the configuration state; None when there is none.
+
+        ``known`` begins the address, as far as it is known (vendor, product, ...): a question for each part instead
+        of one for each bit. A node that has a node-id takes no part (CiA 305, 6.7).
+        """
+        if not self._matches(0, _ANYONE, 0, 0):
+            return None
+        parts = [0, 0, 0, 0]
+        for sub in range(4):
+            following = (sub + 1) % 4
+            if sub < len(known):
+                parts[sub] = known[sub]
+            else:
+                for bit in range(31, -1, -1):
+                    if not self._matches(parts[sub], bit, sub, sub):
+                        parts[sub] |= 1 << bit
+            if not self._matches(parts[sub], 0, sub, following):
+                return None
+        return LssAddress(*parts)
+
+    def select(self, address: LssAddress) -> bool:
+        """Bring the one node with this address to the configuration state, node-id or not; False if none answers."""
+        for k, part in enumerate(PARTS[:3]):
+            self._send(_SELECT_VENDOR + k, struct.pack("<I", getattr(address, part)))
+        return self._ask(_SELECT_VENDOR + 3, struct.pack("<I", address.serial), _SELECTED) is not None
+
+    def node_id(self) -> int:
+        """The node-id of the selected node; 255 for none. Raises NoResponseError."""
+        return self._required(_INQUIRE_NODE_ID, b"", "its node-id", self._timeout_s)[1]
+
+    def configure_node_id(self, node_id: int) -> None:
+        """Give the selected node an id, which holds from its next reset. Raises NoResponseError, RefusedError."""
+        if not 1 <= node_id <= 127:
+            raise InputError(f"node-id {node_id}: allowed are 1 to 127")
+        answer = self._required(_NODE_ID, bytes((node_id,)), f"node-id {node_id}", self._timeout_s)
+        if answer[1]:
+            raise RefusedError(f"LSS: the node refused node-id {node_id} (error {answer[1]})")
+
+    def store(self) -> None:
+        """Have the selected node keep node-id and bit rate over a power cycle. Raises NoResponseError, RefusedError."""
+        answer = self._required(_STORE, b"", "storing", STORE_TIMEOUT_S)
+        if answer[1]:
+            raise RefusedError(f"LSS: the node did not store: {_STORE_ERRORS.get(answer[1], f'error {answer[1]}')}")
+
+    def _matches(self, number: int, bit_check: int, sub: int, following: int) -> bool:
+        payload = struct.pack("<IBBB", number, bit_check, sub, following)
+        return self._ask(_FASTSCAN, payload, _IDENTIFIED) is not None
+
+    def _required(self, service: int, payload: bytes, what: str, timeout_s: float) -> bytes:
+        answer = self._ask(service, payload, service, timeout_s)
+        if answer is None:
+            raise NoResponseError(f"LSS: no node answered about {what} within {timeout_s:g} s")
+        return answer
+
+    def _ask(self, service: int, payload: bytes, expected: int, timeout_s: float | None = None) -> bytes | None:
+        while not self._answers.empty():
+            self._answers.get()
+        self._send(service, payload)
+        try:
+            while True:
+                answer = self._answers.get(timeout=self._timeout_s if timeout_s is None else timeout_s)
+                if len(answer) == 8 and answer[0] == expected:
+                    return answer
+        except queue.Empty:
+            return None
+
+    def _send(self, service: int, payload: bytes) -> None:
+        self._connection.send(REQUEST_ID, (bytes((service,)) + payload).ljust(8, b"\0"))
+
+    def _on_answer(self, _can_id: int, data: bytearray, _time_s: float) -> None:
+        self._answers.put(bytes(data))

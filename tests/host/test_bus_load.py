@@ -1,0 +1,89 @@
+"""Bits on the wire: the bounds, and the exact count against a bit-by-bit model of a CAN controller."""
+
+from __future__ import annotations
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from tipforce.errors import InputError
+from tipforce.host.bus_load import exact_bits, hand_budget, highest_rate_hz, least_bits, most_bits
+from tipforce.host.frames import frame_array
+
+
+def wire_bits(can_id: int, data: bytes) -> int:
+    """A frame as a controller sends it, one bit after the other."""
+    extended, remote = bool(can_id & 0x80000000), bool(can_id & 0x40000000)
+    body = "" if remote else "".join(f"{byte:08b}" for byte in data)
+    dlc, rtr = f"{len(data):04b}", "1" if remote else "0"
+    if extended:
+        number = f"{can_id & 0x1FFFFFFF:029b}"
+        text = "0" + number[:11] + "11" + number[11:] + rtr + "00" + dlc + body
+    else:
+        text = "0" + f"{can_id & 0x7FF:011b}" + rtr + "00" + dlc + body
+    crc = 0
+    for bit in text:
+        crc = (crc << 1 ^ (0x4599 if int(bit) ^ crc >> 14 else 0)) & 0x7FFF
+    text += f"{crc:015b}"
+    sent = ""
+    for bit in text:
+        sent += bit
+        if len(sent) >= 5 and sent[-5:] == bit * 5 and _run(sent) == 5:
+            sent += "1" if bit == "0" else "0"
+    return len(sent) + 13
+
+
+def _run(sent: str) -> int:
+    return len(sent) - len(sent.rstrip(sent[-1]))
+
+
+identifiers = st.one_of(
+    st.integers(0, 0x7FF),
+    st.integers(0, 0x7FF).map(lambda n: n | 0x40000000),
+    st.integers(0, 0x1FFFFFFF).map(lambda n: n | 0x80000000),
+    st.integers(0, 0x1FFFFFFF).map(lambda n: n | 0xC0000000),
+)
+payloads = st.one_of(st.binary(max_size=8), st.integers(0, 8).map(bytes), st.integers(0, 8).map(lambda n: b"\xff" * n))
+
+
+@given(st.lists(st.tuples(identifiers, payloads), max_size=20))
+def test_exact_bits_are_those_of_a_controller(frames: list[tuple[int, bytes]]) -> None:
+    array = frame_array([(0, can_id, data) for can_id, data in frames])
+    found = exact_bits(array).tolist()
+    assert found == [wire_bits(can_id, data) for can_id, data in frames]
+    for bits, (can_id, data) in zip(found, frames, strict=True):
+        size = 0 if can_id & 0x40000000 else len(data)
+        extended = bool(can_id & 0x80000000)
+        assert least_bits(size, extended) <= bits <= most_bits(size, extended)
+
+
+def test_the_figures_of_the_standard() -> None:
+    assert [least_bits(8), most_bits(8), least_bits(0), most_bits(0)] == [111, 135, 47, 55]
+    assert [least_bits(8, True), most_bits(8, True)] == [131, 160]
+    assert exact_bits(frame_array([(0, 0x20000004, bytes(8))])).tolist() == [0]
+    assert len(exact_bits(frame_array([]))) == 0
+
+
+def test_five_fingers_at_a_kilohertz() -> None:
+    both = hand_budget(5, 1000, ("Gauges", "Contact"))
+    assert both.least_load == pytest.approx(1.16, abs=0.005)
+    assert both.most_load == pytest.approx(1.405, abs=0.005)
+    one = hand_budget(5, 1000, ("Contact",))
+    assert 0.60 < one.least_load < one.most_load < 0.735
+    assert hand_budget(15, 243, ("Gauges", "Contact")).most_load == pytest.approx(1.0, abs=0.005)
+
+
+@pytest.mark.parametrize(("nodes", "pdos"), [(5, ("Contact",)), (15, ("Gauges", "Contact", "Health"))])
+def test_the_highest_rate_is_where_the_limit_is(nodes: int, pdos: tuple[str, ...]) -> None:
+    rate = highest_rate_hz(nodes, pdos, limit=0.5)
+    assert hand_budget(nodes, rate, pdos).most_load == pytest.approx(0.5)
+    assert highest_rate_hz(127, ("Health",), bit_rate=10_000) == 0.0
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [(0, 1.0), (128, 1.0), (1, 0.0), (1, -1.0), (1, float("nan")), (1, 1.0, ("Torque",)), (1, 1.0, ())],
+)
+def test_refused(arguments: tuple[int, float]) -> None:
+    with pytest.raises(InputError):
+        hand_budget(*arguments)

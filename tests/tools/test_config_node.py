@@ -1,0 +1,119 @@
+"""config show, save and diff: the settings of a node as a file, and a file on another node."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from host.bus_with_nodes import connected, finger, new_channel
+from tipforce.dictionary import objects as od
+from tipforce.host.connection import Connection
+from tipforce.host.settings import default_settings, read_settings
+from tipforce_tools.main import main
+
+Tipforce = Callable[..., tuple[int, str, str]]
+
+FILE = """
+[objects]
+"heartbeat.producer_ms" = 250
+"sample_period_us" = [1000]
+"tpdo3.cob_id" = "$NODEID+0x40000380"
+"tpdo2.mapping" = ["process_value_int32:7", "status", "counter"]
+"contact_unknown" = 1
+"""
+
+
+@pytest.fixture
+def bench() -> Iterator[tuple[Connection, str]]:
+    """Nodes 5 and 6, and the name of their bus."""
+    channel = new_channel()
+    with connected(finger(5), finger(6), channel=channel) as (connection, _):
+        yield connection, channel
+
+
+@pytest.fixture
+def tipforce(bench: tuple[Connection, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
+    """Run a command line on that bus: (exit code, stdout, stderr)."""
+
+    def run(*words: object) -> tuple[int, str, str]:
+        code = main([*map(str, words), "-i", "virtual", "-c", bench[1]])
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
+    code, out, err = tipforce("config", "show", 5)
+    assert (code, out) == (0, "")
+    assert "0 shown" in err
+    code, out, _ = tipforce("config", "show", 5, "--all", "--json", "-q")
+    records = [json.loads(line) for line in out.splitlines()]
+    assert len(records) == len(default_settings(5))
+    assert all(record["value"] == pytest.approx(record["default"]) for record in records)
+
+
+def test_what_is_read_is_what_the_table_says(bench: tuple[Connection, str]) -> None:
+    assert read_settings(bench[0].sdo(6)) == pytest.approx(default_settings(6))
+
+
+def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Connection, str], tmp_path: Path) -> None:
+    path, saved = tmp_path / "wanted.toml", tmp_path / "saved.toml"
+    path.write_text(FILE.replace('"contact_unknown" = 1\n', ""))
+    assert tipforce("config", "apply", 5, path, "-q") == (0, "", "")
+    code, out, _ = tipforce("config", "show", 5)
+    assert code == 0
+    assert "0x1802:01  tpdo3.cob_id" in out
+    assert "(default 1000)" in out
+    assert tipforce("config", "save", 5, saved, "-q")[0] == 0
+    objects = tomllib.loads(saved.read_text())["objects"]
+    assert objects["tpdo3.cob_id"] == "$NODEID+0x40000380"
+    assert objects["tpdo2.mapping"] == ["process_value_int32:7", "status", "counter"]
+    assert tipforce("config", "diff", 5, saved, "-q") == (0, "", "")
+    assert tipforce("config", "apply", 6, saved, "-q") == (0, "", "")
+    assert bench[0].sdo(6).read(od.TPDO3_COB_ID) == 0x40000386
+    assert tipforce("config", "diff", 6, saved, "-q") == (0, "", "")
+
+
+def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Connection, str], tmp_path: Path) -> None:
+    path = tmp_path / "wanted.toml"
+    path.write_text('[objects]\n"heartbeat.producer_ms" = 300\n')
+    bench[0].sdo(5).write(od.SYNC_WINDOW_US, 700)
+    code, out, _ = tipforce("config", "diff", 5, path, "-q")
+    assert (code, out) == (
+        1,
+        "sync.window_us (0x1007:00): the node has 700, is not in the file\n"
+        f"heartbeat.producer_ms (0x1017:00): the node has 1000, {path} has 300\n",
+    )
+
+
+@pytest.mark.parametrize("name", ["finger.dcf", "-"])
+def test_saved_as_dcf_and_to_stdout(tipforce: Tipforce, tmp_path: Path, name: str) -> None:
+    target = name if name == "-" else str(tmp_path / name)
+    assert tipforce("sdo", "write", 5, "heartbeat.producer_ms", 250, "-q")[0] == 0
+    code, out, _ = tipforce("config", "save", 5, target, "-q")
+    assert code == 0
+    if name == "-":
+        assert out == '[objects]\n"heartbeat.producer_ms" = 250\n'
+    else:
+        assert tipforce("config", "verify", 5, target, "-q") == (0, "", "")
+        assert tipforce("config", "verify", 6, target, "-q")[0] == 1
+
+
+def test_what_is_wrong_is_said(tipforce: Tipforce, tmp_path: Path) -> None:
+    path = tmp_path / "wrong.toml"
+    path.write_text(FILE)
+    for words, text in (
+        (("apply", 5, path), "contact_unknown"),
+        (("save", 5), "which FILE?"),
+        (("show", 5, path), "takes no FILE"),
+        (("save", 5, tmp_path / "no" / "file.toml"), "No such file"),
+    ):
+        code, out, err = tipforce("config", *words)
+        assert (code, out) == (2 if words[0] != "save" or len(words) == 2 else 1, "")
+        assert text in err
+    path.write_text('[objects]\n"tpdo3.cob_id" = "$NODEID-1"\n')
+    assert "write $NODEID+0x180" in tipforce("config", "apply", 5, path)[2]

@@ -1,0 +1,112 @@
+"""doctor: each thing that can stand in the way is named with its next step."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from host.bus_with_nodes import connected, finger, new_channel
+from tipforce.dictionary import objects as od
+from tipforce_tools.doctor.bus import configuration_check
+from tipforce_tools.doctor.kernel import can_interfaces, interface_checks
+from tipforce_tools.doctor.software import software_checks
+from tipforce_tools.main import main
+
+UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
+
+
+def can_link(**info: Any) -> dict[str, Any]:
+    """What `ip -details -json link show` says of a real interface."""
+    return UP | {"linkinfo": {"info_kind": "can", "info_data": {"bittiming": {"bitrate": 500000}} | info}}
+
+
+@pytest.fixture(autouse=True)
+def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setattr("can.util.CONFIG_FILES", [])
+
+
+def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> None:
+    channel = new_channel()
+    with connected(finger(5), channel=channel) as (connection, _):
+        connection.sdo(5).write(od.HEARTBEAT_PRODUCER_MS, 20)
+        assert main(["doctor", "--listen", "0.3", "--json", "-i", "virtual", "-c", channel]) == 0
+    checks = {
+        (c["topic"], c["finding"].split(",")[0]): c for c in map(json.loads, capsys.readouterr().out.splitlines())
+    }
+    assert ("nodes", "heartbeats of 5") in checks
+    assert any(topic == "traffic" and "frames/s" in finding for topic, finding in checks)
+    assert any(topic == "software" for topic, _ in checks)
+
+
+def test_a_silent_bus_and_one_that_does_not_open(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--listen", "0.01", "-i", "virtual", "-c", new_channel()]) == 0
+    assert "silent" in capsys.readouterr().out
+    assert main(["doctor", "--listen", "0.01", "-i", "socketcan", "-c", "nowhere9"]) == 1
+    out = capsys.readouterr().out
+    assert "fail bus: " in out
+    assert "->" in out
+    assert main(["doctor", "--listen", "-1"]) == 2
+
+
+def test_without_a_bus_it_says_how_to_name_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor"]) == 0
+    out = capsys.readouterr().out
+    assert "no bus is named" in out
+    assert "-i socketcan -c can0" in out
+
+
+@pytest.mark.parametrize(
+    ("link", "state", "finding", "step"),
+    [
+        (can_link(), "ok", "up, 500000 bit/s", ""),
+        (can_link() | {"flags": ["NOARP"]}, "fail", "down, 500000", "ip link set can0 up type can bitrate 500000"),
+        (can_link(state="BUS-OFF"), "fail", "bus-off", "type can restart"),
+        (can_link(state="ERROR-PASSIVE", berr_counter={"tx": 128, "rx": 0}), "fail", "sent 128", "terminators"),
+        (can_link() | {"txqlen": 10}, "note", "queue of 10", "txqueuelen 1000"),
+        (UP | {"linkinfo": {"info_kind": "vcan"}, "txqlen": 10}, "ok", "up, virtual", ""),
+        (None, "note", "unknown", "iproute2"),
+    ],
+)
+def test_interfaces(link: dict[str, Any] | None, state: str, finding: str, step: str) -> None:
+    last = list(interface_checks("can0", link))[-1]
+    assert last.state == state
+    assert finding in last.finding
+    assert step in last.next_step
+
+
+def test_can_interfaces_are_told_by_their_type(tmp_path: Path) -> None:
+    for name, kind in (("lo", "772"), ("vcan1", "280"), ("can0", "280"), ("odd", "")):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "type").write_text(kind)
+    assert can_interfaces(tmp_path) == ["can0", "vcan1"]
+    assert can_interfaces(tmp_path / "none") == []
+
+
+def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    assert "flags (--interface virtual)" in configuration_check({"interface": "virtual"}).finding
+    monkeypatch.setenv("CAN_INTERFACE", "socketcan")
+    monkeypatch.setenv("CAN_CHANNEL", "can7")
+    assert configuration_check({}).finding.startswith("socketcan can7, from CAN_INTERFACE=socketcan")
+    monkeypatch.setenv("CAN_INTERFACE", "nonsense")
+    assert configuration_check({}).state == "fail"
+    monkeypatch.delenv("CAN_INTERFACE")
+    monkeypatch.delenv("CAN_CHANNEL")
+    path = tmp_path / "can.conf"
+    path.write_text("[default]\ninterface = virtual\nchannel = hand\n")
+    monkeypatch.setattr("can.util.CONFIG_FILES", [str(path)])
+    found = configuration_check({})
+    assert found.finding == f"virtual hand, from {path}"
+
+
+def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.doctor import software
+
+    monkeypatch.setitem(software.EXTRAS, "science", ("no-such-package",))
+    checks = {check.topic: check for check in software_checks()}
+    assert "science" in checks["extras"].finding
+    assert "science" in checks["extras"].next_step

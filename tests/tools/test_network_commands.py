@@ -1,0 +1,195 @@
+"""nmt, lss, tare and load, run in this process against nodes on the in-process bus."""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import pytest
+
+from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
+from tipforce.dictionary import objects as od
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+from tipforce_tools.main import main
+
+Tipforce = Callable[..., tuple[int, str, str]]
+
+
+@pytest.fixture
+def bench() -> Iterator[tuple[Connection, str]]:
+    """Nodes 5 and 6, and the name of their bus."""
+    channel = new_channel()
+    with connected(finger(5), finger(6), channel=channel) as (connection, _):
+        for node_id in (5, 6):
+            connection.sdo(node_id).write(od.HEARTBEAT_PRODUCER_MS, 20)
+        yield connection, channel
+
+
+@pytest.fixture
+def tipforce(request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str]) -> Tipforce:
+    """Run a command line on the bus of ``bench`` or ``unconfigured``: (exit code, stdout, stderr)."""
+    name = "unconfigured" if "unconfigured" in request.fixturenames else "bench"
+    channel = request.getfixturevalue(name)[1]
+
+    def run(*words: object) -> tuple[int, str, str]:
+        try:
+            code = main([*map(str, words), "-i", "virtual", "-c", channel])
+        except SystemExit as error:
+            code = int(error.code or 0)
+        return (code, *capsys.readouterr())
+
+    return run
+
+
+@pytest.fixture
+def unconfigured(tmp_path: Path) -> Iterator[tuple[Connection, str]]:
+    """Three nodes without a node-id, serials 7, 0x80000001 and 9, and node 20; they can store."""
+    devices = []
+    rows = strain_matrix(FABRICATED, "I").tolist()
+    for serial in (7, 0x80000001, 9):
+        store = FileStore(tmp_path / f"{serial}.json")
+        device = fingertip_node(255, SimulatedSource(rows), serial=serial, save=store.save, load=store.load)
+        devices.append(device)
+    channel = new_channel()
+    with connected(finger(20), channel=channel) as (connection, _), running(devices, channel):
+        yield connection, channel
+
+
+# --- nmt ------------------------------------------------------------------------------------------------------------
+
+
+def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    assert tipforce("nmt", "start", "5,6", "--wait") == (0, "   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
+    code, out, _ = tipforce("nmt", "stop", "0x06", "--wait", "--json")
+    assert (code, json.loads(out)) == (0, {"node_id": 6, "state": "stopped"})
+    for command in ("reset-node", "reset-comm"):
+        assert tipforce("nmt", command, "6", "--wait") == (0, "   6 (0x06)  boot-up\n", "")
+    assert bench[0].sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
+
+
+def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    bench[0].buffer.clear()
+    assert tipforce("nmt", "start", "all") == (0, "", "")
+    bench[0].wait_for({0x705, 0x706})
+    code, _, err = tipforce("nmt", "start", "all", "--wait")
+    assert code == 2
+    assert "Name the node-ids" in err
+
+
+def test_a_node_that_does_not_say_so_is_named(tipforce: Tipforce) -> None:
+    code, out, err = tipforce("nmt", "start", "5,9", "--wait", "0.2")
+    assert (code, out) == (5, "")
+    assert "from node 9 (silent)" in err
+
+
+# --- lss ------------------------------------------------------------------------------------------------------------
+
+
+def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Connection, str]) -> None:
+    code, out, err = tipforce("lss", "scan", "--lss-timeout", "0.05", "--json")
+    assert code == 0
+    assert json.loads(out) == {
+        "vendor": 0, "product": 0x54500103, "revision": 0x00010000, "serial": 7, "node_id": None, "stored": False,
+    }  # fmt: skip
+    assert "finds one at a time" in err
+    assert unconfigured[0].sdo(20).read(od.IDENTITY_SERIAL) == 1020
+
+
+def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Connection, str], tmp_path: Path) -> None:
+    connection = unconfigured[0]
+    code, out, _ = tipforce("lss", "assign", "1-3", "--store", "--lss-timeout", "0.05")
+    assert code == 0
+    assert [line.split("serial ")[1] for line in out.splitlines()] == [
+        "7: node-id 1 (0x01), stored", "9: node-id 2 (0x02), stored", "2147483649: node-id 3 (0x03), stored",
+    ]  # fmt: skip
+    assert [connection.sdo(n).read(od.IDENTITY_SERIAL) for n in (1, 2, 3)] == [7, 9, 0x80000001]
+    stored = FileStore(tmp_path / "9.json").load("lss")
+    assert stored is not None
+    assert stored.endswith(bytes((2, 0)))
+    code, _, err = tipforce("lss", "assign", "4", "--lss-timeout", "0.05")
+    assert code == 5
+    assert "already configured" in err
+
+
+def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    words = ("--serial", "1005", "--product", "0x54500103")
+    code, out, err = tipforce("lss", "assign", "9", *words)
+    assert code == 0
+    assert out.endswith("serial 1005: node-id 9 (0x09)\n")
+    assert "it was 5 (0x05)" in err
+    assert tipforce("nmt", "reset-comm", "5")[0] == 0
+    bench[0].wait_for({0x709})
+    assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
+
+
+def test_lss_says_what_is_wrong(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    del bench
+    for words, code, text in (
+        (("store",), 2, "which node?"),
+        (("assign",), 2, "which node-ids?"),
+        (("assign", "1,2", "--serial", "3"), 2, "one node gets one node-id"),
+        (("assign", "1", "--serial", "99", "--lss-timeout", "0.02"), 5, "serial 99 answered"),
+        (("scan", "--lss-timeout", "0.02"), 5, "no node without a node-id"),
+        (("scan", "--lss-timeout", "0"), 2, "allowed is a time over 0 s"),
+        (("store", "--serial", "1005", "--product", "0x54500103"), 12, "no memory"),
+    ):
+        found, out, err = tipforce("lss", *words)
+        assert (found, out) == (code, "")
+        assert text in err
+
+
+# --- tare -----------------------------------------------------------------------------------------------------------
+
+
+def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    connection = bench[0]
+    FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+    apply_load(connection, 5, 2.0, 0.0, 0.0)
+    code, out, _ = tipforce("tare", "5", "--json")
+    record = json.loads(out)
+    assert code == 0
+    assert record["F3_N"] == pytest.approx(2.0, abs=5e-3)
+    assert record["node_id"] == 5
+    assert tipforce("tare", "5", "--show")[1].startswith("   5 (0x05)  F1 ")
+    assert "no tare" in tipforce("tare", "5", "--clear")[1]
+
+
+def test_tare_without_calibration_is_refused(tipforce: Tipforce) -> None:
+    code, out, err = tipforce("tare", "6")
+    assert (code, out) == (11, "")
+    assert "0x08000022" in err
+
+
+# --- load -----------------------------------------------------------------------------------------------------------
+
+
+def test_a_hand_that_fits_and_one_that_does_not(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["load", "--nodes", "5", "--rate", "500", "--pdos", "gauges,contact"]) == 0
+    out = capsys.readouterr().out
+    assert re.search(r"together +57\.9 % +70\.3 %", out)
+    assert "gauges + contact         5 nodes up to 569 Hz; at 500 Hz up to 5 nodes" in out
+    assert main(["load", "--nodes", "5", "--rate", "1000", "--pdos", "gauges,contact", "--json"]) == 1
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [r["frame"] for r in records] == ["SYNC", "Gauges", "Contact", "heartbeat", "together"]
+    assert records[-1]["most_load"] == pytest.approx(1.405, abs=1e-3)
+    assert main(["load", "--nodes", "5", "--pdos", "torque"]) == 2
+    assert "allowed are Gauges, Contact, Force, Health" in capsys.readouterr().err
+
+
+def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    code, out, err = tipforce("load", "--seconds", "0.5", "--json")
+    records = [json.loads(line) for line in out.splitlines()]
+    assert code == 0
+    assert "taken for 1000000 bit/s" in err
+    heartbeats = {r["can_id"]: r["per_second"] for r in records[:-1]}
+    assert heartbeats == {0x705: pytest.approx(50, rel=0.3), 0x706: pytest.approx(50, rel=0.3)}
+    assert records[-1]["load"] == pytest.approx(sum(r["bits_per_second"] for r in records[:-1]) / 1e6)
+    del bench

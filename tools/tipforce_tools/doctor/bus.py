@@ -1,0 +1,93 @@
+"""What python-can is told, from where, whether that bus opens, and what is heard on it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+from tipforce.errors import TipforceError
+from tipforce_tools.doctor.check import Check
+
+VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+_LOADED = 0.8
+
+
+def configuration_check(flags: Mapping[str, Any]) -> Check:
+    """Where the bus's name comes from: flags, environment, or a configuration file."""
+    import can.util
+
+    sources = []
+    given = [f"--{name} {value}" for name, value in flags.items() if value is not None and name != "can_filters"]
+    if given:
+        sources.append("flags (" + " ".join(given) + ")")
+    sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
+    sources += [str(path) for path in _configuration_files()]
+    if flags.get("interface") is None and not sources[len(given) and 1 :]:
+        return Check("configuration", "note", "no bus is named", "name it: -i socketcan -c can0, or write ~/.canrc")
+    try:
+        config = can.util.load_config(config={k: v for k, v in flags.items() if v is not None})
+    except (can.CanError, ValueError) as error:
+        return Check("configuration", "fail", f"{error}", "name the bus: -i socketcan -c can0")
+    named = f"{config['interface']} {config.get('channel', '')}".strip()
+    return Check("configuration", "ok", f"{named}, from {'; '.join(sources) or 'defaults'}")
+
+
+def _configuration_files() -> list[Path]:
+    """The files that python-can reads, those that exist."""
+    import can.util
+
+    return [path for path in (Path(p).expanduser() for p in can.util.CONFIG_FILES) if path.is_file()]
+
+
+def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
+    """Open the bus, listen, and say what is there. An unnamed bus is not opened."""
+    import can
+
+    from tipforce.host.bus import open_bus
+    from tipforce.host.bus_load import DEFAULT_BIT_RATE, exact_bits
+    from tipforce.host.frames import FrameBuffer
+
+    try:
+        bus = open_bus(**options)
+    except TipforceError as error:
+        yield Check("bus", "fail", str(error), "`tipforce doctor` without -i -c lists the interfaces")
+        return
+    buffer = FrameBuffer()
+    notifier = can.Notifier(bus, [buffer], timeout=0.1)
+    try:
+        time.sleep(listen_s)
+    finally:
+        notifier.stop()
+        bus.shutdown()
+    if notifier.exception is not None:
+        yield Check("bus", "fail", f"it failed while listening: {notifier.exception}", "is the adapter plugged in?")
+        return
+    frames = buffer.take_all()
+    if not len(frames):
+        step = "power the nodes; their heartbeats come once a second; `tipforce scan` asks them"
+        yield Check("traffic", "note", f"opened, and silent for {listen_s:g} s", step)
+        return
+    rate = int(options.get("bitrate") or DEFAULT_BIT_RATE)
+    load = float(exact_bits(frames).sum()) / listen_s / rate
+    finding = f"{len(frames) / listen_s:.0f} frames/s, load {100 * load:.1f} % of {rate} bit/s"
+    if load > _LOADED:
+        yield Check("traffic", "note", finding, "a lower SYNC rate or fewer PDOs: `tipforce load --help`")
+    else:
+        yield Check("traffic", "ok", finding)
+    yield from _heard(frames)
+
+
+def _heard(frames: Any) -> Iterator[Check]:
+    errors = int(((frames["can_id"] & 0x20000000) != 0).sum())
+    if errors:
+        yield Check("traffic", "fail", f"{errors} error frames", "`tipforce dump -e CHANNEL,#FFFFFFFF` says which")
+    standard = frames["can_id"][(frames["can_id"] & 0xE0000000) == 0]
+    beats = sorted({int(i) & 0x7F for i in standard if 0x700 < i <= 0x77F})
+    emergencies = sorted({int(i) & 0x7F for i in standard if 0x80 < i <= 0xFF})
+    if beats:
+        yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` says who they are")
+    if emergencies:
+        yield Check("nodes", "note", f"EMCY from {', '.join(map(str, emergencies))}", "`tipforce scan`, object 1003h")

@@ -1,0 +1,75 @@
+"""`tipforce doctor`: what stands between this machine and a working CAN bus, each with the next step."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from dataclasses import asdict
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce_tools.doctor.check import Check
+
+_STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce doctor`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "Looks at the kernel, the interfaces, where the bus's name comes from, and what is installed. With a bus it\n"
+        "also opens it and listens; it never sends. Exit code 1 if something that was asked for will not work.\n"
+        "  tipforce doctor\n"
+        "  tipforce doctor -i socketcan -c can0"
+    )
+    parser.add_argument("--listen", type=float, default=1.2, metavar="S", help="to the bus (default %(default)s s)")
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the findings; 1 when one failed."""
+    common.set_up_logging(args)
+    if not 0 <= args.listen <= 3600:
+        raise InputError(f"--listen {args.listen:g}: allowed are 0 to 3600 s")
+    failed = False
+    out = None if args.json else common.console(args)
+    for check in _checks(args):
+        failed |= check.state == "fail"
+        if out is None:
+            common.print_json(asdict(check))
+            continue
+        step = f"\n      -> {check.next_step}" if check.next_step else ""
+        style = _STYLES[check.state]
+        out.print(f"[{style}]{check.state:4}[/{style}]", f"{check.topic}: ", end="", soft_wrap=True)
+        out.print(f"{check.finding}{step}", markup=False, highlight=False, soft_wrap=True)
+    return 1 if failed else 0
+
+
+def _checks(args: argparse.Namespace) -> Iterator[Check]:
+    from tipforce_tools.doctor.bus import bus_checks, configuration_check
+    from tipforce_tools.doctor.iio import iio_checks
+    from tipforce_tools.doctor.kernel import kernel_checks
+    from tipforce_tools.doctor.software import software_checks
+
+    options = common.bus_options(args)
+    configuration = configuration_check(options)
+    named = configuration.state == "ok"
+    for check in kernel_checks():
+        # Without a bus of this kernel in mind, a kernel without CAN is a note.
+        wanted = options.get("interface") == "socketcan"
+        yield check if wanted or check.state != "fail" else _as_note(check)
+    yield configuration
+    if named:
+        yield from bus_checks(options, args.listen)
+    yield from iio_checks()
+    yield from software_checks()
+
+
+def _as_note(check: Check) -> Check:
+    from dataclasses import replace
+
+    return replace(check, state="note")

@@ -1,0 +1,143 @@
+"""`tipforce lss scan|assign|store`: node-ids over the bus (CiA 305)."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError, NoResponseError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce.host.lss import LssAddress, LssMaster
+
+NOBODY = (
+    "no node without a node-id answered. A node that is already configured takes no part in a fastscan: "
+    "`tipforce scan` lists those, and `tipforce lss assign ID --serial N --product P` renumbers one"
+)
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce lss`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "scan    find a node without a node-id, by fastscan, and print its address\n"
+        "assign  give node-ids: IDS to the nodes without one, in the order in which they are found, or with --serial\n"
+        "        to the one with that address, which may have a node-id already (it changes at its next reset)\n"
+        "store   have the node with that address keep its node-id and bit rate\n\n"
+        "  tipforce lss scan -i socketcan -c can0\n"
+        "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
+        "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
+        "Node-ids that are assigned without --store are gone after a power cycle."
+    )
+    parser.add_argument("action", choices=("scan", "assign", "store"))
+    parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
+    parser.add_argument("--store", action="store_true", help="assign: the nodes keep it over a power cycle")
+    group = parser.add_argument_group("LSS address of one node (1018h)")
+    group.add_argument("--serial", type=_u32, metavar="N")
+    group.add_argument("--product", type=_u32, default=0x54500003, metavar="N", help="default 0x%(default)X")
+    group.add_argument("--vendor", type=_u32, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--revision", type=_u32, metavar="N", help="default: this release's")
+    parser.add_argument(
+        "--lss-timeout", type=float, default=0.1, metavar="S", help="for each answer (default %(default)s s)"
+    )
+    common.add_confirm_argument(parser)
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; 5 when no node answered. Raises RefusedError when a node refuses."""
+    from tipforce.host.connection import Connection
+    from tipforce.host.lss import LssMaster
+
+    common.set_up_logging(args)
+    _check(args)
+    if args.action == "store" or args.store:
+        common.confirm(args, "this replaces the stored node-id")
+    with Connection(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
+        if args.action == "scan":
+            return _scan(args, master)
+        if args.serial is not None:
+            return _one(args, master)
+        return _assign(args, master)
+
+
+def _check(args: argparse.Namespace) -> None:
+    if not 0 < args.lss_timeout < threading.TIMEOUT_MAX:
+        raise InputError(f"--lss-timeout {args.lss_timeout:g}: allowed is a time over 0 s")
+    if args.action == "assign" and not args.ids:
+        raise InputError("lss assign: which node-ids? For example: tipforce lss assign 1-5 --store")
+    if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
+        raise InputError(f"lss assign --serial: one node gets one node-id, {len(args.ids)} are given")
+    if args.action == "store" and args.serial is None:
+        raise InputError("lss store: which node? Add --serial N (and --product, --vendor, --revision if not ours)")
+
+
+def _scan(args: argparse.Namespace, master: LssMaster) -> int:
+    address = master.fastscan()
+    if address is None:
+        raise NoResponseError(NOBODY)
+    _say(args, address, None, stored=False)
+    common.note(args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` numbers them all")
+    return 0
+
+
+def _assign(args: argparse.Namespace, master: LssMaster) -> int:
+    for number, node_id in enumerate(args.ids):
+        address = master.fastscan()
+        if address is None:
+            if not number:
+                raise NoResponseError(NOBODY)
+            left = ", ".join(str(n) for n in args.ids[number:])
+            raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and numbered; not given: {left}")
+        _configure(args, master, address, node_id)
+        master.release()
+    return 0
+
+
+def _one(args: argparse.Namespace, master: LssMaster) -> int:
+    from tipforce.dictionary.table import REVISION
+    from tipforce.host.lss import LssAddress
+
+    revision = REVISION if args.revision is None else args.revision
+    address = LssAddress(args.vendor, args.product, revision, args.serial)
+    if not master.select(address):
+        raise NoResponseError(f"no node with {address} answered; `tipforce scan --json` shows what nodes say they are")
+    if args.action == "store":
+        master.store()
+        _say(args, address, master.node_id(), stored=True)
+        return 0
+    before = master.node_id()
+    _configure(args, master, address, args.ids[0])
+    if before not in (255, args.ids[0]):
+        common.note(args, f"it was {common.shown_id(before)} and stays so until: tipforce nmt reset-comm {before}")
+    return 0
+
+
+def _configure(args: argparse.Namespace, master: LssMaster, address: LssAddress, node_id: int) -> None:
+    master.configure_node_id(node_id)
+    if args.store:
+        master.store()
+    _say(args, address, node_id, args.store)
+
+
+def _say(args: argparse.Namespace, address: LssAddress, node_id: int | None, stored: bool) -> None:
+    from dataclasses import asdict
+
+    if args.json:
+        common.print_json({**asdict(address), "node_id": node_id, "stored": stored})
+    else:
+        given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
+        print(f"{address}{given}")
+
+
+def _u32(text: str) -> int:
+    try:
+        number = int(text, 0)
+    except ValueError:
+        number = -1
+    if not 0 <= number <= 0xFFFFFFFF:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 to 0xFFFFFFFF")
+    return number

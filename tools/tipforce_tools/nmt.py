@@ -1,0 +1,56 @@
+"""`tipforce nmt start|stop|preop|reset-node|reset-comm IDS`."""
+
+from __future__ import annotations
+
+import argparse
+import threading
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+ALL = "all"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce nmt`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "  tipforce nmt start 1-5 --wait -i socketcan -c can0      (exit code 5 if one does not say that it started)\n"
+        "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
+    )
+    parser.add_argument("command", choices=("start", "stop", "preop", "reset-node", "reset-comm"))
+    parser.add_argument("ids", type=_ids, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
+    parser.add_argument(
+        "--wait", nargs="?", type=float, const=2.0, metavar="S", help="for each heartbeat (%(const)s s unless given)"
+    )
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Send; with --wait print each node's state. Raises NoResponseError for a node that does not say so in time."""
+    from tipforce.host.connection import Connection
+    from tipforce.host.nmt import command_and_wait
+
+    common.set_up_logging(args)
+    if args.wait is not None and not args.ids:
+        raise InputError("nmt all --wait: whose heartbeat? Name the node-ids")
+    if args.wait is not None and not 0 < args.wait < threading.TIMEOUT_MAX:
+        raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
+    with Connection(common.open_bus(args)) as connection:
+        if args.wait is None:
+            for node_id in args.ids or [0]:
+                connection.nmt(args.command, node_id)
+            return 0
+        states = command_and_wait(connection, args.command, args.ids, args.wait)
+    for node_id, state in sorted(states.items()):
+        if args.json:
+            common.print_json({"node_id": node_id, "state": state})
+        else:
+            print(f"{common.shown_id(node_id):>11}  {state}")
+    return 0
+
+
+def _ids(text: str) -> list[int]:
+    """Node-ids; none stands for all."""
+    return [] if text == ALL else common.node_ids(text)
