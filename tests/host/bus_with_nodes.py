@@ -22,7 +22,7 @@ from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
-from tipforce.host.hand import Hand, HandSample
+from tipforce.host.hand.polled import HandSample, PolledHand
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
 
@@ -129,7 +129,7 @@ def apply_load(connection: Connection, node_id: int, P: float, phi_deg: float, t
         sdo.write(entry, value)
 
 
-def fresh_sample(hand: Hand, timeout_s: float = 2.0) -> HandSample:
+def fresh_sample(hand: PolledHand, timeout_s: float = 2.0) -> HandSample:
     """The next row in which every finger that answers has a reading of its own.
 
     A SYNC inside the same conversion as the one before (0.5 ms) repeats the sample and marks it stale, so unknown.

@@ -26,7 +26,7 @@ from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.calibration import Calibration, FloatArray, difference
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
-from tipforce.host.hand import Hand
+from tipforce.host.hand.polled import PolledHand
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix
 
@@ -41,7 +41,7 @@ class Bench:
     connection: Connection
     bus: FaultyBus
     client: FingertipClient
-    hand: Hand
+    hand: PolledHand
     active: Calibration
 
     def state(self) -> tuple[object, ...]:
@@ -64,7 +64,7 @@ def bench(tmp_path: Path) -> Iterator[Bench]:
         active = beam_calibration()
         client.apply_calibration(active)
         apply_load(connection, NODE, *LOAD)
-        hand = Hand(connection, [NODE])
+        hand = PolledHand(connection, [NODE])
         hand.start()
         yield Bench(connection, bus, client, hand, active)
 

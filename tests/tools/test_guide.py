@@ -25,7 +25,7 @@ from tipforce.host.calibration_file import read_calibration, read_fit
 from tipforce.host.capture import Capture
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
-from tipforce.host.hand import Hand
+from tipforce.host.hand.polled import PolledHand
 from tipforce.sensor.calibration import covariance_of_estimate
 from tipforce.sensor.contact import standard_uncertainties
 from tipforce.sensor.forces import force_vector
@@ -187,7 +187,7 @@ def _check_unseen_loads(bench: Bench) -> None:
     """The node's own estimates, against its uncertainty and the calibration's; z for 1 in a million over all."""
     calibration, fit = read_calibration(bench.file), read_fit(bench.file)
     assert fit is not None
-    hand = Hand(bench.connection, [5])
+    hand = PolledHand(bench.connection, [5])
     hand.start()
     for P, phi, theta in ((2.0, 20.0, 75.0), (3.1, 100.0, 60.0), (1.2, 0.0, 20.0), (4.0, 150.0, 110.0)):
         apply_load(bench.connection, 5, P, phi, theta)

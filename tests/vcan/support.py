@@ -32,7 +32,8 @@ _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
     [
         "numpy", "can.cli", "can.interfaces.socketcan", "canopen",
-        "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find", "tipforce.host.hand",
+        "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find",
+        "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.load",
         "tipforce.fingertip.loop", "tipforce.fingertip.node", "tipforce.fingertip.store", "tipforce.dictionary.eds",
         "tipforce.sensor.strain",
         *(f"tipforce_tools.{name}" for name in ("main", "node", "sdo", "scan", "config", "calibrate", "layout_file")),

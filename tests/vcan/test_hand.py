@@ -14,7 +14,7 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.host.connection import Connection
-from tipforce.host.hand import Hand
+from tipforce.host.hand.polled import PolledHand
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import Command, running_node
 
@@ -27,7 +27,7 @@ class Fingers(NamedTuple):
 
     folder: Path
     nodes: dict[int, Command]
-    hand: Hand
+    hand: PolledHand
 
 
 def start(folder: Path, node_id: int, stack: ExitStack) -> Command:
@@ -41,14 +41,14 @@ def fingers(host: Connection, tmp_path: Path) -> Iterator[Fingers]:
     """Nodes 5 and 6, calibrated and started."""
     with ExitStack() as stack:
         nodes = {node_id: start(tmp_path, node_id, stack) for node_id in CASES}
-        hand = Hand(host, list(CASES), messages=("Gauges", "Contact"))
+        hand = PolledHand(host, list(CASES), messages=("Gauges", "Contact"))
         for node_id, case in CASES.items():
             hand.fingers[node_id].apply_calibration(case_calibration(case, pull=True))
         hand.start()
         yield Fingers(tmp_path, nodes, hand)
 
 
-def apply_load(hand: Hand, load: tuple[float, float, float]) -> None:
+def apply_load(hand: PolledHand, load: tuple[float, float, float]) -> None:
     for finger in hand.fingers.values():
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), load, strict=True):
             finger.sdo.write(entry, value)

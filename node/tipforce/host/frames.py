@@ -62,7 +62,7 @@ class FrameBuffer:
     def __init__(self, limit: int = 1_000_000) -> None:
         self._frames: list[RawFrame] = []
         self._arrived = threading.Condition()
-        self._limit = limit
+        self.limit = limit
         self.dropped = 0
 
     def __call__(self, msg: can.Message) -> None:
@@ -75,8 +75,8 @@ class FrameBuffer:
             return
         with self._arrived:
             self._frames.append(raw_frame(msg))
-            if len(self._frames) > self._limit:
-                excess = len(self._frames) - self._limit // 2
+            if len(self._frames) > self.limit:
+                excess = len(self._frames) - self.limit // 2
                 del self._frames[:excess]
                 self.dropped += excess
             self._arrived.notify_all()
@@ -100,6 +100,22 @@ class FrameBuffer:
                 remaining_s = deadline - time.monotonic()
                 if remaining_s <= 0 or not self._arrived.wait(remaining_s):
                     return frame_array(taken)
+
+    def put(self, frame: RawFrame) -> None:
+        """Add a frame from elsewhere, behind all that has arrived."""
+        with self._arrived:
+            self._frames.append(frame)
+            self._arrived.notify_all()
+
+    def take_some(self, deadline: float) -> FrameArray:
+        """Remove and return what has arrived, as soon as there is something; empty at ``deadline`` (monotonic)."""
+        with self._arrived:
+            while not self._frames:
+                remaining_s = deadline - time.monotonic()
+                if remaining_s <= 0 or not self._arrived.wait(remaining_s):
+                    break
+            taken, self._frames = self._frames, []
+        return frame_array(taken)
 
     def take_all(self) -> FrameArray:
         """Remove and return what has arrived so far."""

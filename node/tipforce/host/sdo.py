@@ -107,7 +107,7 @@ class SdoChannel:
                     # canopen unpacks what comes as if it had eight bytes: a shorter frame is a struct.error.
                     if attempt == self.retries:
                         break
-                except can.CanError as error:
+                except (can.CanError, RuntimeError) as error:  # canopen says so of a closed bus
                     raise EnvironmentLackError(f"{place}: the bus refused the frame: {error}") from None
         notifier = self._network.notifier
         if notifier is not None and notifier.exception is not None:

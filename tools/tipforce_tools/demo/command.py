@@ -8,6 +8,7 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce_tools.common import add_output_arguments, console, note, print_json, set_up_logging
+from tipforce_tools.view.command import add_server_arguments
 
 if TYPE_CHECKING:
     from tipforce_tools.demo.job import Result
@@ -26,11 +27,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spoil", action="store_true", help="falsify one element of each calibration matrix: must fail"
     )
+    parser.add_argument("--view", action="store_true", help="instead: a page with a simulated hand that moves")
+    add_server_arguments(parser)
     add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 when every error is inside its bound and the host agrees with the nodes, otherwise 1."""
+    if args.view:
+        return _view(args)
     from rich.console import Console
     from rich.progress import Progress
 
@@ -50,6 +55,17 @@ def run(args: argparse.Namespace) -> int:
     if not args.json:
         _print_tables(args, results, CASES)
     return _summary(args, results, time.monotonic() - started_s)
+
+
+def _view(args: argparse.Namespace) -> int:
+    """A simulated hand on the page, until Ctrl-C."""
+    from tipforce_tools.view.command import check_server_arguments, hand_source, serve
+    from tipforce_tools.view.demo import simulated_hand
+
+    set_up_logging(args)
+    check_server_arguments(args)
+    with simulated_hand() as (hand, _):
+        return serve(args, hand_source(args, hand, "simulated hand"))
 
 
 def _record(result: Result) -> dict[str, object]:

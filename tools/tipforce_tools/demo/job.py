@@ -29,7 +29,7 @@ from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
-from tipforce.host.hand import Hand
+from tipforce.host.hand.polled import PolledHand
 from tipforce.sensor import contact as contact_model
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
@@ -138,7 +138,7 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
             calibrations = {k + 1: case_calibration(case, pull) for k, case in enumerate(CASES)}
             for node_id, calibration in calibrations.items():
                 _calibrate(connection, node_id, _spoiled(calibration) if spoil else calibration, say)
-            hand = Hand(connection, list(calibrations), messages=("Gauges", "Contact"))
+            hand = PolledHand(connection, list(calibrations), messages=("Gauges", "Contact"))
             hand.start()
             for phi, theta in grooves():
                 applied = np.array([WEIGHT_NEWTONS, phi if pull else _wrapped(phi + 180.0), theta])
@@ -193,7 +193,9 @@ def _spoiled(calibration: Calibration) -> Calibration:
     return replace(calibration, C=C)
 
 
-def _one_load(hand: Hand, calibrations: dict[int, Calibration], applied: FloatArray, z: float) -> Iterator[Result]:
+def _one_load(
+    hand: PolledHand, calibrations: dict[int, Calibration], applied: FloatArray, z: float
+) -> Iterator[Result]:
     """Apply a load to every node, send one SYNC, compare what comes back."""
     for finger in hand.fingers.values():
         sdo = finger.sdo

@@ -13,7 +13,7 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
-from tipforce.host.hand import Hand
+from tipforce.host.hand.polled import PolledHand
 
 PATIENCE_S = 0.25  # for a row that stays incomplete
 FINGERS = {1: "I", 2: "II", 7: "III"}
@@ -28,15 +28,15 @@ def bus() -> Iterator[tuple[Connection, FaultyBus]]:
 
 
 @pytest.fixture
-def hand(bus: tuple[Connection, FaultyBus]) -> Iterator[Hand]:
-    hand = Hand(bus[0], list(FINGERS), messages=("Gauges", "Contact"))
+def hand(bus: tuple[Connection, FaultyBus]) -> Iterator[PolledHand]:
+    hand = PolledHand(bus[0], list(FINGERS), messages=("Gauges", "Contact"))
     hand.start()
     yield hand
     bus[1].fault = lambda message: message
     hand.stop()
 
 
-def test_every_finger_in_the_order_of_its_node_id(hand: Hand) -> None:
+def test_every_finger_in_the_order_of_its_node_id(hand: PolledHand) -> None:
     for k, node_id in enumerate(FINGERS):
         apply_load(hand.connection, node_id, 1.0 + k, 90.0, 60.0 + 10 * k)
     row = fresh_sample(hand)
@@ -46,7 +46,7 @@ def test_every_finger_in_the_order_of_its_node_id(hand: Hand) -> None:
     np.testing.assert_allclose(row.theta_deg, [60.0, 70.0, 80.0], atol=2.0)
 
 
-def test_the_pdos_of_a_sync_are_of_one_sample(hand: Hand) -> None:
+def test_the_pdos_of_a_sync_are_of_one_sample(hand: PolledHand) -> None:
     """Gauges and contact carry the same counter, and the counter goes up by one from SYNC to SYNC."""
     counters = []
     for _ in range(30):
@@ -61,7 +61,7 @@ def test_the_pdos_of_a_sync_are_of_one_sample(hand: Hand) -> None:
     assert set(steps.ravel().tolist()) <= {0, 1}
 
 
-def test_a_missing_finger(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_missing_finger(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
     bus[1].fault = lambda m: None if m.arbitration_id == 0x282 else m
     row = fresh_sample(hand, PATIENCE_S)
     assert row.missing.tolist() == [False, True, False]
@@ -70,7 +70,7 @@ def test_a_missing_finger(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None
     assert (2, "Gauges") in row.messages
 
 
-def test_a_truncated_pdo_is_a_missing_finger(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_truncated_pdo_is_a_missing_finger(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
     def short(message: can.Message) -> can.Message:
         if message.arbitration_id == 0x281:
             message.data = message.data[:5]
@@ -81,7 +81,7 @@ def test_a_truncated_pdo_is_a_missing_finger(hand: Hand, bus: tuple[Connection, 
     assert hand.sample(PATIENCE_S).missing.tolist() == [True, False, False]
 
 
-def test_a_sample_never_shows_what_came_before_its_sync(hand: Hand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_sample_never_shows_what_came_before_its_sync(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
     apply_load(hand.connection, 1, 1.0, 90.0, 60.0)
     hand.connection.sync()
     hand.connection.wait_for({0x281, 0x282, 0x287})
@@ -91,7 +91,7 @@ def test_a_sample_never_shows_what_came_before_its_sync(hand: Hand, bus: tuple[C
     assert hand.sample(PATIENCE_S).missing[0]
 
 
-def test_no_load_is_a_known_force_without_direction(hand: Hand) -> None:
+def test_no_load_is_a_known_force_without_direction(hand: PolledHand) -> None:
     apply_load(hand.connection, 7, 0.0, 0.0, 0.0)
     row = fresh_sample(hand)
     assert not row.missing[2]
@@ -99,7 +99,7 @@ def test_no_load_is_a_known_force_without_direction(hand: Hand) -> None:
     assert np.isnan([row.phi_deg[2], row.theta_deg[2]]).all()
 
 
-def test_a_silent_converter_is_unknown_not_frozen(hand: Hand) -> None:
+def test_a_silent_converter_is_unknown_not_frozen(hand: PolledHand) -> None:
     apply_load(hand.connection, 7, 2.0, 90.0, 60.0)
     assert not np.isnan(fresh_sample(hand).P_newtons[2])
     sdo = hand.connection.sdo(7)
@@ -112,7 +112,7 @@ def test_a_silent_converter_is_unknown_not_frozen(hand: Hand) -> None:
     assert row.messages[7, "Contact"].columns["stale"][0]
 
 
-def test_stopped_fingers_are_missing(hand: Hand) -> None:
+def test_stopped_fingers_are_missing(hand: PolledHand) -> None:
     hand.stop()
     assert hand.sample(PATIENCE_S).missing.all()
 
@@ -126,6 +126,6 @@ def test_stopped_fingers_are_missing(hand: Hand) -> None:
         ([128], ("Contact",), r"node-id 128: allowed are 1 to 127"),
     ],
 )
-def test_what_is_not_a_hand(hand: Hand, node_ids: list[int], messages: tuple[str, ...], text: str) -> None:
+def test_what_is_not_a_hand(hand: PolledHand, node_ids: list[int], messages: tuple[str, ...], text: str) -> None:
     with pytest.raises(InputError, match=text):
-        Hand(hand.connection, node_ids, messages=messages)
+        PolledHand(hand.connection, node_ids, messages=messages)

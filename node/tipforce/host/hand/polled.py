@@ -1,4 +1,4 @@
-"""Several fingertips on one bus, read together: one row per SYNC."""
+"""Several fingertips on one bus, read together when asked: each call sends one SYNC and waits for its answers."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class HandSample:
     """Everything that was decoded, by (node-id, message name): status flags, counters, gauges."""
 
 
-class Hand:
+class PolledHand:
     """Fingertips with ``node_ids`` on one connection. ``messages`` names the PDOs to wait for on each SYNC.
 
     Raises InputError for no node-id, a repeated one, or a message that the dictionary does not have.

@@ -1,0 +1,219 @@
+"""A hand for an hour of simulated time on a bus that loses, delays, repeats and swaps frames, with fingers that lose
+power, converters that fail, a babbler and an adapter that drops off; and a check of every row against what was sent.
+
+    python -m bench.soak --seconds 3600
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import random
+import resource
+import struct
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+
+import numpy as np
+from bench.soak_fingers import Finger, stored_fingers
+
+from tipforce.host.faults import Babbler, Faults, Injector
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.hand.events import Supervisor
+from tipforce.host.hand.rows import SYNC_COB_ID, Collector, Rows
+
+PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times
+FAULTS = Faults(drop=0.003, duplicate=0.003, reorder=0.003, delay=0.01, delay_s=0.025)
+HEARTBEAT_TIMEOUT_S = 0.25
+RECOVERY_S = 2.0  # after the last trouble every finger must be there again
+_NMT_START = 1
+_CONTACT, _EXTENT = 0x280, 0x7F
+
+
+@dataclass
+class Outcome:
+    """What a soak saw."""
+
+    rows: int = 0
+    checked: int = 0
+    """Values compared with what the finger sent for that very SYNC."""
+    breaks: list[str] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
+    resident_bytes: list[int] = field(default_factory=list)
+    """Resident memory after each tenth of the time."""
+
+    @property
+    def growth_bytes(self) -> int:
+        """Over the second half: before that, caches fill."""
+        return self.resident_bytes[-1] - self.resident_bytes[len(self.resident_bytes) // 2]
+
+
+class Soak:
+    """One run, all of it from ``seed``."""
+
+    def __init__(self, fingers: list[Finger], seed: int, faults: Faults = FAULTS) -> None:
+        self.fingers = fingers
+        self.outcome = Outcome()
+        ids = [finger.node_id for finger in fingers]
+        self._random = random.Random(seed)
+        self._faults = faults
+        self._to_host = Injector(faults, seed + 1)
+        # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
+        self._to_node = {n: Injector(Faults(drop=faults.drop), seed + 100 + n) for n in ids}
+        self._collector = Collector(ids, timeout_s=2 * PERIOD_S)
+        self._supervisor = Supervisor(ids, HEARTBEAT_TIMEOUT_S)
+        self._truth: dict[int, dict[int, bytes]] = {}  # by row, by node-id: the contact PDO that answered its SYNC
+        self._starts: set[int] = set()
+        self._babbler: Babbler | None = None
+        self._bus_off_until_s = -1.0
+        self._babble_until_s = -1.0
+        self._trouble_s = 0.0
+        self._row = 0
+
+    def run(self, seconds: float) -> Outcome:
+        """Simulate."""
+        ticks = round(seconds / PERIOD_S)
+        for tick in range(ticks):
+            self._tick(tick * PERIOD_S)
+            if (tick + 1) % max(ticks // 10, 1) == 0:
+                gc.collect()
+                self.outcome.resident_bytes.append(_resident_bytes())
+        self.outcome.rows = self._collector.tally.rows
+        for name in ("missing", "late", "mixed", "repeated", "doubtful"):
+            self.outcome.counts[name] = int(getattr(self._collector.tally, name).sum())
+        self.outcome.counts.update({f"frames: {name}": n for name, n in self._to_host.counts.items()})
+        return self.outcome
+
+    def _tick(self, now_s: float) -> None:
+        self._trouble(now_s)
+        off = now_s < self._bus_off_until_s
+        received: list[tuple[float, int, bytes]] = []
+        if not off:
+            received.append((now_s, SYNC_COB_ID, b""))
+            self._truth[self._row] = {}
+            self._truth.pop(self._row - 50, None)
+        for finger in self.fingers:
+            self._step_finger(finger, now_s, off)
+        if not off:
+            self._row += 1
+        for part in range(PARTS):
+            until_s = now_s + (part + 1) * PERIOD_S / PARTS
+            while (frame := self._to_host.take(until_s)) is not None:
+                if not off:
+                    received.append((until_s, *frame))
+            self._host(received, until_s)
+            received = []
+
+    def _step_finger(self, finger: Finger, now_s: float, off: bool) -> None:
+        injector = self._to_node[finger.node_id]
+        if not off:
+            injector.put((SYNC_COB_ID, struct.pack("<I", self._row)), now_s)
+            if finger.node_id in self._starts:
+                injector.put((0, bytes((_NMT_START, finger.node_id))), now_s)
+                self._starts.discard(finger.node_id)
+        while (frame := injector.take(now_s)) is not None:
+            can_id, data = frame
+            answered = struct.unpack("<I", data)[0] if can_id == SYNC_COB_ID else -1
+            self._send(finger, finger.step(now_s, [(can_id, b"" if answered >= 0 else data)]), now_s, off, answered)
+        self._send(finger, finger.step(now_s, []), now_s, off, -1)
+
+    def _send(self, finger: Finger, frames: list[tuple[int, bytes]], now_s: float, off: bool, answered: int) -> None:
+        for can_id, data in frames:
+            if can_id == _CONTACT + finger.node_id and answered in self._truth:
+                self._truth[answered].setdefault(finger.node_id, b"")
+                self._truth[answered][finger.node_id] += data
+            if not off:
+                self._to_host.put((can_id, data), now_s)
+
+    def _host(self, received: list[tuple[float, int, bytes]], now_s: float) -> None:
+        if self._babbler is not None and now_s < self._babble_until_s:
+            received += [(now_s, *frame) for frame in self._babbler.step(now_s)]
+        frames: FrameArray = np.zeros(len(received), dtype=FRAME)
+        for k, (t_s, can_id, data) in enumerate(received):
+            frames[k]["t_ns"], frames[k]["can_id"], frames[k]["length"] = int(t_s * 1e9), can_id, len(data)
+            frames[k]["data"][: len(data)] = np.frombuffer(data, dtype=np.uint8)
+        rows = self._collector.add(frames, now_s)
+        if len(rows):
+            self._check(rows, now_s)
+        for event in self._supervisor.add(frames, now_s):
+            self.outcome.counts[event.kind] += 1
+            if event.kind == "boot_up" or (event.kind in ("state", "heartbeat_back") and event.code != 5):
+                self._starts.add(event.node_id)
+
+    def _check(self, rows: Rows, now_s: float) -> None:
+        P = rows.columns["P"]
+        for row in range(len(rows)):
+            truth = self._truth.get(rows.first + row, {})
+            for k, finger in enumerate(self.fingers):
+                if rows.missing[row, k]:
+                    if now_s - self._trouble_s > RECOVERY_S and self._faults == Faults():
+                        self._break(rows.first + row, finger, "missing on a bus without faults")
+                    continue
+                self.outcome.checked += 1
+                sent = truth.get(finger.node_id, b"")
+                raw = -0x8000 if np.isnan(P[row, k]) else round(P[row, k] * 1000)
+                answers = [sent[at : at + 8] for at in range(0, len(sent), 8)]
+                if not any(struct.unpack_from("<h", a)[0] == raw and a[7] == rows.counter[row, k] for a in answers):
+                    self._break(rows.first + row, finger, f"shows {raw} mN, {rows.counter[row, k]}; sent {sent.hex()}")
+        if now_s - self._trouble_s > RECOVERY_S and any(s != 5 for s in self._supervisor.states.values()):
+            self._break(rows.first, None, f"not operational again: {self._supervisor.states}")
+
+    def _break(self, row: int, finger: Finger | None, text: str) -> None:
+        if len(self.outcome.breaks) < 100:
+            who = "" if finger is None else f"finger {finger.node_id}: "
+            self.outcome.breaks.append(f"row {row}: {who}{text}")
+
+    def _trouble(self, now_s: float) -> None:
+        """Now and then something happens, and most of the time nothing."""
+        for finger in self.fingers:
+            finger.end_trouble(now_s)
+            if not finger.well:
+                self._trouble_s = now_s
+        if now_s < max(self._bus_off_until_s, self._babble_until_s):
+            self._trouble_s = now_s
+        if self._random.random() > PERIOD_S / 3.0 or now_s - self._trouble_s < 3.0:
+            return
+        kind = self._random.choice(("power", "power", "source", "source", "bus-off", "babbler"))
+        self.outcome.counts[f"trouble: {kind}"] += 1
+        length_s = self._random.uniform(0.2, 3.0)
+        finger = self._random.choice(self.fingers)
+        if kind == "power":
+            finger.switch_off(now_s + length_s)
+        elif kind == "source":
+            finger.break_source(self._random.randint(1, 5), now_s + length_s)
+        elif kind == "bus-off":
+            self._bus_off_until_s = now_s + length_s
+        else:
+            self._babble_until_s = now_s + length_s
+            frame = (_CONTACT + finger.node_id, finger.last_contact) if finger.last_contact else (0x050, bytes(8))
+            self._babbler = Babbler(frame, 2000.0)
+            self._babbler.next_due_s = now_s
+
+
+def _resident_bytes() -> int:
+    with open("/proc/self/statm", encoding="ascii") as file:
+        return int(file.read().split()[1]) * resource.getpagesize()
+
+
+def main() -> int:
+    """Run, print, and fail where an invariant broke."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--seconds", type=float, default=3600.0, help="simulated (default %(default)g)")
+    parser.add_argument("--fingers", type=int, default=5)
+    parser.add_argument("--seed", type=int, default=20261121)
+    args = parser.parse_args()
+    started_s = time.monotonic()
+    outcome = Soak(stored_fingers(args.fingers, args.seed), args.seed).run(args.seconds)
+    elapsed_s = time.monotonic() - started_s
+    print(f"{args.seconds:g} s simulated in {elapsed_s:.0f} s, {outcome.rows} rows, {outcome.checked} values checked")
+    for name, count in sorted(outcome.counts.items()):
+        print(f"  {name:24} {count}")
+    print("memory, MB, after each tenth:", *(f"{n / 1e6:.1f}" for n in outcome.resident_bytes))
+    print(f"{len(outcome.breaks)} invariant breaks")
+    print("\n".join(outcome.breaks[:20]))
+    return 1 if outcome.breaks or outcome.growth_bytes > 2e6 else 0
+
+
+if __name__ == "__main__":
+    raise SystemExit(main())

@@ -1,0 +1,219 @@
+"""A bus that misbehaves on purpose, for tests of anything that hangs on a CAN bus.
+
+    bus = FaultyBus(can.Bus(interface="virtual", channel="hand"), Faults(drop=0.01, delay=0.05), seed=1)
+
+Frames that arrive are dropped, delayed, duplicated, corrupted or swapped with the next one, each with its probability;
+``bus_off`` lets sending and receiving fail as an adapter does. What is drawn depends on the seed and on the frames
+alone, never on the clock, so that a run can be repeated. ``Injector`` does the same without a bus, in any time.
+"""
+
+from __future__ import annotations
+
+import heapq
+import itertools
+import random
+import time
+from collections import Counter
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+import can
+
+from tipforce.errors import InputError
+
+RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
+_HIGHEST_ID = 0x7FF
+
+
+@dataclass(frozen=True, slots=True)
+class Faults:
+    """Probabilities per frame, 0 to 1. ``only`` restricts them to these identifiers; empty is all.
+
+    Corrupting flips one bit of the data: what a CAN controller would refuse by its CRC, and a bad adapter, a gateway
+    or a memory error would not. Turn it off where only what CAN lets through is of interest.
+    """
+
+    drop: float = 0.0
+    duplicate: float = 0.0
+    corrupt: float = 0.0
+    reorder: float = 0.0
+    delay: float = 0.0
+    delay_s: float = 0.005
+    """The longest delay; drawn evenly from 0 on."""
+    only: frozenset[int] = frozenset()
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if field.name not in ("only", "delay_s") and not 0.0 <= value <= 1.0:
+                raise InputError(f"faults: {field.name} = {value!r}, allowed are probabilities 0 to 1")
+        if not 0.0 <= self.delay_s < 3600.0:
+            raise InputError(f"faults: delay_s = {self.delay_s!r}, allowed are 0 to 3600 s")
+
+
+class Injector:
+    """Frames in, frames out when they are due; ``counts`` has how often each fault struck."""
+
+    def __init__(self, faults: Faults, seed: int = 0) -> None:
+        self.faults = faults
+        self.counts: Counter[str] = Counter()
+        self._random = random.Random(seed)
+        self._due: list[tuple[float, int, RawFrame]] = []
+        self._order = itertools.count()
+        self._held: RawFrame | None = None
+
+    def put(self, frame: RawFrame, now_s: float) -> None:
+        """A frame arrives at ``now_s``."""
+        faults = self.faults
+        if faults.only and frame[0] & _HIGHEST_ID not in faults.only:
+            self._push(frame, now_s)
+            return
+        # Every draw is made for every frame: switching one fault on leaves the others where they strike.
+        drop, twice, corrupt, swap, late, by, bit = (self._random.random() for _ in range(7))
+        if drop < faults.drop:
+            self.counts["drop"] += 1
+            return
+        if corrupt < faults.corrupt and frame[1]:
+            self.counts["corrupt"] += 1
+            place = int(bit * 8 * len(frame[1]))
+            data = bytearray(frame[1])
+            data[place // 8] ^= 1 << place % 8
+            frame = frame[0], bytes(data)
+        due_s = now_s
+        if late < faults.delay:
+            self.counts["delay"] += 1
+            due_s += by * faults.delay_s
+        if swap < faults.reorder and self._held is None:
+            self.counts["reorder"] += 1
+            self._held = frame
+            return
+        self._push(frame, due_s)
+        if twice < faults.duplicate:
+            self.counts["duplicate"] += 1
+            self._push(frame, due_s)
+        if self._held is not None:
+            held, self._held = self._held, None
+            self._push(held, due_s)
+
+    def take(self, now_s: float) -> RawFrame | None:
+        """The next frame that is due, None when there is none yet."""
+        if self._due and self._due[0][0] <= now_s:
+            return heapq.heappop(self._due)[2]
+        return None
+
+    def next_due_s(self) -> float | None:
+        """When the next frame is due."""
+        return self._due[0][0] if self._due else None
+
+    def _push(self, frame: RawFrame, due_s: float) -> None:
+        heapq.heappush(self._due, (due_s, next(self._order), frame))
+
+
+class FaultyBus(can.BusABC):
+    """Any python-can bus behind an Injector. It owns the bus and closes it.
+
+    ``faults`` and ``bus_off`` may be changed at any time. While ``bus_off`` is True, ``send`` and ``recv`` raise
+    can.CanOperationError, and what arrives meanwhile is lost.
+    """
+
+    def __init__(self, bus: can.BusABC, faults: Faults, seed: int = 0, **options: Any) -> None:
+        self.bus = bus
+        self.bus_off = False
+        self._injector = Injector(faults, seed)
+        self._messages: dict[int, can.Message] = {}
+        self._numbers = itertools.count()
+        self.channel_info = f"faulty {bus.channel_info}"
+        self._can_protocol = bus.protocol
+        super().__init__(channel="", **options)
+
+    @property
+    def faults(self) -> Faults:
+        """What may go wrong now."""
+        return self._injector.faults
+
+    @faults.setter
+    def faults(self, faults: Faults) -> None:
+        self._injector.faults = faults
+
+    @property
+    def counts(self) -> Counter[str]:
+        """How often each fault struck."""
+        return self._injector.counts
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Send; raises can.CanOperationError while the bus is off."""
+        self._check()
+        self.bus.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        deadline_s = None if timeout is None else time.monotonic() + timeout
+        while True:
+            self._check()
+            now_s = time.monotonic()
+            frame = self._injector.take(now_s)
+            if frame is not None:
+                return self._message(frame), False
+            waits_s = [t - now_s for t in (deadline_s, self._injector.next_due_s()) if t is not None]
+            message = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
+            if message is not None:
+                number = next(self._numbers) << 32
+                self._messages[number] = message
+                self._injector.put((number | message.arbitration_id & _HIGHEST_ID, bytes(message.data)), now_s)
+                self._forget()
+            elif deadline_s is not None and time.monotonic() >= deadline_s:
+                return None, False
+
+    def _message(self, frame: RawFrame) -> can.Message:
+        number = frame[0] >> 32 << 32
+        message = self._messages[number].__copy__()
+        message.data = bytearray(frame[1])
+        message.timestamp = time.time()
+        return message
+
+    def _forget(self) -> None:
+        """A duplicate needs its message too, so they go by age."""
+        while len(self._messages) > 10_000:
+            del self._messages[next(iter(self._messages))]
+
+    def _check(self) -> None:
+        if self.bus_off:
+            while self.bus.recv(0.0) is not None:
+                pass
+            raise can.CanOperationError("bus-off (injected)")
+
+    def shutdown(self) -> None:
+        """Close the bus behind it too."""
+        super().shutdown()
+        self.bus.shutdown()
+
+    def fileno(self) -> int:
+        """None: a delayed frame would wake nobody who waits on a file descriptor."""
+        raise NotImplementedError("a faulty bus has no file descriptor: use recv with a timeout")
+
+
+class Babbler:
+    """A node that talks without end: sends ``frame`` at ``rate_hz`` on a bus, from ``next_due_s`` on.
+
+    Without a thread: call ``step`` from a loop of your own.
+    """
+
+    def __init__(self, frame: RawFrame, rate_hz: float = 5000.0) -> None:
+        if not rate_hz > 0:
+            raise InputError(f"babbler: rate_hz = {rate_hz!r}, allowed is a rate over 0")
+        self.frame, self._period_s = frame, 1.0 / rate_hz
+        self.next_due_s = 0.0
+
+    def step(self, now_s: float) -> list[RawFrame]:
+        """What it sends by now; at most a tenth of a second's worth at once."""
+        if now_s - self.next_due_s > 0.1:
+            self.next_due_s = now_s - 0.1
+        frames = []
+        while self.next_due_s <= now_s:
+            frames.append(self.frame)
+            self.next_due_s += self._period_s
+        return frames
+
+
+def quiet(faults: Faults) -> Faults:
+    """The same without any: what a test switches to when it wants to see all recover."""
+    return replace(faults, drop=0.0, duplicate=0.0, corrupt=0.0, reorder=0.0, delay=0.0)

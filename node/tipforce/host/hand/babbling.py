@@ -1,0 +1,74 @@
+"""Who talks too much: an identifier that comes far more often than the SYNC.
+
+Frames and time in, events out. SDO and LSS are left out: their answers come as fast as somebody asks.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.errors import InputError
+from tipforce.host.frames import FrameArray
+from tipforce.host.hand.events import Event
+
+WINDOW_S = 0.2
+TIMES_SYNC = 4.0
+_SYNC, _HIGHEST_ID, _NODE = 0x080, 0x7FF, 0x7F
+_SDO_FIRST, _SDO_LAST, _LSS_FIRST = 0x580, 0x67F, 0x780
+
+
+class BabbleWatch:
+    """Counts every 11-bit identifier over WINDOW_S and compares with TIMES_SYNC times the rate of the SYNC.
+
+    ``sync_hz`` 0: the rate at which SYNCs are received is taken. Raises InputError for a negative one.
+    """
+
+    def __init__(self, sync_hz: float) -> None:
+        if not sync_hz >= 0:
+            raise InputError(f"sync_hz = {sync_hz!r}: allowed is a rate, or 0 for that of the SYNCs that come")
+        self._sync_hz = sync_hz
+        self._ids: list[npt.NDArray[np.uint32]] = []
+        self._since_s: float | None = None
+        self._first_ns = self._last_ns = 0
+        self._babbling: set[int] = set()
+
+    def add(self, frames: FrameArray, now_s: float) -> list[Event]:
+        """Take received frames, FRAME (n,), and the time; who began to babble, and who ended."""
+        if self._since_s is None:
+            self._since_s = now_s
+        if len(frames):
+            if not self._ids:
+                self._first_ns = int(frames["t_ns"][0])
+            self._last_ns = int(frames["t_ns"][-1])
+            self._ids.append(frames["can_id"].copy())
+        if now_s - self._since_s < WINDOW_S:
+            return []
+        # What waited while nobody read comes at once, but its time stamps tell.
+        seconds = max(now_s - self._since_s, (self._last_ns - self._first_ns) * 1e-9)
+        events = list(self._judge(seconds, now_s))
+        self._ids, self._since_s, self._first_ns, self._last_ns = [], now_s, 0, 0
+        return events
+
+    def _judge(self, seconds: float, now_s: float) -> Iterator[Event]:
+        ids = np.concatenate(self._ids) if self._ids else np.zeros(0, dtype=np.uint32)
+        counts = np.bincount(np.minimum(ids, _HIGHEST_ID + 1), minlength=_HIGHEST_ID + 2)[: _HIGHEST_ID + 1]
+        sync_hz = self._sync_hz or counts[_SYNC] / seconds
+        counts[_SDO_FIRST : _SDO_LAST + 1] = counts[_LSS_FIRST:] = 0
+        limit = TIMES_SYNC * sync_hz * seconds
+        over = {int(n) for n in np.flatnonzero(counts > limit)} if sync_hz else set()
+        # Half of it ends what has begun: one that babbles at the limit is not told again and again.
+        over |= {n for n in self._babbling if counts[n] > limit / 2}
+        for can_id in sorted(over - self._babbling):
+            rate_hz = counts[can_id] / seconds
+            yield Event(now_s, _node(can_id), "babbling", f"0x{can_id:03X} comes {rate_hz:.0f} times a second", can_id)
+        for can_id in sorted(self._babbling - over):
+            yield Event(now_s, _node(can_id), "babbling_end", f"0x{can_id:03X} is quiet again", can_id)
+        self._babbling = over
+
+
+def _node(can_id: int) -> int:
+    """Whose it is by the predefined connection set; 0 for nobody's."""
+    return can_id & _NODE if can_id > _SYNC else 0

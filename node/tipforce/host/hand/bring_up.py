@@ -1,0 +1,245 @@
+"""From powered nodes to a running hand: find, give node-ids, configure, verify, calibrate, start.
+
+Fingers come up side by side; one that fails does not hold the others. What it failed at is in its report.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+
+from tipforce.dictionary import names, objects, table
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
+from tipforce.host.configuration import Configuration, apply_configuration, verify_configuration
+from tipforce.host.connection import Connection
+from tipforce.host.fingertip import FingertipClient
+from tipforce.host.hand.events import Event, Kind
+from tipforce.host.hand.file import FingerPlan, HandFile
+from tipforce.host.heartbeats import BOOT_UP
+from tipforce.host.lss import UNCONFIGURED, LssAddress, LssMaster
+from tipforce.host.nmt import command_and_wait
+from tipforce.host.sdo import SdoChannel
+
+STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
+FIND_S = 0.25  # for the answers of all nodes to one question each
+BOOT_S = 1.0  # from its node-id to its boot-up message
+_SIDE_BY_SIDE = 8
+_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+
+OnEvent = Callable[[Event], None]
+
+
+@dataclass(slots=True)
+class FingerReport:
+    """How far one finger came; ``failed`` is the step of STEPS that it failed at, "" where all went well."""
+
+    plan: FingerPlan
+    failed: str = ""
+    error: str = ""
+    done: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+
+    @property
+    def ok(self) -> bool:
+        """The finger is up."""
+        return not self.failed
+
+    def __str__(self) -> str:
+        return f"{self.plan.label}: " + ("up" if self.ok else f"failed at {self.failed}: {self.error}")
+
+
+def bring_up(connection: Connection, hand: HandFile, on_event: OnEvent = lambda _event: None) -> list[FingerReport]:
+    """Bring all fingers up; a report for each, in the order of the file. Raises InputError for a wrong file."""
+    plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
+    for finger in hand.finger:
+        connection.nmt("preop", finger.node_id)  # quiet while being configured; SDO works, also after a stop
+    reports = [FingerReport(finger) for finger in hand.finger]
+    absent = _find(connection, reports, on_event)
+    if absent:
+        assign(connection, absent, hand.hand.store, on_event)
+    _side_by_side(
+        [report for report in reports if report.ok],
+        lambda report: set_up(connection, hand, report, plans[report.plan.node_id], on_event),
+    )
+    return reports
+
+
+def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
+    """What the file asks of a finger: its settings, and the PDOs and the heartbeat of the hand over them."""
+    wanted = dict(hand.configuration(finger))
+    gauges = finger.gauges
+    for number, message in enumerate(tpdo_messages(gauges), start=1):
+        if message.name in ("Gauges", "Contact", "Force") and (0x1800 + number - 1, 1) not in wanted:
+            off = 0 if message.name in hand.messages else table.PDO_DISABLED
+            cob_id = message.cob_id_base + finger.node_id | table.NO_RTR | off
+            wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
+            wanted |= _one(f"tpdo{number}.transmission_type", 1, gauges)
+    wanted |= _one("heartbeat.producer_ms", hand.hand.heartbeat_ms, gauges)
+    return dict(sorted(wanted.items()))
+
+
+def _one(name: str, value: int, gauges: int) -> Configuration:
+    entry = names.resolve(name, gauges)
+    return {(entry.index, entry.sub): (entry, value)}
+
+
+def set_up(
+    connection: Connection, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent
+) -> None:
+    """Identity to start, on a node that answers at its node-id; also after a reboot. Fails into the report."""
+    plan, started_s = report.plan, time.monotonic()
+    client = FingertipClient(connection.sdo(plan.node_id))
+    steps: tuple[tuple[str, Kind, Callable[[], str]], ...] = (
+        ("identity", "found", lambda: _identity(client, plan)),
+        ("configure", "configured", lambda: _configure(client.sdo, wanted)),
+        ("verify", "verified", lambda: _verify(client.sdo, wanted)),
+        ("calibrate", "calibrated", lambda: _calibrate(client, hand, plan)),
+        ("start", "started", lambda: _start(connection, hand, client)),
+    )
+    for step, kind, act in steps:
+        text = _attempt(report, step, act, on_event)
+        if report.failed:
+            break
+        if text:
+            on_event(Event(time.monotonic(), plan.node_id, kind, text))
+    report.seconds += time.monotonic() - started_s
+
+
+def assign(
+    connection: Connection, absent: Sequence[FingerReport], store: bool, on_event: OnEvent = lambda _event: None
+) -> None:
+    """Give node-ids by LSS: to the serial that the file names, otherwise to whoever has none yet, in their order."""
+    with LssMaster(connection) as master:
+        for report in sorted(absent, key=lambda r: not r.plan.serial):
+            plan = report.plan
+            text = _attempt(report, "find", partial(_assign_one, connection, master, plan, store), on_event)
+            if text:
+                on_event(Event(time.monotonic(), plan.node_id, "assigned", text))
+
+
+def _assign_one(connection: Connection, master: LssMaster, plan: FingerPlan, store: bool) -> str:
+    address = _select(master, plan)
+    if address is None:
+        who = f"a node with serial {plan.serial}" if plan.serial else "a node without a node-id"
+        raise NoResponseError(
+            f"nobody answers at node-id {plan.node_id}, and {who} does not answer LSS: is it powered?"
+        )
+    former = master.node_id()
+    master.configure_node_id(plan.node_id)
+    if store:
+        master.store()
+    since_s = time.monotonic()
+    master.release()
+    if former != UNCONFIGURED:
+        connection.nmt("reset-comm", former)
+    if not connection.heartbeats.wait(plan.node_id, (BOOT_UP,), since_s, BOOT_S):
+        raise NoResponseError(f"{address} was given node-id {plan.node_id} and did not boot with it in {BOOT_S:g} s")
+    return f"{address}: node-id {plan.node_id}" + (f", it was {former}" if former != UNCONFIGURED else "")
+
+
+def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
+    """The node of this serial, real or simulated; without a serial the next one that has no node-id."""
+    for simulated in (False, True):
+        product = table.product_code(plan.gauges, simulated)
+        if plan.serial:
+            address = LssAddress(0, product, table.REVISION, plan.serial)
+            if master.select(address):
+                return address
+        else:
+            found = master.fastscan((0, product, table.REVISION))
+            if found is not None:
+                return found
+    return None
+
+
+def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
+    """Ask every node-id at once; those nobody answers at. Two answers to one question are two nodes with one id."""
+    started_s = time.monotonic()
+    answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
+    connection.buffer.clear()
+    for node_id in answers:
+        connection.send(0x600 + node_id, _READ_DEVICE_TYPE)
+    # All of it, although each may have answered: a second node with the same id needs its time too.
+    for frame in connection.buffer.take(lambda _can_id: False, started_s + FIND_S):
+        node_id = int(frame["can_id"]) - 0x580
+        if node_id in answers:
+            answers[node_id] += 1
+    for report in reports:
+        count = answers[report.plan.node_id]
+        report.seconds += time.monotonic() - started_s
+        if count:
+            _attempt(report, "find", partial(_one_answer, count), on_event)
+    return [report for report in reports if not answers[report.plan.node_id]]
+
+
+def _one_answer(count: int) -> str:
+    if count > 1:
+        raise RefusedError(f"{count} nodes answer at this node-id; power one alone and give it another (tipforce lss)")
+    return ""
+
+
+def _attempt(report: FingerReport, step: str, act: Callable[[], str], on_event: OnEvent) -> str:
+    try:
+        text = act()
+    except TipforceError as error:
+        report.failed, report.error = step, str(error)
+        on_event(Event(time.monotonic(), report.plan.node_id, "failed", f"{step}: {error}"))
+        return ""
+    report.done.append(step)
+    return text
+
+
+def _identity(client: FingertipClient, plan: FingerPlan) -> str:
+    identity = client.identity()
+    if not identity.is_fingertip or identity.gauges != plan.gauges:
+        raise InputError(f"product code 0x{identity.product:08X}: the file says a fingertip of {plan.gauges} gauges")
+    if plan.serial and identity.serial != plan.serial:
+        raise InputError(
+            f"serial {identity.serial} answers, the file says {plan.serial}: are two fingers swapped? "
+            f"`tipforce lss assign {plan.node_id} --serial {plan.serial}` gives the id to the right one"
+        )
+    return f"{'simulated ' if identity.simulated else ''}fingertip, serial {identity.serial}"
+
+
+def _configure(sdo: SdoChannel, wanted: Configuration) -> str:
+    apply_configuration(sdo, wanted)
+    return f"{len(wanted)} settings"
+
+
+def _verify(sdo: SdoChannel, wanted: Configuration) -> str:
+    differences = verify_configuration(sdo, wanted)
+    if differences:
+        first = differences[0]
+        raise RefusedError(
+            f"{len(differences)} settings are not what was written: {first['object']} is {first['found']}, "
+            f"expected {first['expected']}"
+        )
+    return ""
+
+
+def _calibrate(client: FingertipClient, hand: HandFile, plan: FingerPlan) -> str:
+    """By CRC-32: equal is left alone, anything else is replaced; a node without any has to get one."""
+    calibration = hand.calibration(plan)
+    active = client.sdo.read(objects.CALIBRATION_ACTIVE_CRC)
+    if calibration is None:
+        return f"its own calibration, CRC-32 0x{active:08X}" if active else "not calibrated: P, phi, theta stay unknown"
+    if active == calibration.crc32() and not client.verify_calibration(calibration):
+        return f"{plan.calibration}: CRC-32 0x{active:08X} is active already"
+    client.apply_calibration(calibration, store=hand.hand.store)
+    return f"{plan.calibration}: CRC-32 0x{calibration.crc32():08X} applied"
+
+
+def _start(connection: Connection, hand: HandFile, client: FingertipClient) -> str:
+    if hand.hand.store:
+        client.store()
+    command_and_wait(connection, "start", [client.node_id], max(1.0, 5e-3 * hand.hand.heartbeat_ms))
+    return "operational"
+
+
+def _side_by_side(reports: Iterable[FingerReport], act: Callable[[FingerReport], None]) -> None:
+    with ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
+        list(pool.map(act, reports))

@@ -1,0 +1,165 @@
+"""From the receiving thread to whoever wants rows and events. It never waits for a consumer."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator
+
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.rows import Rows
+
+MAX_ROWS, MAX_EVENTS = 100_000, 10_000
+_STEP_S = 0.2  # how soon a waiting consumer sees that the hand has stopped
+
+
+class Subscription:
+    """The rows of one consumer, the oldest thrown away beyond MAX_ROWS."""
+
+    def __init__(self) -> None:
+        self.blocks: deque[Rows] = deque()
+        self.waiting = 0
+        self.overrun = 0
+
+    def put(self, rows: Rows) -> None:
+        """Add a block."""
+        self.blocks.append(rows)
+        self.waiting += len(rows)
+        while self.waiting > MAX_ROWS:
+            lost = len(self.blocks.popleft())
+            self.waiting -= lost
+            self.overrun += lost
+
+    def take(self) -> Rows | None:
+        """The oldest block."""
+        if not self.blocks:
+            return None
+        rows = self.blocks.popleft()
+        self.waiting -= len(rows)
+        return rows
+
+
+class Delivery:
+    """One producer, any number of consumers. A consumer gets what comes from the moment that it asks."""
+
+    def __init__(self) -> None:
+        self.row_callbacks: list[Callable[[Rows], None]] = []
+        self.event_callbacks: list[Callable[[Event], None]] = []
+        self._changed = threading.Condition()
+        self._subscriptions: list[Subscription] = []
+        self._wakers: list[Callable[[], None]] = []
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._past_overrun = 0
+        self._closed = False
+        self._error: BaseException | None = None
+
+    @property
+    def overrun(self) -> int:
+        """Rows that consumers were too slow for."""
+        with self._changed:
+            return self._past_overrun + sum(one.overrun for one in self._subscriptions)
+
+    def put(self, rows: Rows) -> None:
+        """Give out a block of rows."""
+        for callback in self.row_callbacks:
+            callback(rows)
+        with self._changed:
+            for one in self._subscriptions:
+                one.put(rows)
+            self._changed.notify_all()
+            wakers = list(self._wakers)
+        for wake in wakers:
+            wake()
+
+    def event(self, event: Event) -> None:
+        """Give out an event."""
+        with self._changed:
+            self._events.append(event)
+        for callback in self.event_callbacks:
+            callback(event)
+
+    def take_events(self) -> list[Event]:
+        """Events since the last call."""
+        with self._changed:
+            events = list(self._events)
+            self._events.clear()
+        return events
+
+    def fail(self, error: BaseException) -> None:
+        """The producer has ended with an error, which every consumer gets."""
+        self._error = error
+        self.close()
+
+    def close(self) -> None:
+        """There will be no more."""
+        with self._changed:
+            self._closed = True
+            self._changed.notify_all()
+            wakers = list(self._wakers)
+        for wake in wakers:
+            wake()
+
+    def rows(self, timeout_s: float | None = None) -> Iterator[Rows]:
+        """Blocks of rows from now on."""
+        one = self._subscribe()  # now, not when the first row is asked for
+        return self._iterate(one, timeout_s)
+
+    def _iterate(self, one: Subscription, timeout_s: float | None) -> Iterator[Rows]:
+        try:
+            deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+            while True:
+                with self._changed:
+                    rows = one.take()
+                    if rows is None:
+                        if self._closed or (deadline_s is not None and time.monotonic() >= deadline_s):
+                            break
+                        self._changed.wait(_STEP_S if timeout_s is None else min(_STEP_S, timeout_s))
+                        continue
+                yield rows
+                deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
+        finally:
+            self._unsubscribe(one)
+        self._raise()
+
+    async def rows_async(self) -> AsyncIterator[Rows]:
+        """Blocks of rows from the first step on, for asyncio."""
+        loop, ready = asyncio.get_running_loop(), asyncio.Event()
+
+        def wake() -> None:
+            if not loop.is_closed():
+                loop.call_soon_threadsafe(ready.set)
+
+        one = self._subscribe()
+        self._wakers.append(wake)
+        try:
+            while True:
+                ready.clear()
+                with self._changed:
+                    rows, closed = one.take(), self._closed
+                if rows is not None:
+                    yield rows
+                elif closed:
+                    break
+                else:
+                    await ready.wait()
+        finally:
+            self._wakers.remove(wake)
+            self._unsubscribe(one)
+        self._raise()
+
+    def _subscribe(self) -> Subscription:
+        one = Subscription()
+        with self._changed:
+            self._subscriptions.append(one)
+        return one
+
+    def _unsubscribe(self, one: Subscription) -> None:
+        with self._changed:
+            self._past_overrun += one.overrun
+            self._subscriptions.remove(one)
+
+    def _raise(self) -> None:
+        if self._error is not None:
+            raise self._error

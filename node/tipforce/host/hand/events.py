@@ -1,0 +1,135 @@
+"""What happens to a hand, in the order in which it happens: heartbeats, boot-ups, EMCY, the bus itself.
+
+Frames and time in, events out; no clock and no bus inside.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from tipforce.errors import InputError
+from tipforce.host.connection import NMT_STATES
+from tipforce.host.frames import FrameArray
+from tipforce.host.heartbeats import BOOT_UP, OPERATIONAL
+
+Kind = Literal[
+    "found", "assigned", "configured", "calibrated", "verified", "started", "failed",
+    "boot_up", "heartbeat_lost", "heartbeat_back", "state", "emcy", "emcy_reset", "bus_down", "bus_up",
+    "babbling", "babbling_end",
+]  # fmt: skip
+
+UNSET_TIMEOUT_S = 2.5
+"""For a node that is not operational: its heartbeat comes once a second unless it was told otherwise (1017h)."""
+
+MOST_WAITED_S = 5.0
+_HEARTBEAT, _EMCY, _NODE = 0x700, 0x080, 0x7F
+_UNKNOWN_STATE = -1
+
+EMCY_TEXTS = {
+    0x0000: "no error any more", 0x4210: "temperature", 0x5010: "gauge saturated", 0x5030: "front end",
+    0x6320: "calibration in storage is invalid", 0x8110: "CAN overrun", 0x8120: "error passive",
+    0x8130: "heartbeat lost", 0x8140: "recovered from bus-off", 0x8150: "COB-ID collision",
+    0x8210: "PDO not processed, too short", 0x8240: "SYNC of unexpected length", 0x8250: "RPDO timeout",
+}  # fmt: skip
+"""By error code (OBJECTS, CiA 301 table 26)."""
+
+
+@dataclass(frozen=True, slots=True)
+class Event:
+    """``t_s`` is monotonic; ``node_id`` 0 is the bus or the whole hand. ``text`` is for people."""
+
+    t_s: float
+    node_id: int
+    kind: Kind
+    text: str
+    code: int = 0
+    """EMCY error code, NMT state, or the identifier that babbles."""
+
+
+class Supervisor:
+    """Watches heartbeats and EMCY of ``node_ids``; ``timeout_s`` is how long that of an operational node may stay away.
+
+    A node is watched from its first heartbeat on. Raises InputError for a timeout that is not over 0.
+    """
+
+    def __init__(self, node_ids: Sequence[int], timeout_s: float = 0.5) -> None:
+        if not timeout_s > 0:
+            raise InputError(f"heartbeat timeout {timeout_s:g} s: allowed is a time over 0")
+        self.timeout_s = timeout_s
+        self.states: dict[int, int] = dict.fromkeys(node_ids, _UNKNOWN_STATE)
+        """NMT state by node-id as last reported; -1 for a node that is silent."""
+        self._heard_s: dict[int, float] = {}
+
+    def state_name(self, node_id: int) -> str:
+        """The NMT state for people."""
+        state = self.states[node_id]
+        return "silent" if state == _UNKNOWN_STATE else NMT_STATES.get(state, f"state {state}")
+
+    def add(self, frames: FrameArray, now_s: float) -> list[Event]:
+        """Take received frames, FRAME (n,), and the time; what happened. Call it without frames too."""
+        events: list[Event] = []
+        if len(frames):
+            services = frames["can_id"] & np.uint32(~_NODE & 0xFFFFFFFF)
+            for frame in frames[(services == _HEARTBEAT) | (services == _EMCY)]:
+                node_id = int(frame["can_id"]) & _NODE
+                if node_id in self.states:
+                    data = frame["data"][: frame["length"]].tobytes()
+                    heartbeat = int(frame["can_id"]) & ~_NODE == _HEARTBEAT
+                    events += self._heartbeat(node_id, data, now_s) if heartbeat else _emcy(node_id, data, now_s)
+        for node_id, heard_s in list(self._heard_s.items()):
+            # A node that has just booted beats as its defaults say, until it is configured and started.
+            unset = self.states[node_id] != OPERATIONAL
+            timeout_s = max(self.timeout_s, UNSET_TIMEOUT_S) if unset else self.timeout_s
+            if now_s - heard_s > timeout_s:
+                del self._heard_s[node_id]
+                self.states[node_id] = _UNKNOWN_STATE
+                events.append(Event(now_s, node_id, "heartbeat_lost", f"no heartbeat for {timeout_s:g} s"))
+        return events
+
+    def know(self, node_id: int, state: int, now_s: float) -> None:
+        """A heartbeat that was heard elsewhere, so that it is no news."""
+        self.states[node_id], self._heard_s[node_id] = state, now_s
+
+    def forget(self) -> None:
+        """The bus was lost: nothing is known of any node until it is heard again."""
+        self._heard_s.clear()
+        self.states = dict.fromkeys(self.states, _UNKNOWN_STATE)
+
+    def _heartbeat(self, node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
+        if len(data) != 1:
+            return
+        state, before = data[0] & _NODE, self.states[node_id]
+        self._heard_s[node_id] = now_s
+        self.states[node_id] = state
+        if state == BOOT_UP:
+            yield Event(now_s, node_id, "boot_up", "booted", state)
+        elif before == _UNKNOWN_STATE:
+            yield Event(now_s, node_id, "heartbeat_back", f"heard, {self.state_name(node_id)}", state)
+        elif state != before:
+            yield Event(now_s, node_id, "state", self.state_name(node_id), state)
+
+
+def waited_s(frames: FrameArray, now_ns: int) -> float:
+    """How long the last of these frames waited to be read, by its time stamp and the clock (ns since 1970).
+
+    A host that was held up reads old frames first: what it has not read yet must not count as silence. 0 for none, and
+    for time stamps of another clock.
+    """
+    late_s = (now_ns - int(frames["t_ns"][-1])) * 1e-9 if len(frames) else 0.0
+    return late_s if 0.0 < late_s < MOST_WAITED_S else 0.0
+
+
+def _emcy(node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
+    if node_id == 0 or len(data) != 8:  # 0x080 is the SYNC
+        return
+    code, register = struct.unpack_from("<HB", data)
+    text = EMCY_TEXTS.get(code, f"error 0x{code:04X}")
+    if code == 0:
+        yield Event(now_s, node_id, "emcy_reset", text)
+    else:
+        yield Event(now_s, node_id, "emcy", f"0x{code:04X} {text}, error register 0x{register:02X}", code)

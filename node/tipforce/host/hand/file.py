@@ -1,0 +1,157 @@
+"""A hand as a TOML file: its bus, its fingers, what they shall be set to, what they send, how often.
+
+[bus]
+interface = "socketcan"      # python-can's names; without it, python-can's own configuration holds
+channel = "can0"
+
+[hand]
+sync_hz = 500
+pdos = ["contact"]
+heartbeat_ms = 100
+config = "finger.toml"       # settings of all fingers (tipforce config save)
+
+[[finger]]
+name = "thumb"
+node_id = 1
+serial = 1005                # 1018h:4, for LSS
+calibration = "thumb.toml"   # tipforce calibrate fit -o
+layout = "I"
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import msgspec
+
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.errors import InputError
+from tipforce.host.calibration import Calibration
+from tipforce.host.calibration_file import read_calibration
+from tipforce.host.configuration import Configuration, read_configuration
+
+MAX_FINGERS = 32
+HIGHEST_SYNC_HZ = 10_000.0
+_LAYOUTS = ("I", "II", "III")
+
+
+class FingerPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """One ``[[finger]]``. ``serial`` 0 stands for any; without ``calibration`` the node's own is left as it is."""
+
+    node_id: int
+    name: str = ""
+    serial: int = 0
+    gauges: int = 3
+    layout: str = ""
+    calibration: str = ""
+    config: str = ""
+
+    @property
+    def label(self) -> str:
+        """For people: ``thumb (1)``."""
+        return f"{self.name} ({self.node_id})" if self.name else f"finger {self.node_id}"
+
+
+class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """``[hand]``: what holds for all fingers. ``sync_hz`` 0: another device on the bus sends the SYNC."""
+
+    sync_hz: float = 100.0
+    pdos: tuple[str, ...] = ("contact",)
+    heartbeat_ms: int = 100
+    config: str = ""
+    store: bool = False
+    """Store what was configured on the nodes."""
+
+
+class HandFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A whole file; paths in it are relative to it."""
+
+    finger: tuple[FingerPlan, ...]
+    hand: HandPlan = HandPlan()
+    bus: dict[str, Any] = {}
+    folder: str = ""
+    """Where the file lies; not a key of the file."""
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """In the order of the file."""
+        return tuple(finger.node_id for finger in self.finger)
+
+    @property
+    def messages(self) -> tuple[str, ...]:
+        """``hand.pdos`` by the names of the dictionary."""
+        names = {message.name.lower(): message.name for message in tpdo_messages(3)}
+        return tuple(names[pdo.lower()] for pdo in self.hand.pdos)
+
+    def calibration(self, finger: FingerPlan) -> Calibration | None:
+        """Read a finger's calibration file; None where it names none. Raises InputError."""
+        return read_calibration(Path(self.folder, finger.calibration)) if finger.calibration else None
+
+    def configuration(self, finger: FingerPlan) -> Configuration:
+        """The settings of a finger: those of all, and over them its own. Raises InputError."""
+        wanted: Configuration = {}
+        for name in (self.hand.config, finger.config):
+            if name:
+                wanted |= read_configuration(Path(self.folder, name), finger.node_id, finger.gauges)
+        return dict(sorted(wanted.items()))
+
+
+def read_hand(path: str | Path) -> HandFile:
+    """Read and check a hand file. Raises InputError naming the file, the place, the value and what is allowed."""
+    try:
+        found = msgspec.toml.decode(Path(path).read_bytes(), type=HandFile)
+    except OSError as error:
+        raise InputError(f"{path}: {error.strerror}") from None
+    except (msgspec.DecodeError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: {error}") from None
+    if found.folder:
+        raise InputError(f"{path}: `folder` is no key of a hand file")
+    found = msgspec.structs.replace(found, folder=str(Path(path).parent))
+    try:
+        check_hand(found)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
+    return found
+
+
+def check_hand(hand: HandFile) -> None:
+    """Raises InputError for values that no hand can have, for repeated fingers, and for files that do not read."""
+    if not 1 <= len(hand.finger) <= MAX_FINGERS:
+        raise InputError(f"{len(hand.finger)} [[finger]] tables: allowed are 1 to {MAX_FINGERS}")
+    for what in ("node_id", "serial", "name"):
+        values = [getattr(finger, what) for finger in hand.finger if getattr(finger, what)]
+        twice = sorted({value for value in values if values.count(value) > 1})
+        if twice:
+            raise InputError(f"[[finger]] {what} = {twice[0]!r} stands twice")
+    for finger in hand.finger:
+        _check_finger(hand, finger)
+    _check_plan(hand.hand)
+    if len({finger.gauges for finger in hand.finger}) > 1:
+        raise InputError("[[finger]] gauges: all fingers of one hand have the same number")
+
+
+def _check_finger(hand: HandFile, finger: FingerPlan) -> None:
+    place = f"[[finger]] {finger.name or finger.node_id}"
+    for name, value, low, high in (
+        ("node_id", finger.node_id, 1, 127), ("serial", finger.serial, 0, 0xFFFFFFFF), ("gauges", finger.gauges, 3, 8),
+    ):  # fmt: skip
+        if not low <= value <= high:
+            raise InputError(f"{place}: {name} = {value}, allowed are {low} to {high}")
+    if finger.layout and finger.layout not in _LAYOUTS:
+        raise InputError(f"{place}: layout = {finger.layout!r}, allowed are {', '.join(_LAYOUTS)} or none")
+    calibration = hand.calibration(finger)
+    if calibration is not None and calibration.gauges != finger.gauges:
+        raise InputError(f"{place}: {finger.calibration} has {calibration.gauges} gauges, the finger {finger.gauges}")
+    hand.configuration(finger)
+
+
+def _check_plan(plan: HandPlan) -> None:
+    if not 0 <= plan.sync_hz <= HIGHEST_SYNC_HZ:
+        raise InputError(f"[hand] sync_hz = {plan.sync_hz:g}: allowed are 0 (another sends it) to {HIGHEST_SYNC_HZ:g}")
+    if not 10 <= plan.heartbeat_ms <= 65535:
+        raise InputError(f"[hand] heartbeat_ms = {plan.heartbeat_ms}: allowed are 10 to 65535")
+    allowed = [m.name.lower() for m in tpdo_messages(3) if m.name != "Health"]
+    unknown = [pdo for pdo in plan.pdos if pdo.lower() not in allowed]
+    if unknown or not plan.pdos:
+        raise InputError(f"[hand] pdos = {list(plan.pdos)}: allowed are {', '.join(allowed)}")

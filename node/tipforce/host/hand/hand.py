@@ -1,0 +1,309 @@
+"""A hand that runs: brought up from its file, read row by row, watched, and mended when a finger reboots.
+
+    with Hand.open("hand.toml") as hand:
+        for report in hand.bring_up():
+            print(report)
+        hand.start()
+        for rows in hand.rows():
+            print(rows.columns["P"][-1])
+
+Rows are also there as an asynchronous iterator and by callback. One thread receives; a consumer that is too slow loses
+the oldest rows, and ``overrun`` says how many.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+import time
+from collections.abc import AsyncIterator, Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+import numpy as np
+
+from tipforce.dictionary import objects
+from tipforce.errors import EnvironmentLackError, InputError, TipforceError
+from tipforce.host.configuration import verify_configuration
+from tipforce.host.frames import FRAME
+from tipforce.host.hand.babbling import BabbleWatch
+from tipforce.host.hand.bring_up import FingerReport, assign, bring_up, set_up, wanted_settings
+from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand.events import Event, Supervisor, waited_s
+from tipforce.host.hand.file import HandFile, read_hand
+from tipforce.host.hand.jitter import Jitter, JitterFigures
+from tipforce.host.hand.keeper import Keeper
+from tipforce.host.hand.link import Link, open_link
+from tipforce.host.hand.rows import Collector, Rows, Tally
+from tipforce.host.hand.sync_producer import SyncProducer
+from tipforce.host.heartbeats import OPERATIONAL
+
+HEARTBEATS_MISSED = 2.5  # periods of silence that make a heartbeat lost
+REOPEN_S = 0.1
+_TICK_S = 0.01
+_MOST_OLD_BATCHES = 1000
+_LOST_PROBE_S = 1.0  # how often a finger that is gone is looked for by LSS
+
+
+@dataclass(frozen=True, slots=True)
+class Statistics:
+    """What a hand has counted since ``start``."""
+
+    tally: Tally
+    sync: JitterFigures
+    dropped: int
+    """Frames that the kernel or the buffer dropped."""
+    overrun: int
+    """Rows that slow consumers did not take in time."""
+
+
+class Hand:
+    """See the module. Raises InputError for a wrong file and EnvironmentLackError for a bus that does not open."""
+
+    def __init__(self, file: HandFile, link: Link | None = None) -> None:
+        self.file = file
+        self._own_link = link is None
+        self._link = open_link(file.bus) if link is None else link
+        plan = file.hand
+        self._wanted = {finger.node_id: wanted_settings(file, finger) for finger in file.finger}
+        self._plans = {finger.node_id: finger for finger in file.finger}
+        gauges = file.finger[0].gauges
+        self._collector = Collector(file.node_ids, file.messages, gauges, self._row_timeout_s())
+        self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
+        self._babbling = BabbleWatch(plan.sync_hz)
+        self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
+        self._delivery = Delivery()
+        self._keeper = Keeper(self._mend)
+        self._sync: SyncProducer | None = None
+        self._thread: threading.Thread | None = None
+        self._stopped = threading.Event()
+        self._probe_s = 0.0
+        self._heard_s = 0.0  # up to which time all that came was read
+        self._dropped = 0  # on links that were lost
+
+    @classmethod
+    def open(cls, path: str | Path, **bus: Any) -> Hand:
+        """A hand from its file; ``bus`` (keywords of ``can.Bus``) overrides the file's [bus]."""
+        file = read_hand(path)
+        given = {key: value for key, value in bus.items() if value is not None}
+        return cls(HandFile(finger=file.finger, hand=file.hand, bus=file.bus | given, folder=file.folder))
+
+    @property
+    def connection(self) -> Any:
+        """The Connection: SDO, NMT. Another one after the bus was lost."""
+        return self._link.connection
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """In the order of the file, and of the columns of every row."""
+        return self.file.node_ids
+
+    def bring_up(self) -> list[FingerReport]:
+        """Find, number, configure, verify, calibrate and start every finger; a report for each."""
+        return bring_up(self._link.connection, self.file, self._delivery.event)
+
+    def start(self) -> None:
+        """Begin to receive, to send SYNCs (unless sync_hz is 0), and to watch."""
+        if self._thread is not None:
+            raise InputError("this hand is started already")
+        self._begin()
+        self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
+        self._thread.start()
+        self._start_sync()
+
+    def rows(self, timeout_s: float | None = None) -> Iterator[Rows]:
+        """Rows as they become whole, in blocks, until the hand stops, or nothing comes for ``timeout_s``."""
+        return self._delivery.rows(timeout_s)
+
+    def rows_async(self) -> AsyncIterator[Rows]:
+        """The same for asyncio."""
+        return self._delivery.rows_async()
+
+    def on_rows(self, callback: Callable[[Rows], None]) -> None:
+        """Call with each block of rows, in the receiving thread: be quick."""
+        self._delivery.row_callbacks.append(callback)
+
+    def on_event(self, callback: Callable[[Event], None]) -> None:
+        """Call with each event, in whatever thread it happens."""
+        self._delivery.event_callbacks.append(callback)
+
+    def events(self) -> list[Event]:
+        """What has happened since the last call; at most the last 10 000."""
+        return self._delivery.take_events()
+
+    def state(self, node_id: int) -> str:
+        """NMT state of a finger for people; "silent" for one whose heartbeat is lost."""
+        return self._supervisor.state_name(node_id)
+
+    def settled(self) -> bool:
+        """Every finger is operational and none is being mended."""
+        states = self._supervisor.states.values()
+        return all(state == OPERATIONAL for state in states) and not self._keeper.waiting()
+
+    def statistics(self) -> Statistics:
+        """What was counted so far."""
+        return Statistics(
+            self._collector.tally, self._jitter.figures(), self._dropped + self._link.dropped, self._delivery.overrun
+        )
+
+    def stop(self) -> None:
+        """No more SYNCs and rows; the fingers go back to pre-operational."""
+        self._stopped.set()
+        self._stop_sync()
+        if self._thread is not None:
+            self._thread.join()
+        self._keeper.close()
+        self._delivery.close()
+        if self._thread is not None:
+            for node_id in self.node_ids:
+                try:
+                    self._link.connection.nmt("preop", node_id)
+                except TipforceError:
+                    break
+        self._thread = None
+
+    def close(self) -> None:
+        """Stop, and let go of the bus."""
+        self.stop()
+        if self._own_link:
+            self._link.close()
+
+    def __enter__(self) -> Hand:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _begin(self) -> None:
+        """What came during bring-up is no news; where each finger stands now is known from the connection."""
+        for _ in range(_MOST_OLD_BATCHES):
+            if not len(self._link.receive(0.0)):
+                break
+        for node_id in self.node_ids:
+            state = self._link.connection.heartbeats.state(node_id)
+            if state is not None:
+                self._supervisor.know(node_id, state, time.monotonic())
+                if state != OPERATIONAL:
+                    self._keeper.need([node_id])
+
+    # --- the receiving thread -----------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while not self._stopped.is_set():
+                try:
+                    self._step(_TICK_S)
+                except EnvironmentLackError as error:
+                    self._lost(error)
+        except BaseException as error:
+            self._delivery.fail(error)
+            raise
+
+    def _step(self, timeout_s: float) -> None:
+        frames = self._link.receive(timeout_s)
+        now_s = time.monotonic()
+        rows = self._collector.add(frames, now_s)
+        if len(rows):
+            self._jitter.add(rows.sync_ns)
+            self._delivery.put(rows)
+        self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
+        for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
+            self._delivery.event(event)
+            if event.kind in ("boot_up", "heartbeat_back"):
+                self._keeper.need([event.node_id])
+            elif event.kind == "heartbeat_lost":
+                self._keeper.drop(event.node_id)
+        self._keeper.tick()
+        self._probe(now_s)
+
+    def _probe(self, now_s: float) -> None:
+        """A finger that lost its node-id with its power does not say so: LSS finds it."""
+        if now_s < self._probe_s:
+            return
+        self._probe_s = now_s + _LOST_PROBE_S
+        if any(state < 0 for state in self._supervisor.states.values()):
+            self._keeper.need([_LSS])
+
+    def _row_timeout_s(self) -> float:
+        """Two periods, so that an answer that is a little late still counts; without a rate of our own 20 ms."""
+        return 2.0 / self.file.hand.sync_hz if self.file.hand.sync_hz else 0.02
+
+    # --- SYNC -----------------------------------------------------------------------------------------------------
+
+    def _start_sync(self) -> None:
+        self._jitter.skip()
+        if self.file.hand.sync_hz and not self._stopped.is_set():
+            self._sync = self._link.start_sync(1.0 / self.file.hand.sync_hz)
+
+    def _stop_sync(self) -> None:
+        if self._sync is not None:
+            self._sync.stop()
+            self._sync = None
+
+    # --- mending --------------------------------------------------------------------------------------------------
+
+    def _lost(self, error: EnvironmentLackError) -> None:
+        """The bus failed: open it again as soon as that works, and look after every finger."""
+        self._delivery.event(Event(time.monotonic(), 0, "bus_down", str(error)))
+        self._supervisor.forget()
+        self._stop_sync()
+        if not self._own_link:
+            raise error
+        self._dropped += self._link.dropped
+        self._link.close()
+        # The row that was open ends here: what comes when the bus is back does not belong to its SYNC.
+        rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
+        if len(rows):
+            self._delivery.put(rows)
+        while not self._stopped.wait(REOPEN_S):
+            try:
+                self._link = open_link(self.file.bus)
+            except EnvironmentLackError:
+                continue
+            break
+        else:
+            return
+        self._delivery.event(Event(time.monotonic(), 0, "bus_up", "open again"))
+        self._start_sync()
+
+    def _mend(self, node_id: int) -> bool:
+        """Bring one finger to what the file says; True when there is nothing more to do."""
+        if self._stopped.is_set():
+            return True
+        try:
+            return self._find_lost() if node_id == _LSS else self._mend_finger(node_id)
+        except TipforceError as error:
+            self._delivery.event(Event(time.monotonic(), node_id, "failed", str(error)))
+            return False
+
+    def _mend_finger(self, node_id: int) -> bool:
+        if self._supervisor.states[node_id] == OPERATIONAL and self._as_wanted(node_id):
+            return True
+        report = FingerReport(self._plans[node_id])
+        set_up(self._link.connection, self.file, report, self._wanted[node_id], self._delivery.event)
+        return report.ok or self._supervisor.states[node_id] < 0
+
+    def _as_wanted(self, node_id: int) -> bool:
+        """A finger that comes back operational may never have been away; then it is left in peace."""
+        sdo, calibration = self._link.connection.sdo(node_id), self.file.calibration(self._plans[node_id])
+        if calibration is not None and sdo.read(objects.CALIBRATION_ACTIVE_CRC) != calibration.crc32():
+            return False
+        return not verify_configuration(sdo, self._wanted[node_id])
+
+    def _find_lost(self) -> bool:
+        from tipforce.host.lss import LssMaster
+
+        with LssMaster(self._link.connection) as master:
+            somebody = master.any_unconfigured()
+        if somebody:
+            lost = [n for n, state in self._supervisor.states.items() if state < 0]
+            reports = [FingerReport(self._plans[n]) for n in lost]
+            assign(self._link.connection, reports, self.file.hand.store, self._delivery.event)
+        return True
+
+
+_LSS = 0  # among node-ids, stands for whoever has none

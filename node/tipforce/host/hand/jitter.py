@@ -1,0 +1,65 @@
+"""How regular a SYNC is: the deviations of its periods, in a histogram of bounded size."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+_BIN_NS, _BINS = 1000, 50_001  # to 50 ms, the last bin is for all beyond
+
+
+@dataclass(frozen=True, slots=True)
+class JitterFigures:
+    """Deviations of SYNC periods from the nominal one, microseconds; NaN before the first period."""
+
+    periods: int
+    mean_period_us: float
+    p50_us: float
+    p99_us: float
+    largest_us: float
+
+
+class Jitter:
+    """Collects the receive times of SYNCs whose period should be ``period_ns`` (0: unknown, the mean is taken)."""
+
+    def __init__(self, period_ns: int = 0) -> None:
+        self._period_ns = period_ns
+        self._histogram = np.zeros(_BINS, dtype=np.int64)
+        self._last_ns: int | None = None
+        self._sum_ns = self._largest_ns = 0
+        self._periods = 0
+
+    def add(self, sync_ns: npt.NDArray[np.int64]) -> None:
+        """Take the times of further SYNCs (m,), in order."""
+        if not len(sync_ns):
+            return
+        before = sync_ns[:1] if self._last_ns is None else np.array([self._last_ns])
+        periods = np.diff(np.concatenate((before, sync_ns)))[int(self._last_ns is None) :]
+        self._last_ns = int(sync_ns[-1])
+        if not len(periods):
+            return
+        if not self._period_ns:
+            self._period_ns = int(np.median(periods))
+        deviations = np.abs(periods - self._period_ns)
+        self._histogram += np.bincount(np.minimum(deviations // _BIN_NS, _BINS - 1), minlength=_BINS)
+        self._sum_ns += int(periods.sum())
+        self._largest_ns = max(self._largest_ns, int(deviations.max()))
+        self._periods += len(periods)
+
+    def skip(self) -> None:
+        """The SYNC was interrupted on purpose: the next one begins anew."""
+        self._last_ns = None
+
+    def figures(self) -> JitterFigures:
+        """What was found so far; percentiles to a microsecond, rounded up."""
+        if not self._periods:
+            nan = float("nan")
+            return JitterFigures(0, nan, nan, nan, nan)
+        p50, p99 = (self._percentile(share) for share in (0.50, 0.99))
+        return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)
+
+    def _percentile(self, share: float) -> float:
+        place = int(np.searchsorted(np.cumsum(self._histogram), share * self._periods))
+        return min((place + 1) * _BIN_NS, self._largest_ns) / 1e3

@@ -1,0 +1,69 @@
+"""Keeps fingers configured: one that reboots, or comes back, is set up again without being asked."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable, Collection
+from concurrent.futures import ThreadPoolExecutor
+
+RETRY_S = 0.5
+_SIDE_BY_SIDE = 8
+
+
+class Keeper:
+    """Runs ``mend(node_id)`` for fingers that need it, several at once, again after RETRY_S until it returns True.
+
+    A finger that needs it once more while it is being mended gets it right after.
+    """
+
+    def __init__(self, mend: Callable[[int], bool]) -> None:
+        self._mend = mend
+        self._pool = ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="keeper")
+        self._lock = threading.Lock()
+        self._busy: set[int] = set()
+        self._due_s: dict[int, float] = {}
+
+    def need(self, node_ids: Collection[int]) -> None:
+        """These fingers need mending, now."""
+        with self._lock:
+            for node_id in node_ids:
+                self._due_s[node_id] = 0.0
+        self.tick()
+
+    def drop(self, node_id: int) -> None:
+        """This finger is gone: nothing can be mended until it is heard again."""
+        with self._lock:
+            self._due_s.pop(node_id, None)
+
+    def waiting(self) -> bool:
+        """Whether any finger is being mended or is to be."""
+        with self._lock:
+            return bool(self._busy or self._due_s)
+
+    def tick(self) -> None:
+        """Begin what is due; call it now and then."""
+        now_s = time.monotonic()
+        with self._lock:
+            due = [n for n, due_s in self._due_s.items() if due_s <= now_s and n not in self._busy]
+            for node_id in due:
+                del self._due_s[node_id]
+                self._busy.add(node_id)
+        for node_id in due:
+            self._pool.submit(self._run, node_id)
+
+    def close(self) -> None:
+        """Begin nothing more and wait for what has begun."""
+        with self._lock:
+            self._due_s.clear()
+        self._pool.shutdown(wait=True, cancel_futures=True)
+
+    def _run(self, node_id: int) -> None:
+        mended = False
+        try:
+            mended = self._mend(node_id)
+        finally:
+            with self._lock:
+                self._busy.discard(node_id)
+                if not mended:
+                    self._due_s.setdefault(node_id, time.monotonic() + RETRY_S)

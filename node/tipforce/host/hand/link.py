@@ -1,0 +1,126 @@
+"""The hand's two ends of a bus: a connection for SDO and NMT, a receiver for all that comes, and who sends the SYNC.
+
+On SocketCAN the receiver is a raw socket of its own, which also sees the SYNCs that the kernel sends. Everywhere else
+one python-can bus does both, and the SYNCs that we send are put among the received frames as they are sent.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping
+from typing import Any, Protocol
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.bus import open_bus
+from tipforce.host.connection import Connection
+from tipforce.host.frames import FrameArray, FrameBuffer
+from tipforce.host.hand.rows import SYNC_COB_ID
+from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
+from tipforce.host.receive import Receiver, open_receiver
+
+SERVICE_FILTERS = (
+    {"can_id": 0x580, "can_mask": 0x780, "extended": False},
+    {"can_id": 0x700, "can_mask": 0x700, "extended": False},
+)
+"""What a connection beside a receiver has to hear: SDO answers, heartbeats, LSS. PDOs would cost 15 us each twice."""
+
+_KEPT_FRAMES = 20_000  # in the connection's own buffer, which only finding nodes reads
+
+
+class Link(Protocol):
+    """An open bus."""
+
+    connection: Connection
+
+    def receive(self, timeout_s: float) -> FrameArray:
+        """What came, FRAME (n,), SYNCs included. Raises EnvironmentLackError when the bus fails."""
+
+    def start_sync(self, period_s: float) -> SyncProducer:
+        """Send SYNCs from now on."""
+
+    @property
+    def dropped(self) -> int:
+        """Frames lost because nobody took them in time."""
+
+    def close(self) -> None:
+        """Let go of the bus."""
+
+
+class SocketLink:
+    """A SocketCAN interface."""
+
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        self._receiver: Receiver = open_receiver(options)
+        try:
+            self._receiver.receive(0.0)  # an interface that is down opens all the same; reading says so
+            self._bus = open_bus(**options)
+        except BaseException:
+            self._receiver.close()
+            raise
+        self._bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
+        self.connection = Connection(self._bus)
+        keep_few(self.connection)
+
+    def receive(self, timeout_s: float) -> FrameArray:
+        """See Link."""
+        return self._receiver.receive(timeout_s)
+
+    def start_sync(self, period_s: float) -> SyncProducer:
+        """See Link."""
+        return kernel_sync(self._bus, period_s)
+
+    @property
+    def dropped(self) -> int:
+        """See Link."""
+        return self._receiver.dropped
+
+    def close(self) -> None:
+        """See Link."""
+        self._receiver.close()
+        self.connection.close()
+
+
+class BusLink:
+    """Any other bus of python-can."""
+
+    def __init__(self, options: Mapping[str, Any]) -> None:
+        self.connection = Connection(open_bus(**options))
+        keep_few(self.connection)
+        self._frames = FrameBuffer()
+        assert self.connection.network.notifier is not None  # a Connection is connected
+        self.connection.network.notifier.add_listener(self._frames)
+
+    def receive(self, timeout_s: float) -> FrameArray:
+        """See Link."""
+        notifier = self.connection.network.notifier
+        if notifier is not None and notifier.exception is not None:
+            raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
+        return self._frames.take_some(time.monotonic() + timeout_s)
+
+    def start_sync(self, period_s: float) -> SyncProducer:
+        """See Link."""
+        return ThreadSync(self._sync, period_s)
+
+    def _sync(self) -> None:
+        # First into the stream, then onto the bus: no answer can stand before its SYNC.
+        self._frames.put((time.time_ns(), SYNC_COB_ID, b""))
+        self.connection.sync()
+
+    @property
+    def dropped(self) -> int:
+        """See Link."""
+        return self._frames.dropped
+
+    def close(self) -> None:
+        """See Link."""
+        self.connection.close()
+
+
+def keep_few(connection: Connection) -> None:
+    """A hand runs for days, and nobody takes what its connection collects: let that stay small."""
+    connection.buffer.limit = _KEPT_FRAMES
+
+
+def open_link(options: Mapping[str, Any]) -> Link:
+    """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
+    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(options)

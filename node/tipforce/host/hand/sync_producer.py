@@ -1,0 +1,79 @@
+"""Who sends the hand's SYNC: the kernel on SocketCAN (its broadcast manager), a thread on every other bus."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Protocol
+
+import can
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.hand.rows import SYNC_COB_ID
+
+
+class SyncProducer(Protocol):
+    """Sends SYNCs until it is stopped."""
+
+    def stop(self) -> None:
+        """Send no more."""
+
+
+def kernel_sync(bus: can.BusABC, period_s: float) -> SyncProducer:
+    """SYNCs by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError where the kernel refuses."""
+    message = can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=b"")
+    try:
+        return KernelSync(bus.send_periodic(message, period_s))
+    except (can.CanError, OSError) as error:
+        raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
+
+
+class KernelSync:
+    """A cyclic task of the kernel's."""
+
+    def __init__(self, task: can.broadcastmanager.CyclicSendTaskABC) -> None:
+        self._task = task
+
+    def stop(self) -> None:
+        """See SyncProducer."""
+        with suppress(can.CanError, OSError):  # an interface that has gone took its tasks with it
+            self._task.stop()
+
+
+class ThreadSync:
+    """SYNCs by a thread that keeps to the times that it began with: a late one does not delay the ones after it."""
+
+    def __init__(self, send: Callable[[], None], period_s: float) -> None:
+        self._send, self._period_s = send, period_s
+        self._stopped = threading.Event()
+        self.error: Exception | None = None
+        """Why it ended by itself."""
+        self.skipped = 0
+        """SYNCs that were left out because their time had passed."""
+        self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
+        self._thread.start()
+
+    def stop(self) -> None:
+        """Send no more; returns when the thread has ended."""
+        self._stopped.set()
+        if threading.current_thread() is not self._thread:
+            self._thread.join()
+
+    def _run(self) -> None:
+        due_s = time.monotonic()
+        while not self._stopped.is_set():
+            try:
+                self._send()
+            except EnvironmentLackError as error:
+                self.error = error
+                return
+            due_s += self._period_s
+            # More than half a period late: left out, because two SYNCs close together leave the first no time.
+            behind = int((time.monotonic() - due_s) / self._period_s + 0.5)
+            if behind > 0:
+                self.skipped += behind
+                due_s += behind * self._period_s
+            # A wait on the event would wake later than a sleep; stop() waits a period at most.
+            time.sleep(max(due_s - time.monotonic(), 0.0))

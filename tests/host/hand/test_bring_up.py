@@ -1,0 +1,204 @@
+"""Bring-up of whole hands on the in-process bus: unconfigured nodes, wrong ones, and ones that fail half-way."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import can
+import msgspec
+import pytest
+
+from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_channel, running
+from tipforce.device.node import Device
+from tipforce.dictionary import objects as od
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+from tipforce.host.calibration_file import write_calibration
+from tipforce.host.connection import Connection
+from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+
+
+def node(node_id: int, serial: int, folder: Path) -> Device:
+    """A fingertip that can store; 255 is one without a node-id."""
+    files = FileStore(folder / f"node-{serial}.json")
+    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+    return fingertip_node(node_id, source, serial=serial, save=files.save, load=files.load)
+
+
+def plan(*fingers: tuple[int, int], folder: Path, store: bool = False) -> HandFile:
+    """A hand of (node-id, serial) with one calibration for all."""
+    write_calibration(folder / "cal.toml", beam_calibration())
+    return HandFile(
+        finger=tuple(FingerPlan(node_id=n, serial=serial, calibration="cal.toml") for n, serial in fingers),
+        hand=HandPlan(sync_hz=100, heartbeat_ms=20, store=store),
+        folder=str(folder),
+    )
+
+
+@contextlib.contextmanager
+def hand_of(*devices: Device) -> Iterator[tuple[Connection, FaultyBus]]:
+    """Running nodes, some perhaps without a node-id, and a host on their bus."""
+    channel = new_channel()
+    with connected(channel=channel) as (connection, bus), running(devices, channel):
+        yield connection, bus
+
+
+def up(connection: Connection, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
+    """Bring up and keep the events."""
+    events: list[Event] = []
+    return bring_up(connection, hand, events.append), events
+
+
+def test_five_unconfigured_nodes_are_up_within_three_seconds(tmp_path: Path) -> None:
+    serials = (1001, 0x80000001, 7, 65536, 12)
+    hand = plan(*((k + 1, serial) for k, serial in enumerate(serials)), folder=tmp_path, store=True)
+    with hand_of(*(node(255, serial, tmp_path) for serial in serials)) as (connection, _):
+        reports, events = up(connection, hand)
+        assert [str(report) for report in reports if not report.ok] == []
+        assert all(tuple(report.done) == STEPS for report in reports)
+        for k, serial in enumerate(serials):
+            sdo = connection.sdo(k + 1)
+            assert sdo.read(od.IDENTITY_SERIAL) == serial
+            assert sdo.read(od.CALIBRATION_ACTIVE_CRC) == beam_calibration().crc32()
+            assert sdo.read(od.TPDO1_COB_ID) == 0xC0000181 + k  # gauges are off: the hand reads contact alone
+            assert connection.heartbeats.state(k + 1) == 5
+        kinds = [event.kind for event in events if event.node_id == 3]
+        assert kinds == ["assigned", "found", "configured", "calibrated", "started"]
+        # Again: all is found as it should be, and the calibration is left alone.
+        reports, events = up(connection, hand)
+        assert all(report.ok for report in reports)
+        assert all("active already" in event.text for event in events if event.kind == "calibrated")
+
+
+def test_without_serials_ids_are_given_in_the_order_of_the_file(tmp_path: Path) -> None:
+    with hand_of(node(255, 30, tmp_path), node(255, 20, tmp_path)) as (connection, _):
+        reports, _ = up(connection, plan((8, 0), (9, 0), folder=tmp_path))
+        assert all(report.ok for report in reports)
+        assert [connection.sdo(n).read(od.IDENTITY_SERIAL) for n in (8, 9)] == [20, 30]
+
+
+def test_a_node_at_another_id_is_moved(tmp_path: Path) -> None:
+    with hand_of(node(40, 1001, tmp_path)) as (connection, _):
+        reports, events = up(connection, plan((1, 1001), folder=tmp_path))
+        assert [str(report) for report in reports] == ["finger 1: up"]
+        assert "it was 40" in events[0].text
+
+
+def test_one_that_fails_half_way_does_not_hold_the_others(tmp_path: Path) -> None:
+    """Node 2 falls silent while it is being configured."""
+    with hand_of(*(node(n, n, tmp_path) for n in (1, 2, 3))) as (connection, bus):
+        connection.sdo(2).retries = 0
+
+        def deaf_at_the_heartbeat(message: can.Message) -> can.Message | None:
+            if message.arbitration_id == 0x582 and message.data[1:3] == b"\x17\x10":
+                return None
+            return message
+
+        bus.fault = deaf_at_the_heartbeat
+        reports, events = up(connection, plan((1, 1), (2, 2), (3, 3), folder=tmp_path))
+        assert [report.failed for report in reports] == ["", "configure", ""]
+        assert "0x1017:00: no response" in reports[1].error
+        assert [(e.node_id, e.kind) for e in events if e.kind == "failed"] == [(2, "failed")]
+        assert [connection.heartbeats.state(n) for n in (1, 3)] == [5, 5]
+
+
+@pytest.mark.parametrize(
+    ("serials", "wanted", "step", "text"),
+    [
+        ((1, 2), ((1, 2), (2, 1)), "identity", "are two fingers swapped?"),
+        ((1,), ((1, 1), (2, 2)), "find", "a node with serial 2 does not answer LSS"),
+        ((1,), ((1, 1), (2, 0)), "find", "a node without a node-id does not answer LSS"),
+    ],
+)
+def test_what_is_wrong_is_named(
+    tmp_path: Path, serials: tuple[int, ...], wanted: tuple[tuple[int, int], ...], step: str, text: str
+) -> None:
+    with hand_of(*(node(k + 1, serial, tmp_path) for k, serial in enumerate(serials))) as (connection, _):
+        reports, _ = up(connection, plan(*wanted, folder=tmp_path))
+        assert reports[1].failed == step
+        assert text in reports[1].error
+
+
+def test_two_nodes_with_one_id(tmp_path: Path) -> None:
+    with hand_of(node(1, 1, tmp_path), node(1, 2, tmp_path), node(3, 3, tmp_path)) as (connection, _):
+        reports, _ = up(connection, plan((1, 1), (3, 3), folder=tmp_path))
+        assert [report.failed for report in reports] == ["find", ""]
+        assert "2 nodes answer" in reports[0].error
+
+
+def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:
+    with hand_of(node(1, 1, tmp_path)) as (connection, _):
+        connection.sdo(1).write(od.CALIBRATION_LOCK, 1)
+        reports, _ = up(connection, plan((1, 1), folder=tmp_path))
+        assert reports[0].failed == "calibrate"
+        assert "locked" in reports[0].error
+
+
+def test_a_stopped_node_is_brought_back(tmp_path: Path) -> None:
+    with hand_of(node(1, 1, tmp_path)) as (connection, _):
+        connection.nmt("stop", 1)
+        time.sleep(0.05)
+        reports, _ = up(connection, plan((1, 1), folder=tmp_path))
+        assert reports[0].ok
+
+
+GOOD = """
+[bus]
+interface = "virtual"
+channel = "hand"
+[hand]
+sync_hz = 500
+pdos = ["Contact", "gauges"]
+[[finger]]
+name = "thumb"
+node_id = 1
+serial = 5
+calibration = "cal.toml"
+config = "own.toml"
+"""
+
+
+def test_a_file_is_read_with_what_it_names(tmp_path: Path) -> None:
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
+    (tmp_path / "own.toml").write_text('[objects]\n"sample_period_us:1" = 250\n')
+    (tmp_path / "hand.toml").write_text(GOOD)
+    hand = read_hand(tmp_path / "hand.toml")
+    assert hand.bus == {"interface": "virtual", "channel": "hand"}
+    assert (hand.node_ids, hand.messages, hand.finger[0].label) == ((1,), ("Contact", "Gauges"), "thumb (1)")
+    assert hand.configuration(hand.finger[0])[0x6114, 1][1] == 250
+    assert msgspec.structs.asdict(hand.hand)["heartbeat_ms"] == 100
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "text"),
+    [
+        ("node_id = 1", "node_id = 128", "thumb: node_id = 128, allowed are 1 to 127"),
+        ("node_id = 1", "", "missing required field `node_id`"),
+        ("sync_hz = 500", "sync_hz = -1", "[hand] sync_hz = -1"),
+        ("sync_hz = 500", "rate = 500", "unknown field `rate`"),
+        ('"gauges"', '"health"', "allowed are gauges, contact, force"),
+        ("cal.toml", "none.toml", "none.toml: No such file"),
+        ("own.toml", "none.toml", "none.toml: No such file"),
+        ("serial = 5", "serial = 5\ngauges = 4", "cal.toml has 3 gauges, the finger 4"),
+        ("serial = 5", 'serial = 5\nlayout = "IV"', "allowed are I, II, III"),
+        ("[[finger]]", "[[finger]]\nnode_id = 1\n[[finger]]", "node_id = 1 stands twice"),
+        ("[[finger]]", "[finger]", "Expected `array`"),
+    ],
+)
+def test_a_wrong_file_is_refused(tmp_path: Path, old: str, new: str, text: str) -> None:
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
+    (tmp_path / "own.toml").write_text('[objects]\n"sample_period_us:1" = 250\n')
+    path = tmp_path / "hand.toml"
+    path.write_text(GOOD.replace(old, new))
+    with pytest.raises(Exception, match=r".") as caught:
+        read_hand(path)
+    assert text in str(caught.value)
+    assert str(path) in str(caught.value)

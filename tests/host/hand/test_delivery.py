@@ -1,0 +1,101 @@
+"""Rows to consumers: each gets all from the moment it asks, a slow one loses the oldest and is told."""
+
+from __future__ import annotations
+
+import asyncio
+import threading
+
+import numpy as np
+import pytest
+
+from tipforce.host.hand import delivery as module
+from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.rows import Rows
+
+
+def block(first: int, count: int = 1) -> Rows:
+    """Rows numbered from ``first``."""
+    return Rows(first, np.arange(first, first + count), np.zeros((count, 1), dtype=np.int64), {})
+
+
+def test_two_consumers_get_all_from_when_they_asked() -> None:
+    delivery = Delivery()
+    delivery.put(block(0))
+    first = delivery.rows()
+    delivery.put(block(1))
+    second = delivery.rows()
+    delivery.put(block(2))
+    delivery.close()
+    assert [rows.first for rows in first] == [1, 2]
+    assert [rows.first for rows in second] == [2]
+
+
+def test_a_consumer_waits_and_gives_up_after_its_time() -> None:
+    delivery = Delivery()
+    found: list[int] = []
+    thread = threading.Thread(target=lambda: found.extend(rows.first for rows in delivery.rows()))
+    thread.start()
+    while not delivery._subscriptions:
+        pass
+    for k in range(50):
+        delivery.put(block(k))
+    delivery.close()
+    thread.join(10)
+    assert found == list(range(50))
+    assert list(Delivery().rows(0.01)) == []
+
+
+def test_a_slow_consumer_loses_the_oldest_and_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(module, "MAX_ROWS", 10)
+    delivery = Delivery()
+    rows = delivery.rows()
+    for k in range(5):
+        delivery.put(block(4 * k, 4))
+    assert delivery.overrun == 12
+    delivery.close()
+    assert [one.first for one in rows] == [12, 16]
+    assert delivery.overrun == 12
+
+
+def test_asyncio() -> None:
+    delivery = Delivery()
+
+    async def consume() -> list[int]:
+        found = []
+        async for rows in delivery.rows_async():
+            found.append(rows.first)
+            if len(found) == 20:
+                delivery.close()
+        return found
+
+    async def main() -> list[int]:
+        task = asyncio.create_task(consume())
+        await asyncio.sleep(0)
+        thread = threading.Thread(target=lambda: list(map(delivery.put, map(block, range(20)))))
+        thread.start()
+        return await asyncio.wait_for(task, 10)
+
+    assert asyncio.run(main()) == list(range(20))
+
+
+def test_a_failure_of_the_producer_reaches_everyone() -> None:
+    delivery = Delivery()
+    rows = delivery.rows()
+    delivery.put(block(0))
+    delivery.fail(RuntimeError("the thread has ended"))
+    assert next(rows).first == 0
+    with pytest.raises(RuntimeError, match="has ended"):
+        next(rows)
+
+
+def test_callbacks_and_events() -> None:
+    delivery = Delivery()
+    rows: list[int] = []
+    events: list[Event] = []
+    delivery.row_callbacks.append(lambda one: rows.append(one.first))
+    delivery.event_callbacks.append(events.append)
+    delivery.put(block(3))
+    happened = Event(1.0, 5, "emcy", "text")
+    delivery.event(happened)
+    assert (rows, events, delivery.take_events(), delivery.take_events()) == ([3], [happened], [happened], [])

@@ -1,0 +1,80 @@
+"""The supervisor: heartbeats that stop and come back, boot-ups, EMCY; with a clock of the test's own."""
+
+from __future__ import annotations
+
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.host.frames import frame_array
+from tipforce.host.hand.events import MOST_WAITED_S, Supervisor, waited_s
+
+
+def seen(supervisor: Supervisor, now_s: float, *frames: tuple[int, str]) -> list[tuple[int, str, int]]:
+    """What happened when these frames came."""
+    array = frame_array([(0, can_id, bytes.fromhex(data)) for can_id, data in frames])
+    return [(event.node_id, event.kind, event.code) for event in supervisor.add(array, now_s)]
+
+
+def test_a_life() -> None:
+    supervisor = Supervisor([5, 6], 0.25)
+    assert seen(supervisor, 0.0) == []
+    assert seen(supervisor, 10.0) == []  # what was never heard is not lost
+    assert seen(supervisor, 10.0, (0x705, "00")) == [(5, "boot_up", 0)]
+    assert seen(supervisor, 10.1, (0x705, "7f"), (0x705, "7f")) == [(5, "state", 127)]
+    assert seen(supervisor, 10.2, (0x705, "05")) == [(5, "state", 5)]
+    assert seen(supervisor, 10.44) == []
+    assert seen(supervisor, 10.46) == [(5, "heartbeat_lost", 0)]
+    assert supervisor.state_name(5) == "silent"
+    assert seen(supervisor, 11.0) == []
+    assert seen(supervisor, 11.0, (0x706, "7f")) == [(6, "heartbeat_back", 127)]
+    assert seen(supervisor, 13.4) == []  # not operational: its heartbeat may be a slow one
+    assert seen(supervisor, 13.6) == [(6, "heartbeat_lost", 0)]
+    supervisor = Supervisor([5, 6], 0.25)
+    assert seen(supervisor, 11.0, (0x705, "05")) == [(5, "heartbeat_back", 5)]
+    assert seen(supervisor, 11.1, (0x705, "00"), (0x705, "7f")) == [(5, "boot_up", 0), (5, "state", 127)]
+    assert supervisor.state_name(5) == "pre-operational"
+
+
+def test_the_toggle_bit_of_guarding_is_no_state() -> None:
+    supervisor = Supervisor([5])
+    assert seen(supervisor, 0.0, (0x705, "05"), (0x705, "85")) == [(5, "heartbeat_back", 5)]
+
+
+def test_emcy() -> None:
+    supervisor = Supervisor([5])
+    assert seen(supervisor, 0.0, (0x085, "3050010000000000"), (0x085, "0000000000000000")) == [
+        (5, "emcy", 0x5030),
+        (5, "emcy_reset", 0),
+    ]
+    array = frame_array([(0, 0x085, bytes.fromhex("3412810000000000"))])
+    assert supervisor.add(array, 0.0)[0].text == "0x1234 error 0x1234, error register 0x81"
+
+
+def test_what_is_not_for_it() -> None:
+    supervisor = Supervisor([5])
+    frames = [(0x080, ""), (0x080, "01"), (0x707, "05"), (0x086, "30" * 8), (0x705, ""), (0x705, "0500"), (0x085, "30")]
+    assert seen(supervisor, 0.0, *frames) == []
+    # A remote frame of guarding, and a 29-bit identifier that ends the same.
+    assert seen(supervisor, 0.0, (0x40000705, ""), (0x80000705, "05")) == []
+
+
+def test_a_lost_bus_is_forgotten() -> None:
+    supervisor = Supervisor([5])
+    seen(supervisor, 0.0, (0x705, "05"))
+    supervisor.forget()
+    assert seen(supervisor, 9.0) == []
+    assert seen(supervisor, 9.0, (0x705, "05")) == [(5, "heartbeat_back", 5)]
+
+
+def test_frames_that_waited_are_judged_by_their_own_time() -> None:
+    now_ns, second_ns = 1_800_000_000 * 10**9, 10**9
+    frames = frame_array([(now_ns - second_ns, 0x705, b"\x05"), (now_ns - second_ns // 2, 0x705, b"\x05")])
+    assert waited_s(frames, now_ns) == pytest.approx(0.5)
+    assert waited_s(frames[:0], now_ns) == 0.0
+    assert waited_s(frames, now_ns - second_ns) == 0.0  # stamps of the future
+    assert waited_s(frames, now_ns + int(MOST_WAITED_S * second_ns)) == 0.0  # another clock
+
+
+def test_no_timeout_is_refused() -> None:
+    with pytest.raises(InputError):
+        Supervisor([5], 0.0)

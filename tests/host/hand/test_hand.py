@@ -1,0 +1,211 @@
+"""A whole hand that runs: rows, a finger that dies and comes back, one that forgets who it is, a bus that fails."""
+
+from __future__ import annotations
+
+import asyncio
+import contextlib
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import beam_calibration, new_channel
+from tipforce.device.node import Device
+from tipforce.errors import InputError
+from tipforce.fingertip import loop
+from tipforce.fingertip.node import fingertip_node
+from tipforce.fingertip.ports import PythonCanPort
+from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.fingertip.store import FileStore
+from tipforce.host.calibration_file import write_calibration
+from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
+from tipforce.host.hand.hand import Hand
+from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.strain import strain_matrix
+
+WAIT_S = 10.0
+
+
+class Fingers:
+    """Simulated nodes on a bus of their own, each in its own thread, so that one can be switched off and on."""
+
+    def __init__(self, channel: str, folder: Path) -> None:
+        self.channel, self.folder = channel, folder
+        self.devices: dict[int, Device] = {}
+        self.sources: dict[int, SimulatedSource] = {}
+        self._stops: dict[int, tuple[threading.Event, threading.Thread]] = {}
+
+    def switch_on(self, serial: int, node_id: int, forget: bool = False) -> None:
+        """Power a node: its parameters come from its store, unless it forgets."""
+        files = FileStore(self.folder / f"{serial}.json")
+        source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+        source.load = (1.0 + serial, 0.0, 0.0)
+        save, load = (None, None) if forget else (files.save, files.load)
+        self.devices[serial] = fingertip_node(node_id, source, serial=serial, save=save, load=load)
+        self.sources[serial] = source
+        stop = threading.Event()
+        thread = threading.Thread(target=self._run, args=(self.devices[serial], stop), name=f"node {serial}")
+        self._stops[serial] = stop, thread
+        thread.start()
+
+    def switch_off(self, serial: int) -> None:
+        """Cut its power."""
+        stop, thread = self._stops.pop(serial)
+        stop.set()
+        thread.join()
+
+    def close(self) -> None:
+        """All off."""
+        for serial in list(self._stops):
+            self.switch_off(serial)
+
+    def _run(self, device: Device, stop: threading.Event) -> None:
+        with can.Bus(interface="virtual", channel=self.channel) as bus:
+            loop.run([device], PythonCanPort(bus), stop.is_set)
+
+
+@pytest.fixture
+def fingers(tmp_path: Path) -> Iterator[Fingers]:
+    """Fingers 1 and 2, serials 1 and 2."""
+    found = Fingers(new_channel(), tmp_path)
+    found.switch_on(1, 1)
+    found.switch_on(2, 2)
+    yield found
+    found.close()
+
+
+@contextlib.contextmanager
+def running(fingers: Fingers, sync_hz: float = 100.0, store: bool = True) -> Iterator[Hand]:
+    """A hand that is up."""
+    write_calibration(fingers.folder / "cal.toml", beam_calibration())
+    file = HandFile(
+        finger=tuple(FingerPlan(node_id=n, serial=n, calibration="cal.toml") for n in (1, 2)),
+        hand=HandPlan(sync_hz=sync_hz, heartbeat_ms=50, store=store),
+        bus={"interface": "virtual", "channel": fingers.channel},
+        folder=str(fingers.folder),
+    )
+    with Hand(file) as hand:
+        assert [str(report) for report in hand.bring_up()] == ["finger 1: up", "finger 2: up"]
+        hand.start()
+        yield hand
+
+
+def until(condition: Callable[[], bool], what: str) -> None:
+    """Wait for it."""
+    deadline_s = time.monotonic() + WAIT_S
+    while not condition():
+        assert time.monotonic() < deadline_s, what
+        time.sleep(0.005)
+
+
+def latest(hand: Hand) -> np.ndarray:
+    """P of the next row."""
+    for rows in hand.rows(WAIT_S):
+        return np.asarray(rows.columns["P"][-1])
+    raise AssertionError("no row")
+
+
+def kinds(hand: Hand, node_id: int) -> list[str]:
+    """What happened to a finger since the last call."""
+    return [event.kind for event in hand.events() if event.node_id == node_id]
+
+
+def test_every_sync_gives_a_row_with_every_finger(fingers: Fingers) -> None:
+    with running(fingers) as hand:
+        whole, number = 0, None
+        for rows in hand.rows(WAIT_S):
+            assert number in (None, rows.first)
+            number = rows.first + len(rows)
+            known = rows.columns["P"][~rows.missing.any(axis=1) & ~rows.columns["stale"].any(axis=1)]
+            assert known == pytest.approx(np.tile([2.0, 3.0], (len(known), 1)), abs=5e-3)
+            whole = 0 if rows.missing.any() else whole + len(rows)
+            if whole >= 30:  # a busy machine may lose some at the start
+                break
+        found = hand.statistics()
+        assert found.tally.rows >= whole
+        assert found.tally.mixed.tolist() == [0, 0]
+        assert (found.dropped, found.overrun) == (0, 0)
+        assert found.sync.periods >= whole - 1
+        assert hand.settled()
+
+
+def test_a_finger_that_dies_and_comes_back_is_set_up_again(fingers: Fingers) -> None:
+    with running(fingers) as hand:
+        hand.events()
+        fingers.switch_off(2)
+        until(lambda: hand.state(2) == "silent", "its heartbeat should be missed")
+        row = latest(hand)
+        assert row[0] == pytest.approx(2.0, abs=5e-3)
+        assert np.isnan(row[1])  # never what it said last
+        assert kinds(hand, 2) == ["heartbeat_lost"]
+        fingers.switch_on(2, 2)
+        until(lambda: hand.settled() and not np.isnan(latest(hand)).any(), "it should come back")
+        assert latest(hand) == pytest.approx([2.0, 3.0], abs=5e-3)
+        found = kinds(hand, 2)
+        assert found[0] == "boot_up"
+        assert "started" in found
+        assert "failed" not in found
+
+
+def test_a_finger_that_forgot_everything_gets_its_id_and_calibration_back(fingers: Fingers) -> None:
+    with running(fingers, store=False) as hand:
+        hand.events()
+        fingers.switch_off(1)
+        until(lambda: hand.state(1) == "silent", "its heartbeat should be missed")
+        fingers.switch_on(1, 255, forget=True)
+        until(lambda: hand.settled() and not np.isnan(latest(hand)).any(), "it should come back")
+        assert latest(hand) == pytest.approx([2.0, 3.0], abs=5e-3)
+        found = kinds(hand, 1)
+        assert [kind for kind in found if kind in ("heartbeat_lost", "assigned", "calibrated", "started")] == [
+            "heartbeat_lost", "assigned", "calibrated", "started",
+        ]  # fmt: skip
+
+
+def test_a_front_end_fault_is_an_event_and_no_number(fingers: Fingers) -> None:
+    with running(fingers) as hand:
+        hand.events()
+        fingers.sources[2].fault = 4  # silent converter
+        until(lambda: "emcy" in kinds(hand, 2), "EMCY should come")
+        assert np.isnan(latest(hand)[1])
+        fingers.sources[2].fault = 0
+        until(lambda: "emcy_reset" in kinds(hand, 2), "EMCY reset should come")
+        until(lambda: not np.isnan(latest(hand)).any(), "the force should be known again")
+
+
+def test_asyncio_and_callbacks(fingers: Fingers) -> None:
+    seen: list[int] = []
+
+    async def consume(hand: Hand) -> int:
+        count = 0
+        async for rows in hand.rows_async():
+            count += len(rows)
+            if count >= 10:
+                break
+        return count
+
+    with running(fingers) as hand:
+        hand.on_rows(lambda rows: seen.append(len(rows)))
+        assert asyncio.run(asyncio.wait_for(consume(hand), WAIT_S)) >= 10
+        assert sum(seen) >= 10
+        with pytest.raises(InputError, match="started already"):
+            hand.start()
+
+
+def test_a_stopped_hand_sends_nothing_more(fingers: Fingers) -> None:
+    with running(fingers) as hand:
+        iterator = hand.rows()
+        next(iterator)
+        hand.stop()
+        assert sum(1 for _ in iterator) < 1000
+        with can.Bus(interface="virtual", channel=fingers.channel) as bus:
+            heard = []
+            deadline_s = time.monotonic() + 0.2
+            while time.monotonic() < deadline_s:
+                message = bus.recv(0.05)
+                if message is not None and message.arbitration_id < 0x700:
+                    heard.append(message)
+        assert heard == []

@@ -1,0 +1,84 @@
+"""The histogram of SYNC periods against numpy on all of them; the thread that keeps its times."""
+
+from __future__ import annotations
+
+import threading
+
+import numpy as np
+import pytest
+
+from tipforce.errors import EnvironmentLackError
+from tipforce.host.hand.jitter import Jitter
+from tipforce.host.hand.sync_producer import ThreadSync
+
+
+@pytest.mark.parametrize("nominal_ns", [1_000_000, 0])
+def test_percentiles_are_those_of_the_deviations(nominal_ns: int) -> None:
+    generator = np.random.default_rng(5)
+    times = np.cumsum(1_000_000 + generator.normal(0, 20_000, 5000).astype(np.int64))
+    jitter = Jitter(nominal_ns)
+    for block in np.array_split(times, 37):
+        jitter.add(block)
+    jitter.add(times[:0])
+    periods = np.diff(times)
+    deviations = np.abs(periods - (nominal_ns or np.median(periods[:136]))) / 1e3
+    found = jitter.figures()
+    assert found.periods == len(periods)
+    assert found.mean_period_us == pytest.approx(periods.mean() / 1e3)
+    assert found.largest_us == pytest.approx(deviations.max(), abs=1.0)
+    assert found.p50_us == pytest.approx(np.percentile(deviations, 50), abs=2.0)
+    assert found.p99_us == pytest.approx(np.percentile(deviations, 99), abs=3.0)
+
+
+def test_an_interruption_is_no_jitter_and_a_gap_is() -> None:
+    jitter = Jitter(1000)
+    jitter.add(np.array([0, 1000]))
+    jitter.skip()
+    jitter.add(np.array([900_000_000]))
+    jitter.add(np.array([900_001_000, 980_001_000]))
+    found = jitter.figures()
+    assert (found.periods, found.largest_us) == (3, 79_999.0)
+    assert np.isnan(Jitter().figures().p50_us)
+
+
+def test_the_thread_sends_as_many_as_it_should() -> None:
+    enough = threading.Event()
+    sent = []
+
+    def send() -> None:
+        sent.append(0)
+        if len(sent) == 20:
+            enough.set()
+
+    sync = ThreadSync(send, 0.002)
+    assert enough.wait(10)
+    sync.stop()
+    count = len(sent)
+    enough.clear()
+    assert not enough.wait(0.02)
+    assert len(sent) == count
+
+
+def test_a_bus_that_refuses_ends_it_with_the_reason() -> None:
+    def refuse() -> None:
+        raise EnvironmentLackError("no bus")
+
+    sync = ThreadSync(refuse, 0.001)
+    sync.stop()
+    assert str(sync.error) == "no bus"
+
+
+def test_a_slow_bus_loses_syncs_and_says_so() -> None:
+    calls = threading.Semaphore(0)
+    waits = threading.Event()
+
+    def slow() -> None:
+        calls.release()
+        waits.wait(0.05)
+
+    sync = ThreadSync(slow, 0.005)
+    for _ in range(3):
+        assert calls.acquire(timeout=10)
+    waits.set()
+    sync.stop()
+    assert sync.skipped >= 9

@@ -1,0 +1,139 @@
+"""The faulty bus: each fault as often as it was asked for, the same for the same seed, nothing invented."""
+
+from __future__ import annotations
+
+import time
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from host.bus_with_nodes import new_channel
+from tipforce.errors import InputError
+from tipforce.host.faults import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
+
+FRAMES: list[RawFrame] = [(0x181 + k % 5, k.to_bytes(4, "little")) for k in range(4000)]
+
+
+def through(faults: Faults, seed: int = 1, frames: list[RawFrame] = FRAMES) -> tuple[list[RawFrame], Injector]:
+    """What comes out of an injector, a frame each millisecond."""
+    injector, found = Injector(faults, seed), []
+    for k, frame in enumerate(frames):
+        injector.put(frame, k * 1e-3)
+        while (taken := injector.take(k * 1e-3)) is not None:
+            found.append(taken)
+    while (taken := injector.take(1e9)) is not None:
+        found.append(taken)
+    return found, injector
+
+
+def test_no_faults_change_nothing() -> None:
+    assert through(Faults())[0] == FRAMES
+
+
+@pytest.mark.parametrize("name", ["drop", "duplicate", "corrupt", "reorder", "delay"])
+def test_each_fault_strikes_as_often_as_asked(name: str) -> None:
+    found, injector = through(replace(Faults(), **{name: 0.1}))  # type: ignore[arg-type]
+    count = injector.counts[name]
+    assert 300 < count < 500
+    assert set(injector.counts) == {name}
+    lost, invented = Counter(FRAMES) - Counter(found), Counter(found) - Counter(FRAMES)
+    expected = {"drop": (count, 0), "duplicate": (0, count), "corrupt": (count, count)}.get(name, (0, 0))
+    assert (lost.total(), invented.total()) == pytest.approx(expected, abs=1)
+    if name in ("reorder", "delay"):
+        assert found != FRAMES
+    if name == "corrupt":
+        pairs = [(a, b) for a, b in zip(FRAMES, found, strict=True) if a != b]
+        flipped = [int.from_bytes(a[1], "little") ^ int.from_bytes(b[1], "little") for a, b in pairs]
+        assert {value.bit_count() for value in flipped} == {1}
+
+
+def test_the_same_seed_is_the_same_run() -> None:
+    faults = Faults(0.1, 0.1, 0.1, 0.1, 0.1)
+    assert through(faults)[0] == through(faults)[0] != through(faults, seed=2)[0]
+    # One fault more leaves the others where they strike.
+    dropped = Counter(FRAMES) - Counter(through(Faults(drop=0.1))[0])
+    assert not Counter(through(Faults(drop=0.1, duplicate=0.1))[0]).keys() & dropped.keys()
+
+
+@given(st.floats(0, 1), st.floats(0, 1), st.integers(0, 99))
+def test_only_the_named_identifiers(drop: float, delay: float, seed: int) -> None:
+    found, _ = through(Faults(drop=drop, delay=delay, only=frozenset({0x182})), seed, FRAMES[:200])
+    others = [frame for frame in FRAMES[:200] if frame[0] != 0x182]
+    assert [frame for frame in found if frame[0] != 0x182] == others
+
+
+@pytest.fixture
+def buses() -> Iterator[tuple[can.BusABC, FaultyBus]]:
+    """A sender and a faulty receiver."""
+    channel = new_channel()
+    with can.Bus(interface="virtual", channel=channel) as sender:
+        faulty = FaultyBus(can.Bus(interface="virtual", channel=channel), Faults(), seed=3)
+        with faulty:
+            yield sender, faulty
+
+
+def received(bus: can.BusABC, timeout_s: float = 0.02) -> list[bytes]:
+    """All that comes."""
+    found = []
+    while (message := bus.recv(timeout_s)) is not None:
+        found.append(bytes(message.data))
+    return found
+
+
+def test_a_bus_behind_it(buses: tuple[can.BusABC, FaultyBus]) -> None:
+    sender, faulty = buses
+    faulty.faults = Faults(drop=0.5, delay=0.5, delay_s=0.01)
+    for k in range(100):
+        sender.send(can.Message(arbitration_id=0x181, data=[k], is_extended_id=False))
+    found = received(faulty)
+    assert 100 - faulty.counts["drop"] == len(found) == len(set(found))
+    assert found != sorted(found)
+    faulty.faults = quiet(faulty.faults)
+    sender.send(can.Message(arbitration_id=0x12345678, data=[7], is_remote_frame=False, is_extended_id=True))
+    message = faulty.recv(1.0)
+    assert message is not None
+    assert (message.arbitration_id, message.is_extended_id, bytes(message.data)) == (0x12345678, True, b"\x07")
+
+
+def test_bus_off_and_on(buses: tuple[can.BusABC, FaultyBus]) -> None:
+    sender, faulty = buses
+    faulty.bus_off = True
+    sender.send(can.Message(arbitration_id=0x181, data=[1], is_extended_id=False))
+    with pytest.raises(can.CanOperationError, match="bus-off"):
+        faulty.recv(0.01)
+    with pytest.raises(can.CanOperationError, match="bus-off"):
+        faulty.send(can.Message(arbitration_id=1))
+    faulty.bus_off = False
+    sender.send(can.Message(arbitration_id=0x181, data=[2], is_extended_id=False))
+    assert received(faulty) == [b"\x02"]
+    faulty.send(can.Message(arbitration_id=0x100, data=[9], is_extended_id=False))
+    assert received(sender) == [b"\x09"]
+
+
+def test_a_delayed_frame_comes_by_itself(buses: tuple[can.BusABC, FaultyBus]) -> None:
+    sender, faulty = buses
+    faulty.faults = Faults(delay=1.0, delay_s=0.02)
+    sender.send(can.Message(arbitration_id=0x181, data=[1], is_extended_id=False))
+    started_s = time.monotonic()
+    assert faulty.recv(5.0) is not None
+    assert time.monotonic() - started_s < 4.0
+
+
+def test_a_babbler_keeps_its_rate() -> None:
+    babbler = Babbler((0x185, bytes(8)), 1000.0)
+    assert len(babbler.step(0.0)) == 1
+    assert sum(len(babbler.step(k * 0.01)) for k in range(1, 101)) == pytest.approx(1000, abs=2)
+    assert len(babbler.step(100.0)) <= 102
+
+
+@pytest.mark.parametrize("wrong", [{"drop": 1.1}, {"delay": -0.1}, {"delay_s": -1.0}, {"corrupt": float("nan")}])
+def test_what_is_no_probability_is_refused(wrong: dict[str, float]) -> None:
+    with pytest.raises(InputError, match=next(iter(wrong))):
+        Faults(**wrong)  # type: ignore[arg-type]
+    with pytest.raises(InputError):
+        Babbler((0, b""), 0.0)

@@ -1,0 +1,88 @@
+"""hand check, up and run against nodes on the in-process bus."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from host.bus_with_nodes import beam_calibration, new_channel
+from host.hand.test_hand import Fingers
+from tipforce.host.calibration_file import write_calibration
+from tipforce_tools.main import main
+
+HAND = """
+[bus]
+interface = "virtual"
+channel = "{channel}"
+[hand]
+sync_hz = 50
+heartbeat_ms = 50
+[[finger]]
+name = "thumb"
+node_id = 1
+serial = 1
+calibration = "cal.toml"
+[[finger]]
+name = "index"
+node_id = 2
+serial = 2
+calibration = "cal.toml"
+"""
+
+
+@pytest.fixture
+def hand(tmp_path: Path) -> Iterator[tuple[Fingers, Path]]:
+    """Two running fingers and their file."""
+    fingers = Fingers(new_channel(), tmp_path)
+    for serial in (1, 2):
+        fingers.switch_on(serial, serial)
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
+    path = tmp_path / "hand.toml"
+    path.write_text(HAND.format(channel=fingers.channel))
+    yield fingers, path
+    fingers.close()
+
+
+def test_check_needs_no_bus(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hand", "check", str(hand[1])]) == 0
+    out, err = capsys.readouterr()
+    assert "thumb" in out
+    assert "cal.toml 0x" in out
+    assert "bus load" in err
+    hand[1].write_text(hand[1].read_text().replace("sync_hz = 50", "sync_hz = 5000"))
+    assert main(["hand", "check", str(hand[1]), "--json"]) == 0
+    out, err = capsys.readouterr()
+    assert [json.loads(line)["node_id"] for line in out.splitlines()] == [1, 2]
+    assert "warning" in err
+    assert "what fits under 80 %" in err
+    assert main(["hand", "check", "none.toml"]) == 2
+
+
+def test_up_reports_each_finger(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    fingers, path = hand
+    assert main(["hand", "up", str(path)]) == 0
+    out, err = capsys.readouterr()
+    assert out == "thumb (1): up\nindex (2): up\n"
+    assert "2 of 2 fingers up" in err
+    fingers.switch_off(2)
+    assert main(["hand", "up", str(path), "--json"]) == 1
+    records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert [record["failed"] for record in records] == [None, "find"]
+    assert "does not answer LSS" in records[1]["error"]
+
+
+def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"]) == 0
+    out, err = capsys.readouterr()
+    rows = [json.loads(line) for line in out.splitlines()]
+    assert len(rows) >= 5
+    assert rows[-1]["1"]["P"] == pytest.approx(2.0, abs=5e-3)
+    assert rows[-1]["2"]["calibrated"] is True
+    assert "SYNC period" in err
+    assert "thumb (1): missing" in err
+    assert main(["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]) == 0
+    assert "thumb: P " in capsys.readouterr().out
+    assert main(["hand", "run", str(hand[1]), "--seconds", "-1"]) == 2

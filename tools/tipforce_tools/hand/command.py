@@ -1,0 +1,207 @@
+"""`tipforce hand check|up|run FILE`: a hand of many fingers from its TOML file."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+import time
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce.host.hand.bring_up import FingerReport
+    from tipforce.host.hand.events import Event
+    from tipforce.host.hand.file import HandFile
+    from tipforce.host.hand.hand import Hand, Statistics
+    from tipforce.host.hand.rows import Rows
+
+EXAMPLE = """
+  [bus]
+  interface = "socketcan"
+  channel = "can0"
+
+  [hand]
+  sync_hz = 500              # 0: another device sends the SYNC
+  pdos = ["contact"]         # of gauges, contact, force
+  heartbeat_ms = 100
+  config = "finger.toml"     # settings of all fingers: tipforce config save
+  store = false              # true: what was configured survives a power cycle
+
+  [[finger]]
+  name = "thumb"
+  node_id = 1
+  serial = 1005              # 1018h:4: LSS gives this node its id
+  calibration = "thumb.toml" # tipforce calibrate fit -o
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Flags of `tipforce hand`."""
+    parser.formatter_class = argparse.RawDescriptionHelpFormatter
+    parser.epilog = (
+        "check  read the file and all that it names, and compute the bus load; needs no bus\n"
+        "up     find the fingers, number them by LSS, configure, verify, calibrate, start; exit code 1 if one failed\n"
+        "run    the same, then SYNC, rows and events until Ctrl-C; a finger that reboots is set up again\n\n"
+        f"The file:\n{EXAMPLE}\n"
+        "  tipforce hand up hand.toml\n"
+        "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
+        "`tipforce view hand.toml` shows it in a browser."
+    )
+    parser.add_argument("action", choices=("check", "up", "run"))
+    parser.add_argument("file", metavar="FILE", help="hand.toml")
+    parser.add_argument("--seconds", type=float, metavar="S", help="run: end after this time")
+    common.add_confirm_argument(parser)
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """0; up and run: 1 when a finger did not come up."""
+    from tipforce.host.hand.file import read_hand
+
+    common.set_up_logging(args)
+    if args.seconds is not None and not args.seconds > 0:
+        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
+    file = read_hand(args.file)
+    if args.action == "check":
+        return _check(args, file)
+    _warn_of_load(args, file)
+    if file.hand.store:
+        common.confirm(args, f"{args.file}: store = true replaces what the fingers have stored")
+    return _up(args)
+
+
+def _check(args: argparse.Namespace, file: HandFile) -> int:
+    from tipforce.host.hand.bring_up import wanted_settings
+
+    for finger in file.finger:
+        calibration = file.calibration(finger)
+        crc = "" if calibration is None else f"0x{calibration.crc32():08X}"
+        settings = len(wanted_settings(file, finger))
+        if args.json:
+            common.print_json(
+                {"node_id": finger.node_id, "name": finger.name, "serial": finger.serial, "settings": settings,
+                 "calibration": finger.calibration, "crc32": crc}
+            )  # fmt: skip
+        else:
+            told = f"{finger.calibration} {crc}" if crc else "keeps its own calibration"
+            serial = f"serial {finger.serial}" if finger.serial else "any serial"
+            print(f"{common.shown_id(finger.node_id):>11}  {finger.name:10} {serial:17} {settings} settings, {told}")
+    _warn_of_load(args, file)
+    return 0
+
+
+def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
+    """Above 80 % of the bit rate, with worst-case stuffing: say so, and what would fit."""
+    from tipforce.host.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
+    from tipforce_tools.load import budget_lines, what_fits
+
+    if not file.hand.sync_hz:
+        return
+    count, gauges = len(file.finger), file.finger[0].gauges
+    bit_rate = int(common.bus_options(args).get("bitrate") or file.bus.get("bitrate") or DEFAULT_BIT_RATE)
+    pdos = list(file.messages)
+    budget = hand_budget(count, file.hand.sync_hz, pdos, gauges, bit_rate, 1e-3 * file.hand.heartbeat_ms)
+    share = f"{100 * budget.least_load:.0f} to {100 * budget.most_load:.0f} % of {bit_rate} bit/s"
+    if budget.most_load <= LIMIT:
+        common.note(args, f"bus load {share}")
+        return
+    common.note(args, f"warning: {count} fingers at {file.hand.sync_hz:g} Hz take {share}: rows will be late or lost")
+    common.note(args, "\n".join([*budget_lines(budget), f"what fits under {100 * LIMIT:.0f} %:"]))
+    common.note(args, "\n".join(what_fits(count, file.hand.sync_hz, pdos, gauges, bit_rate, LIMIT)))
+
+
+def _up(args: argparse.Namespace) -> int:
+    from tipforce.host.hand.hand import Hand
+    from tipforce_tools.main import terminate_as_interrupt
+
+    terminate_as_interrupt()
+    with Hand.open(args.file, **common.bus_options(args)) as hand:
+        hand.on_event(lambda event: _say_event(args, hand, event))
+        started_s = time.monotonic()
+        reports = hand.bring_up()
+        _say_reports(args, reports, time.monotonic() - started_s)
+        failed = any(not report.ok for report in reports)
+        if args.action == "run":
+            try:
+                _rows(args, hand)
+            except KeyboardInterrupt:
+                pass
+            finally:
+                _say_statistics(args, hand, hand.statistics())
+    return 1 if failed else 0
+
+
+def _say_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_s: float) -> None:
+    for report in reports:
+        if args.json and args.action == "up":
+            common.print_json(
+                {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done,
+                 "failed": report.failed or None, "error": report.error or None, "seconds": report.seconds}
+            )  # fmt: skip
+        else:
+            print(report, file=sys.stdout if args.action == "up" else sys.stderr)
+    up = sum(report.ok for report in reports)
+    common.note(args, f"{up} of {len(reports)} fingers up in {elapsed_s:.1f} s")
+
+
+def _say_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
+    if event.kind in ("found", "configured", "calibrated", "verified", "started", "state") and not args.verbose:
+        return
+    names = {finger.node_id: finger.label for finger in hand.file.finger}
+    common.note(args, f"{names.get(event.node_id, 'bus')}: {event.kind.replace('_', ' ')}: {event.text}")
+
+
+def _rows(args: argparse.Namespace, hand: Hand) -> None:
+    hand.start()
+    deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
+    shown_s = 0.0
+    for rows in hand.rows(args.seconds):
+        if args.json:
+            for row in range(len(rows)):
+                common.print_json(_record(hand, rows, row))
+        elif time.monotonic() - shown_s >= 1.0:
+            shown_s = time.monotonic()
+            print(_line(hand, rows), flush=True)
+        if deadline_s is not None and time.monotonic() >= deadline_s:
+            break
+
+
+def _record(hand: Hand, rows: Rows, row: int) -> dict[str, object]:
+    record: dict[str, object] = {"row": rows.first + row, "t_s": float(rows.sync_ns[row]) / 1e9}
+    for k, node_id in enumerate(hand.node_ids):
+        values = {name: column[row, k].item() for name, column in rows.columns.items()}
+        record[str(node_id)] = None if rows.missing[row, k] else values
+    return record
+
+
+def _line(hand: Hand, rows: Rows) -> str:
+    """The last row for people: P of each finger, or why there is none."""
+    parts = []
+    for k, finger in enumerate(hand.file.finger):
+        name = finger.name or str(finger.node_id)
+        if rows.missing[-1, k]:
+            parts.append(f"{name}: no answer ({hand.state(finger.node_id)})")
+            continue
+        known = [(s, u) for s, u in (("P", "N"), ("phi", "deg"), ("theta", "deg")) if s in rows.columns]
+        values = [(s, rows.columns[s][-1, k], u) for s, u in known]
+        told = [f"{s} {value:.2f} {u}" for s, value, u in values if math.isfinite(value)]
+        parts.append(f"{name}: " + (" ".join(told) or "unknown"))
+    return " | ".join(parts)
+
+
+def _say_statistics(args: argparse.Namespace, hand: Hand, found: Statistics) -> None:
+    tally, sync = found.tally, found.sync
+    common.note(
+        args,
+        f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
+        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {found.dropped} frames dropped",
+    )
+    for k, finger in enumerate(hand.file.finger):
+        counts = ", ".join(
+            f"{name} {int(getattr(tally, name)[k])}" for name in ("missing", "late", "mixed", "doubtful", "repeated")
+        )
+        common.note(args, f"  {finger.label}: {counts}")
