@@ -1,0 +1,227 @@
+"""The page in a real browser, headless Chromium: live, pause, scrub, replay, faults, tare, keyboard, export."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+from playwright.sync_api import Browser, Page, expect, sync_playwright
+
+from tipforce.host.frames import frame_array
+from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSING
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.log_source import LogSource
+from tipforce_tools.view.server import ViewServer
+from tools.view.support import MovingSource, serving
+from tools.view.test_watcher import cycle, written
+
+CHROMIUM = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
+)
+WAIT_MS = 15_000
+GOOD = CONTACT | CALIBRATED
+
+
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all tests."""
+    assert CHROMIUM, "these tests need Chromium: tools/bootstrap.sh test installs it"
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+class Shown:
+    """A source, its server and its page."""
+
+    def __init__(self, source: MovingSource, server: ViewServer, page: Page) -> None:
+        self.source, self.server, self.page = source, server, page
+        self.wrong: list[str] = []
+        page.on("pageerror", lambda error: self.wrong.append(str(error)))
+        page.on("console", lambda message: self.wrong.append(message.text) if message.type == "error" else None)
+        page.goto(server.url)
+
+    def word(self, node_id: int, text: str) -> None:
+        """Wait until a finger's state is so."""
+        expect(self.page.locator(f'.finger[data-node="{node_id}"] .state')).to_contain_text(text, timeout=WAIT_MS)
+
+    def mode(self, text: str) -> None:
+        """Wait until the page's mode is so."""
+        expect(self.page.locator("#mode")).to_contain_text(text, timeout=WAIT_MS)
+
+    def force(self, node_id: int) -> str:
+        return self.page.locator(f'.finger[data-node="{node_id}"] .n').first.inner_text()
+
+
+@pytest.fixture
+def shown(browser: Browser, request: pytest.FixtureRequest) -> Iterator[Shown]:
+    """A page of a moving source; parametrize indirectly with the server's rules."""
+    source = MovingSource(3)
+    with serving(source, **getattr(request, "param", {})) as server:
+        page = browser.new_page(viewport={"width": 1280, "height": 900}, color_scheme="light")
+        found = Shown(source, server, page)
+        yield found
+        page.close()
+        assert found.wrong == []
+
+
+def test_live_pause_scrub_and_replay(shown: Shown) -> None:
+    page = shown.page
+    shown.mode("live")
+    shown.word(1, "live")
+    shown.source.P[0] = 3.0
+    expect(page.locator(".finger .n").first).to_contain_text("3.0", timeout=WAIT_MS)
+    page.click("#play")
+    shown.mode("paused")
+    shown.word(1, "recorded")
+    still = shown.force(1)
+    shown.source.P[0] = 4.0
+    page.wait_for_timeout(400)
+    assert shown.force(1) == still
+    # Scrub to the beginning, where it was 1 N, with the keyboard.
+    page.focus("#scrub")
+    page.keyboard.press("Home")
+    expect(page.locator(".finger .n").first).to_contain_text("1.0", timeout=WAIT_MS)
+    before = page.inner_text("#when")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("text => document.getElementById('when').textContent !== text", arg=before)
+    page.click("#play")
+    shown.mode("replay")
+    page.wait_for_function("text => document.getElementById('when').textContent !== text", arg=page.inner_text("#when"))
+    page.click("#live")
+    shown.mode("live")
+    expect(page.locator(".finger .n").first).to_contain_text("4.0", timeout=WAIT_MS)
+
+
+def test_faults_are_shown_and_nothing_stale_as_live(shown: Shown) -> None:
+    shown.word(2, "live")
+    shown.source.status[1] = CALIBRATED | FAULT
+    shown.word(2, "unknown: front-end fault")
+    assert "unknown" in shown.force(2)
+    shown.source.model.add_event(shown.source.model.now_ns(), 2, "emcy", "0x5030 front end")
+    expect(shown.page.locator("#events li").first).to_contain_text("0x5030", timeout=WAIT_MS)
+    shown.source.status[1] = MISSING
+    shown.word(2, "stale since")
+    shown.word(2, "no answer")
+    shown.word(1, "live")
+    shown.source.status[1] = GOOD
+    shown.word(2, "live")
+    shown.source.stopped = True
+    shown.word(1, "stale since")
+    shown.word(3, "no answer")
+
+
+def test_a_server_that_falls_silent_is_not_live(shown: Shown) -> None:
+    shown.word(1, "live")
+    shown.server.stopped.set()
+    shown.mode("not live")
+    shown.word(1, "stale since")
+    expect(shown.page.locator("#alarm")).to_be_visible()
+    shown.wrong.clear()  # the browser tells of the lost connection
+
+
+def test_tare_is_off_when_read_only(shown: Shown) -> None:
+    shown.word(1, "live")
+    button = shown.page.locator(".tare").first
+    expect(button).to_be_disabled()
+    assert button.get_attribute("title") == "read-only: start it with --allow-writes"
+    status = shown.page.evaluate(
+        """async () => (await fetch("/api/tare", {method: "POST", body: '{"node_id": 1}',
+            headers: {"X-Tipforce-Token": "x"}})).status"""
+    )
+    assert status == 403
+    assert shown.source.tared == []
+    shown.wrong.clear()  # the browser's console tells of the 403
+
+
+@pytest.mark.parametrize("shown", [{"allow_writes": True}], indirect=True)
+def test_tare_asks_first(shown: Shown) -> None:
+    page = shown.page
+    shown.word(1, "live")
+    page.locator(".tare").first.click()
+    page.get_by_role("button", name="Cancel").click()
+    assert shown.source.tared == []
+    page.locator(".tare").first.click()
+    expect(page.locator("#confirm")).to_contain_text("Nothing may touch")
+    page.get_by_role("button", name="Tare now").click()
+    expect(page.locator("#note")).to_contain_text("f1: tared", timeout=WAIT_MS)
+    assert shown.source.tared == [1]
+
+
+def test_everything_by_keyboard_with_a_visible_focus(shown: Shown) -> None:
+    page = shown.page
+    shown.word(1, "live")
+    seen = []
+    for _ in range(16):
+        page.keyboard.press("Tab")
+        seen.append(
+            page.evaluate(
+                """() => { const e = document.activeElement, s = getComputedStyle(e);
+                return [e.id || e.className, s.outlineStyle !== "none" && parseFloat(s.outlineWidth) >= 1]; }"""
+            )
+        )
+    names = [name for name, _ in seen]
+    for wanted in ("png", "csv", "theme", "pick", "window", "events", "play", "live", "scrub", "speed"):
+        assert wanted in names, names
+    assert all(visible for name, visible in seen if name), seen
+    page.locator(".pick").nth(2).focus()
+    page.keyboard.press("Enter")
+    expect(page.locator("#charted")).to_have_text("Contact over time: f3")
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("Space")
+    shown.mode("paused")
+
+
+def test_it_fits_a_phone_and_follows_the_theme(shown: Shown) -> None:
+    page = shown.page
+    page.set_viewport_size({"width": 390, "height": 844})
+    shown.word(1, "live")
+    assert page.evaluate("document.documentElement.scrollWidth") <= 390
+    light = page.evaluate(
+        "getComputedStyle(document.body).backgroundColor + getComputedStyle(document.documentElement).color"
+    )
+    page.select_option("#theme", "dark")
+    dark = page.evaluate(
+        "getComputedStyle(document.body).backgroundColor + getComputedStyle(document.documentElement).color"
+    )
+    assert light != dark
+    assert page.evaluate("[...document.querySelectorAll('.finger canvas')].every(c => c.getAttribute('aria-label'))")
+
+
+def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
+    frames = [frame for k in range(150) for frame in cycle(k, (1,) if 60 <= k < 120 else (1, 2))]
+    source = LogSource(written(tmp_path / "run.log", frame_array(frames)), Finger)
+    with serving(source) as server:
+        page = browser.new_page()
+        page.goto(server.url)
+        mode, second = page.locator("#mode"), page.locator('.finger[data-node="2"] .state')
+        expect(mode).to_have_text("paused", timeout=WAIT_MS)
+        expect(page.locator("#live")).to_be_hidden()
+        page.focus("#scrub")
+        page.keyboard.press("Home")
+        expect(second).to_have_text("recorded", timeout=WAIT_MS)
+        page.click("#play")
+        expect(mode).to_contain_text("replay", timeout=WAIT_MS)
+        expect(second).to_contain_text("stale since", timeout=WAIT_MS)
+        expect(mode).to_have_text("paused", timeout=WAIT_MS)
+        expect(page.locator(".finger .n").nth(3)).to_contain_text("2.149", timeout=WAIT_MS)
+        page.close()
+
+
+def test_exports(shown: Shown, tmp_path: Path) -> None:
+    page = shown.page
+    shown.word(1, "live")
+    with page.expect_download() as picture:
+        page.click("#png")
+    path = tmp_path / "view.png"
+    picture.value.save_as(path)
+    content = path.read_bytes()
+    assert content.startswith(b"\x89PNG")
+    assert int.from_bytes(content[16:20]) == 2560
+    with page.expect_download() as table:
+        page.click("#csv")
+    table.value.save_as(tmp_path / "view.csv")
+    assert (tmp_path / "view.csv").read_text().startswith("t_s,node_id,name,P_N")

@@ -1,0 +1,131 @@
+"""Frames of a bus or of a log: whoever is heard becomes a finger; what a log says is shown as it was."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.host.frames import FrameArray, frame_array
+from tipforce_tools.view.blocks import MISSING
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.log_source import LogSource
+from tipforce_tools.view.watcher import Watcher
+from tools.view.support import MS, START_NS
+
+STATUS = 3  # contact, calibrated
+
+
+def contact(node_id: int, counter: int, P_mN: int) -> tuple[int, bytes]:
+    return 0x280 + node_id, struct.pack("<hhhBB", P_mN, -9000, 9000, STATUS, counter % 256)
+
+
+def gauges(node_id: int, counter: int) -> tuple[int, bytes]:
+    return 0x180 + node_id, struct.pack("<hhhBB", 1000, -2000, 30, STATUS, counter % 256)
+
+
+def cycle(k: int, nodes: tuple[int, ...], sync: bool = True, with_gauges: bool = False) -> list[tuple[int, int, bytes]]:
+    """SYNC number k, 10 ms after the one before, and its answers."""
+    t_ns = START_NS + 10 * MS * k
+    frames = [(0x80, b"")] if sync else []
+    for node_id in nodes:
+        frames += [contact(node_id, k, 1000 * node_id + k)]
+        frames += [gauges(node_id, k)] if with_gauges else []
+    return [(t_ns + 1000 * n, can_id, data) for n, (can_id, data) in enumerate(frames)]
+
+
+def run(watcher: Watcher, *cycles: list[tuple[int, int, bytes]]) -> list[np.ndarray]:
+    """P of the rows, one array (m, k) for each block."""
+    found = []
+    for k, frames in enumerate(cycles):
+        blocks, _ = watcher.add(frame_array(frames), k * 0.01)
+        found += [block.contact[..., 0] for block in blocks]
+    return found
+
+
+def test_fingers_are_found_as_they_are_heard() -> None:
+    heard: list[tuple[int, ...]] = []
+    watcher = Watcher(Finger, on_fingers=lambda who: heard.append(tuple(f.node_id for f in who)))
+    found = run(watcher, *(cycle(k, (3,) if k < 5 else (1, 3), with_gauges=True) for k in range(10)))
+    assert heard == [(3,), (1, 3)]
+    assert found[0].tolist() == [[3.0]]
+    assert found[-1] == pytest.approx(np.array([[1.009, 3.009]]), abs=1e-6)
+
+
+def test_who_is_not_wanted_is_not_shown_and_foreign_pdos_are_no_finger() -> None:
+    watcher = Watcher(lambda node_id: Finger(node_id) if node_id == 1 else None)
+    motor = (START_NS, 0x285, b"\1\2\3\4")
+    run(watcher, [motor, *cycle(0, (1, 2))])
+    assert [finger.node_id for finger in watcher.fingers] == [1]
+
+
+def test_without_a_sync_a_pdo_paces_the_rows() -> None:
+    watcher = Watcher(Finger)
+    found = run(watcher, *(cycle(k, (1, 2), sync=False) for k in range(60)))
+    assert found[-1].shape == (1, 2)
+    assert not np.isnan(found[-1]).any()
+
+
+def test_health_tells_the_uncertainty_of_the_force() -> None:
+    watcher = Watcher(Finger)
+    health = (START_NS + 5 * MS, 0x481, struct.pack("<hHHBB", 2300, 25, 0, 0, 0))
+    watcher.add(frame_array([*cycle(0, (1, 2)), health]), 0.0)
+    (block,), _ = watcher.add(frame_array(cycle(1, (1, 2))), 0.01)
+    assert block.u[0, 0, 0] == pytest.approx(0.025)
+    assert np.isnan(block.u[0, 1, 0])
+
+
+def written(path: Path, frames: FrameArray) -> Path:
+    """A candump log."""
+    lines = (
+        f"({t_ns // 10**9}.{t_ns % 10**9 // 1000:06d}) can0 {can_id:03X}#{bytes(data[:length]).hex().upper()}\n"
+        for t_ns, can_id, length, data in zip(
+            frames["t_ns"].tolist(), frames["can_id"].tolist(), frames["length"].tolist(), frames["data"], strict=True
+        )
+    )
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.fixture
+def log(tmp_path: Path) -> Path:
+    """Two seconds of two fingers; the second is gone for half of it, and has told why."""
+    frames = []
+    for k in range(200):
+        frames += cycle(k, (1,) if 50 <= k < 150 else (1, 2))
+    emcy = (START_NS + 505 * MS, 0x082, bytes.fromhex("3050210000000000"))
+    return written(tmp_path / "run.log", frame_array(sorted([*frames, emcy])))
+
+
+def test_a_log_is_shown_as_it_was(log: Path) -> None:
+    source = LogSource(log, Finger)
+    model = source.model
+    assert model.counters.rows == 200
+    # When it comes back its first answers are doubted (CounterCheck), and so missing.
+    assert model.counters.missing == [0, 100 + model.counters.doubtful[1]]
+    (event,) = model.events()
+    assert (event.node_id, event.kind) == (2, "emcy")
+    assert abs(event.t_ns - START_NS - 505 * MS) < 1000
+    assert model.now_ns() == START_NS + 1990 * MS
+    words = {t: [s.word for s in model.picture(START_NS + t * MS).states] for t in (300, 510, 530, 600, 1480, 1600)}
+    assert words == {
+        300: ["live", "live"], 510: ["live", "live"], 530: ["live", "stale"], 600: ["live", "stale"],
+        1480: ["live", "stale"], 1600: ["live", "live"],
+    }  # fmt: skip
+    assert model.picture(START_NS + 1600 * MS).states[1].contact[0] == pytest.approx(2.16)
+    assert (model.rows_after(0, 1000, 2**62).status[50:150, 1] == MISSING).all()
+
+
+def test_a_part_of_a_log(log: Path) -> None:
+    source = LogSource(log, Finger, start_s=1.0, end_s=1.5)
+    assert source.model.counters.rows == 50
+    assert source.model.span_ns()[0] == START_NS + 1000 * MS
+
+
+def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
+    path = written(tmp_path / "motor.log", frame_array([(START_NS, 0x701, b"\5")]))
+    with pytest.raises(InputError, match="no fingertip's PDO"):
+        LogSource(path, Finger)

@@ -1,0 +1,127 @@
+"""Who may ask the page's server for what. Pure: headers in, a refusal or nothing out.
+
+- Host must name this server: a foreign name that was bent to 127.0.0.1 (DNS rebinding) is refused.
+- Origin, where a browser sends it, must be this page; a POST must carry it.
+- A POST must carry the page's own token in a header that no foreign page can send, and writes must be allowed.
+- Beyond loopback everybody needs the access token.
+"""
+
+from __future__ import annotations
+
+import hmac
+import ipaddress
+import secrets
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from http import HTTPStatus
+
+from tipforce.errors import InputError
+
+LOOPBACK_NAMES = ("127.0.0.1", "[::1]", "localhost")
+COOKIE = "tipforce_access"
+WRITE_HEADER = "X-Tipforce-Token"
+LEAST_TOKEN = 16
+
+CONTENT_SECURITY_POLICY = (
+    "default-src 'none'; script-src 'self'; style-src 'self'; connect-src 'self'; img-src 'self' data: blob:; "
+    "base-uri 'none'; form-action 'none'; frame-ancestors 'none'"
+)
+SECURITY_HEADERS = {
+    "Content-Security-Policy": CONTENT_SECURITY_POLICY,
+    "X-Content-Type-Options": "nosniff",
+    "X-Frame-Options": "DENY",
+    "Referrer-Policy": "no-referrer",
+    "Cross-Origin-Opener-Policy": "same-origin",
+    "Cross-Origin-Resource-Policy": "same-origin",
+    "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
+    "Cache-Control": "no-store",
+}
+"""On every answer."""
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """What the client is told."""
+
+    status: HTTPStatus
+    text: str
+
+
+@dataclass(slots=True)
+class Guard:
+    """The rules of one server. ``hosts`` are names without port; ``access_token`` is empty on loopback."""
+
+    hosts: tuple[str, ...] = LOOPBACK_NAMES
+    access_token: str = ""
+    allow_writes: bool = False
+    port: int = 0
+    write_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
+
+    def check(self, method: str, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
+        """None when a request is allowed."""
+        host = headers.get("Host", "").lower()
+        if host not in self._allowed_hosts():
+            return Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name")
+        origin = headers.get("Origin")
+        foreign = origin is not None and origin.lower() != f"http://{host}"
+        if foreign or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
+            return Refusal(HTTPStatus.FORBIDDEN, "requests of other pages are refused")
+        if self.access_token and not self._has_access(headers, query_token):
+            return Refusal(HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed")
+        return self._check_write(headers) if method == "POST" else None
+
+    def _check_write(self, headers: Mapping[str, str]) -> Refusal | None:
+        if headers.get("Origin") is None:
+            return Refusal(HTTPStatus.FORBIDDEN, "a request that changes something needs an Origin")
+        if not self.allow_writes:
+            return Refusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-writes")
+        if not _same(headers.get(WRITE_HEADER, ""), self.write_token):
+            return Refusal(HTTPStatus.FORBIDDEN, f"{WRITE_HEADER} is not this page's")
+        return None
+
+    def _has_access(self, headers: Mapping[str, str], query_token: str) -> bool:
+        if query_token and _same(query_token, self.access_token):
+            return True
+        cookies = dict(part.strip().partition("=")[::2] for part in headers.get("Cookie", "").split(";"))
+        return _same(cookies.get(COOKIE, ""), self.access_token)
+
+    def _allowed_hosts(self) -> set[str]:
+        with_port = {f"{host}:{self.port}" for host in self.hosts}
+        return with_port | set(self.hosts) if self.port == 80 else with_port
+
+
+def is_loopback(host: str) -> bool:
+    """Whether an address or name is this machine's own."""
+    try:
+        return ipaddress.ip_address(host).is_loopback
+    except ValueError:
+        return host == "localhost"
+
+
+def access_token(host: str, token: str | None) -> str:
+    """The token for ``host``: none on loopback unless one is given; "auto" makes one. Raises InputError."""
+    if token == "auto":
+        return secrets.token_urlsafe(24)
+    if token is not None:
+        if len(token) < LEAST_TOKEN or not (token.isascii() and token.replace("-", "").replace("_", "").isalnum()):
+            raise InputError(f"--token: allowed are at least {LEAST_TOKEN} letters, digits, - and _, or auto")
+        return token
+    if not is_loopback(host):
+        raise InputError(
+            f"--host {host}: others could reach the page; add --token auto (it is printed), or one of your own"
+        )
+    return ""
+
+
+def host_names(host: str) -> tuple[str, ...]:
+    """The names under which a server on ``host`` may be asked for."""
+    shown = f"[{host}]" if ":" in host else host.lower()
+    if host in ("0.0.0.0", "::"):
+        raise InputError(
+            f"--host {host}: name the address or the host name that browsers will use, so that Host can be checked"
+        )
+    return tuple(dict.fromkeys((shown, *LOOPBACK_NAMES))) if is_loopback(host) else (shown,)
+
+
+def _same(given: str, wanted: str) -> bool:
+    return hmac.compare_digest(given.encode(), wanted.encode())

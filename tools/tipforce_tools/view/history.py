@@ -1,0 +1,141 @@
+"""The last minutes, or a whole log: blocks in a ring of bounded size, and envelopes of any part of it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce_tools.view.blocks import MISSING, Block
+
+MAX_BYTES = 96 << 20
+MAX_ROWS = 600_000
+QUANTITIES = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Envelope:
+    """b bins of k fingers, empty ones left out: what was least, and most, and how much was unknown."""
+
+    index: npt.NDArray[np.int64]
+    """(b,) number of each bin: its time is index x width."""
+    low: npt.NDArray[np.float32]
+    """(b, k, 3) the least of P, phi, theta; NaN where none was known."""
+    high: npt.NDArray[np.float32]
+    u: npt.NDArray[np.float32]
+    """(b, k, 3) the largest standard uncertainty; NaN where none was known."""
+    unknown: npt.NDArray[np.int64]
+    """(b, k) rows in which P was unknown or the finger missing."""
+
+
+def row_bytes(fingers: int, gauges: int) -> int:
+    """What one row takes."""
+    return 8 + fingers * (4 * (2 * QUANTITIES + gauges) + 2)
+
+
+class History:
+    """Rows in the order of time. Not thread-safe: the model has the lock.
+
+    Beyond ``capacity`` rows the oldest go. A time that steps backwards (a clock that was set) goes on from the last.
+    """
+
+    def __init__(self, fingers: int, gauges: int, capacity: int = 0) -> None:
+        fits = MAX_BYTES // (2 * row_bytes(fingers, gauges))
+        self.capacity = capacity or max(min(MAX_ROWS, fits), 1000)
+        self.dropped = 0
+        self._shift_ns = 0
+        self._start = self._end = 0
+        # Twice as much as is kept, so that what is kept is always one slice.
+        size = 2 * self.capacity
+        self._t_ns = np.zeros(size, dtype=np.int64)
+        self._contact = np.zeros((size, fingers, QUANTITIES), dtype=np.float32)
+        self._u = np.zeros((size, fingers, QUANTITIES), dtype=np.float32)
+        self._gauges = np.zeros((size, fingers, gauges), dtype=np.float32)
+        self._status = np.zeros((size, fingers), dtype=np.uint16)
+
+    def __len__(self) -> int:
+        return self._end - self._start
+
+    @property
+    def rows(self) -> Block:
+        """All rows, as views: copy what shall outlive the next append."""
+        return self.part(0, len(self))
+
+    @property
+    def t_ns(self) -> npt.NDArray[np.int64]:
+        """(m,) rising."""
+        return self._t_ns[self._start : self._end]
+
+    def part(self, first: int, last: int) -> Block:
+        """Rows first to last (not included), as views."""
+        part = slice(self._start + first, self._start + last)
+        return Block(self._t_ns[part], self._contact[part], self._u[part], self._gauges[part], self._status[part])
+
+    def append(self, block: Block) -> None:
+        """Add rows, the newest last."""
+        for first in range(0, len(block), self.capacity):
+            part = slice(first, first + self.capacity)
+            self._append(
+                Block(block.t_ns[part], block.contact[part], block.u[part], block.gauges[part], block.status[part])
+            )
+
+    def _append(self, block: Block) -> None:
+        m = len(block)
+        if self._end + m > len(self._t_ns):
+            self._move(min(len(self), self.capacity))
+        place = slice(self._end, self._end + m)
+        t_ns = np.maximum.accumulate(block.t_ns + self._shift_ns)
+        if len(self) and t_ns[0] < self._t_ns[self._end - 1]:
+            back = int(self._t_ns[self._end - 1] - t_ns[0])
+            self._shift_ns += back
+            t_ns = t_ns + back
+        self._t_ns[place] = t_ns
+        for ours, theirs in ((self._contact, block.contact), (self._u, block.u), (self._gauges, block.gauges),
+                             (self._status, block.status)):  # fmt: skip
+            ours[place] = theirs
+        self._end += m
+        over = len(self) - self.capacity
+        if over > 0:
+            self._start += over
+            self.dropped += over
+
+    def _move(self, keep: int) -> None:
+        for array in (self._t_ns, self._contact, self._u, self._gauges, self._status):
+            array[:keep] = array[self._end - keep : self._end].copy()
+        self._start, self._end = 0, keep
+
+    def widened(self, columns: npt.NDArray[np.intp], fingers: int) -> History:
+        """The same rows for more fingers: ``columns`` (k,) says where each of ours goes; the new ones were missing."""
+        wider = History(fingers, self._gauges.shape[-1])
+        rows = self.part(max(0, len(self) - wider.capacity), len(self))
+        m = len(rows)
+        new = Block(
+            rows.t_ns, np.full((m, fingers, QUANTITIES), np.nan, dtype=np.float32),
+            np.full((m, fingers, QUANTITIES), np.nan, dtype=np.float32),
+            np.full((m, fingers, rows.gauges.shape[-1]), np.nan, dtype=np.float32),
+            np.full((m, fingers), MISSING, dtype=np.uint16),
+        )  # fmt: skip
+        for ours, theirs in ((new.contact, rows.contact), (new.u, rows.u), (new.gauges, rows.gauges),
+                             (new.status, rows.status)):  # fmt: skip
+            ours[:, columns] = theirs
+        wider.append(new)
+        return wider
+
+    def envelope(self, first_bin: int, last_bin: int, width_ns: int) -> Envelope:
+        """Bins first to last (included) of ``width_ns``: no extreme and no gap is lost, however wide the bins are."""
+        low, high = np.searchsorted(self.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns))
+        rows = self.part(int(low), int(high))
+        number = rows.t_ns // width_ns
+        starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
+        unknown = np.isnan(rows.contact[..., 0]) | (rows.status & MISSING != 0)
+        if not len(starts):
+            empty = rows.contact[:0]
+            return Envelope(number, empty, empty, empty, np.zeros(unknown.shape, dtype=np.int64))
+        return Envelope(
+            number[starts],
+            np.fmin.reduceat(rows.contact, starts, axis=0),
+            np.fmax.reduceat(rows.contact, starts, axis=0),
+            np.fmax.reduceat(rows.u, starts, axis=0),
+            np.add.reduceat(unknown.astype(np.int64), starts, axis=0),
+        )

@@ -1,0 +1,114 @@
+"""A log as the source of a page: read as a whole, its rows stay in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from tipforce.errors import InputError, RefusedError
+from tipforce.host.bus_load import least_bits, most_bits
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.history import MAX_BYTES, row_bytes
+from tipforce_tools.view.model import Model
+from tipforce_tools.view.watcher import Watcher
+
+LOG_BYTES = 8 * MAX_BYTES
+"""What the rows of a log may take; of a longer one a part has to be chosen."""
+
+_NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
+
+
+class LogSource:
+    """A log, read as a whole; its rows stay in memory."""
+
+    def __init__(
+        self, path: Path, make_finger: Callable[[int], Finger | None], gauges: int = 3,
+        fingers: Sequence[Finger] = (), start_s: float = 0.0, end_s: float | None = None,
+    ) -> None:  # fmt: skip
+        """``start_s``, ``end_s``: the part to read, seconds from the log's first frame. Raises InputError."""
+        self.title, self.no_tare = path.name, "a log can't be tared"
+        watcher = Watcher(make_finger, gauges, fingers)
+        limits = self._discover(path, watcher, start_s, end_s)
+        if not watcher.fingers:
+            raise InputError(f"{path}: no fingertip's PDO in it (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
+        capacity = LOG_BYTES // (2 * row_bytes(len(watcher.fingers), gauges))
+        self.model = Model(watcher.fingers, gauges, live=False, capacity=self._rows(path, watcher, limits, capacity))
+        self._read(path, watcher, limits)
+        found = self.model.counters
+        for name, values in watcher.tally().items():
+            setattr(found, name, values)
+        start, end = self.model.span_ns()
+        bits, seconds = self._bits, max((end - start) * 1e-9, 1e-9)
+        found.load_low, found.load_high = (total / (1_000_000 * seconds) for total in bits)
+
+    def _discover(
+        self, path: Path, watcher: Watcher, start_s: float, end_s: float | None
+    ) -> tuple[int | None, int | None]:
+        from tipforce.host.log_reader import open_log
+
+        first: int | None = None
+        limits: tuple[int | None, int | None] = (None, None)
+        with open_log(path) as log:
+            for frames in log:
+                if first is None:
+                    first = int(frames["t_ns"][0])
+                    start = first + round(start_s * 1e9) if start_s else None
+                    limits = start, first + round(end_s * 1e9) if end_s is not None else None
+                watcher.discover(frames)
+            if first is not None and not log.timed:
+                raise InputError(f"{path}: the log has no timestamps, so it can't be replayed")
+        return limits
+
+    @staticmethod
+    def _rows(path: Path, watcher: Watcher, limits: tuple[int | None, int | None], most: int) -> int:
+        """How many rows there will be at most: SYNCs, or frames of the finger that sent most."""
+        from tipforce.host.log_reader import open_log
+
+        count = np.zeros(0x800, dtype=np.int64)
+        with open_log(path, start_ns=limits[0], end_ns=limits[1]) as log:
+            for frames in log:
+                ids = frames["can_id"]
+                count += np.bincount(ids[ids < 0x800], minlength=0x800)
+        rows = int(count[0x80]) or int(count[0x181:0x400].max())
+        if rows > most:
+            raise InputError(
+                f"{path}: {rows} rows of {len(watcher.fingers)} fingers, allowed are {most}; choose a part of it with "
+                "--from and --to (seconds)"
+            )
+        return rows + 1
+
+    def _read(self, path: Path, watcher: Watcher, limits: tuple[int | None, int | None]) -> None:
+        from tipforce.host.log_reader import open_log
+
+        last_s, low, high = 0.0, 0, 0
+        with open_log(path, start_ns=limits[0], end_ns=limits[1]) as log:
+            for frames in log:
+                last_s = float(frames["t_ns"][-1]) * 1e-9
+                self._take(watcher, frames, last_s)
+                lengths = np.bincount(np.minimum(frames["length"], 8), minlength=9).tolist()
+                low += sum(count * least_bits(length) for length, count in enumerate(lengths))
+                high += sum(count * most_bits(length) for length, count in enumerate(lengths))
+        self._take(watcher, _NO_FRAMES, last_s + 1.0)
+        self._bits = low, high
+
+    def _take(self, watcher: Watcher, frames: FrameArray, now_s: float) -> None:
+        found, events = watcher.add(frames, now_s)
+        for block in found:
+            self.model.add(block)
+            self.model.counters.rows += len(block)
+        for event in events:
+            if len(frames):  # at the end of a log no heartbeat is lost
+                self.model.add_event(round(event.t_s * 1e9), event.node_id, event.kind, event.text)
+
+    def pump(self) -> None:
+        """See Source."""
+
+    def tare(self, node_id: int) -> str:
+        """See Source."""
+        raise RefusedError(f"node {node_id}: {self.no_tare}")
+
+    def close(self) -> None:
+        """See Source."""

@@ -1,0 +1,232 @@
+"""Where a page's data come from: a bus that is listened to, a hand that is run. log_source.py has logs."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError, RefusedError
+from tipforce.host.bus_load import hand_budget, least_bits, most_bits
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.rows import Rows
+from tipforce.host.receive import InterfaceDownError, Receiver
+from tipforce_tools.view.blocks import block_of_rows
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.model import Model
+from tipforce_tools.view.watcher import Watcher
+
+MAX_WAITING_ROWS = 20_000
+MAX_WAITING_BATCHES = 5_000
+"""Of frames that were received: some seconds; beyond it the oldest go, and the page says so."""
+_RECEIVE_S = 0.02
+_LOAD_WINDOW_S = 1.0
+
+
+class Source(Protocol):
+    """Fills a model. ``pump`` is called some 30 times a second, by one thread."""
+
+    model: Model
+    title: str
+    no_tare: str
+    """Why there is no tare; empty where there is one."""
+
+    def pump(self) -> None:
+        """Move what has come into the model."""
+
+    def tare(self, node_id: int) -> str:
+        """Take the present force of a finger as zero; what to tell. Raises TipforceError."""
+
+    def close(self) -> None:
+        """Let go of it."""
+
+
+class HandSource:
+    """A hand that is up. Its receiving thread only puts rows aside; everything else happens in ``pump``."""
+
+    def __init__(self, hand: Hand, fingers: Sequence[Finger], title: str) -> None:
+        self.title, self.no_tare = title, ""
+        self._hand = hand
+        self._messages = hand.file.messages
+        self.model = Model(fingers, hand.file.finger[0].gauges)
+        self._waiting: deque[Rows] = deque()
+        self._waiting_rows = self._overrun = 0
+        self._arrived_s = 0.0
+        self._lock = threading.Lock()
+        hand.on_rows(self._put)
+        hand.on_event(self._event)
+
+    def _put(self, rows: Rows) -> None:
+        with self._lock:
+            self._waiting.append(rows)
+            self._arrived_s = time.monotonic()
+            self._waiting_rows += len(rows)
+            while self._waiting_rows > MAX_WAITING_ROWS:
+                lost = len(self._waiting.popleft())
+                self._waiting_rows -= lost
+                self._overrun += lost
+
+    def _event(self, event: Event) -> None:
+        self.model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
+
+    def pump(self) -> None:
+        """See Source."""
+        with self._lock:
+            waiting, self._waiting, self._waiting_rows = list(self._waiting), deque(), 0
+            arrived_s = self._arrived_s
+        if waiting:
+            rows = joined(waiting)
+            self.model.add(block_of_rows(rows, self.model.fingers, self.model.gauges), arrived_s)
+        found, counters = self._hand.statistics(), self.model.counters
+        tally = found.tally
+        counters.rows = tally.rows
+        for name in ("missing", "late", "mixed", "doubtful"):
+            setattr(counters, name, getattr(tally, name).tolist())
+        counters.dropped, counters.overrun = found.dropped, self._overrun
+        counters.jitter_p99_us = found.sync.p99_us if found.sync.periods else None
+        self.model.nmt = [self._hand.state(finger.node_id) for finger in self.model.fingers]
+        self._set_load()
+
+    def _set_load(self) -> None:
+        """From the rows that come, since a hand tells no frames: SYNC, PDOs and heartbeats."""
+        picture, plan = self.model.picture(), self._hand.file.hand
+        counters = self.model.counters
+        counters.load_low = counters.load_high = None
+        if picture.rate_hz > 0:
+            bit_rate = int(self._hand.file.bus.get("bitrate", 1_000_000))
+            budget = hand_budget(
+                len(self.model.fingers), picture.rate_hz, self._messages, self.model.gauges, bit_rate,
+                plan.heartbeat_ms * 1e-3,
+            )  # fmt: skip
+            counters.load_low, counters.load_high = budget.least_load, budget.most_load
+
+    def tare(self, node_id: int) -> str:
+        """See Source."""
+        return tare(self._hand.connection, node_id)
+
+    def close(self) -> None:
+        """See Source."""
+        self._hand.close()
+
+
+class ListenSource:
+    """A bus that is only listened to, by a thread of its own."""
+
+    def __init__(
+        self, receiver: Receiver, title: str, make_finger: Callable[[int], Finger | None], gauges: int = 3,
+        fingers: Sequence[Finger] = (), bit_rate: int = 1_000_000,
+    ) -> None:  # fmt: skip
+        self.title, self.no_tare = title, "this page only listens to the bus"
+        self._receiver, self._bit_rate = receiver, bit_rate
+        self.model = Model(fingers, gauges)
+        self._watcher = Watcher(make_finger, gauges, fingers, self.model.set_fingers)
+        self._waiting: deque[tuple[FrameArray, float]] = deque(maxlen=MAX_WAITING_BATCHES)
+        self._seconds: deque[tuple[float, int, int]] = deque()
+        self._down = False
+        self._looked_s = time.monotonic()
+        self._stopped = threading.Event()
+        self.received = 0
+        """Frames so far."""
+        self._thread = threading.Thread(target=self._receive, name="view receiver", daemon=True)
+        self._thread.start()
+
+    def _receive(self) -> None:
+        while not self._stopped.is_set():
+            try:
+                frames = self._receiver.receive(_RECEIVE_S)
+            except InterfaceDownError as error:
+                self._say_down(str(error))
+                self._stopped.wait(0.2)
+                continue
+            except EnvironmentLackError as error:
+                self.model.error = str(error)
+                self._say_down(str(error))
+                return
+            if len(frames):
+                self.received += len(frames)
+                if self._down:
+                    self._down = False
+                    self.model.add_event(time.time_ns(), 0, "bus_up", "frames come again")
+                if len(self._waiting) == MAX_WAITING_BATCHES:
+                    self.model.counters.overrun += 1
+                self._waiting.append((frames, time.monotonic()))
+            self._looked_s = time.monotonic()
+
+    def _say_down(self, text: str) -> None:
+        if not self._down:
+            self._down = True
+            self.model.add_event(time.time_ns(), 0, "bus_down", text)
+
+    def pump(self) -> None:
+        """See Source."""
+        # A row may time out only by what was looked for: frames that still wait in the socket are not missing.
+        looked_s = self._looked_s
+        waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
+        now_s = time.monotonic()
+        arrived_s = waiting[-1][1] if waiting else now_s
+        frames = np.concatenate([frames for frames, _ in waiting]) if waiting else None
+        blocks, events = self._watcher.add(_NO_FRAMES if frames is None else frames, looked_s)
+        for block in blocks:
+            self.model.add(block, arrived_s)
+            self.model.counters.rows += len(block)
+        for event in events:
+            self.model.add_event(time.time_ns(), event.node_id, event.kind, event.text)
+        counters = self.model.counters
+        for name, values in self._watcher.tally().items():
+            setattr(counters, name, values)
+        counters.dropped = self._receiver.dropped
+        self.model.nmt = self._watcher.nmt()
+        self._set_load(frames, now_s)
+
+    def _set_load(self, frames: FrameArray | None, now_s: float) -> None:
+        """Bits of the last second: without one stuff bit, and with as many as there can be."""
+        if frames is not None:
+            lengths = np.bincount(np.minimum(frames["length"], 8), minlength=9).tolist()
+            low = sum(count * least_bits(length) for length, count in enumerate(lengths))
+            high = sum(count * most_bits(length) for length, count in enumerate(lengths))
+            self._seconds.append((now_s, low, high))
+        while self._seconds and self._seconds[0][0] < now_s - _LOAD_WINDOW_S:
+            self._seconds.popleft()
+        total = self._bit_rate * _LOAD_WINDOW_S
+        self.model.counters.load_low = sum(low for _, low, _ in self._seconds) / total
+        self.model.counters.load_high = sum(high for _, _, high in self._seconds) / total
+
+    def tare(self, node_id: int) -> str:
+        """See Source."""
+        raise RefusedError(f"node {node_id}: {self.no_tare}")
+
+    def close(self) -> None:
+        """See Source."""
+        self._stopped.set()
+        self._thread.join()
+        self._receiver.close()
+
+
+def joined(rows: Sequence[Rows]) -> Rows:
+    """Blocks of rows as one."""
+    if len(rows) == 1:
+        return rows[0]
+    columns = {name: np.concatenate([one.columns[name] for one in rows]) for name in rows[0].columns}
+    return Rows(
+        rows[0].first, np.concatenate([one.sync_ns for one in rows]), np.concatenate([one.counter for one in rows]),
+        columns,
+    )  # fmt: skip
+
+
+def tare(connection: Any, node_id: int) -> str:
+    """Tare a node and say what it takes off now. Raises NoResponseError and SdoAbortError."""
+    from tipforce.host.fingertip import FingertipClient
+
+    client = FingertipClient(connection.sdo(node_id))
+    client.tare()
+    f1, f2, f3 = client.tare_state().force_newtons
+    return f"tared: F1 {f1:+.3f} N, F2 {f2:+.3f} N, F3 {f3:+.3f} N are taken off"
+
+
+_NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)

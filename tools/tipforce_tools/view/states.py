@@ -1,0 +1,131 @@
+"""What each finger shows at a moment: live, stale since, unknown and why, or no answer. Pure: rows and a time in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce_tools.view import blocks
+from tipforce_tools.view.blocks import Block
+from tipforce_tools.view.history import History
+
+STALE_PERIODS = 2.5
+STALE_S = 0.5
+"""Where no SYNC period is known."""
+STREAM_STALE_S = 0.1
+"""The least age at which a stream that has stopped counts as stale: three pictures of the page."""
+NO_ANSWER_S = 2.0
+_PERIOD_ROWS = 33
+_LOOK_BACK_ROWS = 4096
+
+Word = Literal["live", "stale", "unknown", "silent"]
+
+
+@dataclass(frozen=True, slots=True)
+class FingerState:
+    """One finger. Of a "silent" one no number is given; a "stale" one's are from ``since_ns``."""
+
+    word: Word
+    reason: str
+    """Why P is unknown, phi and theta with it; empty otherwise."""
+    angle_reason: str
+    """Why phi or theta alone is unknown."""
+    since_ns: int
+    """Time of the sample; 0 for none."""
+    status: int
+    contact: tuple[float, float, float]
+    u: tuple[float, float, float]
+    gauges: tuple[float, ...]
+
+
+def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
+    """The SYNC period of the last rows (m,), nanoseconds; 0 when there are too few to tell."""
+    times = t_ns[-_PERIOD_ROWS:]
+    return int(np.median(np.diff(times))) if len(times) > 2 else 0
+
+
+def finger_states(history: History, now_ns: int, fingers: int) -> list[FingerState]:
+    """The state of each finger at ``now_ns``, from the rows up to then.
+
+    A sample is live for 2.5 SYNC periods (0.5 s where the period is not known), counted in SYNCs while these come.
+    When no SYNC comes any more the least limit is 0.1 s, below which a page can't tell.
+    """
+    last = int(np.searchsorted(history.t_ns, now_ns, side="right"))
+    recent = history.part(max(0, last - _PERIOD_ROWS), last)
+    if not len(recent):
+        return [_silent(0)] * fingers
+    period = period_ns(recent.t_ns)
+    limit_ns = int(STALE_PERIODS * period) if period else int(STALE_S * 1e9)
+    newest_ns = int(recent.t_ns[-1])
+    stopped = now_ns - newest_ns > max(limit_ns, int(STREAM_STALE_S * 1e9))
+    rows = _newest(recent, newest_ns - limit_ns)
+    found = []
+    for k, row in enumerate(rows.tolist()):
+        if row >= 0 and not stopped:
+            found.append(_state(recent, row, k, "live"))
+        else:
+            found.append(_old(history, last, k, now_ns))
+    return found
+
+
+def _newest(recent: Block, oldest_ns: int) -> npt.NDArray[np.intp]:
+    """(k,) the row to show of each finger: its last one that is new and young enough, else any answer, else -1.
+
+    A SYNC that found no new sample (status bit 3) is no news for as long as the sample before is not stale.
+    """
+    young = (recent.t_ns >= oldest_ns)[:, np.newaxis]
+    answered = (recent.status & blocks.MISSING == 0) & young
+    fresh = answered & (recent.status & blocks.REPEATED == 0)
+    number = np.arange(len(recent))[:, np.newaxis]
+    fresh_row, any_row = (np.where(mask, number, -1).max(axis=0) for mask in (fresh, answered))
+    rows: npt.NDArray[np.intp] = np.where(fresh_row >= 0, fresh_row, any_row)
+    return rows
+
+
+def _old(history: History, last: int, k: int, now_ns: int) -> FingerState:
+    """A finger without a young answer: the last one that it gave, unless that is too long ago."""
+    back = history.part(max(0, last - _LOOK_BACK_ROWS), last)
+    answered = np.flatnonzero(back.status[:, k] & blocks.MISSING == 0)
+    if not len(answered):
+        return _silent(0)
+    row = int(answered[-1])
+    if now_ns - back.t_ns[row] > NO_ANSWER_S * 1e9:
+        return _silent(int(back.t_ns[row]))
+    return _state(back, row, k, "stale")
+
+
+def _state(block: Block, row: int, k: int, word: Word) -> FingerState:
+    contact, status = block.contact[row, k], int(block.status[row, k])
+    reason = _unknown_reason(status) if np.isnan(contact[0]) else ""
+    angle_reason = "" if reason or not np.isnan(contact[1:]).any() else _angle_reason(status)
+    if reason and word == "live":
+        word = "unknown"
+    P, phi, theta = contact.tolist()
+    u_P, u_phi, u_theta = block.u[row, k].tolist()
+    strains = tuple(block.gauges[row, k].tolist())
+    since_ns = int(block.t_ns[row])
+    return FingerState(word, reason, angle_reason, since_ns, status, (P, phi, theta), (u_P, u_phi, u_theta), strains)
+
+
+def _silent(since_ns: int) -> FingerState:
+    nan = float("nan")
+    return FingerState("silent", "no answer", "", since_ns, 0, (nan, nan, nan), (nan, nan, nan), ())
+
+
+def _unknown_reason(status: int) -> str:
+    for bit, text in (
+        (blocks.FAULT, "front-end fault"), (blocks.REPEATED, "no new sample from the converter"),
+        (blocks.SATURATED, "a gauge is saturated"),
+    ):  # fmt: skip
+        if status & bit:
+            return text
+    return "not calibrated" if not status & blocks.CALIBRATED else "the node gives no force"
+
+
+def _angle_reason(status: int) -> str:
+    if not status & blocks.CONTACT:
+        return "no contact"
+    return "line of action misses the tip" if status & blocks.MISSES_TIP else "contact angle not resolved"

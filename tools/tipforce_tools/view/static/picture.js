@@ -1,0 +1,62 @@
+// The view as a PNG: drawn anew at twice the size, not photographed.
+import { drawChart } from "./charts.js";
+import { sense, stateText } from "./cards.js";
+import { K, QUANTITIES, clock, number } from "./format.js";
+import { drawLegend, drawSection } from "./section.js";
+import { colour, font } from "./theme.js";
+
+const WIDTH = 1280, CARD = 248, CARD_HEIGHT = 290, CHART = 120, RATIO = 2;
+
+export function paintPicture(page, states, chartOptions) {
+  const perRow = Math.max(1, Math.floor((WIDTH - 20) / CARD)), rows = Math.ceil(states.length / perRow);
+  const height = 84 + rows * CARD_HEIGHT + 3 * CHART + 40;
+  const canvas = document.createElement("canvas");
+  canvas.width = WIDTH * RATIO;
+  canvas.height = height * RATIO;
+  const context = canvas.getContext("2d");
+  context.scale(RATIO, RATIO);
+  context.fillStyle = colour.card;
+  context.fillRect(0, 0, WIDTH, height);
+  const write = (text, x, y, style, look = colour.ink) => {
+    context.font = `${style} ${font.family}`;
+    context.fillStyle = look;
+    context.textAlign = "left";
+    context.textBaseline = "alphabetic";
+    context.fillText(text, x, y);
+  };
+  write(`tipforce  ${page.setup.title}`, 16, 28, "600 17px");
+  const day = new Date(page.message.t).toISOString().slice(0, 10);
+  write(`${page.mode}, ${day} ${clock(page.message.t, 2)} (times are local, the date is UTC)`, 16, 48, "12px", colour.soft);
+  context.save();
+  context.translate(16, 54);
+  const scale = { ...page.scale, pixelsPerMm: (CARD - 16) / 52 };
+  drawLegend(context, scale, 430, 26);
+  context.restore();
+  states.forEach((state, n) => {
+    const x = 10 + (n % perRow) * CARD, y = 84 + Math.floor(n / perRow) * CARD_HEIGHT;
+    const geometry = page.setup.fingers[n];
+    const word = state.word === "live" && page.mode !== "live" ? "recorded" : state.word;
+    write(`${geometry.label}  (node ${geometry.node_id})`, x + 8, y + 16, "600 13px");
+    write(`${stateText(state, word, page.message.t)}  ${sense(state)}`, x + 8, y + 32, "12px", colour.soft);
+    drawSection(context, geometry, state, scale, x + 8, y + 38, CARD - 16, 195);
+    const values = [state.P, state.phi, state.theta], spreads = [state.uP, state.uPhi, state.uTheta];
+    QUANTITIES.forEach(({ symbol, unit, digits }, k) => {
+      const spread = spreads[k] === null ? "" : ` \u00b1 ${number(K * spreads[k], digits)}`;
+      write(`${symbol} ${values[k] === null ? "unknown" : `${number(values[k], digits)}${spread} ${unit}`}`, x + 8, y + 250 + 15 * k, "12px");
+    });
+  });
+  const top = 84 + rows * CARD_HEIGHT + 20;
+  write(`Contact over time: ${page.setup.fingers[page.chosen]?.label ?? ""}; bands: k = ${K}`, 16, top, "600 13px");
+  QUANTITIES.forEach((_, k) => drawChart(context, chartOptions(k), 10, top + 8 + k * CHART, WIDTH - 20, CHART));
+  return canvas;
+}
+
+export function savePicture(page, states, chartOptions) {
+  paintPicture(page, states, chartOptions).toBlob((blob) => {
+    const link = document.createElement("a");
+    link.href = URL.createObjectURL(blob);
+    link.download = "tipforce.png";
+    link.click();
+    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
+  }, "image/png");
+}

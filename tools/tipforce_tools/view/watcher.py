@@ -1,0 +1,176 @@
+"""Frames of a bus or a log, whatever fingers are in them -> blocks of contacts, and events. No clock inside."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.decode import Decoder
+from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.rows import SYNC_COB_ID, Collector, Rows
+from tipforce_tools.view.blocks import Block, block_of_rows
+from tipforce_tools.view.fingers import Finger
+
+FloatArray = npt.NDArray[np.float64]
+
+HEARTBEAT_TIMEOUT_S = 2.5
+ROW_TIMEOUT_S = 0.05
+HEALTH_YOUNG_NS = 3_000_000_000
+_SERVICE, _NODE = np.uint32(0xFFFFFF80), np.uint32(0x7F)
+_HEARTBEAT, _EMCY = 0x700, 0x080
+_UNPACED_FRAMES = 50  # PDOs without one SYNC, after which a PDO itself paces the rows
+
+
+class Watcher:
+    """Finds fingers by their PDOs, collects rows, watches heartbeats and EMCY.
+
+    ``make_finger`` says what is known of a node-id that is heard, None if it shall not be shown. ``fingers`` are those
+    that are shown from the start. ``on_fingers`` is called when there are more.
+    """
+
+    def __init__(
+        self, make_finger: Callable[[int], Finger | None], gauges: int = 3, fingers: Sequence[Finger] = (),
+        on_fingers: Callable[[tuple[Finger, ...]], None] = lambda _fingers: None,
+    ) -> None:  # fmt: skip
+        self._make_finger, self._gauges, self._on_fingers = make_finger, gauges, on_fingers
+        self.fingers: tuple[Finger, ...] = tuple(fingers)
+        self._bases = {
+            m.cob_id_base: (m.name, m.length_bytes)
+            for m in tpdo_messages(gauges)
+            if m.cob_id_base and m.name != "Health"
+        }
+        self._heard: dict[int, set[str]] = {finger.node_id: set() for finger in fingers}
+        self._messages: tuple[str, ...] = ()
+        self._collector: Collector | None = None
+        self._past: Counter[tuple[str, int]] = Counter()
+        self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
+        self._health = Decoder(gauges)
+        self._health_u: dict[int, tuple[int, float]] = {}
+        self._synced = False
+        self._unsynced_pdos = 0
+        self._pacer = 0
+
+    def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
+        """Take frames, FRAME (n,), at a time ``now_s`` that goes on steadily; also call it without frames."""
+        events: list[Event] = []
+        if len(frames):
+            self._discover(frames)
+        events += self._watch(frames, now_s)
+        if self._collector is None:
+            return [], events
+        rows = self._collector.add(self._paced(frames), now_s)
+        if len(frames):
+            self._take_health(frames)
+        if not len(rows):
+            return [], events
+        return [block_of_rows(rows, self.fingers, self._gauges, self._health_of(rows))], events
+
+    def discover(self, frames: FrameArray) -> None:
+        """Only find out who is there: the first pass over a log."""
+        if len(frames):
+            self._discover(frames)
+
+    def nmt(self) -> list[str]:
+        """NMT state of each finger by its heartbeat; empty where none was heard."""
+        states = self._supervisor.states
+        return [self._supervisor.state_name(f.node_id) if states[f.node_id] >= 0 else "" for f in self.fingers]
+
+    def tally(self) -> dict[str, list[int]]:
+        """Missing, late, mixed and doubtful answers of each finger, over all collectors so far."""
+        found = {}
+        for what in ("missing", "late", "mixed", "doubtful"):
+            now = dict.fromkeys((f.node_id for f in self.fingers), 0)
+            if self._collector is not None:
+                values = getattr(self._collector.tally, what).tolist()
+                now |= dict(zip(self._collector.node_ids, values, strict=True))
+            found[what] = [now[f.node_id] + self._past[what, f.node_id] for f in self.fingers]
+        return found
+
+    def _discover(self, frames: FrameArray) -> None:
+        ids = frames["can_id"]
+        if not self._synced:
+            self._find_pace(frames)
+        changed = False
+        for can_id in np.unique(ids).tolist():
+            base, node_id = can_id & ~0x7F, can_id & 0x7F
+            name, length = self._bases.get(base, ("", 0))
+            if not name or not node_id or name in self._heard.get(node_id, ()):
+                continue
+            if int(frames["length"][ids == can_id].max()) < length:
+                continue
+            if node_id not in self._heard:
+                finger = self._make_finger(node_id)
+                if finger is None:
+                    continue
+                self.fingers = tuple(sorted((*self.fingers, finger), key=lambda one: one.node_id))
+                self._heard[node_id] = set()
+                self._supervisor.states.setdefault(node_id, -1)
+                self._on_fingers(self.fingers)
+            self._heard[node_id].add(name)
+            changed = True
+        if changed:
+            self._new_collector()
+
+    def _new_collector(self) -> None:
+        """Rows of what every finger that was heard sends; where they have nothing in common, of what most send."""
+        sets = [names for names in self._heard.values() if names]
+        count = Counter(name for names in sets for name in names)
+        messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
+        for what, values in self.tally().items():
+            for finger, value in zip(self.fingers, values, strict=True):
+                self._past[what, finger.node_id] = value
+        # TPDO2 first: it names the columns of the contact.
+        self._messages = tuple(sorted(messages, key=("Contact", "Force", "Gauges").index))
+        node_ids = [finger.node_id for finger in self.fingers]
+        self._collector = Collector(node_ids, self._messages, self._gauges, ROW_TIMEOUT_S)
+
+    def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
+        """Heartbeats and EMCY one by one: they are few, and in a log each has a time of its own."""
+        if not len(frames):
+            return self._supervisor.add(frames, now_s)
+        service = frames["can_id"] & _SERVICE
+        few = frames[((service == _HEARTBEAT) | (service == _EMCY)) & (frames["can_id"] != SYNC_COB_ID)]
+        events: list[Event] = []
+        for k in range(len(few)):
+            events += self._supervisor.add(few[k : k + 1], float(few["t_ns"][k]) * 1e-9)
+        return events
+
+    def _find_pace(self, frames: FrameArray) -> None:
+        """Without a SYNC in sight, the PDO that comes most often begins each row."""
+        ids = frames["can_id"]
+        self._synced = bool((ids == SYNC_COB_ID).any())
+        pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]
+        self._unsynced_pdos += len(pdos)
+        if not self._pacer and not self._synced and self._unsynced_pdos >= _UNPACED_FRAMES and len(pdos):
+            values, counts = np.unique(pdos, return_counts=True)
+            self._pacer = int(values[counts.argmax()])
+        if self._synced:
+            self._pacer = 0
+
+    def _paced(self, frames: FrameArray) -> FrameArray:
+        if not self._pacer or not len(frames):
+            return frames
+        places = np.flatnonzero(frames["can_id"] == self._pacer)
+        syncs = np.zeros(len(places), dtype=FRAME)
+        syncs["t_ns"], syncs["can_id"] = frames["t_ns"][places], SYNC_COB_ID
+        return np.insert(frames, places, syncs)
+
+    def _take_health(self, frames: FrameArray) -> None:
+        if (frames["can_id"] & _SERVICE == 0x480).any():
+            for (node_id, name), samples in self._health.decode(frames, ("u_P",)).items():
+                if name == "Health":
+                    self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
+
+    def _health_of(self, rows: Rows) -> FloatArray | None:
+        if not self._health_u:
+            return None
+        found = np.full(rows.counter.shape, np.nan)
+        for k, finger in enumerate(self.fingers):
+            t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
+            found[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        return found
