@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test report long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -31,6 +31,9 @@ lint-imports:
 
 report: bootstrap-test ## error against run time and extreme cases: build/report/index.html, within ten minutes
 	.venv/bin/tipforce report -o build/report
+
+docs: bootstrap-test ## the Python API reference, from the docstrings: build/api/index.html
+	$(PYTHON) -m tipforce_tools.api_reference -o build/api
 
 long: bootstrap-test ## the full counts of every long check, and the reports; about an hour
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2

@@ -81,8 +81,10 @@ install_project() {
 }
 
 kernel_has_vcan() {
+    local as_root=()
     modprobe -q vcan 2>/dev/null || true
-    unshare --net ip link add dev vcan0 type vcan 2>/dev/null
+    [ "$(id -u)" = 0 ] || as_root=(--map-root-user)
+    unshare "${as_root[@]}" --net ip link add dev vcan0 type vcan 2>/dev/null
 }
 
 # It lies in .venv, so what makes .venv anew, or removes it, does so with this too.
@@ -107,6 +109,9 @@ install_system_packages() {
     # MicroPython runs under Node.js; npm is needed to fetch it only.
     command -v node >/dev/null || missing+=(nodejs)
     have_micropython || command -v npm >/dev/null || missing+=(npm)
+    # The tests drive the web page in it, and nothing else needs it.
+    command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null ||
+        missing+=(chromium)
     [ ${#missing[@]} = 0 ] || apt_install "${missing[@]}"
 }
 

@@ -1,0 +1,15 @@
+"""The CANopen stack for fingertip force sensors.
+
+Where to begin, by what one wants to do:
+
+- read, calibrate and configure fingers on a bus: `tipforce.host`; a whole hand: `tipforce.host.hand.hand`
+- decode frames and logs: `tipforce.host.decode`, `tipforce.host.log_reader`
+- compute force and contact from strain: `tipforce.sensor.contact`, `tipforce.sensor.strain`
+- fit a calibration: `tipforce.sensor.calibration`
+- run a fingertip node: `tipforce.fingertip.node`, `tipforce.fingertip.loop`
+- build another CANopen device: `tipforce.device.node`
+- simulate: `tipforce.scene.run`, and faults on a bus: `tipforce.host.faults`
+
+What goes wrong is raised as an error of `tipforce.errors`. Names have units (`force_newtons`, `theta_rad`); shapes are
+written as (n, 3).
+"""

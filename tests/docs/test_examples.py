@@ -11,9 +11,11 @@ MUST_HAVE_EXAMPLES = {
     "calibration.md",
     "decode.md",
     "finite-elements.md",
+    "hand.md",
     "hardware.md",
     "mechanics.md",
     "protocol.md",
+    "recipes.md",
     "scenes.md",
     "tools.md",
 }

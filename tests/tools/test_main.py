@@ -95,12 +95,15 @@ RUN_ALONE = {  # commands that do something when nothing more is said
     "budget",
     "decode",
     "demo",
+    "doctor",
     "dump",
     "export",
+    "load",
     "log",
     "monitor",
     "report",
     "vcan",
+    "view",
 }
 
 

@@ -18,7 +18,7 @@ from tipforce.fingertip import iio_buffer, iio_sysfs, loop
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.iio import IioSource
 from tipforce.fingertip.source import Source
-from tipforce_tools.doctor_iio import LACK, NOTE, OK, iio_checks
+from tipforce_tools.doctor.iio import iio_checks
 from tipforce_tools.layout_file import layout_text, read_bridge, read_layout
 from tipforce_tools.main import main
 
@@ -280,10 +280,10 @@ def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
     (tree.root / "iio:device2/in_voltage0_raw").write_text("?")
     found = list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))
     assert [(check.topic, check.state) for check in found] == [
-        ("ADC iio:device0", OK), ("ADC iio:device0", NOTE),
-        ("ADC iio:device1", OK),
-        ("ADC iio:device2", OK), ("ADC iio:device2", LACK), ("ADC iio:device2", NOTE),
-        ("ADC trigger", NOTE),
+        ("ADC iio:device0", "ok"), ("ADC iio:device0", "note"),
+        ("ADC iio:device1", "ok"),
+        ("ADC iio:device2", "ok"), ("ADC iio:device2", "note"), ("ADC iio:device2", "note"),
+        ("ADC trigger", "note"),
     ]  # fmt: skip
     assert found[0].finding == "iio:device0 (adc121c, 0-0050): voltage, 12 bits"
     assert found[0].next_step == "--source iio:0-0050"
@@ -298,10 +298,10 @@ def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
 
 def test_doctor_without_converters(tree: Tree, monkeypatch: pytest.MonkeyPatch) -> None:
     (check,) = iio_checks(tree.root)
-    assert (check.topic, check.state) == ("ADC", LACK)
+    assert (check.topic, check.state) == ("ADC", "note")
     assert "new_device" in check.next_step
     (check,) = iio_checks(tree.folder / "absent")
     assert "modprobe industrialio" in check.next_step
     monkeypatch.setattr(sys, "platform", "darwin")
     (check,) = iio_checks()
-    assert check.state == NOTE
+    assert check.state == "note"

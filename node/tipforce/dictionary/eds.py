@@ -6,10 +6,14 @@ The text is the same at each run: the dates are constants. Lines end with LF; Ci
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from typing import TYPE_CHECKING
 
 from tipforce.dictionary import table, types
 from tipforce.dictionary.rows import Object, Row, objects, rows
 from tipforce.errors import InputError
+
+if TYPE_CHECKING:
+    from tipforce.dictionary.table import Converter
 
 CREATION_TIME, CREATION_DATE = "12:00AM", "01-01-2025"  # the form of CiA 306-1, 4.5.2: hh:mmAM, mm-dd-yyyy
 CREATED_BY = "tipforce.dictionary.eds"
@@ -34,7 +38,7 @@ def _kind(n: int, simulated: bool, bits: int) -> str:
     return f"tipforce-{n}" + (f"-{bits}bit" if bits > 16 else "") + ("-simulated" if simulated else "")
 
 
-def eds_text(n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16) -> str:
+def eds_text(n: int = 3, simulated: bool = False, converter: Converter = table.CONVERTER_16) -> str:
     """The EDS of a node with ``n`` gauges. Raises InputError for an ``n`` outside 3..8."""
     found = objects(n, simulated, converter)
     lines = _file_info(n, simulated, "eds", converter) + _device_info(n, simulated, converter)
@@ -51,7 +55,7 @@ def dcf_text(
     bit_rate_kbit_s: int = DEFAULT_BIT_RATE_KBIT_S,
     node_name: str = "",
     last_eds: str | None = None,
-    converter: table.Converter = table.CONVERTER_16,
+    converter: Converter = table.CONVERTER_16,
 ) -> str:
     """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
 
@@ -110,7 +114,7 @@ def _text(lines: Iterable[str]) -> str:
     return "\n".join(lines)
 
 
-def _file_info(n: int, simulated: bool, suffix: str, converter: table.Converter) -> _Lines:
+def _file_info(n: int, simulated: bool, suffix: str, converter: Converter) -> _Lines:
     return [
         "[FileInfo]",
         f"FileName={file_name(n, simulated, suffix, converter[0])}",
@@ -128,7 +132,7 @@ def _file_info(n: int, simulated: bool, suffix: str, converter: table.Converter)
     ]
 
 
-def _device_info(n: int, simulated: bool, converter: table.Converter) -> _Lines:
+def _device_info(n: int, simulated: bool, converter: Converter) -> _Lines:
     wide = f", {converter[0]} bits" if converter[0] > 16 else ""
     return [
         "[DeviceInfo]",

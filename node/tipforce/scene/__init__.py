@@ -1,0 +1,1 @@
+"""TOML scenes: loads, nodes, faults and outputs; each builds only the parts that it names."""

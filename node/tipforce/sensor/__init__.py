@@ -1,0 +1,1 @@
+"""The physics, without CAN: geometry, strain, force, contact, calibration, design."""

@@ -1,0 +1,1 @@
+"""The parts of the calibration fit; `tipforce.sensor.calibration` puts them together."""
