@@ -117,6 +117,24 @@ def test_a_babbler_hides_the_finger_and_not_the_others() -> None:
     assert stream.collector.tally.doubtful.tolist() == [1, 0]
 
 
+def test_a_babbler_whose_counter_fits_is_not_believed() -> None:
+    """It comes first in each row, and its counter, which stands still, is at some time the one that is expected."""
+    stream = Stream(1)
+    for k in range(20):
+        stream.add(SYNC)
+        stream.add(answer(1, k))
+    shown = []
+    for k in range(20, 60):
+        stream.add(SYNC)
+        shown += stream.add(answer(1, 42, 9000))
+        shown += stream.add(answer(1, k))
+    assert not [row for row in shown if row[0] > 2.0]
+    for k in range(60, 80):
+        stream.add(SYNC)
+        shown += stream.add(answer(1, k))
+    assert shown[-10:] == [[1.0]] * 10
+
+
 def test_two_nodes_with_one_cob_id_are_never_shown_as_one() -> None:
     stream = Stream(1)
     rows = [stream.add(SYNC, answer(1, k), answer(1, k + 60, 2000), SYNC)[0] for k in range(1, 40, 2)]

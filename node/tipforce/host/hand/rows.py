@@ -21,7 +21,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decode import Decoder, Samples
 from tipforce.host.frames import FRAME, FrameArray
-from tipforce.host.hand.counters import CounterCheck
+from tipforce.host.hand.counters import CONFIRMED, CounterCheck
 
 SYNC_COB_ID = 0x80
 COUNTER = "counter"
@@ -110,6 +110,8 @@ class Collector:
         self._given = False  # the open row was given out; what still comes for it is late
         self._opened_s = 0.0
         self._counters = CounterCheck(len(node_ids))
+        self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the row that was given out last
+        self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows for which a finger is not believed
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Take frames as they were received, FRAME (n,); the rows that became whole or timed out, often none.
@@ -171,9 +173,13 @@ class Collector:
         given = slice(first, max(first, last))
         shown = counter[given]
         babbled = unsure[given] & (shown >= 0)
+        babbled |= self._distrusted(found, first, shown, babbled)
+        answered = shown >= 0
         shown[babbled] = -1
         repeated, doubtful = self._counters.check(shown, columns["stale"][given])
         doubtful |= babbled
+        if len(shown):
+            self._answered = answered[-1]
         shown[doubtful] = -1
         tally.repeated += repeated.sum(axis=0)
         tally.doubtful += doubtful.sum(axis=0)
@@ -185,6 +191,22 @@ class Collector:
         rows = Rows(tally.rows, syncs["t_ns"][given].astype(np.int64), counter[given], of_rows)
         tally.rows += len(rows)
         return rows
+
+    def _distrusted(self, found: _Answers, first: int, shown: npt.NDArray[np.int64], babbled: BoolArray) -> BoolArray:
+        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC.
+
+        A babbler's frame may come before the node's own, and its counter may happen to fit. So a finger that spoke
+        again after its answer was given out, or that babbled, is not believed for CONFIRMED rows.
+        """
+        for (k, _), (_, row) in found.items():
+            if self._answered[k] and (row < first).any():
+                self._distrust[k] = CONFIRMED
+        distrusted = np.zeros(shown.shape, dtype=np.bool_)
+        if self._distrust.any() or babbled.any():
+            for number in range(len(shown)):
+                distrusted[number] = (self._distrust > 0) & (shown[number] >= 0)
+                self._distrust = np.where(babbled[number], CONFIRMED, np.maximum(self._distrust - 1, 0))
+        return distrusted
 
     def _fill(self, columns: dict[str, npt.NDArray[Any]], found: _Answers) -> None:
         """All fingers at once: a call of numpy's costs more than the few numbers that one finger brings."""
