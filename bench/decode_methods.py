@@ -26,7 +26,7 @@ _FIRST = {"Gauges": "SG1", "Contact": "P"}
 
 def parse(log: Path) -> Result:
     """Text to frames."""
-    from tipforce.host.log_reader import open_log
+    from tipforce.host.logs.reader import open_log
 
     return {"frames": sum(len(block) for block in open_log(log, strict=True))}
 
@@ -34,7 +34,7 @@ def parse(log: Path) -> Result:
 def memory(log: Path) -> Result:
     """Text to columns, block by block."""
     from tipforce.host.decode import Decoder
-    from tipforce.host.log_reader import open_log
+    from tipforce.host.logs.reader import open_log
 
     decoder, frames, decoded = Decoder(), 0, 0
     with open_log(log, strict=True) as blocks:
@@ -49,7 +49,7 @@ def memory_sum(log: Path) -> float:
     import numpy as np
 
     from tipforce.host.decode import Decoder
-    from tipforce.host.log_reader import open_log
+    from tipforce.host.logs.reader import open_log
 
     decoder, total = Decoder(), 0.0
     for block in open_log(log, strict=True):

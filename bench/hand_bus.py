@@ -24,7 +24,7 @@ from tipforce.host.frames import FrameArray
 from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
 from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
-from tipforce.host.receive import SocketReceiver
+from tipforce.host.live.receive import SocketReceiver
 from tipforce.socketcan import CAN_FRAME
 
 Address = tuple[str, int]

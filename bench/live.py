@@ -30,7 +30,7 @@ HEAD = """\
 Written by `python -m bench.live` on: {machine}.
 
 Frames are `struct can_frame` in datagrams between connected UDP sockets on 127.0.0.1, read by the code that reads
-SocketCAN (`host/receive.py`, `host/recvmmsg.py`), with the kernel's time stamps. That the same code loses nothing and
+SocketCAN (`host/live/`), with the kernel's time stamps. That the same code loses nothing and
 keeps the order on a real vcan is tested in `tests/vcan`. Another machine gives other times; the ways compare as here.
 """
 COSTS = """

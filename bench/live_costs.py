@@ -11,7 +11,7 @@ import can
 from bench.live_loopback import CanopenHost, connected_pair, contact_frames, python_can_bus
 
 from tipforce.host.decode import Decoder
-from tipforce.host.receive import SocketReceiver
+from tipforce.host.live.receive import SocketReceiver
 
 FRAMES = 2048  # in one turn
 Way = Callable[[int], None]

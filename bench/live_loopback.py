@@ -16,7 +16,7 @@ import canopen
 import numpy as np
 from can.interfaces.socketcan.socketcan import SocketcanBus
 
-from tipforce.host.receive import prepare_socket
+from tipforce.host.live.receive import prepare_socket
 
 ROOT = Path(__file__).parents[1]
 NODES = 5

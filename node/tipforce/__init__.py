@@ -3,7 +3,7 @@
 Where to begin, by what one wants to do:
 
 - read, calibrate and configure fingers on a bus: `tipforce.host`; a whole hand: `tipforce.host.hand.hand`
-- decode frames and logs: `tipforce.host.decode`, `tipforce.host.log_reader`
+- decode frames and logs: `tipforce.host.decode`, `tipforce.host.logs.reader`
 - compute force and contact from strain: `tipforce.sensor.contact`, `tipforce.sensor.strain`
 - fit a calibration: `tipforce.sensor.calibration`
 - run a fingertip node: `tipforce.fingertip.node`, `tipforce.fingertip.loop`

@@ -11,7 +11,7 @@ from bench.decode_check import different_values
 from bench.decode_log import hand_traffic, write_log
 from bench.decode_methods import cantools_loop, memory, memory_sum
 
-from tipforce.host.log_reader import open_log
+from tipforce.host.logs.reader import open_log
 
 
 @pytest.fixture(params=[False, True], ids=["fixed", "variable"])

@@ -14,7 +14,7 @@ from msgspec.structs import replace
 from tipforce.errors import InputError
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
-from tipforce.host.candump import CandumpParser
+from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.loads import load_of
 from tipforce.scene.parts import bus_load, identifiers
 from tipforce.scene.run import Options, Outcome, run_scene

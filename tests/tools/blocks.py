@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tipforce.host.candump import CandumpParser
 from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.logs.candump import CandumpParser
 
 MIXED_LOG = """\
 (1700000000.000000) vcan0 285#2E1129239A110303

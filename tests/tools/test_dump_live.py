@@ -16,8 +16,8 @@ import can
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host import receive, recvmmsg
-from tipforce.host.can_filter import Selection
+from tipforce.host.live import receive, recvmmsg
+from tipforce.host.live.can_filter import Selection
 from tipforce_tools.dump.targets import Target
 from tipforce_tools.live import open_targets
 from tipforce_tools.main import main

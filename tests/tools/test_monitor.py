@@ -20,7 +20,7 @@ import pytest
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames import FRAME, FrameArray, frame_array
-from tipforce.host.log_reader import open_log
+from tipforce.host.logs.reader import open_log
 from tipforce_tools.main import COMMANDS, command_parser, main
 from tipforce_tools.monitor import display
 from tipforce_tools.monitor.session import Loop

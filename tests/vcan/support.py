@@ -38,7 +38,7 @@ _context.set_forkserver_preload(
         "tipforce.sensor.strain",
         *(f"tipforce_tools.{name}" for name in ("main", "node", "sdo", "scan", "config", "calibrate", "layout_file")),
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
-        "tipforce.host.receive_group", "tipforce.host.send", "tipforce_tools.log.writers",
+        "tipforce.host.live.receive_group", "tipforce.host.live.send", "tipforce_tools.log.writers",
     ]
 )  # fmt: skip
 

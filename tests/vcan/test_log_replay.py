@@ -14,9 +14,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.can_filter import Filter, Selection
 from tipforce.host.decode import Decoder
-from tipforce.host.receive import SocketReceiver, open_receiver, open_socket
+from tipforce.host.live.can_filter import Filter, Selection
+from tipforce.host.live.receive import SocketReceiver, open_receiver, open_socket
 from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until
 from vcan.test_dump_options import EVERYTHING, fd_bus, listening_candump, sockets_listening, traffic
 

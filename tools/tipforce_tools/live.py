@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Self
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.host.receive_group import ReceiverGroup
+    from tipforce.host.live.receive_group import ReceiverGroup
     from tipforce_tools.dump.targets import Target
 
 
@@ -22,9 +22,9 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
 
     Raises EnvironmentLackError when a bus can't be opened; the others are closed then.
     """
-    from tipforce.host.can_filter import Selection
-    from tipforce.host.receive import TICK_S, open_receiver
-    from tipforce.host.receive_group import ReceiverGroup
+    from tipforce.host.live.can_filter import Selection
+    from tipforce.host.live.receive import TICK_S, open_receiver
+    from tipforce.host.live.receive_group import ReceiverGroup
 
     options = resolved_options(args, named=bool(targets))
     tick = TICK_S if tick_s is None else tick_s

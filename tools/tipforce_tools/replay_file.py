@@ -79,8 +79,8 @@ def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, None]:
     import numpy as np
 
-    from tipforce.host.candump import read_candump
     from tipforce.host.decode import Decoder
+    from tipforce.host.logs.candump import read_candump
 
     decoder = Decoder()
     times: dict[int, list[FloatArray]] = {}

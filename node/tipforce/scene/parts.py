@@ -44,8 +44,8 @@ _DECODER = (
     "tipforce.dictionary.types", "numpy",
 )  # fmt: skip
 _LOG = (
-    "tipforce.host.candump", "tipforce.host.candump_errors", "tipforce.host.candump_format", "tipforce.host.fd_frame",
-    "tipforce.host.frame_block",
+    "tipforce.host.logs", "tipforce.host.logs.candump", "tipforce.host.logs.candump_errors",
+    "tipforce.host.logs.candump_format", "tipforce.host.fd_frame", "tipforce.host.frame_block",
 )  # fmt: skip
 
 

@@ -64,7 +64,7 @@ class _LogFile:
     """candump -L; what makes its text is loaded only here."""
 
     def __init__(self, path: str | Path) -> None:
-        from tipforce.host.candump_format import CandumpFormat
+        from tipforce.host.logs.candump_format import CandumpFormat
 
         self._path = path
         self._format = CandumpFormat(log=True)
@@ -74,7 +74,7 @@ class _LogFile:
             raise InputError(f"log {path}: {error.strerror}") from error
 
     def write(self, frames: FrameArray, interface: str) -> None:
-        from tipforce.host.candump import CandumpBlock
+        from tipforce.host.logs.candump import CandumpBlock
 
         count = len(frames)
         block = CandumpBlock(frames, np.zeros(count, np.uint16), (interface,), np.zeros(count, np.bool_))

@@ -12,8 +12,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.host.frames import FrameArray
-from tipforce.host.log_lines import BLOCK_BYTES, line_borders
-from tipforce.host.log_reader import LogReader, open_log
+from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
+from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.decode import part, session
 from tipforce_tools.decode.layouts import Layouts
 from tipforce_tools.decode.part import Notes, Piece, Reading, Source

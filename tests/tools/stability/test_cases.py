@@ -12,7 +12,8 @@ from tipforce.device.storage import Storage
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
-from tipforce.host import candump, decode, decode_columns
+from tipforce.host import decode, decode_columns
+from tipforce.host.logs import candump
 from tipforce.sensor import calibration as fitting
 from tipforce.sensor import condition, contact, frame, scalar, scalar_parity
 from tipforce.sensor.dynamics import held, integrators, model, switched

@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLine
 from tipforce.host.frames import FRAME, FrameArray
-from tipforce.host.log_reader import LogReader, open_log
+from tipforce.host.logs.candump import BadLine
+from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.decode.layouts import Layouts
 from tipforce_tools.decode.merge import SampleMerger
 from tipforce_tools.decode.sample_rows import GAP_FRAMES

@@ -10,8 +10,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce.host.log_lines import is_plain, line_borders
-from tipforce.host.log_reader import log_kind
+from tipforce.host.logs.lines import is_plain, line_borders
+from tipforce.host.logs.reader import log_kind
 from tipforce_tools import common
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries

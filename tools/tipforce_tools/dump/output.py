@@ -7,10 +7,10 @@ from typing import Any, Protocol
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal
-from tipforce.host.candump_format import CandumpFormat, identifier_text
 from tipforce.host.decode import Key, Samples
 from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
 from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools import common
 
 COUNTER = "counter"

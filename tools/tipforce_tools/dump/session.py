@@ -12,18 +12,18 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLineError, CandumpParser
-from tipforce.host.candump_format import CandumpFormat
 from tipforce.host.decode import Decoder, Key, Samples, lost_samples
 from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.receive import InterfaceDownError
+from tipforce.host.live.receive import InterfaceDownError
+from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools import common
 from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 from tipforce_tools.dump.text_source import text_blocks
 
 if TYPE_CHECKING:
-    from tipforce.host.receive_group import ReceiverGroup
+    from tipforce.host.live.receive_group import ReceiverGroup
 
 
 class Tally:

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG
 from tipforce.errors import InputError
-from tipforce.host.can_filter import Filter, Selection
 from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.live.can_filter import Filter, Selection
 
 ANY = "any"
 STDIN = "-"

@@ -4,8 +4,8 @@ import os
 import select
 from collections.abc import Iterator, Sequence
 
-from tipforce.host.candump import BadLineError, CandumpParser
 from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.logs.candump import BadLineError, CandumpParser
 
 CHUNK_BYTES = 1 << 18
 _LONGEST_LINE_BYTES = 1 << 16  # more without a line end is no text, and must not fill the memory

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce.host.receive import InterfaceDownError
+from tipforce.host.live.receive import InterfaceDownError
 from tipforce_tools import common
 from tipforce_tools.dump.targets import split_targets
 from tipforce_tools.live import StopSignals, counted, open_targets
@@ -16,7 +16,7 @@ from tipforce_tools.log.recorder import Recorder, default_name
 from tipforce_tools.main import INTERRUPTED
 
 if TYPE_CHECKING:
-    from tipforce.host.receive_group import ReceiverGroup
+    from tipforce.host.live.receive_group import ReceiverGroup
 
 TICK_S = 0.02
 """Frames of so long are written together: it saves work, and the socket's buffer holds many times as much."""

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.candump_format import CandumpFormat
 from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.logs.candump_format import CandumpFormat
 
 if TYPE_CHECKING:
     import can
@@ -105,7 +105,7 @@ class PythonCanWriter:
 
     def write(self, block: CandumpBlock) -> None:
         """See LogWriter."""
-        from tipforce.host.messages import block_messages
+        from tipforce.host.live.messages import block_messages
 
         for message in block_messages(block):
             self._writer.on_message_received(message)

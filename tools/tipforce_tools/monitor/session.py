@@ -13,7 +13,7 @@ from contextlib import ExitStack, contextmanager, suppress
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce.host.receive import InterfaceDownError
+from tipforce.host.live.receive import InterfaceDownError
 from tipforce_tools import common
 from tipforce_tools.dump.targets import STDIN, Target, split_targets
 from tipforce_tools.live import StopSignals, counted, open_targets
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     from rich.live import Live
 
-    from tipforce.host.log_reader import LogReader
+    from tipforce.host.logs.reader import LogReader
 
 BITRATE = 1_000_000
 _SCREEN_S, _LINE_S = 0.25, 1.0
@@ -102,7 +102,7 @@ def _source(
         return BusSource(opened.enter_context(open_targets(targets, args))), None
     if targets:
         raise InputError(f"{targets[0].channel}: a channel beside the log {name}; --nodes selects from a log")
-    from tipforce.host.log_reader import open_log
+    from tipforce.host.logs.reader import open_log
 
     log = open_log(name, follow=args.follow)
     if name == STDIN or args.follow:

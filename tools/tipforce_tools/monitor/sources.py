@@ -14,8 +14,8 @@ from tipforce.errors import TipforceError
 from tipforce.host.frames import FRAME, FrameArray
 
 if TYPE_CHECKING:
-    from tipforce.host.log_reader import LogReader
-    from tipforce.host.receive_group import ReceiverGroup
+    from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.logs.reader import LogReader
 
 Clock = Callable[[], float]
 _WAITING_BLOCKS = 64

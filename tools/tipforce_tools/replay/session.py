@@ -15,10 +15,10 @@ import numpy as np
 
 from tipforce.device.codes import ERROR_FLAG
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLineError, CandumpParser
 from tipforce.host.fd_frame import FdFrame
 from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.send import NotCarriedError, Sender, open_sender
+from tipforce.host.live.send import NotCarriedError, Sender, open_sender
+from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce_tools import common
 from tipforce_tools.live import StopSignals, counted, resolved_options
 from tipforce_tools.main import INTERRUPTED

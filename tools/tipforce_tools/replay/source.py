@@ -8,9 +8,9 @@ from itertools import islice
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLineError, CandumpParser
 from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.log_lines import decompressed, open_file
+from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.lines import decompressed, open_file
 from tipforce_tools.dump.text_source import text_blocks
 
 STDIN = "-"
@@ -68,7 +68,7 @@ def _parsed(lines: list[bytes], parser: CandumpParser) -> Iterator[CandumpBlock]
 def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
     import can
 
-    from tipforce.host.receive_python_can import message_block
+    from tipforce.host.live.receive_python_can import message_block
 
     names: dict[str, int] = {}
     try:

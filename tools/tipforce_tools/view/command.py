@@ -144,7 +144,7 @@ def _log(args: argparse.Namespace, path: Path) -> Source:
 
 def _listen(args: argparse.Namespace, path: Path | None) -> Source:
     from tipforce.host.hand.file import read_hand
-    from tipforce.host.receive import open_receiver
+    from tipforce.host.live.receive import open_receiver
     from tipforce_tools.live import resolved_options
     from tipforce_tools.view.sources import ListenSource
 

@@ -47,7 +47,7 @@ class LogSource:
     def _discover(
         self, path: Path, watcher: Watcher, start_s: float, end_s: float | None
     ) -> tuple[int | None, int | None]:
-        from tipforce.host.log_reader import open_log
+        from tipforce.host.logs.reader import open_log
 
         first: int | None = None
         limits: tuple[int | None, int | None] = (None, None)
@@ -65,7 +65,7 @@ class LogSource:
     @staticmethod
     def _rows(path: Path, watcher: Watcher, limits: tuple[int | None, int | None], most: int) -> int:
         """How many rows there will be at most: SYNCs, or frames of the finger that sent most."""
-        from tipforce.host.log_reader import open_log
+        from tipforce.host.logs.reader import open_log
 
         count = np.zeros(0x800, dtype=np.int64)
         with open_log(path, start_ns=limits[0], end_ns=limits[1]) as log:
@@ -81,7 +81,7 @@ class LogSource:
         return rows + 1
 
     def _read(self, path: Path, watcher: Watcher, limits: tuple[int | None, int | None]) -> None:
-        from tipforce.host.log_reader import open_log
+        from tipforce.host.logs.reader import open_log
 
         last_s, low, high = 0.0, 0, 0
         with open_log(path, start_ns=limits[0], end_ns=limits[1]) as log:

@@ -10,9 +10,9 @@ import numpy as np
 
 from tipforce.device.node import Device
 from tipforce.host import decode
-from tipforce.host.candump import CandumpParser
-from tipforce.host.candump_format import CandumpFormat
 from tipforce.host.frames import frame_array
+from tipforce.host.logs.candump import CandumpParser
+from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.host.measurement_rows import time_faults
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed

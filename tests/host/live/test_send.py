@@ -9,9 +9,9 @@ from collections.abc import Callable
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host import send
 from tipforce.host.fd_frame import FdFrame
-from tipforce.host.send import NotCarriedError, SocketCanSender, open_sender
+from tipforce.host.live import send
+from tipforce.host.live.send import NotCarriedError, SocketCanSender, open_sender
 
 FD = FdFrame(0, 0, 0x123, 1, bytes(range(12)), 0, False)
 Make = Callable[..., SocketCanSender]

@@ -15,11 +15,11 @@ import pytest
 import zstandard
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host import log_lines
 from tipforce.host.frames import SENT, FrameArray, frame_array
-from tipforce.host.log_reader import LogReader, log_kind, open_log
+from tipforce.host.logs import lines
+from tipforce.host.logs.reader import LogReader, log_kind, open_log
 
-LOGS = Path(__file__).parent / "logs"
+LOGS = Path(__file__).parent / "broken"
 LINES = [f"(1700000000.{k:06d}) can{k % 2} {0x181 + k % 15:03X}#{k:016X}\n" for k in range(20_000)]
 TEXT = "".join(LINES).encode()
 
@@ -136,7 +136,7 @@ def test_zstd_without_its_library_says_what_to_install(tmp_path: Path, monkeypat
 
 
 def test_lines_across_blocks_and_lines_longer_than_a_block(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(log_lines, "BLOCK_BYTES", 4096)
+    monkeypatch.setattr(lines, "BLOCK_BYTES", 4096)
     path = tmp_path / "x.log"
     long = b"x" * 10_000 + b"\n"
     path.write_bytes(TEXT[: 46 * 100] + long + TEXT[46 * 100 : 46 * 101] + long + b"y" * 5000)
@@ -177,7 +177,9 @@ def test_follow_a_file_that_grows_and_starts_again(tmp_path: Path) -> None:
 
 
 def test_stdin_gives_what_has_arrived() -> None:
-    program = "from tipforce.host.log_reader import open_log\nfor block in open_log('-'): print(len(block), flush=True)"
+    program = (
+        "from tipforce.host.logs.reader import open_log\nfor block in open_log('-'): print(len(block), flush=True)"
+    )
     with subprocess.Popen([sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE) as process:
         assert process.stdin is not None
         assert process.stdout is not None

@@ -9,10 +9,10 @@ import can
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.can_filter import Selection
 from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.live.can_filter import Selection
 from tipforce.socketcan import raw_can_id
 
 BURST = 512

@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from host.bulk_support import in_bulk, line_by_line
+from host.logs.bulk_support import in_bulk, line_by_line
 from tipforce.device.codes import EXTENDED_FLAG
-from tipforce.host.candump import CandumpBlock, CandumpParser
-from tipforce.host.candump_format import TIMESTAMPS, CandumpFormat
 from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.logs.candump import CandumpBlock, CandumpParser
+from tipforce.host.logs.candump_format import TIMESTAMPS, CandumpFormat
 
 HEX = "0123456789ABCDEF"
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
-from tipforce.host.candump_errors import error_text
-from tipforce.host.candump_format import CandumpFormat, identifier_text
 from tipforce.host.frames import RawFrame, frame_array
+from tipforce.host.logs.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
+from tipforce.host.logs.candump_errors import error_text
+from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 
 STANDARD = st.integers(0, 0x7FF)
 EXTENDED = st.integers(0, 0x1FFFFFFF).map(lambda number: number | EXTENDED_FLAG)

@@ -127,7 +127,7 @@ class PythonCanSender:
         """See Sender."""
         import can
 
-        from tipforce.host.messages import message
+        from tipforce.host.live.messages import message
 
         try:
             self._bus.send(message(0, can_id, length, data, "", False))
@@ -138,7 +138,7 @@ class PythonCanSender:
         """See Sender."""
         import can
 
-        from tipforce.host.messages import fd_message
+        from tipforce.host.live.messages import fd_message
 
         try:
             self._bus.send(fd_message(frame, ""))

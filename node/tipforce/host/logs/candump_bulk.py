@@ -9,12 +9,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from tipforce.host.candump import BadLineError, CandumpBlock, CandumpParser
-from tipforce.host.candump_rows import Block, Places, take
-from tipforce.host.candump_template import Templates
 from tipforce.host.fd_frame import FdFrame
 from tipforce.host.frames import SENT, FrameArray
-from tipforce.host.log_lines import Text
+from tipforce.host.logs.candump import BadLineError, CandumpBlock, CandumpParser
+from tipforce.host.logs.candump_rows import Block, Places, take
+from tipforce.host.logs.candump_template import Templates
+from tipforce.host.logs.lines import Text
 
 _MAX_TRIES = 32  # for a template, in a block; what is still left goes to the line parser
 _NEWLINE = 10

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 import numpy as np
 import pytest
 
-from tipforce.host.candump import CandumpBlock, CandumpParser
-from tipforce.host.candump_format import CandumpFormat
+from tipforce.host.logs.candump import CandumpBlock, CandumpParser
+from tipforce.host.logs.candump_format import CandumpFormat
 
 LOG = """\
 (1795254996.104918) vcan0 285#2E1129239A110303

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host.log_reader import open_log
+from tipforce.host.logs.reader import open_log
 
 FRAMES = [
     (0x00000285, bytes(range(8))),

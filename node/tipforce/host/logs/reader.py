@@ -9,11 +9,11 @@ from types import TracebackType
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.candump import BadLine, BadLineError, CandumpParser
-from tipforce.host.candump_bulk import CandumpBulk
 from tipforce.host.frames import FRAME, FrameArray
-from tipforce.host.log_lines import LineBlocks, first_bytes, open_file
-from tipforce.host.log_notes import DROPPED, FD, LogNotes
+from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser
+from tipforce.host.logs.candump_bulk import CandumpBulk
+from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
+from tipforce.host.logs.notes import DROPPED, FD, LogNotes
 
 STDIN = "-"
 MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
@@ -52,11 +52,11 @@ class LogReader(LogNotes):
             self._lines = LineBlocks(source, self, follow, part)
             self._blocks = self._text_blocks(self._lines, deltas)
         elif kind == "pcap":
-            from tipforce.host.pcap import pcap_blocks
+            from tipforce.host.logs.pcap import pcap_blocks
 
             self._blocks = pcap_blocks(source, self)
         else:
-            from tipforce.host.log_messages import message_blocks
+            from tipforce.host.logs.library_formats import message_blocks
 
             self._blocks = message_blocks(source, self)
 

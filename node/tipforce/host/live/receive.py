@@ -20,12 +20,12 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host import recvmmsg
-from tipforce.host.can_filter import Selection
 from tipforce.host.fd_frame import FdFrame
 from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, SENT, FrameArray
-from tipforce.host.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
+from tipforce.host.live import recvmmsg
+from tipforce.host.live.can_filter import Selection
+from tipforce.host.live.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
 
 TICK_S = 0.001
 """The least time between two batches: frames that come faster are handed over together, at most this much later."""
@@ -91,7 +91,7 @@ def open_receiver(
         channel = str(options["channel"])
         return SocketReceiver(open_socket(channel, chosen), channel, tick_s=tick_s)
     from tipforce.host.bus import open_bus
-    from tipforce.host.receive_python_can import PythonCanReceiver
+    from tipforce.host.live.receive_python_can import PythonCanReceiver
 
     return PythonCanReceiver(open_bus(**options), chosen, str(options.get("channel") or ""))
 

@@ -4,10 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tipforce.host.candump import BadLineError, CandumpParser
-from tipforce.host.candump_bulk import CandumpBulk
 from tipforce.host.frames import FrameArray
-from tipforce.host.log_lines import PADDING_BYTES
+from tipforce.host.logs.candump import BadLineError, CandumpParser
+from tipforce.host.logs.candump_bulk import CandumpBulk
+from tipforce.host.logs.lines import PADDING_BYTES
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.frames import FRAME, SENT, FrameArray
-from tipforce.host.log_notes import FD, UNREADABLE, LogNotes
+from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes
 from tipforce.socketcan import raw_can_id
 
 BLOCK_MESSAGES = 8192

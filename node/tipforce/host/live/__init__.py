@@ -1,0 +1,1 @@
+"""A bus as it happens: frames received in batches, filtered, and sent."""
