@@ -25,7 +25,7 @@ def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:
 
 
 def described(action: argparse.Action) -> dict[str, Any]:
-    """All that a user sees of a flag, white space in its help aside."""
+    """What a flag takes; the words of its help are ours."""
     return {
         "flags": list(action.option_strings),
         "dest": action.dest,
@@ -35,8 +35,6 @@ def described(action: argparse.Action) -> dict[str, Any]:
         "type": action.type,
         "choices": None if action.choices is None else list(action.choices),
         "required": action.required,
-        "help": " ".join((action.help or "").split()),
-        "metavar": action.metavar,
     }
 
 
@@ -49,9 +47,10 @@ def test_the_flags_are_python_cans() -> None:
     assert ours[-1][0] == "bus arguments"
 
 
-def test_the_help_is_python_cans() -> None:
-    ours, theirs = (" ".join(parser.format_help().split()) for parser in parsers())
-    assert ours == theirs
+def test_the_help_fits_a_screen_and_names_each_interface_once() -> None:
+    ours = parsers()[0].format_help()
+    assert len(ours.splitlines()) <= 35
+    assert [ours.count(name) for name in ("canalystii", "usb2can", "neousys")] == [1, 1, 1]
 
 
 def test_the_built_in_interfaces_are_python_cans() -> None:
@@ -84,7 +83,7 @@ def test_they_parse_as_python_cans(words: str, capsys: pytest.CaptureFixture[str
         try:
             found: Any = {name: str(value) for name, value in vars(parser.parse_args(words.split())).items()}
         except SystemExit as end:
-            found = end.code, capsys.readouterr().err
+            found = end.code, capsys.readouterr().err.partition("error: ")[2]
         results.append(found)
     assert results[0] == results[1]
     capsys.readouterr()

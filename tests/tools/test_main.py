@@ -49,7 +49,7 @@ def test_help_lists_every_command(capsys: pytest.CaptureFixture[str]) -> None:
         out, err = capsys.readouterr()
         assert not err
         for name, (_, summary) in COMMANDS.items():
-            assert f"  {name:10} {summary}\n" in out
+            assert f"  {name:11}  {summary}\n" in out  # one column of names, one of summaries
         assert "exit codes: 0 ok, 1 " in out
 
 

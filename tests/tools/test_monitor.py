@@ -445,6 +445,28 @@ def test_the_screen_shows_what_the_text_shows(log: Path) -> None:
     assert " ".join("\n".join(display.plain(views, 1_000_000)).split()).startswith("vcan0: ")
 
 
+def test_eighty_columns_show_each_value(log: Path) -> None:
+    from rich.console import Console
+
+    watched = Monitor()
+    with open_log(log) as reader:
+        for frames in reader:
+            watched.feed(frames, reader.channels)
+    views = watched.views()
+    stream = io.StringIO()
+    Console(file=stream, width=80, no_color=True).print(display.tables(views, 1_000_000, "the foot", 80))
+    shown = stream.getvalue()
+    assert max(map(len, shown.splitlines())) <= 80
+    assert "\u2026" not in shown
+    head = next(line for line in shown.splitlines() if line.startswith("node"))
+    assert head.split()[-1] == "lost"
+    for node in views[0].nodes:
+        row = display.cells(node)
+        line = next(line for line in shown.splitlines() if line.startswith(row[0]))
+        assert line.split()[-1] == row[-1]
+        assert f"{node.readings['P'].value:.3f} N" in line
+
+
 def test_the_loop_shows_at_each_interval(log: Path) -> None:
     seen: list[int | None] = []
     with open_log(log) as reader:

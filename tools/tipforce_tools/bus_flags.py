@@ -1,7 +1,8 @@
 """python-can's bus flags without importing python-can, which costs a fifth of a second at each `--help`.
 
-The definitions say what ``can.cli.add_bus_arguments`` says (the tests compare them); what takes more than a conversion
-is parsed by python-can's own code, which is imported then.
+The flags take what those of ``can.cli.add_bus_arguments`` take (the tests compare them); what takes more than a
+conversion is parsed by python-can's own code, which is imported then. The words of the help are ours: python-can's
+fill two screens, three times with the names of all interfaces, at every command that speaks to a bus.
 """
 
 from __future__ import annotations
@@ -77,36 +78,26 @@ class _PythonCanAction(argparse.Action):
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """-i -c -b --fd --data-bitrate --timing --bus-kwargs; what is not given stays unset, as with python-can."""
-    group = parser.add_argument_group("bus arguments")
-    unset = argparse.SUPPRESS
-    group.add_argument(
-        "-c", "--channel", default=unset, metavar="CHANNEL",
-        help="Most backend interfaces require some sort of channel. For example with the serial interface the channel "
-        'might be a rfcomm device: "/dev/rfcomm0". With the socketcan interface valid channel examples include: '
-        '"can0", "vcan0".',
-    )  # fmt: skip
-    group.add_argument(
-        "-i", "--interface", default=unset, choices=Interfaces(),
-        help="Specify the backend CAN interface to use. If left blank, fall back to reading from configuration files.",
-    )  # fmt: skip
-    group.add_argument(
-        "-b", "--bitrate", type=int, default=unset, metavar="BITRATE", help="Bitrate to use for the CAN bus."
+    group = parser.add_argument_group(
+        "bus arguments", "as python-can has them; else from CAN_INTERFACE, CAN_CHANNEL, CAN_BITRATE, or ~/.canrc"
     )
-    group.add_argument("--fd", default=unset, action="store_true", help="Activate CAN-FD support")
+    unset = argparse.SUPPRESS
+    group.add_argument("-c", "--channel", default=unset, metavar="CHANNEL", help="as can0, vcan0, /dev/ttyACM0")
     group.add_argument(
-        "--data-bitrate", type=int, default=unset, metavar="DATA_BITRATE",
-        help="Bitrate to use for the data phase in case of CAN-FD.",
+        "-i", "--interface", default=unset, choices=Interfaces(), metavar="INTERFACE",
+        help="as socketcan; one of %(choices)s",
     )  # fmt: skip
     group.add_argument(
-        "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="TIMING_ARG",
-        help="Configure bit rate and bit timing. For example, use `--timing f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 "
-        "brp=2 nof_samples=1` for classical CAN or `--timing f_clock=80_000_000 nom_tseg1=119 nom_tseg2=40 nom_sjw=40 "
-        "nom_brp=1 data_tseg1=29 data_tseg2=10 data_sjw=10 data_brp=1` for CAN FD. Check the python-can documentation "
-        "to verify whether your CAN interface supports the `timing` argument.",
+        "-b", "--bitrate", type=int, default=unset, metavar="BIT/S",
+        help="where the interface sets it; that of SocketCAN is set by `ip link`",
+    )  # fmt: skip
+    group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
+    group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the data phase of CAN FD")
+    group.add_argument(
+        "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=N",
+        help="instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
     )  # fmt: skip
     group.add_argument(
-        "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="BUS_KWARG",
-        help="Pass keyword arguments down to the instantiation of the bus class. For example, `-i vector -c 1 "
-        "--bus-kwargs app_name=MyCanApp serial=1234` is equivalent to opening the bus with `can.Bus('vector', "
-        "channel=1, app_name='MyCanApp', serial=1234)",
+        "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=VALUE",
+        help="what else the interface takes, as app_name=MyCanApp serial=1234",
     )  # fmt: skip

@@ -14,6 +14,7 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     import can
     from rich.console import Console
+    from rich.table import Table
 
     from tipforce.host.connection import Connection
 
@@ -155,9 +156,30 @@ def console(args: argparse.Namespace) -> Console:
     """A rich console on stdout that follows --color and NO_COLOR; into a pipe tables keep a fixed width."""
     from rich.console import Console
 
+    class QuietConsole(Console):
+        def on_broken_pipe(self) -> None:  # rich's own ends with exit code 1; `| head` is no failure
+            raise BrokenPipeError
+
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     width = None if sys.stdout.isatty() else 120
-    return Console(force_terminal=True if args.color == "always" else None, no_color=plain, width=width)
+    return QuietConsole(force_terminal=True if args.color == "always" else None, no_color=plain, width=width)
+
+
+def print_table(args: argparse.Namespace, table: Table) -> None:
+    """A table on stdout. Where the terminal is too narrow it loses its lines, and words wrap; a number never does.
+
+    A number that is cut (`4.…`) says nothing, and one that wraps stands beside the label of another.
+    """
+    screen = console(args)
+    unbounded = screen.options.update(width=1000)
+    if screen.measure(table, options=unbounded).maximum > screen.width:
+        table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
+        for column in table.columns:
+            if column.justify == "right":
+                column.no_wrap, column.header = True, str(column.header).replace(" ", "\n")
+        # What does not fit even so is for the terminal to wrap.
+        screen.width = max(screen.width, screen.measure(table, options=unbounded).minimum)
+    screen.print(table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:

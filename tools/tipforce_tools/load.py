@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce load -i socketcan -c can0 -b 1000000 --seconds 5"
     )
     paper = parser.add_argument_group("a hand on paper")
-    paper.add_argument("--nodes", type=int, metavar="N", help="fingers")
+    paper.add_argument("--nodes", type=_count, metavar="N", help="fingers; 1-5 is five, too")
     paper.add_argument("--rate", type=float, default=500.0, metavar="HZ", help="SYNCs a second (default %(default)g)")
     paper.add_argument(
         "--pdos", default="contact", metavar="NAMES", help="of gauges,contact,force,health (default %(default)s)"
@@ -62,7 +62,14 @@ def _paper(args: argparse.Namespace) -> int:
         print("\n".join(budget_lines(budget)))
         print(f"fits under {args.limit:g} % in the worst case:")
         print("\n".join(what_fits(args.nodes, args.rate, pdos, args.gauges, bit_rate, args.limit / 100)))
+        if budget.most_load > args.limit / 100:
+            print(f"it does not fit: {100 * budget.most_load:.1f} % in the worst case, allowed are {args.limit:g} %")
     return 1 if budget.most_load > args.limit / 100 else 0
+
+
+def _count(text: str) -> int:
+    """A number of nodes, or how many a set of node-ids has (other commands take one as --nodes)."""
+    return len(common.node_ids(text)) if "," in text or "-" in text[1:] else int(text)
 
 
 def pdo_names(text: str, gauges: int) -> list[str]:

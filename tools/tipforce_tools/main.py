@@ -95,7 +95,8 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _answer(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
-        lines = (f"  {name:10} {summary}" for name, (_, summary) in COMMANDS.items())
+        width = max(map(len, COMMANDS))
+        lines = (f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items())
         print(USAGE.format(commands="\n".join(lines)), end="")
         return 0 if words else 2
     if words[0] in ("-V", "--version"):

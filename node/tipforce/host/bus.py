@@ -15,6 +15,11 @@ def open_bus(**options: Any) -> can.BusABC:
     try:
         return can.Bus(**given)
     except (can.CanError, OSError, ImportError, ValueError) as error:
+        if "interface" not in given and 'type "None"' in str(error):  # nothing names one
+            raise EnvironmentLackError(
+                "no bus is named: give -i and -c, as -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
+                "`tipforce doctor` says what this machine has"
+            ) from None
         interface = given.get("interface", "from python-can's configuration")
         raise EnvironmentLackError(
             f"interface {interface}, channel {given.get('channel', '(default)')}: {error}; "

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TypeVar
 
+from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
@@ -124,8 +125,19 @@ class FingertipClient:
         return lines
 
     def store(self, calibration: bool = False) -> None:
-        """Store all parameters (1010h:1), or the calibration alone (1010h:4)."""
-        self.sdo.write(od.STORE[4 if calibration else 1], table.SIGNATURE_SAVE)
+        """Store all parameters (1010h:1), or the calibration alone (1010h:4).
+
+        Raises SdoAbortError; where the node has no store that works, the text says what to do.
+        """
+        try:
+            self.sdo.write(od.STORE[4 if calibration else 1], table.SIGNATURE_SAVE)
+        except SdoAbortError as error:
+            if error.code != codes.HARDWARE:
+                raise
+            raise SdoAbortError(
+                f"{error}: the node has nowhere to store, or its store fails; what was written works until its next "
+                "reset (`tipforce node` stores with --store FILE)", error.code,
+            ) from None  # fmt: skip
 
     def tare(self) -> None:
         """Take the force of the latest sample as zero (6139h); SdoAbortError when there is no force to take."""

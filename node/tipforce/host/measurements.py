@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import codecs
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -70,9 +71,10 @@ class Measurements:
 def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
     """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg must be there.
 
-    Gauge columns SG1..SGn or e1_ue..en_ue in microstrain, n = 3 to 8; optional t_s, temperature_degC, weight,
-    mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and reason. Raises InputError
-    where the whole file cannot be used: not readable, empty, not UTF-8, a header with a column missing or twice.
+    Gauge columns SG1..SGn, SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s,
+    temperature_degC, weight, mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and
+    reason. Raises InputError where the whole file cannot be used: not readable, empty, not UTF-8, a header with a
+    column missing or twice, a decoded log with its estimates beside the gauges.
     """
     lines = _lines(path)
     columns = _header(path, lines[0], loads)
@@ -150,11 +152,18 @@ def _header(path: str | Path, text: str, loads: bool) -> Columns:
     names = [name.strip().strip('"').strip() for name in text.split(",")]
     if len(names) == 1 and (";" in text or "\t" in text):
         raise InputError(f"{path}: line 1: columns are separated by commas (and decimals written with a point)")
-    plain = [f"SG{name[1:-3]}" if name.startswith("e") and name.endswith("_ue") else name for name in names]
+    plain = [re.sub(r"(?:e|SG)(\d+)_ue", r"SG\1", name) for name in names]
+    decoded = [name for name in names if re.fullmatch(r"SG\d+_ue", name)]
+    if decoded and "P_N" in plain:
+        raise InputError(
+            f"{path}: line 1: {decoded[0]} beside P_N: this is a decoded log, whose P_N is the node's estimate and no "
+            "load; write `tipforce decode LOG --nodes ID --signals SG1,SG2,SG3 -o FILE.csv`, or let `decode "
+            "--calibration CAL.toml` estimate"
+        )
     twice = sorted({name for name in plain if name and plain.count(name) > 1})
     if twice:
         raise InputError(f"{path}: line 1: the column {', '.join(twice)} is there more than once")
-    gauges = [name for name in plain if name.startswith("SG")]
+    gauges = [name for name in plain if name.startswith("SG") and not name.endswith("_fault")]
     expected = [f"SG{k + 1}" for k in range(len(gauges))]
     if sorted(gauges) != sorted(expected) or not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
         raise InputError(

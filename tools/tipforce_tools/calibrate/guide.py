@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "A plan of your own (TOML): a [[step]] for each load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
         "tare) and instruction; tare_every = 4 says how often an unloaded reading comes between."
     )
-    parser.add_argument("--node", type=common.node_id, required=True, metavar="ID")
+    parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--plan", metavar="PLAN.toml", help="steps of another rig")
     parser.add_argument("--weights", metavar="N,N", help=f"newtons (default {DEFAULT_WEIGHTS})")
     parser.add_argument("--grooves", metavar="paper|x30,y60,...", help="default: paper, its 19 grooves")
@@ -64,6 +64,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     fit.add_model_arguments(parser)
     parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: by hand 0.5 degree, --auto none
+    scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
+    scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)

@@ -16,7 +16,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
     )
     parser.add_argument("file", metavar="CAL.toml")
-    parser.add_argument("--node", type=common.node_id, required=True, metavar="ID")
+    parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument("--no-store", action="store_true", help="apply until the next reset only")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)

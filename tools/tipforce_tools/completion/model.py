@@ -91,7 +91,7 @@ def _command_line(
 def _flags(parser: argparse.ArgumentParser) -> Iterator[Flag]:
     for action in parser._actions:
         if action.option_strings and action.help != argparse.SUPPRESS:
-            text = " ".join((action.help or "").split())
+            text = " ".join((action.help or "").replace("; one of %(choices)s", "").split())
             text = text % {**vars(action), "prog": parser.prog} if "%" in text else text
             yield Flag(tuple(action.option_strings), text, None if action.nargs == 0 else _value(action))
 

@@ -14,7 +14,7 @@ Columns: t_s (receive time, seconds of the epoch; a UTC timestamp in Parquet), c
 counter (unwrapped), P_N, phi_deg, theta_deg, F1_N.., SG1_ue.. (microstrain), status flags; those that the log has.
 --resample takes the mean over each interval, of phi and theta that of their directions; `n_P_N` tells of how many.
 Lost samples (gaps in the counter) and bad lines are told on stderr; with --json and -o, as a summary on stdout.
-exit codes: 0 ok, 1 a bad line with --strict or a full disk, 2 usage
+exit codes: 0 ok, 1 a bad line with --strict or a full disk, 2 usage, or no log (not one frame in it)
 
   tipforce decode run.log                                    lines to read
   tipforce decode run.log -o run.csv

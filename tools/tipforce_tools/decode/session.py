@@ -20,6 +20,7 @@ from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.recording import Recording, Told
 from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.decode.writers import format_of, open_writer
+from tipforce_tools.live import counted
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
 _LEAST_PIECE_BYTES = 8_000_000  # less is not worth a piece
@@ -44,7 +45,7 @@ def decode(args: Namespace) -> int:
     tables = steps.resampled(tables)
     code, complete = 0, False
     try:
-        _write_all(args, kind, tables, steps)
+        _write_all(args, kind, tables, steps, recording.told)
         complete = True
     except StrictError as error:
         bar.close()
@@ -148,10 +149,11 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps) -> None:
+def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps, told: Told) -> None:
     if args.summary and args.output is None:
         for _ in tables:
             pass
+        _check_readable(told)
         return
     base = () if steps.rate_hz is not None else ("counter",)
     writer = open_writer(args.output, kind, force=args.force, rate_base=base)
@@ -159,6 +161,7 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     try:
         for table in tables if live else _looked_ahead(tables):
             writer.write(table)
+        _check_readable(told)
         writer.close()
     except BaseException:
         writer.abort()
@@ -166,6 +169,12 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     left_out = getattr(writer, "left_out", None)
     if left_out:
         common.note(args, f"not in the CSV, as they came after its header: {', '.join(sorted(left_out))}")
+
+
+def _check_readable(told: Told) -> None:
+    """Raises InputError where there is much and none of it is a frame: then something else was given than logs."""
+    if summaries.bad_lines(told) and not any(notes.frames for notes in told.notes):
+        raise InputError(f"{', '.join(notes.source for notes in told.notes)}: not one frame in it; is it a log?")
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
@@ -192,11 +201,22 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
         common.note(args, line)
     if args.summary and not args.json:
         return
+    if complete and not summary.samples:
+        common.note(args, _nothing(args, told))
     for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
         common.note(args, line)
     if complete and args.output not in {None, "-"} and not args.json:
         lost = sum(told.tally.lost().values())
         common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+
+
+def _nothing(args: Namespace, told: Told) -> str:
+    """Why there is no row."""
+    frames = sum(notes.frames for notes in told.notes)
+    given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
+    flags = [flag for flag, value in given if value is not None]
+    chosen = f"; {', '.join(flags)} may leave it out" if flags and frames else ""
+    return f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}"
 
 
 def check(args: Namespace) -> None:

@@ -116,7 +116,7 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
         parts += [b"node ", cells.right(cells.whole_cells(node), 3), b" ", cells.word_cells(hexadecimal[node])]
         for column in piece.columns:
             if column.kind != "flag":
-                parts += [f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column)]
+                parts += [f"  {column.signal} ".encode(), _people_cells(column, piece), _unit(column, piece)]
         if COUNTER in base:
             counter, without = base_cells(piece, COUNTER)
             counter = np.pad(counter, ((0, 0), (1, 0)), constant_values=ord("#"))
@@ -130,9 +130,11 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
     return text
 
 
-def _unit(column: Column) -> bytes:
-    unit = _UNITS.get(column.unit, column.unit)
-    return f" {unit}".encode() if unit else b""
+def _unit(column: Column, table: Table) -> bytes | cells.Cells:
+    """The unit behind a value, blanks behind what is unknown."""
+    unit = f" {_UNITS.get(column.unit, column.unit)}".encode() if column.unit else b""
+    missing = is_missing(column, table.values[column.name])
+    return cells.chosen(missing, b" " * len(unit), unit) if unit and missing.any() else unit
 
 
 def _people_cells(column: Column, table: Table) -> cells.Cells:

@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.common import add_output_arguments, console, note, print_json, set_up_logging
+from tipforce_tools.common import add_output_arguments, note, print_json, print_table, set_up_logging
 from tipforce_tools.view.command import add_server_arguments
 
 if TYPE_CHECKING:
@@ -88,7 +88,6 @@ def _record(result: Result) -> dict[str, object]:
 def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[str, ...]) -> None:
     from rich.table import Table
 
-    out = console(args)
     for case in cases:
         table = Table(
             title=f"Case {case}: applied, estimated by the node, error, standard uncertainty", title_justify="left"
@@ -103,7 +102,7 @@ def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[
             "est",
             "err",
             "u",
-            "theta",
+            "theta deg",
             "est",
             "err",
             "u",
@@ -114,14 +113,14 @@ def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[
             cells = [result.sense]
             for k, digits in enumerate((3, 2, 2)):
                 cells += [
-                    f"{result.applied[k]:.{min(digits, 2)}f}",
+                    f"{result.applied[k]:g}",  # short: all of it fits 80 columns
                     f"{result.estimated[k]:.{digits}f}",
                     f"{result.error[k]:+.{digits}f}",
                     f"{result.u[k]:.{digits}f}",
                 ]
             good = result.inside and result.host_agrees
             table.add_row(*cells, "ok" if good else "OUT", style=None if good else "bold red")
-        out.print(table)
+        print_table(args, table)
 
 
 def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) -> int:

@@ -54,7 +54,7 @@ def _print_structures(args: argparse.Namespace, entries: list[Assessment]) -> No
     for entry in entries:
         lengths = (f"{1e3 * getattr(entry.geometry, name):.3f}" for _, name in _GEOMETRY)
         table.add_row(entry.name, *lengths, ", ".join(gauge_name(gauge) for gauge in entry.gauges))
-    common.console(args).print(table)
+    common.print_table(args, table)
 
 
 def _print_figures(args: argparse.Namespace, entries: list[Assessment]) -> None:
@@ -99,7 +99,7 @@ def _print_table(
         table.add_column(heading, justify="right")
     for entry, row in zip(entries, rows, strict=True):
         table.add_row(entry.name, *row, style=None if entry.agrees else "yellow")
-    common.console(args).print(table)
+    common.print_table(args, table)
 
 
 def _figures(merit: Merit) -> tuple[str, str, str]:

@@ -80,16 +80,23 @@ def _wanted(
 def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target, ...]]:
     """Where text comes from (a file, STDIN, or None: from buses), and the channels.
 
-    Raises InputError for two sources, and for a file that is not there.
+    Filters behind a file hold for all that it has: `run.log,181:7FF` is `run.log any,181:7FF`. Raises InputError for
+    two sources, for a directory, and for a file that is not there.
     """
     sources: list[Path | str] = []
     targets: list[Target] = []
     for text in texts:
         path = Path(text)
-        if text == STDIN:
+        name, comma, rules = text.partition(",")
+        if comma and not path.exists() and (name == STDIN or Path(name).is_file() or Path(name).is_fifo()):
+            sources.append(name if name == STDIN else Path(name))
+            targets.append(parse_target(f"{ANY},{rules}"))
+        elif text == STDIN:
             sources.append(text)
         elif path.is_file() or path.is_fifo():
             sources.append(path)
+        elif path.is_dir():
+            raise InputError(f"{text}: is a directory; name one log in it")
         elif path.suffix in {".log", ".txt"} or ("/" in text and "," not in text and not path.exists()):
             raise InputError(f"{text}: no such file")
         else:

@@ -7,14 +7,14 @@ import re
 from tipforce_tools import common
 
 DESCRIPTION = """\
-Record frames until Ctrl-C, SIGTERM, -n or -T. What was received is in the file then, whatever ended it; stderr tells
-how many frames, and how many the kernel had to drop.
+Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. What was received is in the file then, whatever ended it;
+stderr tells how many frames, and how many the kernel had to drop.
 """
 EPILOG = """\
 CHANNEL[,FILTER...] as `tipforce dump` and candump have it; without #MASK no error frames. The suffix of FILE is the
 format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4 .txt
 (python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered: run-0001.log.
-exit codes: 0 ended by -n or -T, 130 by Ctrl-C or SIGTERM, 1 the disk is full, 2 usage
+exit codes: 0 ended by -n, -T or --seconds, 130 by Ctrl-C or SIGTERM, 1 the disk is full, 2 usage
 
   tipforce log vcan0                                candump-2026-05-17_093000.log, as candump -l
   tipforce log -o run.log.gz vcan0,180:780 vcan1
@@ -33,6 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
     parser.add_argument("-n", dest="count", type=_positive, metavar="COUNT", help="end after COUNT frames")
     parser.add_argument("-T", dest="timeout_ms", type=_positive, metavar="MS", help="end after MS without a frame")
+    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
     parser.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
     parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
     parser.add_argument("--rotate-time", type=_seconds, metavar="S", help="a new file after S seconds")

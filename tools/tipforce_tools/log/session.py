@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from argparse import Namespace
 from pathlib import Path
@@ -26,7 +27,7 @@ _LAST_S = 0.5  # for what the buses still hold when a signal comes
 
 
 def record(args: Namespace) -> int:
-    """Record until -n, -T or a signal. 0, or 130 after a signal."""
+    """Record until -n, -T, --seconds or a signal. 0, or 130 after a signal."""
     source, targets = split_targets(args.targets)
     if source is not None:
         raise InputError(f"{source}: log records from buses; `tipforce replay` plays a file")
@@ -46,11 +47,12 @@ def record(args: Namespace) -> int:
 
 
 def _record(args: Namespace, receiver: ReceiverGroup, recorder: Recorder, stop: StopSignals) -> None:
-    limit_s = None if args.timeout_ms is None else args.timeout_ms / 1000
+    limit_s = math.inf if args.timeout_ms is None else args.timeout_ms / 1000
     last_s = time.monotonic()
-    while not stop.stopped:
+    end_s = math.inf if args.seconds is None else last_s + args.seconds
+    while not stop.stopped and (now_s := time.monotonic()) < end_s:
         try:
-            block = receiver.receive_block(_SLICE_S if limit_s is None else min(_SLICE_S, limit_s))
+            block = receiver.receive_block(min(_SLICE_S, limit_s, end_s - now_s))
         except InterfaceDownError as error:
             if not args.stay:
                 raise
@@ -58,17 +60,17 @@ def _record(args: Namespace, receiver: ReceiverGroup, recorder: Recorder, stop: 
             continue
         if len(block):
             last_s = time.monotonic()
-        elif limit_s is not None and time.monotonic() - last_s >= limit_s:
+        elif time.monotonic() - last_s >= limit_s:
             return
         if args.count is not None:
             block = block.head(args.count - recorder.frames)
         recorder.write(block)
         if recorder.frames == args.count:
             return
-    # What had come when the signal came is recorded, too.
+    # What had come until then is recorded, too.
     end_s = time.monotonic() + _LAST_S
     while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
-        recorder.write(block)
+        recorder.write(block if args.count is None else block.head(args.count - recorder.frames))
 
 
 def _report(args: Namespace, recorder: Recorder, dropped: int, seconds: float) -> None:

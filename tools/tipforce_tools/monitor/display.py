@@ -14,6 +14,10 @@ if TYPE_CHECKING:
 
 _DIGITS = {"N": 3, "degree": 2}
 _UNITS = {"degree": "deg"}
+WIDE = 120
+"""Characters that the whole table wants."""
+_WIDE_ONLY = frozenset({"Hz", "period ms p50/p99/max"})
+_NARROW = {"node": 8, "age": 6, "P": 8, "phi": 10, "theta": 10, "NMT": 11, "last EMCY": 5, "lost": 4}
 COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", "NMT", "last EMCY", "lost")
 
 
@@ -74,17 +78,27 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
             yield "no node has said anything yet"
 
 
-def tables(buses: Sequence[BusView], bitrate: int, foot: str) -> Group:
-    """The same for a terminal."""
+def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE) -> Group:
+    """The same for a terminal of ``width`` characters: a narrow one has no lines, no rate, and no periods."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text
 
     found: list[Any] = []
     for bus in buses:
-        table = Table(*COLUMNS, title=headline(bus, bitrate), title_justify="left", expand=False)
+        narrow = width < WIDE
+        table = Table(title=headline(bus, bitrate), title_justify="left", expand=False)
+        if narrow:
+            table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
+        kept = [k for k, name in enumerate(COLUMNS) if not narrow or name not in _WIDE_ONLY]
+        status_width = max(width - sum(_NARROW.values()) - len(kept), 10)
+        for k in kept:
+            fixed = _NARROW.get(COLUMNS[k], status_width) if narrow else None
+            table.add_column(COLUMNS[k], width=fixed, overflow="fold")
         for node in bus.nodes:
-            table.add_row(*(Text(text, style=_style(text)) for text in cells(node)), style="dim" if node.stale else "")
+            texts = cells(node)
+            row = (Text(texts[k], style=_style(texts[k])) for k in kept)
+            table.add_row(*row, style="dim" if node.stale else "")
         found.append(table)
     return Group(*found, Text(foot, style="dim"))
 

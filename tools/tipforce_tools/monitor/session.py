@@ -138,7 +138,8 @@ def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
         def show(watched: Monitor, now_ns: int | None) -> None:
             foot = f"{counted(watched.frames, 'frame')}; every {interval_s:g} s; q ends"
             buses = watched.views(now_ns)
-            live.update(display.tables(buses, getattr(args, "bitrate", BITRATE), foot), refresh=True)
+            picture = display.tables(buses, getattr(args, "bitrate", BITRATE), foot, live.console.width)
+            live.update(picture, refresh=True)
 
         yield show
 

@@ -46,7 +46,7 @@ def plot(args: Namespace) -> int:
     tables: Iterable[Table] = recording.tables_of_logs(names)
     for table in tables if contact is None else contact.tables(tables):
         fingers.add(table)
-    _check(fingers, names)
+    _check(args, fingers, names, frames=sum(notes.frames for notes in recording.told.notes))
     drawn = figure.draw(fingers, figure.Look(args.title, args.size, STATUS in wanted), plt)
     _write(args, drawn, path, plt)
     for notes in recording.told.notes:
@@ -54,6 +54,8 @@ def plot(args: Namespace) -> int:
             common.note(args, f"tipforce plot: {notes.source}: {counted(sum(notes.bad.values()), 'bad line')} left out")
     if args.json:
         common.print_json(_record(fingers, path))
+    elif path is not None:
+        common.note(args, f"{path}: {counted(len(fingers.named()), 'node')}")
     return 0
 
 
@@ -83,10 +85,13 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
     return frozenset(found)
 
 
-def _check(fingers: Fingers, names: Iterable[str]) -> None:
+def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int) -> None:
     count = len(fingers.named())
     if not count:
-        raise InputError(f"{', '.join(names)}: no PDO of a fingertip in it, so there is nothing to draw")
+        given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
+        flags = ", ".join(flag for flag, value in given if value is not None)
+        why = f" (of {counted(frames, 'frame')}, with {flags})" if flags else ""
+        raise InputError(f"{', '.join(names)}: no PDO of a fingertip in it{why}, so there is nothing to draw")
     if not fingers.timed:
         raise InputError(f"{', '.join(names)}: no timestamps, so there is nothing to draw over; candump -L writes them")
     if count > MOST_FINGERS:

@@ -129,7 +129,7 @@ def replay(args: Namespace) -> int:
     late_s = [0.0]
     with StopSignals() as stop, ExitStack() as opened:
         buses = Buses(args, opened)
-        start_s = time.monotonic()
+        start_s, started = time.monotonic(), True
         try:
             for frame in _frames(args, parser):
                 if not _wait_until(start_s + frame.due_s, stop):
@@ -139,8 +139,12 @@ def replay(args: Namespace) -> int:
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
+        except InputError:
+            started = buses.sent > 0  # else there is nothing to tell but the error
+            raise
         finally:
-            _report(args, buses, parser, time.monotonic() - start_s, late_s[0])
+            if started:
+                _report(args, buses, parser, time.monotonic() - start_s, late_s[0])
     return INTERRUPTED if stop.stopped else 0
 
 

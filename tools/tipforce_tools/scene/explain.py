@@ -50,7 +50,10 @@ def run(args: argparse.Namespace) -> int:
     _print_parts(args, rows)
     _print_identifiers(args, sent)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
-    print(f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % to {100 * high:.1f} %, stuff bits{fits}")
+    print(
+        f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with as many as "
+        f"there can be{fits}"
+    )
     return 0
 
 
@@ -94,7 +97,7 @@ def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
             cells += ["" if row.get(key) is None else f"{row[key]:.1f}" for key in _COSTS]
         cells[2] = escape(cells[2])
         table.add_row(*cells, _short(row["modules"]) if row["built"] else "", style=None if row["built"] else "dim")
-    common.console(args).print(table)
+    common.print_table(args, table)
 
 
 def _short(modules: list[str]) -> str:
@@ -123,4 +126,4 @@ def _print_identifiers(args: argparse.Namespace, sent: list[dict[str, Any]]) -> 
         rate = f"{one['rate_hz']:g} Hz" if one["rate_hz"] else "once"
         load = f"{100 * one['load']:.2f} %" if one["rate_hz"] else ""
         table.add_row(one["cob_id"], one["what"], rate, f"{one['data_bytes']} bytes", load)
-    common.console(args).print(table)
+    common.print_table(args, table)

@@ -63,7 +63,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         _print_json(outcome)
     else:
-        common.console(args).print(_table(scene.title or args.scene, outcome))
+        common.print_table(args, _table(scene.title or args.scene, outcome))
         _print_checks(outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
@@ -103,7 +103,7 @@ def _table(title: str, outcome: Outcome) -> Table:
     table = Table(title=f"{title}: at the end, and errors over all samples with a known value", title_justify="left")
     table.add_column("node", justify="right")
     table.add_column("samples", justify="right")
-    table.add_column("", justify="left")
+    table.add_column("", justify="left", no_wrap=True)
     for name in ("applied", "estimated", "RMS error", "max error"):
         table.add_column(name, justify="right")
     table.add_column("missing", justify="left")
@@ -140,9 +140,11 @@ def _counts(found: dict[str, int]) -> str:
 def _print_checks(outcome: Outcome) -> None:
     for check in outcome.checks:
         print(f"{_verdict(check):10} node {check.node_id}, {check.expected}: {check.found}")
-    held, failed = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False))
+    held, failed, open_ = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False, None))
     if outcome.checks:
-        print(f"{'PASS' if outcome.ok else 'FAIL'}: {held} of {len(outcome.checks)} expectations hold, {failed} do not")
+        word = "FAIL" if failed else "PASS" if held else "NOT JUDGED"
+        rest = f", {open_} not judged (the run was too short)" if open_ else ""
+        print(f"{word}: {held} of {len(outcome.checks)} expectations hold, {failed} do not{rest}")
 
 
 def _verdict(check: Check) -> str:

@@ -33,11 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce view hand.toml                   bring the hand up, and show it\n"
         "  tipforce view -i socketcan -c can0        listen only: whatever fingers are heard\n"
         "  tipforce view run.log                     replay a log\n"
+        "  tipforce view scenes/grasp.toml           run a scene, and replay it\n"
         "  tipforce demo --view                      a simulated hand, without CAN\n"
         "The page is read-only and on this machine only, unless --allow-writes and --host say otherwise."
     )
     parser.add_argument(
-        "source", nargs="?", metavar="HAND.toml|LOG", help="a hand file, or a log; else the bus is heard"
+        "source",
+        nargs="?",
+        metavar="HAND.toml|LOG|SCENE.toml",
+        help="a hand file, a log, or a scene; else the bus is heard",
     )
     parser.add_argument("--no-bring-up", action="store_true", help="with a hand file: change nothing, only listen")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show these only: 1,2,5-9")
@@ -45,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", metavar="I|II|III|FILE", help="where the gauges are, for fingers that do not say it"
     )
-    group = parser.add_argument_group("log")
+    group = parser.add_argument_group("log or scene")
     group.add_argument(
         "--from", dest="start_s", type=float, default=0.0, metavar="S", help="seconds from its beginning"
     )
@@ -124,6 +128,8 @@ def _source(args: argparse.Namespace) -> Iterator[Source]:
         raise InputError("--no-bring-up goes with a hand file")
     if path is None or (args.no_bring_up and path is not None):
         source = _listen(args, path)
+    elif path.suffix == ".toml" and _is_scene(path):
+        source = _scene(args, path)
     elif path.suffix == ".toml":
         source = _hand(args, path)
     else:
@@ -140,6 +146,19 @@ def _log(args: argparse.Namespace, path: Path) -> Source:
     if str(path) == "-":
         raise InputError("a log is read more than once: give a file, not -")
     return LogSource(path, _maker(args), args.gauges, (), args.start_s, args.end_s)
+
+
+def _is_scene(path: Path) -> bool:
+    from tipforce_tools.view.scene_source import is_scene
+
+    return is_scene(path)
+
+
+def _scene(args: argparse.Namespace, path: Path) -> Source:
+    from tipforce_tools.view.scene_source import scene_source
+
+    common.note(args, f"{path}: running the scene")
+    return scene_source(path, _maker(args), args.gauges, args.start_s, args.end_s)
 
 
 def _listen(args: argparse.Namespace, path: Path | None) -> Source:

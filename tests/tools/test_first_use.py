@@ -1,0 +1,247 @@
+"""What somebody meets who has just installed it: no bus, a wrong file, a narrow terminal, a pipe that closes."""
+
+from __future__ import annotations
+
+import io
+import json
+import subprocess
+import sys
+from argparse import Namespace
+from pathlib import Path
+from typing import Any
+
+import pytest
+from rich.console import Console
+from rich.table import Table
+
+from tipforce.device import codes
+from tipforce.dictionary import objects as od
+from tipforce.errors import InputError, SdoAbortError
+from tipforce.host.fingertip import FingertipClient
+from tipforce_tools import common
+from tipforce_tools.main import main
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.scene_source import is_scene, scene_source
+
+SCENE = """\
+duration_s = 0.2
+sync_hz = 100
+
+[[nodes]]
+ids = [5, 6]
+pdos = ["gauges", "contact"]
+layout = "II"
+
+[[loads]]
+kind = "static"
+P_N = 2.0
+phi_deg = -90
+theta_deg = 80
+"""
+EXPECTS = SCENE + "\n[[expect]]\nfrom_s = 0.1\nto_s = 0.2\nP_error_N = 0.1\n"
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> Path:
+    path = tmp_path / "scene.toml"
+    path.write_text(EXPECTS)
+    return path
+
+
+@pytest.fixture
+def log(scene: Path, tmp_path: Path) -> Path:
+    path = tmp_path / "run.log"
+    assert main(["run", str(scene), "-q", "--json", "-o", str(path)]) == 0
+    return path
+
+
+@pytest.fixture
+def not_a_log(tmp_path: Path) -> Path:
+    path = tmp_path / "notes.txt"
+    path.write_text("these are\nno frames\n")
+    return path
+
+
+@pytest.mark.parametrize(
+    "words", ["scan", "sdo read 5 0x1017 0 u16", "dump", "log", "load", "node --node-id 5", "view"]
+)
+def test_without_a_bus_it_says_how_to_name_one(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    import can
+
+    monkeypatch.setenv("HOME", str(tmp_path))
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(can.util, "CONFIG_FILES", [])
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_CONFIG"):
+        monkeypatch.delenv(name, raising=False)
+    assert main(words.split()) == 2
+    told = capsys.readouterr().err
+    assert "tipforce: no bus is named: give -i and -c, as -i socketcan -c can0" in told
+    assert "None" not in told
+
+
+def test_a_file_that_is_no_log_is_refused(not_a_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out.csv"
+    for words in ([], ["-o", str(out)], ["--summary"], ["--json"]):
+        assert main(["decode", str(not_a_log), *words]) == 2
+        told = capsys.readouterr().err
+        assert f"{not_a_log}: not one frame in it; is it a log?" in told
+        assert "line 1: 'these are'" in told
+    assert not out.exists()
+
+
+def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "empty.log").write_text("")
+    assert main(["decode", str(tmp_path / "empty.log")]) == 0
+    assert capsys.readouterr() == ("", "no sample of a fingertip in 0 frames\n")
+    assert main(["decode", str(log), "--nodes", "77"]) == 0
+    out, err = capsys.readouterr()
+    assert not out
+    assert err.startswith("no sample of a fingertip in ")
+    assert err.endswith(" frames; --nodes may leave it out\n")
+
+
+def test_what_plot_can_not_find_may_be_chosen_away(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    pytest.importorskip("matplotlib")
+    assert main(["plot", str(log), "-o", str(tmp_path / "x.png"), "--nodes", "77"]) == 2
+    assert "with --nodes), so there is nothing to draw" in capsys.readouterr().err
+
+
+def test_filters_behind_a_log_hold_for_it(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["dump", f"{log},285:7FF", "-n", "3"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert [line.split()[1] for line in lines] == ["285"] * 3
+    assert main(["dump", str(tmp_path)]) == 2
+    assert "is a directory" in capsys.readouterr().err
+
+
+def test_log_ends_after_seconds(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "v.log"
+    assert main(["log", "-i", "virtual", "-c", "first_use", "-o", str(path), "--seconds", "0.05", "--json"]) == 0
+    out, _ = capsys.readouterr()
+    assert json.loads(out)["frames"] == 0
+    assert json.loads(out)["seconds"] >= 0.05
+
+
+def test_replay_of_nothing_tells_only_the_error(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["replay", str(tmp_path / "no.log"), "-i", "virtual", "-c", "first_use"]) == 2
+    err = capsys.readouterr().err
+    assert "No such file" in err
+    assert len(err.splitlines()) == 1
+
+
+def test_load_takes_a_set_of_nodes_and_says_that_it_does_not_fit(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["load", "--nodes", "1-5", "--rate", "500"]) == 0
+    told = capsys.readouterr().out
+    assert main(["load", "--nodes", "5", "--rate", "500"]) == 0
+    assert capsys.readouterr().out == told
+    assert "does not fit" not in told
+    assert main(["load", "--nodes", "5", "--rate", "1500", "--pdos", "gauges,contact"]) == 1
+    assert "it does not fit: " in capsys.readouterr().out
+
+
+def test_a_run_that_was_too_short_to_judge_does_not_pass(scene: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["run", str(scene), "-q", "--duration", "0.05"]) == 0
+    last = capsys.readouterr().out.splitlines()[-1]
+    assert last == "NOT JUDGED: 0 of 2 expectations hold, 0 do not, 2 not judged (the run was too short)"
+    assert main(["run", str(scene), "-q"]) == 0
+    assert capsys.readouterr().out.splitlines()[-1] == "PASS: 2 of 2 expectations hold, 0 do not"
+
+
+def test_a_scene_is_viewed_as_the_log_that_it_writes(scene: Path, tmp_path: Path) -> None:
+    assert is_scene(scene)
+    hand = tmp_path / "hand.toml"
+    hand.write_text("[hand]\n[[finger]]\nnode_id = 1\n")
+    assert not is_scene(hand)
+    assert not is_scene(tmp_path / "no.toml")
+    source = scene_source(scene, Finger, 3, 0.0, None)
+    assert source.title == "scene.toml"
+    assert [(finger.node_id, finger.layout) for finger in source.model.fingers] == [(5, "II"), (6, "II")]
+    assert source.model.counters.rows == 20
+    assert list(tmp_path.glob("*.log")) == []
+    silent = tmp_path / "silent.toml"
+    silent.write_text(SCENE.replace('"gauges", "contact"', ""))
+    with pytest.raises(InputError, match=r"silent\.toml: no fingertip's PDO in it"):
+        scene_source(silent, Finger, 3, 0.0, None)
+
+
+def test_gauges_of_a_decoded_log_are_measurements(
+    log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    calibration, gauges, both = (str(tmp_path / name) for name in ("cal.toml", "gauges.csv", "both.csv"))
+    _write_calibration(calibration)
+    assert main(["decode", str(log), "--nodes", "5", "--signals", "SG1,SG2,SG3", "-q", "-o", gauges]) == 0
+    assert main(["estimate", calibration, gauges, "--json", "-q"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    assert len(rows) == 20
+    assert all(abs(row["P_N"] - 2.0) < 0.01 and row["status"] == "ok" for row in rows)
+    assert main(["decode", str(log), "--nodes", "5", "-q", "-o", both]) == 0
+    assert main(["estimate", calibration, both]) == 2
+    assert "SG1_ue beside P_N: this is a decoded log" in capsys.readouterr().err
+
+
+def _write_calibration(path: str) -> None:
+    import numpy as np
+
+    from tipforce.host.calibration import Calibration
+    from tipforce.host.calibration_file import write_calibration
+    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.strain import calibration_matrix
+
+    C = calibration_matrix(FABRICATED, "II")
+    write_calibration(path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False))
+
+
+class _NoStore:
+    node_id = 5
+
+    def write(self, entry: object, _value: object) -> None:
+        assert entry == od.STORE[4]
+        raise SdoAbortError("node 5: abort 0x06060000, hardware error", codes.HARDWARE)
+
+
+def test_a_node_without_a_store_is_explained() -> None:
+    sdo: Any = _NoStore()
+    with pytest.raises(SdoAbortError, match=r"nowhere to store.*until its next reset.*--store FILE") as caught:
+        FingertipClient(sdo).store(calibration=True)
+    assert caught.value.code == codes.HARDWARE
+
+
+ARGS = Namespace(color="never")
+
+
+def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
+    for width in (200, 40, 10):
+        stream = io.StringIO()
+        monkeypatch.setattr(common, "console", lambda _, w=width, s=stream: Console(file=s, width=w))
+        table = Table(title="t")
+        for name in ("first value", "second value", "third value"):
+            table.add_column(name, justify="right")
+        table.add_column("words")
+        table.add_row("-179.961", "1234.567", "+0.003", "some words that may wrap anywhere")
+        common.print_table(ARGS, table)
+        told = stream.getvalue()
+        assert all(number in told for number in ("-179.961", "1234.567", "+0.003")), told
+        assert ("\u2502" in told) == (width == 200)
+
+
+def test_the_demo_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(common, "console", lambda _: Console(file=stream, width=80))
+    assert main(["demo", "-q"]) == 0
+    capsys.readouterr()
+    lines = stream.getvalue().splitlines()
+    assert len(lines) > 114
+    assert max(map(len, lines)) <= 80
+    assert "\u2026" not in stream.getvalue()
+
+
+def test_a_closed_pipe_is_no_failure_of_a_table() -> None:
+    with pytest.raises(BrokenPipeError):
+        common.console(ARGS).on_broken_pipe()
+    command = f"{sys.executable} -m tipforce_tools.main demo -q | true"
+    done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, timeout=60, check=False)
+    assert (done.returncode, done.stderr) == (0, b"")
