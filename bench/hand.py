@@ -27,7 +27,6 @@ from tipforce.host.hand.hand import Hand, Statistics
 PAGE = Path(__file__).parents[1] / "docs" / "hand-performance.md"
 FULL_SECONDS = 600.0
 CASES = ((5, 1000.0), (15, 400.0))
-_SETTLE_S = 1.0  # after the start: caches fill, the first SYNCs are counted but come while the fingers start
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,11 +81,14 @@ def measure(fingers: int, sync_hz: float, seconds: float, sync: str = "process",
 
 def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
     """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and of CPU time."""
-    latency_ns, incomplete = [], 0
+    latency_ns: list[np.ndarray] = []
+    incomplete = 0
     iterator = hand.rows(5.0)
-    started_s, cpu_s = time.monotonic(), time.process_time()
+    started_s, cpu_s = 0.0, 0.0
     hand.start()
     for rows in iterator:
+        if not latency_ns:  # the process that sends the SYNC has started
+            started_s, cpu_s = time.monotonic(), time.process_time()
         latency_ns.append(time.time_ns() - rows.sync_ns)
         incomplete += int(rows.missing.any(axis=1).sum())
         if time.monotonic() - started_s >= seconds:
@@ -97,7 +99,8 @@ def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
 def report(found: Outcome) -> str:
     """A row of the table of losses."""
     tally = found.statistics.tally
-    counts = " | ".join(str(int(getattr(tally, name).sum())) for name in ("missing", "late", "mixed", "doubtful"))
+    names = "delayed", "missing", "late", "mixed", "doubtful"
+    counts = " | ".join(str(int(getattr(tally, name).sum())) for name in names)
     p50, p99, largest = found.latency_us
     values = tally.rows * found.fingers
     return (
@@ -130,14 +133,15 @@ That the same code works on a real SocketCAN bus is tested in `tests/vcan/test_h
 mostly this machine: three processes share its cores with other work, and a finger that is not scheduled answers late.
 
 ## Rows
-Values are rows times fingers. Missing: values without an answer within their row. Late: answers that came after the
-next SYNC (each leaves its value missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the
+Values are rows times fingers. Delayed: came after the next SYNC, and still into their own row by the sample counter.
+Missing: values that are not there. Late: answers that came after their row was given out (each leaves its value
+missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the
 counter says that it may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not
 take. Latency: from the SYNC (the kernel's time stamp) to the row in the consumer's hands, milliseconds.
 
-| hand | seconds | rows | values | missing | late | mixed | doubtful | rows not whole | dropped | overrun \
+| hand | seconds | rows | values | delayed | missing | late | mixed | doubtful | rows not whole | dropped | overrun \
 | latency p50 | p99 | largest | CPU host | CPU fingers |
-|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|
+|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|
 """
 JITTER = """
 ## SYNC

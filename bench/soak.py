@@ -1,5 +1,6 @@
 """A hand for an hour of simulated time on a bus that loses, delays, repeats and swaps frames, with fingers that lose
-power, converters that fail, a babbler and an adapter that drops off; and a check of every row against what was sent.
+power, converters that fail, ones that are too busy to answer in time, a babbler and an adapter that drops off; and a
+check of every row against what was sent.
 
     python -m bench.soak --seconds 3600
 """
@@ -26,8 +27,9 @@ from tipforce.host.hand.rows import SYNC_COB_ID, Collector, Rows
 PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times
 FAULTS = Faults(drop=0.003, duplicate=0.003, reorder=0.003, delay=0.01, delay_s=0.025)
 HEARTBEAT_TIMEOUT_S = 0.25
+WAIT_S = 5 * PERIOD_S
 RECOVERY_S = 2.0  # after the last trouble every finger must be there again
-_NMT_START = 1
+_NMT_START, _PRE_OPERATIONAL = 1, 127
 _CONTACT, _EXTENT = 0x280, 0x7F
 
 
@@ -61,13 +63,15 @@ class Soak:
         self._to_host = Injector(faults, seed + 1)
         # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
         self._to_node = {n: Injector(Faults(drop=faults.drop), seed + 100 + n) for n in ids}
-        self._collector = Collector(ids, timeout_s=2 * PERIOD_S)
+        self._collector = Collector(ids, wait_s=WAIT_S)
         self._supervisor = Supervisor(ids, HEARTBEAT_TIMEOUT_S)
         self._truth: dict[int, dict[int, bytes]] = {}  # by row, by node-id: the contact PDO that answered its SYNC
         self._starts: set[int] = set()
         self._babbler: Babbler | None = None
         self._bus_off_until_s = -1.0
         self._babble_until_s = -1.0
+        self._busy: dict[int, float] = {}  # by node-id: the share of SYNCs at which it has no time
+        self._busy_until_s, self._busy_gap_s = -1.0, 0.0
         self._trouble_s = 0.0
         self._row = 0
 
@@ -80,7 +84,7 @@ class Soak:
                 gc.collect()
                 self.outcome.resident_bytes.append(_resident_bytes())
         self.outcome.rows = self._collector.tally.rows
-        for name in ("missing", "late", "mixed", "repeated", "doubtful"):
+        for name in ("missing", "delayed", "late", "mixed", "repeated", "doubtful"):
             self.outcome.counts[name] = int(getattr(self._collector.tally, name).sum())
         self.outcome.counts.update({f"frames: {name}": n for name, n in self._to_host.counts.items()})
         return self.outcome
@@ -112,11 +116,16 @@ class Soak:
             if finger.node_id in self._starts:
                 injector.put((0, bytes((_NMT_START, finger.node_id))), now_s)
                 self._starts.discard(finger.node_id)
+        if now_s < self._busy_until_s and self._random.random() < self._busy.get(finger.node_id, 0.0):
+            return  # what it received waits; it answers all of it when it has time
+        late_s = now_s
         while (frame := injector.take(now_s)) is not None:
             can_id, data = frame
             answered = struct.unpack("<I", data)[0] if can_id == SYNC_COB_ID else -1
-            self._send(finger, finger.step(now_s, [(can_id, b"" if answered >= 0 else data)]), now_s, off, answered)
-        self._send(finger, finger.step(now_s, []), now_s, off, -1)
+            found = finger.step(late_s, [(can_id, b"" if answered >= 0 else data)])
+            self._send(finger, found, now_s, off, answered)
+            late_s += self._busy_gap_s
+        self._send(finger, finger.step(late_s, []), now_s, off, -1)
 
     def _send(self, finger: Finger, frames: list[tuple[int, bytes]], now_s: float, off: bool, answered: int) -> None:
         for can_id, data in frames:
@@ -138,8 +147,8 @@ class Soak:
             self._check(rows, now_s)
         for event in self._supervisor.add(frames, now_s):
             self.outcome.counts[event.kind] += 1
-            if event.kind == "boot_up" or (event.kind in ("state", "heartbeat_back") and event.code != 5):
-                self._starts.add(event.node_id)
+        # As the Hand does: until it is seen to run, because the command may be lost, too.
+        self._starts |= {n for n, state in self._supervisor.states.items() if state == _PRE_OPERATIONAL}
 
     def _check(self, rows: Rows, now_s: float) -> None:
         P = rows.columns["P"]
@@ -170,16 +179,20 @@ class Soak:
             finger.end_trouble(now_s)
             if not finger.well:
                 self._trouble_s = now_s
-        if now_s < max(self._bus_off_until_s, self._babble_until_s):
+        if now_s < max(self._bus_off_until_s, self._babble_until_s, self._busy_until_s):
             self._trouble_s = now_s
         if self._random.random() > PERIOD_S / 3.0 or now_s - self._trouble_s < 3.0:
             return
-        kind = self._random.choice(("power", "power", "source", "source", "bus-off", "babbler"))
+        kind = self._random.choice(("power", "power", "source", "source", "bus-off", "babbler", "busy", "busy"))
         self.outcome.counts[f"trouble: {kind}"] += 1
         length_s = self._random.uniform(0.2, 3.0)
         finger = self._random.choice(self.fingers)
         if kind == "power":
             finger.switch_off(now_s + length_s)
+        elif kind == "busy":
+            self._busy = {other.node_id: self._random.uniform(0.3, 0.95) for other in (finger, self.fingers[0])}
+            self._busy_until_s = now_s + length_s
+            self._busy_gap_s = self._random.choice((0.0, 1e-4))  # 0: all that waited gets one and the same sample
         elif kind == "source":
             finger.break_source(self._random.randint(1, 5), now_s + length_s)
         elif kind == "bus-off":

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -36,6 +36,19 @@ class Samples:
     columns: dict[str, Column]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeSamples:
+    """What one message of several nodes said, k times: the nodes one after another, each in the order of the input.
+
+    ``node_id`` (k,); ``row`` (k,) and ``columns`` as those of Samples.
+    """
+
+    name: str
+    node_id: npt.NDArray[np.int64]
+    row: npt.NDArray[np.intp]
+    columns: dict[str, Column]
+
+
 @dataclass(frozen=True, slots=True)
 class _Group:
     """The slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded in one go."""
@@ -56,6 +69,9 @@ class _Plan:
     length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
     keys: tuple[Key, ...]  # of slot 1, 2, ...
     groups: tuple[_Group, ...]
+
+
+_Run = tuple[_Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Column]]
 
 
 class Decoder:
@@ -126,24 +142,39 @@ class Decoder:
         Remote and error frames and foreign identifiers are ignored. Raises InputError for a name that no
         message has.
         """
+        found: dict[Key, Samples] = {}
+        for group, slot, row, columns in self._runs(frames, signals):
+            ends = np.searchsorted(slot, np.arange(group.first, group.first + len(group.node_ids) + 1))
+            t_ns = frames["t_ns"][row]
+            for node_id, low, high in zip(group.node_ids, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+                if low < high:
+                    of_node = {name: column[low:high] for name, column in columns.items()}
+                    key = node_id, group.message.name
+                    found[key] = Samples(node_id, group.message, t_ns[low:high], row[low:high], of_node)
+        return found
+
+    def decode_together(self, frames: FrameArray, signals: Iterable[str] | None = None) -> list[NodeSamples]:
+        """The same without taking the nodes apart, for those that have many nodes and few frames of each."""
+        return [
+            NodeSamples(group.message.name, np.array(group.node_ids)[slot - np.uint16(group.first)], row, columns)
+            for group, slot, row, columns in self._runs(frames, signals)
+        ]
+
+    def _runs(self, frames: FrameArray, signals: Iterable[str] | None) -> Iterator[_Run]:
+        """Layout by layout what its nodes said, the nodes one after another."""
         plan = self._plan(signals)
         slot = _slots(plan, frames["can_id"])
         self._drop_short(plan, slot, frames["length"])
-        ends = np.cumsum(np.bincount(slot, minlength=len(plan.keys) + 1))
-        # Slots of one layout are neighbours: after a stable sort each layout is one run, and each node a slice of it.
-        order = np.argsort(slot, kind="stable")[ends[_NO_SLOT] :]
-        if not len(order):
-            return {}
-        words = frames["data"].view(_WORD)[:, 0][order]
-        t_ns = frames["t_ns"][order]
-        ends -= ends[_NO_SLOT]
-        found: dict[Key, Samples] = {}
-        for group in plan.groups:
-            start, stop = ends[group.first - 1], ends[group.first + len(group.node_ids) - 1]
-            if start < stop:
-                columns = columns_of(words[start:stop], group.signals)
-                found |= _split(group, columns, start, ends, t_ns, order)
-        return found
+        # Slots of one layout are neighbours: after a stable sort each layout is one run.
+        order = np.argsort(slot, kind="stable")
+        slot = slot[order]
+        firsts = [group.first for group in plan.groups]
+        ends = np.searchsorted(slot, np.array([*firsts, len(plan.keys) + 1], dtype=np.uint16)).tolist()
+        for group, low, high in zip(plan.groups, ends[:-1], ends[1:], strict=True):
+            if low < high:
+                row = order[low:high]
+                words = frames["data"].view(_WORD)[:, 0][row]
+                yield group, slot[low:high], row, columns_of(words, group.signals)
 
     def _drop_short(self, plan: _Plan, slot: npt.NDArray[np.uint16], length: npt.NDArray[np.uint8]) -> None:
         short = length < plan.length_of_slot[slot]
@@ -225,24 +256,3 @@ def _slots(plan: _Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16
         found = plan.extended_ids[place] == can_id
         slot[found] = plan.extended_slots[place[found]]
     return slot
-
-
-def _split(
-    group: _Group,
-    columns: dict[str, Column],
-    start: int,
-    ends: npt.NDArray[np.intp],
-    t_ns: npt.NDArray[np.int64],
-    order: npt.NDArray[np.intp],
-) -> dict[Key, Samples]:
-    """The columns of a layout, node by node: views, no copies."""
-    found: dict[Key, Samples] = {}
-    low = start
-    for number, node_id in enumerate(group.node_ids):
-        high = ends[group.first + number]
-        if low < high:
-            of_node = {name: column[low - start : high - start] for name, column in columns.items()}
-            key = node_id, group.message.name
-            found[key] = Samples(node_id, group.message, t_ns[low:high], order[low:high], of_node)
-        low = high
-    return found

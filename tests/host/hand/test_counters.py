@@ -9,36 +9,41 @@ from tipforce.host.hand.counters import CounterCheck
 
 
 @pytest.mark.parametrize(
-    ("counters", "stale", "verdicts"),
+    ("counters", "stale", "gaps", "verdicts"),
     [
-        ([7, 8, 9], "", "..."),
-        ([254, 255, 0, 1], "", "...."),
-        ([7, 7, 8, 8, 9], "13", ".r.r."),  # a SYNC faster than the converter, and the node says so
-        ([7, 7, 9], "", ".d."),  # the same answer once more: a duplicate that came late
-        ([7, -1, 9], "", "..."),  # an answer lost on its way
-        ([7, -1, 8, 10], "", "..d."),  # late, and then in time
-        ([7, -1, 8, 9, 11], "", "..dd."),  # twice late
-        ([7, -1, 8, 9, 10, 11, 12], "", "..ddd.."),  # the node missed a SYNC
-        ([7, -1, 8, 8, 9, 10, 11], "3", "..drdd."),
-        ([7, -1, -1, 10], "", "...."),
-        ([7, -1, -1, 9, 11], "", "...d."),
-        ([7, 9, 10], "", "..."),  # the host missed a SYNC
-        ([7, 6, 9], "", ".d."),  # an old one
-        ([200, 1, 2, 3, 4, 5], "", ".ddd.."),  # a reboot
-        ([7, 11, 12], "", "..."),  # the host missed three SYNCs
-        ([7, 42, 9, 10], "", ".d.."),  # a babbler's frame, and its counter happens to be ahead
-        ([90, -1, -1, 1, 2, 3, 4, 5], "", "...ddd.."),
-        ([-1, -1, 5, 6], "", "...."),
-        ([7, 8] + [9] * 400, "", "..." + 399 * "d"),  # babbling: the same answer again and again
-        ([7] + [-1] * 300 + [9, 10, 11, 12, 13], "", "." + 300 * "." + "ddd.."),
+        ([7, 8, 9], "", "", "..."),
+        ([254, 255, 0, 1], "", "", "...."),
+        ([7, 7, 8, 8, 9], "13", "", ".r.r."),  # a SYNC faster than the converter, and the node says so
+        ([7, 7, 9], "", "", ".d."),  # the same answer once more: a duplicate that came late
+        ([7, -1, 9], "", "", "..."),  # an answer lost on its way
+        ([7, -1, 8, 10], "", "", "..d."),  # late, and then in time
+        ([7, -1, 8, 9, 11], "", "", "..dd."),  # twice late
+        ([7, -1, 8, 9, 10, 11, 12], "", "", "..ddd.."),  # the node missed a SYNC
+        ([7, -1, 8, 8, 9, 10, 11], "3", "", "..dddd."),
+        ([7, -1, -1, 10], "", "", "...."),
+        ([7, -1, -1, 9, 11], "", "", "...d."),
+        ([7, 9, 10], "", "01", "..."),  # the host missed a SYNC, and its times show a gap
+        ([7, 9, 10, 11, 12], "", "", ".ddd."),  # ahead without a gap
+        ([7, 8, 9], "", "01", "..."),  # the SYNC that lacks was never sent
+        ([7, -1, 10, 11], "", "01", "...."),
+        ([7, 8, 10], "", "01", "..d"),  # the gap is behind it
+        ([7, 6, 9], "", "", ".d."),  # an old one
+        ([200, 1, 2, 3, 4, 5], "", "", ".ddd.."),  # a reboot
+        ([7, 11, 12], "", "03", "..."),  # the host missed three SYNCs
+        ([7, 42, 9, 10], "", "", ".d.."),  # a babbler's frame, and its counter happens to be ahead
+        ([90, -1, -1, 1, 2, 3, 4, 5], "", "", "...ddd.."),
+        ([-1, -1, 5, 6], "", "", "...."),
+        ([7, 8] + [9] * 400, "", "", "..." + 399 * "d"),  # babbling: the same answer again and again
+        ([7] + [-1] * 300 + [9, 10, 11, 12, 13], "", "", "." + 300 * "." + "ddd.."),
     ],
 )
-def test_verdicts(counters: list[int], stale: str, verdicts: str) -> None:
+def test_verdicts(counters: list[int], stale: str, gaps: str, verdicts: str) -> None:
     column = np.array(counters)[:, None]
     marks = np.array([k < 10 and str(k) in stale for k in range(len(counters))])[:, None]
+    lacking = np.array([int(k) for k in gaps.ljust(len(counters), "0")])
     for cut in range(len(counters)):
         check = CounterCheck(1)
-        parts = [check.check(column[a], marks[a]) for a in (slice(None, cut), slice(cut, None))]
+        parts = [check.check(column[a], marks[a], lacking[a]) for a in (slice(None, cut), slice(cut, None))]
         repeated = np.concatenate([part[0] for part in parts])[:, 0]
         doubtful = np.concatenate([part[1] for part in parts])[:, 0]
         assert "".join("r" if r else "d" if d else "." for r, d in zip(repeated, doubtful, strict=True)) == verdicts

@@ -25,18 +25,21 @@ def answer(
 
 
 class Stream:
-    """Hands frames to a collector, one microsecond apart, and keeps the rows that come out."""
+    """Hands frames to a collector, with a SYNC every millisecond, and keeps the rows that come out."""
 
-    def __init__(self, *node_ids: int, messages: tuple[str, ...] = ("Contact",), timeout_s: float = 0.02) -> None:
-        self.collector = Collector(node_ids, messages, timeout_s=timeout_s)
+    def __init__(self, *node_ids: int, messages: tuple[str, ...] = ("Contact",), wait_s: float = 0.02) -> None:
+        self.collector = Collector(node_ids, messages, wait_s=wait_s)
         self.rows: list[tuple[int, list[float]]] = []
         self.now_s = 0.0
-        self._t_ns = 0
+        self._syncs = 0
 
     def add(self, *frames: tuple[int, bytes]) -> list[list[float]]:
         """P of each finger in the rows that came out."""
-        array = frame_array([(self._t_ns + 1000 * k, can_id, data) for k, (can_id, data) in enumerate(frames)])
-        self._t_ns += 1000 * len(frames)
+        timed = []
+        for can_id, data in frames:
+            self._syncs += can_id == 0x80
+            timed.append((1_000_000 * self._syncs, can_id, data))
+        array = frame_array(timed)
         rows: Rows = self.collector.add(array, self.now_s)
         column = rows.columns.get("P", rows.columns.get("SG1"))
         assert column is not None
@@ -60,7 +63,7 @@ def test_a_row_is_out_as_soon_as_it_is_whole() -> None:
 
 
 def test_a_finger_that_does_not_answer_is_missing_in_time() -> None:
-    stream = Stream(1, 2, timeout_s=0.01)
+    stream = Stream(1, 2, wait_s=0.01)
     assert stream.add(SYNC, answer(1, 1, 100)) == []
     stream.now_s = 0.009
     assert stream.add() == []
@@ -102,7 +105,9 @@ def test_pdos_of_two_samples_are_mixed_and_not_shown() -> None:
     tally = stream.collector.tally
     assert (tally.mixed.tolist(), tally.missing.tolist()) == ([1], [1])
     stream.add(SYNC, answer(1, 4), SYNC)
-    assert (tally.mixed.tolist(), tally.missing.tolist()) == ([1], [2])
+    stream.now_s = 0.02
+    stream.add()
+    assert (tally.mixed.tolist(), tally.missing.tolist()) == ([1], [3])
 
 
 def test_a_babbler_hides_the_finger_and_not_the_others() -> None:
@@ -137,8 +142,12 @@ def test_a_babbler_whose_counter_fits_is_not_believed() -> None:
 
 def test_two_nodes_with_one_cob_id_are_never_shown_as_one() -> None:
     stream = Stream(1)
-    rows = [stream.add(SYNC, answer(1, k), answer(1, k + 60, 2000), SYNC)[0] for k in range(1, 40, 2)]
-    assert np.isnan(rows).all()
+    for k in range(1, 40, 2):
+        stream.add(SYNC, answer(1, k), answer(1, k + 60, 2000), SYNC)
+        stream.now_s += 0.1
+        stream.add()
+    assert len(stream.rows) == 40
+    assert np.isnan([row for _, row in stream.rows]).all()
 
 
 def test_a_repeated_sample_is_counted() -> None:
@@ -147,7 +156,10 @@ def test_a_repeated_sample_is_counted() -> None:
     stream.add(SYNC, answer(1, 5, stale=True))
     stream.add(SYNC, answer(1, 6))
     assert stream.collector.tally.repeated.tolist() == [2]
-    assert stream.add(SYNC, answer(1, 6)) != [[1.0]]  # the same again, and not marked stale: a duplicate
+    assert stream.add(SYNC, answer(1, 6)) == []  # the same again, and not marked stale: a duplicate, or late
+    stream.now_s = 0.02
+    (row,) = stream.add()
+    assert np.isnan(row[0])
     assert stream.collector.tally.doubtful.tolist() == [1]
 
 
@@ -171,11 +183,14 @@ def test_however_the_stream_is_cut(plan: list[tuple[bool, bool, list[int]]], cut
         answers = [answer(1, k, 1 + k) if first else None, answer(2, k, 500 + k) if second else None]
         frames += [SYNC, *(a for a in (answers[i] for i in order) if a is not None)]
         expected.append([(1 + k) / 1000 if first else None, (500 + k) / 1000 if second else None])
-    stream = Stream(1, 2, timeout_s=1e9)
+    stream = Stream(1, 2, wait_s=1e9)
     place = 0
-    for cut in [*cuts, len(frames) + 2]:
-        stream.add(*[*frames, SYNC, SYNC][place : place + cut])
+    for cut in [*cuts, len(frames)]:
+        stream.add(*frames[place : place + cut])
         place += cut
+    for _ in range(2):
+        stream.now_s += 1e9
+        stream.add(SYNC)
     found = [[None if np.isnan(v) else round(v, 3) for v in row] for _, row in stream.rows]
     assert found[: len(expected)] == expected
     assert [number for number, _ in stream.rows] == list(range(len(stream.rows)))

@@ -3,7 +3,8 @@
 A node that answers every SYNC counts on by one for each row. A counter that lags behind the rows is either an answer
 that came late, or a node that missed a SYNC; one answer alone does not tell which. So it is doubted until CONFIRMED
 answers in a row lag by the same amount, which late ones hardly do. A counter that is ahead means SYNCs that did not
-reach the host; by more than AHEAD it is more likely a babbler's frame before the node's own, or a node that rebooted.
+reach the host, which leave a gap between those that did; by more than the gap it is more likely a babbler's frame
+before the node's own, or a node that rebooted.
 """
 
 from __future__ import annotations
@@ -12,7 +13,6 @@ import numpy as np
 import numpy.typing as npt
 
 CONFIRMED = 4
-AHEAD = 3
 FORGOTTEN_ROWS = 100
 BoolArray = npt.NDArray[np.bool_]
 
@@ -23,35 +23,46 @@ class CounterCheck:
     def __init__(self, fingers: int) -> None:
         self._base = np.full(fingers, -1, dtype=np.int64)  # the last counter that was trusted
         self._rows = np.zeros(fingers, dtype=np.int64)  # rows since then
+        self._gaps = np.zeros(fingers, dtype=np.int64)  # periods since then without a SYNC
         self._seen = np.full(fingers, -1, dtype=np.int64)
         self._lag = np.zeros(fingers, dtype=np.int64)
         self._run = np.zeros(fingers, dtype=np.int64)  # answers that lag by it
 
-    def check(self, counter: npt.NDArray[np.int64], stale: BoolArray) -> tuple[BoolArray, BoolArray]:
+    def expected(self) -> npt.NDArray[np.int64]:
+        """The counter of each finger's answer to the next SYNC (k,), -1 where it is unknown."""
+        known = (self._base >= 0) & (self._rows < FORGOTTEN_ROWS) & (self._gaps == 0)
+        return np.where(known, (self._base + self._rows + 1) % 256, -1)
+
+    def check(
+        self, counter: npt.NDArray[np.int64], stale: BoolArray, gaps: npt.NDArray[np.int64]
+    ) -> tuple[BoolArray, BoolArray]:
         """Judge the counters (m, k) of the next m rows, -1 where there was no answer.
 
-        Returns two masks (m, k): repeated, the sample of the row before, said to be stale; doubtful, an answer that
-        may be to an earlier SYNC. A reboot starts the counter anew, which may make the first answers doubtful.
+        ``gaps`` (m,) says how many SYNCs seem to lack before each. Returns two masks (m, k): repeated, the sample of
+        the row before, said to be stale; doubtful, an answer that may be to another SYNC. A reboot starts the counter
+        anew, which may make the first answers doubtful.
         """
         repeated = np.zeros(counter.shape, dtype=np.bool_)
         doubtful = np.zeros(counter.shape, dtype=np.bool_)
         for row in range(len(counter)):
+            self._gaps += gaps[row]
             repeated[row], doubtful[row] = self._row(counter[row], stale[row])
         return repeated, doubtful
 
     def _row(self, now: npt.NDArray[np.int64], stale: BoolArray) -> tuple[BoolArray, BoolArray]:
         here = now >= 0
-        repeated = here & stale & (now == self._seen)
-        judged = here & ~repeated
+        again = here & stale & (now == self._seen)
+        repeated = again & (now == self._base)  # of one that was doubted itself nothing more is known
+        judged = here & ~again
         lag = (self._rows + 1 - (now - self._base) + 128) % 256 - 128
         # After so many rows an 8-bit counter tells ahead from behind no more.
-        odd = judged & (self._base >= 0) & ((lag > 0) | (lag < -AHEAD) | (self._rows >= FORGOTTEN_ROWS))
+        odd = judged & (self._base >= 0) & ((lag > 0) | (lag < -self._gaps) | (self._rows >= FORGOTTEN_ROWS))
         self._run = np.where(odd, np.where(lag == self._lag, self._run + 1, 1), self._run)
         self._lag = np.where(odd, lag, self._lag)
-        doubtful = odd & (self._run < CONFIRMED)
-        trusted = judged & ~doubtful
+        trusted = judged & ~(odd & (self._run < CONFIRMED))
         self._base = np.where(trusted, now, self._base)
-        self._rows = np.where(trusted, 0, np.where(repeated, self._rows, self._rows + 1))
+        self._rows = np.where(trusted, 0, np.where(again, self._rows, self._rows + 1))
+        self._gaps = np.where(trusted, 0, self._gaps)
         self._run = np.where(trusted, 0, self._run)
         self._seen = np.where(here, now, self._seen)
-        return repeated, doubtful
+        return repeated, here & ~trusted & ~repeated

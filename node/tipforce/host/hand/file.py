@@ -8,6 +8,7 @@ channel = "can0"
 sync_hz = 500
 pdos = ["contact"]
 heartbeat_ms = 100
+wait_ms = 20                 # a row waits so long for a finger that is late
 config = "finger.toml"       # settings of all fingers (tipforce config save)
 
 [[finger]]
@@ -59,9 +60,18 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     sync_hz: float = 100.0
     pdos: tuple[str, ...] = ("contact",)
     heartbeat_ms: int = 100
+    wait_ms: int | None = None
+    """How long a row waits for a finger that is late; None: 20, but two periods at least."""
     config: str = ""
     store: bool = False
     """Store what was configured on the nodes."""
+
+    @property
+    def wait_s(self) -> float:
+        """``wait_ms`` in seconds, with its default."""
+        if self.wait_ms is not None:
+            return self.wait_ms * 1e-3
+        return max(0.02, 2.0 / self.sync_hz if self.sync_hz else 0.0)
 
 
 class HandFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -151,6 +161,8 @@ def _check_plan(plan: HandPlan) -> None:
         raise InputError(f"[hand] sync_hz = {plan.sync_hz:g}: allowed are 0 (another sends it) to {HIGHEST_SYNC_HZ:g}")
     if not 10 <= plan.heartbeat_ms <= 65535:
         raise InputError(f"[hand] heartbeat_ms = {plan.heartbeat_ms}: allowed are 10 to 65535")
+    if plan.wait_ms is not None and not 1 <= plan.wait_ms <= 1000:
+        raise InputError(f"[hand] wait_ms = {plan.wait_ms}: allowed are 1 to 1000")
     allowed = [m.name.lower() for m in tpdo_messages(3) if m.name != "Health"]
     unknown = [pdo for pdo in plan.pdos if pdo.lower() not in allowed]
     if unknown or not plan.pdos:

@@ -70,7 +70,7 @@ class Hand:
         self._wanted = {finger.node_id: wanted_settings(file, finger) for finger in file.finger}
         self._plans = {finger.node_id: finger for finger in file.finger}
         gauges = file.finger[0].gauges
-        self._collector = Collector(file.node_ids, file.messages, gauges, self._row_timeout_s())
+        self._collector = Collector(file.node_ids, file.messages, gauges, plan.wait_s)
         self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
@@ -227,10 +227,6 @@ class Hand:
         self._probe_s = now_s + _LOST_PROBE_S
         if any(state < 0 for state in self._supervisor.states.values()):
             self._keeper.need([_LSS])
-
-    def _row_timeout_s(self) -> float:
-        """Two periods, so that an answer that is a little late still counts; without a rate of our own 20 ms."""
-        return 2.0 / self.file.hand.sync_hz if self.file.hand.sync_hz else 0.02
 
     # --- SYNC -----------------------------------------------------------------------------------------------------
 

@@ -1,11 +1,12 @@
 """Frames in, coherent rows out: one row for each SYNC, with what every finger answered to it.
 
-A row begins with a SYNC in the stream of received frames. All PDOs of a finger in one row must carry one sample
-counter, because a node packs them from one sample; otherwise the row is mixed and the finger counts as missing. A
-second answer of a finger within a row means that the first one was late: it belongs to the SYNC before and is dropped.
+A row begins with a SYNC in the stream of received frames. It is given out as soon as it is whole, or after a waiting
+time; what a finger says too late for the next SYNC still comes into its own row, by its sample counter (lateness.py).
+All PDOs of a finger in one row must carry one counter, because a node packs them from one sample; otherwise the row is
+mixed and the finger counts as missing.
 
-An answer that stands alone in its row is doubted by its counter, which counts samples and not SYNCs: one that repeats
-the row before without saying that it is stale, or that lags behind the rows, may be old and is not shown (counters.py).
+An answer that does not fit is doubted by its counter, which counts samples and not SYNCs: one that repeats the row
+before without saying that it is stale, or that lags behind the rows, may be old and is not shown (counters.py).
 """
 
 from __future__ import annotations
@@ -19,18 +20,14 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder, Samples
+from tipforce.host.decode import Decoder
 from tipforce.host.frames import FRAME, FrameArray
 from tipforce.host.hand.counters import CONFIRMED, CounterCheck
+from tipforce.host.hand.lateness import Answers, BoolArray, IntArray, babbled, seat
+from tipforce.host.hand.sync_gaps import SyncGaps
 
 SYNC_COB_ID = 0x80
 COUNTER = "counter"
-MOST_ANSWERS = 4
-"""That lateness and duplicates explain in one row."""
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-_Answers = dict[tuple[int, str], tuple[Samples, npt.NDArray[np.intp]]]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +63,10 @@ class Tally:
     rows: int = 0
     missing: npt.NDArray[np.int64] = field(init=False)
     """Rows without a whole answer."""
+    delayed: npt.NDArray[np.int64] = field(init=False)
+    """Answers that came after the next SYNC, and still into their own row."""
     late: npt.NDArray[np.int64] = field(init=False)
-    """Answers that came after the next SYNC, or after the row was given up."""
+    """Answers that came after their row was given out, or that another one in their row replaced."""
     mixed: npt.NDArray[np.int64] = field(init=False)
     """Rows whose PDOs were of two samples."""
     repeated: npt.NDArray[np.int64] = field(init=False)
@@ -76,20 +75,21 @@ class Tally:
     """Answers that were not shown because their counter says that they may be old."""
 
     def __post_init__(self) -> None:
-        zeros = np.zeros((5, len(self.node_ids)), dtype=np.int64)
-        self.missing, self.late, self.mixed, self.repeated, self.doubtful = zeros
+        zeros = np.zeros((6, len(self.node_ids)), dtype=np.int64)
+        self.missing, self.delayed, self.late, self.mixed, self.repeated, self.doubtful = zeros
 
 
 class Collector:
     """Collects rows of ``messages`` (PDO names) of the fingers ``node_ids``.
 
-    The last row is given out as soon as it is whole, or when ``timeout_s`` has passed since its SYNC was handed in.
+    A row that is not whole ``wait_s`` after its SYNC was handed in is given out as it is. A finger that left out a row
+    so is not waited for again, beyond the next SYNC, before it has answered.
     Raises InputError for no finger, a repeated one, or a message without status and counter.
     """
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
-        timeout_s: float = 0.02, decoder: Decoder | None = None,
+        wait_s: float = 0.02, decoder: Decoder | None = None,
     ) -> None:  # fmt: skip
         known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base and m.name != "Health"}
         unknown = [name for name in messages if name not in known]
@@ -99,18 +99,22 @@ class Collector:
             raise InputError(f"node-ids {list(node_ids)}: give each finger's once")
         self.node_ids = tuple(node_ids)
         self.tally = Tally(self.node_ids)
-        self._messages = tuple(dict.fromkeys(messages))
+        self._messages = {name: number for number, name in enumerate(dict.fromkeys(messages))}
         self._decoder = decoder or Decoder(gauges, node_ids)
         self._kinds = {s.name: bool if s.bits == 1 else float for name in self._messages for s in known[name].signals}
         self._signals = frozenset(self._kinds)
         del self._kinds[COUNTER]
-        self._finger = {node_id: k for k, node_id in enumerate(node_ids)}
-        self._timeout_s = timeout_s
-        self._open: FrameArray = np.zeros(0, dtype=FRAME)  # the SYNC of the open row and what came after it
-        self._given = False  # the open row was given out; what still comes for it is late
-        self._opened_s = 0.0
+        self._finger = np.full(128, -1, dtype=np.int64)  # by node-id
+        self._finger[list(node_ids)] = np.arange(len(node_ids))
+        self._wait_s = wait_s
+        self._open: FrameArray = np.zeros(0, dtype=FRAME)  # the SYNCs of open rows, and the answers since the first
+        self._opened_s: list[float] = []  # when each of them was handed in
+        self._gaps: list[int] = []  # and how many SYNCs lack before it
+        self._given = False  # the only open row was given out; what still comes for it is late
+        self._sync_gaps = SyncGaps()
         self._counters = CounterCheck(len(node_ids))
         self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the row that was given out last
+        self._silent = np.ones(len(node_ids), dtype=np.bool_)  # had no answer in that row, whatever became of it
         self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows for which a finger is not believed
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
@@ -118,118 +122,167 @@ class Collector:
 
         ``now_s`` is a monotonic time. Call it without frames too, so that an unanswered SYNC is noticed.
         """
-        pending = np.concatenate((self._open, frames)) if len(frames) else self._open
-        syncs = np.flatnonzero(pending["can_id"] == SYNC_COB_ID)
+        window = _joined(self._open, frames)
+        syncs = np.flatnonzero(window["can_id"] == SYNC_COB_ID)
         if not len(syncs):  # nothing begins a row yet
-            return self._rows(0, pending[:0], {}, 0, 0)
-        if len(syncs) > 1 or not len(self._open):
-            self._opened_s = now_s
-        first, count = int(self._given), len(syncs)
-        found = self._answers(pending[syncs[0] :], syncs - syncs[0]) if len(pending) > count else {}
-        if count > first:
-            self._given = self._whole(found, count) or now_s - self._opened_s >= self._timeout_s
-        last = count if self._given else count - 1
-        start = int(syncs[-1])
-        self._open = pending[start : start + 1 if self._given else None].copy()
-        return self._rows(first, pending[syncs], found, count, last)
+            return self._nothing()
+        window, syncs = window[syncs[0] :], syncs - syncs[0]
+        for t_ns in window["t_ns"][syncs[len(self._opened_s) :]].tolist():
+            self._opened_s.append(now_s)
+            self._gaps.append(self._sync_gaps.add(t_ns))
+        first = int(self._given)
+        if len(syncs) - first == 1 and self._too_few(len(window) - int(syncs[-1]), now_s):
+            self._open = window
+            return self._nothing()
+        answers = self._answers(window, syncs, first) if len(window) > len(syncs) else []
+        last = self._ready(answers, first, len(syncs), now_s)
+        rows = self._rows(answers, window[syncs], first, last)
+        self._keep(window, syncs, answers, last)
+        return rows
 
-    def _answers(self, frames: FrameArray, syncs: npt.NDArray[np.intp]) -> _Answers:
-        """What each finger said by (finger, message), with the row of each of its samples."""
-        found: _Answers = {}
-        for (node_id, name), samples in self._decoder.decode(frames, self._signals).items():
-            if name in self._messages and node_id in self._finger:
-                row = np.searchsorted(syncs, samples.row, side="right") - 1
-                found[self._finger[node_id], name] = samples, row
+    def _too_few(self, frames: int, now_s: float) -> bool:
+        """A SYNC and what came after it can't be a whole row, and it has time."""
+        enough = 1 + len(self._messages) * len(self.node_ids)
+        return frames < enough and now_s - self._opened_s[-1] < self._wait_s
+
+    def _nothing(self) -> Rows:
+        """No row."""
+        counter = np.zeros((0, len(self.node_ids)), dtype=np.int64)
+        columns = {name: np.zeros(counter.shape, dtype=kind) for name, kind in self._kinds.items()}
+        return Rows(self.tally.rows, np.zeros(0, dtype=np.int64), counter, columns)
+
+    def _answers(self, window: FrameArray, syncs: npt.NDArray[np.intp], first: int) -> list[Answers]:
+        """What the fingers said, each in the row that it belongs to as far as that is known."""
+        found = []
+        expected = self._counters.expected()
+        expected = np.where(expected < 0, -1, (expected - first) % 256)  # the row that was given out is behind it
+        regular = np.array(self._gaps) == 0
+        regular[:first] = True
+        for said in self._decoder.decode_together(window, self._signals):
+            if said.name not in self._messages:
+                continue
+            row = np.searchsorted(syncs, said.row, side="right") - 1
+            answers = Answers(
+                self._messages[said.name], self._finger[said.node_id], row, said.row,
+                said.columns[COUNTER].astype(np.int64), said.columns, *np.zeros((2, len(row)), dtype=np.bool_),
+            )  # fmt: skip
+            in_time = window["t_ns"][said.row] - window["t_ns"][syncs[row]] < self._sync_gaps.period_ns
+            seat(answers, expected, in_time, regular)
+            found.append(answers)
         return found
 
-    def _whole(self, found: _Answers, count: int) -> bool:
-        """Every finger has answered the last SYNC with every message."""
-        if len(found) < len(self.node_ids) * len(self._messages):
-            return False
-        return all(row[-1] == count - 1 for _, row in found.values())
+    def _ready(self, answers: list[Answers], first: int, count: int, now_s: float) -> int:
+        """How many of ``count`` open rows can be given out, in order."""
+        shape = len(self._messages), count, len(self.node_ids)
+        there: BoolArray = np.zeros(shape, dtype=np.bool_)
+        for said in answers:
+            sure = ~said.waiting & (said.row >= first)
+            there[said.message, said.row[sure], said.finger[sure]] = True
+        whole: BoolArray = np.logical_and.reduce(there)
+        ready: BoolArray = np.asarray(np.logical_and.reduce(whole, axis=1))
+        ready[:-1] |= np.logical_and.reduce(
+            (whole | self._silent)[:-1], axis=1
+        )  # the next SYNC has come: no time for the silent ones
+        ready[now_s - np.array(self._opened_s) >= self._wait_s] = True
+        ready[:first] = True
+        last = count if ready.all() else int(ready.argmin())
+        if last > first:
+            self._silent = ~there[:, last - 1].any(axis=0)
+        return last
 
-    def _rows(self, first: int, syncs: FrameArray, found: _Answers, count: int, last: int) -> Rows:
-        """Rows ``first`` to ``last`` of ``count``: the one before was given out already, what came for it is late."""
-        tally, shape = self.tally, (count, len(self.node_ids))
+    def _keep(self, window: FrameArray, syncs: npt.NDArray[np.intp], answers: list[Answers], last: int) -> None:
+        """Of what is open: the rows that were not given out and their answers, or the last SYNC alone."""
+        self._given = last == len(syncs)
+        last = min(last, len(syncs) - 1)
+        keep = np.zeros(len(window), dtype=np.bool_)
+        keep[syncs[last:]] = True
+        if not self._given:
+            for said in answers:
+                keep[said.frame[said.row >= last]] = True
+        self._open = window[keep]
+        del self._opened_s[:last], self._gaps[:last]
+
+    def _rows(self, answers: list[Answers], syncs: FrameArray, first: int, last: int) -> Rows:
+        """Rows ``first`` to ``last``; what came for those before is late."""
+        shape = last - first, len(self.node_ids)
         counters = np.full((len(self._messages), *shape), -1, dtype=np.int64)
         unsure = np.zeros(shape, dtype=np.bool_)
         columns: dict[str, npt.NDArray[Any]] = {
             name: np.full(shape, np.nan) if kind is float else np.zeros(shape, dtype=np.bool_)
             for name, kind in self._kinds.items()
         }
-        for (k, name), (samples, row) in found.items():
-            counters[self._messages.index(name), row, k] = samples.columns[COUNTER]
-            now = row[row < last]
-            if len(now):
-                fresh = now[now >= first]  # in order
-                tally.late[k] += len(now) - len(fresh) + np.count_nonzero(fresh[1:] == fresh[:-1])
-            if len(row) > 1:
-                unsure[_babbled(row, samples.columns[COUNTER]), k] = True
-        self._fill(columns, found)
-        counter = counters[0]
-        one_sample = (counters == counter).all(axis=0)
-        mixed = ~one_sample & (counters >= 0).all(axis=0)
-        counter[~one_sample] = -1
-        given = slice(first, max(first, last))
-        shown = counter[given]
-        babbled = unsure[given] & (shown >= 0)
-        babbled |= self._distrusted(found, first, shown, babbled)
-        answered = shown >= 0
-        shown[babbled] = -1
-        repeated, doubtful = self._counters.check(shown, columns["stale"][given])
-        doubtful |= babbled
-        if len(shown):
-            self._answered = answered[-1]
-        shown[doubtful] = -1
-        tally.repeated += repeated.sum(axis=0)
-        tally.doubtful += doubtful.sum(axis=0)
-        tally.mixed += mixed[given].sum(axis=0)
-        tally.missing += (shown < 0).sum(axis=0)
-        of_rows = {name: column[given] for name, column in columns.items()}
-        for column in of_rows.values():
-            column[shown < 0] = np.nan if column.dtype.kind == "f" else False
-        rows = Rows(tally.rows, syncs["t_ns"][given].astype(np.int64), counter[given], of_rows)
-        tally.rows += len(rows)
+        for said in answers:
+            now = (said.row >= first) & (said.row < last)
+            row, finger = said.row[now] - first, said.finger[now]
+            counters[said.message, row, finger] = said.counter[now]  # of two answers in a row the second one stays
+            for signal, values in said.columns.items():
+                if signal != COUNTER:
+                    columns[signal][row, finger] = values[now]
+            self._count(said, now, first)
+            self._spoke_again(said, first)
+            unsure |= babbled(said, first, shape)
+        gaps = np.maximum(np.array(self._gaps[first:last], dtype=np.int64), 0)
+        counter = self._judged(counters, columns["stale"], unsure, gaps)
+        missing = counter < 0
+        if missing.any():
+            for column in columns.values():
+                column[missing] = np.nan if column.dtype.kind == "f" else False
+        rows = Rows(self.tally.rows, syncs["t_ns"][first:last].astype(np.int64), counter, columns)
+        self.tally.rows += len(rows)
+        self.tally.missing += missing.sum(axis=0)
         return rows
 
-    def _distrusted(self, found: _Answers, first: int, shown: npt.NDArray[np.int64], babbled: BoolArray) -> BoolArray:
-        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC.
+    def _count(self, said: Answers, now: BoolArray, first: int) -> None:
+        """What came late, and what was put right."""
+        fingers = len(self.node_ids)
+        place = np.unique(said.row[now] * fingers + said.finger[now])
+        late = np.bincount(said.finger[now | (said.row < first)], minlength=fingers)
+        self.tally.late += late - np.bincount(place % fingers, minlength=fingers)
+        self.tally.delayed += np.bincount(said.finger[now & said.moved], minlength=fingers)
 
-        A babbler's frame may come before the node's own, and its counter may happen to fit. So a finger that spoke
-        again after its answer was given out, or that babbled, is not believed for CONFIRMED rows.
+    def _spoke_again(self, said: Answers, first: int) -> None:
+        """A finger that has answered and speaks again is not believed for a while.
+
+        Unless with the counter that is due next: so it answers a SYNC that did not reach the host.
         """
-        for (k, _), (_, row) in found.items():
-            if self._answered[k] and (row < first).any():
-                self._distrust[k] = CONFIRMED
-        distrusted = np.zeros(shown.shape, dtype=np.bool_)
-        if self._distrust.any() or babbled.any():
-            for number in range(len(shown)):
-                distrusted[number] = (self._distrust > 0) & (shown[number] >= 0)
-                self._distrust = np.where(babbled[number], CONFIRMED, np.maximum(self._distrust - 1, 0))
+        due = self._counters.expected()
+        again = (said.row < first) & self._answered[said.finger] & (said.counter != due[said.finger])
+        self._distrust[said.finger[again]] = CONFIRMED
+
+    def _judged(self, counters: IntArray, stale: BoolArray, unsure: BoolArray, gaps: IntArray) -> IntArray:
+        """From the counters of each message, (messages, m, k), those of the rows (m, k): -1 for what is not shown."""
+        tally = self.tally
+        counter: IntArray = counters[0].copy()
+        one_sample = np.equal(counters, counter).all(axis=0)
+        tally.mixed += (~one_sample & (counters >= 0).all(axis=0)).sum(axis=0)
+        counter[~one_sample] = -1
+        unsure &= counter >= 0
+        unsure |= self._distrusted(counter >= 0, unsure)
+        if len(counter):
+            self._answered = counter[-1] >= 0
+        counter[unsure] = -1
+        repeated, doubtful = self._counters.check(counter, stale, gaps)
+        counter[doubtful] = -1
+        tally.repeated += repeated.sum(axis=0)
+        tally.doubtful += (doubtful | unsure).sum(axis=0)
+        return counter
+
+    def _distrusted(self, here: BoolArray, unsure: BoolArray) -> BoolArray:
+        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC: of CONFIRMED rows.
+
+        A babbler's frame may come before the node's own, and its counter may happen to fit.
+        """
+        distrusted = np.zeros(here.shape, dtype=np.bool_)
+        if self._distrust.any() or unsure.any():
+            for number in range(len(here)):
+                distrusted[number] = (self._distrust > 0) & here[number]
+                self._distrust = np.where(unsure[number], CONFIRMED, np.maximum(self._distrust - 1, 0))
         return distrusted
 
-    def _fill(self, columns: dict[str, npt.NDArray[Any]], found: _Answers) -> None:
-        """All fingers at once: a call of numpy's costs more than the few numbers that one finger brings."""
-        for name in self._messages:
-            answers = [(k, samples, row) for (k, of), (samples, row) in found.items() if of == name]
-            if not answers:
-                continue
-            rows = np.concatenate([row for _, _, row in answers])
-            fingers = np.repeat([k for k, _, _ in answers], [len(row) for _, _, row in answers])
-            for signal in answers[0][1].columns:
-                if signal != COUNTER:  # of two answers in a row the second one stays
-                    columns[signal][rows, fingers] = np.concatenate([s.columns[signal] for _, s, _ in answers])
 
-
-def _babbled(row: npt.NDArray[np.intp], counter: npt.NDArray[np.uint8]) -> npt.NDArray[np.intp]:
-    """Rows (of the answers of one finger, in order) that hold more, or other, answers than lateness explains.
-
-    A late answer and the one in time count on by one, a duplicate by none. Anything else is a babbler or a second node
-    with the same COB-ID, and no answer in the row can be told from the others.
-    """
-    if len(row) < 2:
-        return row[:0]
-    same = np.diff(row) == 0
-    odd = same & (np.diff(counter) > 1)  # unsigned: modulo 256
-    many, counts = np.unique(row[1:][same], return_counts=True)
-    return np.concatenate((row[1:][odd], many[counts >= MOST_ANSWERS]))
+def _joined(one: FrameArray, other: FrameArray) -> FrameArray:
+    """Both, in order; ten times as fast as concatenate for a few frames, which looks at every field's name."""
+    both: FrameArray = np.empty(len(one) + len(other), dtype=FRAME)
+    both[: len(one)] = one
+    both[len(one) :] = other
+    return both
