@@ -114,7 +114,7 @@ class Collector:
         self._sync_gaps = SyncGaps()
         self._counters = CounterCheck(len(node_ids))
         self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the row that was given out last
-        self._silent = np.ones(len(node_ids), dtype=np.bool_)  # had no answer in that row, whatever became of it
+        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # had no answer in that row, whatever became of it
         self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows for which a finger is not believed
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
@@ -179,15 +179,14 @@ class Collector:
             sure = ~said.waiting & (said.row >= first)
             there[said.message, said.row[sure], said.finger[sure]] = True
         whole: BoolArray = np.logical_and.reduce(there)
-        ready: BoolArray = np.asarray(np.logical_and.reduce(whole, axis=1))
-        ready[:-1] |= np.logical_and.reduce(
-            (whole | self._silent)[:-1], axis=1
-        )  # the next SYNC has come: no time for the silent ones
-        ready[now_s - np.array(self._opened_s) >= self._wait_s] = True
+        spared = whole | self._silent
+        spared[-1] = whole[-1]  # until the next SYNC comes there is time even for silent ones
+        timed_out = now_s - np.array(self._opened_s) >= self._wait_s
+        ready = np.logical_and.reduce(spared, axis=1) | timed_out
         ready[:first] = True
         last = count if ready.all() else int(ready.argmin())
         if last > first:
-            self._silent = ~there[:, last - 1].any(axis=0)
+            self._silent = np.logical_not(there[:, last - 1].any(axis=0))
         return last
 
     def _keep(self, window: FrameArray, syncs: npt.NDArray[np.intp], answers: list[Answers], last: int) -> None:
