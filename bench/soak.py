@@ -63,7 +63,7 @@ class Soak:
         self._to_host = Injector(faults, seed + 1)
         # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
         self._to_node = {n: Injector(Faults(drop=faults.drop), seed + 100 + n) for n in ids}
-        self._collector = Collector(ids, wait_s=WAIT_S)
+        self._collector = Collector(ids, wait_s=WAIT_S, own_sync=True)
         self._supervisor = Supervisor(ids, HEARTBEAT_TIMEOUT_S)
         self._truth: dict[int, dict[int, bytes]] = {}  # by row, by node-id: the contact PDO that answered its SYNC
         self._starts: set[int] = set()
@@ -92,6 +92,8 @@ class Soak:
     def _tick(self, now_s: float) -> None:
         self._trouble(now_s)
         off = now_s < self._bus_off_until_s
+        if off:
+            self._collector.drop()
         received: list[tuple[float, int, bytes]] = []
         if not off:
             received.append((now_s, SYNC_COB_ID, b""))

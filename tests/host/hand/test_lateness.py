@@ -45,6 +45,8 @@ class Step:
     """Its answers wait."""
     lost: frozenset[int] = frozenset()
     """What it sends now does not reach the host."""
+    pause_ms: int = 0
+    """Before it: the SYNC's sender was busy, too."""
 
 
 WELL = Step()
@@ -53,12 +55,15 @@ WELL = Step()
 class World:
     """A SYNC every millisecond, numbered; what the host showed, by the number of the row's SYNC."""
 
-    def __init__(self, wait_ms: int = WAIT_MS) -> None:
+    def __init__(self, wait_ms: int = WAIT_MS, own_sync: bool = False) -> None:
         self.fingers = [Finger(n + 1) for n in range(FINGERS)]
-        self.collector = Collector([finger.node_id for finger in self.fingers], wait_s=wait_ms * 1e-3)
+        self.collector = Collector(
+            [finger.node_id for finger in self.fingers], wait_s=wait_ms * 1e-3, own_sync=own_sync
+        )
         self.heard: list[int] = []
         self.shown: list[list[int | None]] = []
         self._number = 0
+        self._now_ms = 0
 
     def run(self, steps: list[Step], cuts: list[int] | None = None) -> None:
         """``cuts``: how the frames of each SYNC fall into blocks."""
@@ -70,7 +75,8 @@ class World:
 
     def _step(self, step: Step) -> list[tuple[int, int, bytes]]:
         self._number += 1
-        t_ns = self._number * 1_000_000
+        self._now_ms += 1 + step.pause_ms
+        t_ns = self._now_ms * 1_000_000
         frames = [] if step.unheard else [(t_ns, 0x80, b"")]
         self.heard += [] if step.unheard else [self._number]
         for k, finger in enumerate(self.fingers):
@@ -82,7 +88,7 @@ class World:
         return frames
 
     def _host(self, frames: list[tuple[int, int, bytes]]) -> None:
-        rows = self.collector.add(frame_array(frames), self._number * 1e-3)
+        rows = self.collector.add(frame_array(frames), self._now_ms * 1e-3)
         for row, P in enumerate(rows.columns["P"]):
             assert rows.first + row == len(self.shown)
             self.shown.append([None if np.isnan(value) else round(value * 1000) for value in P])
@@ -136,6 +142,23 @@ def test_however_long_and_however_cut(stalls: list[list[frozenset[int]]], cuts: 
     assert world.collector.tally.late.tolist() == [0, 0]
 
 
+def test_beside_gaps_only_the_sender_of_the_sync_knows() -> None:
+    steps = [*warm(), *busy(1, 3), Step(pause_ms=5, busy=frozenset({1})), WELL]
+    own, listener = World(own_sync=True), World()
+    own.run(steps)
+    assert len(own.shown) == len(steps)
+    assert own.exact()
+    listener.run([*steps, *[WELL] * 2 * WAIT_MS])
+    assert listener.collector.tally.delayed.tolist() == [0, 0]
+    listener.check()
+    dropped = World(own_sync=True)
+    dropped.run(steps[:-1])
+    dropped.collector.drop()  # by the kernel: perhaps a SYNC
+    dropped.run([WELL, *[WELL] * 2 * WAIT_MS])
+    assert dropped.collector.tally.delayed.tolist() == [0, 0]
+    dropped.check()
+
+
 def test_one_that_is_busy_for_too_long_is_not_waited_for_again() -> None:
     world = World()
     world.run([*warm(), *busy(1, WAIT_MS + 1)])
@@ -186,20 +209,22 @@ def some(one_in: int) -> st.SearchStrategy[frozenset[int]]:
     return st.integers(0, one_in * FINGERS - 1).map(lambda k: frozenset({k}) if k < FINGERS else frozenset())
 
 
-LATE = st.builds(Step, missed=some(10), busy=some(3), lost=some(10))
+LATE = st.builds(Step, missed=some(10), busy=some(3), lost=some(10), pause_ms=st.sampled_from([0, 0, 0, 2]))
 UNHEARD = st.builds(Step, unheard=st.integers(0, 9).map(lambda k: k == 0), missed=some(10), lost=some(10))
 
 
-@pytest.mark.parametrize("kinds", [LATE, UNHEARD], ids=["late", "unheard"])
+@pytest.mark.parametrize(
+    ("kinds", "own_sync"), [(LATE, False), (LATE, True), (UNHEARD, False)], ids=["late", "late, own SYNC", "unheard"]
+)
 @given(st.data(), st.lists(st.integers(0, 8), min_size=1, max_size=5), st.sampled_from([2, 5, 20]))
 def test_no_value_is_of_another_row(
-    kinds: st.SearchStrategy[Step], data: st.DataObject, cuts: list[int], wait_ms: int
+    kinds: st.SearchStrategy[Step], own_sync: bool, data: st.DataObject, cuts: list[int], wait_ms: int
 ) -> None:
     """SYNCs and answers that are lost on either side, and fingers that are busy: what is shown is of its own time.
 
     Not both at once: a SYNC that the host did not hear beside a late finger can't be told from one that was not sent.
     """
-    world = World(wait_ms)
+    world = World(wait_ms, own_sync)
     world.run([*warm(), *data.draw(st.lists(kinds, max_size=60)), *[WELL] * 30], cuts)
     world.check()
     assert world.shown[-1] == [world.heard[len(world.shown) - 1]] * FINGERS  # and all is well again

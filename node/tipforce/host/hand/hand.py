@@ -70,7 +70,7 @@ class Hand:
         self._wanted = {finger.node_id: wanted_settings(file, finger) for finger in file.finger}
         self._plans = {finger.node_id: finger for finger in file.finger}
         gauges = file.finger[0].gauges
-        self._collector = Collector(file.node_ids, file.messages, gauges, plan.wait_s)
+        self._collector = Collector(file.node_ids, file.messages, gauges, plan.wait_s, plan.sync_hz > 0)
         self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
@@ -82,6 +82,7 @@ class Hand:
         self._probe_s = 0.0
         self._heard_s = 0.0  # up to which time all that came was read
         self._dropped = 0  # on links that were lost
+        self._seen_dropped = 0
 
     @classmethod
     def open(cls, path: str | Path, **bus: Any) -> Hand:
@@ -206,6 +207,9 @@ class Hand:
     def _step(self, timeout_s: float) -> None:
         frames = self._link.receive(timeout_s)
         now_s = time.monotonic()
+        if self._link.dropped != self._seen_dropped:
+            self._seen_dropped = self._link.dropped
+            self._collector.drop()
         rows = self._collector.add(frames, now_s)
         if len(rows):
             self._jitter.add(rows.sync_ns)
@@ -253,11 +257,12 @@ class Hand:
         self._link.close()
         # The row that was open ends here: what comes when the bus is back does not belong to its SYNC.
         rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
+        self._collector.drop()
         if len(rows):
             self._delivery.put(rows)
         while not self._stopped.wait(REOPEN_S):
             try:
-                self._link = open_link(self.file.bus)
+                self._link, self._seen_dropped = open_link(self.file.bus), 0
             except EnvironmentLackError:
                 continue
             break

@@ -83,13 +83,13 @@ class Collector:
     """Collects rows of ``messages`` (PDO names) of the fingers ``node_ids``.
 
     A row that is not whole ``wait_s`` after its SYNC was handed in is given out as it is. A finger that left out a row
-    so is not waited for again, beyond the next SYNC, before it has answered.
+    so is not waited for again, beyond the next SYNC, before it has answered. ``own_sync``: the host sends the SYNC.
     Raises InputError for no finger, a repeated one, or a message without status and counter.
     """
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
-        wait_s: float = 0.02, decoder: Decoder | None = None,
+        wait_s: float = 0.02, own_sync: bool = False, decoder: Decoder | None = None,
     ) -> None:  # fmt: skip
         known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base and m.name != "Health"}
         unknown = [name for name in messages if name not in known]
@@ -111,11 +111,15 @@ class Collector:
         self._opened_s: list[float] = []  # when each of them was handed in
         self._gaps: list[int] = []  # and how many SYNCs lack before it
         self._given = False  # the only open row was given out; what still comes for it is late
-        self._sync_gaps = SyncGaps()
+        self._sync_gaps = SyncGaps(own_sync)
         self._counters = CounterCheck(len(node_ids))
         self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the row that was given out last
-        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # had no answer in that row, whatever became of it
+        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # gave no answer to it, sure or not
         self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows for which a finger is not believed
+
+    def drop(self) -> None:
+        """Frames were lost before or among those that are handed in next."""
+        self._sync_gaps.drop()
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Take frames as they were received, FRAME (n,); the rows that became whole or timed out, often none.
@@ -127,14 +131,16 @@ class Collector:
         if not len(syncs):  # nothing begins a row yet
             return self._nothing()
         window, syncs = window[syncs[0] :], syncs - syncs[0]
-        for t_ns in window["t_ns"][syncs[len(self._opened_s) :]].tolist():
-            self._opened_s.append(now_s)
-            self._gaps.append(self._sync_gaps.add(t_ns))
+        new = window["t_ns"][syncs[len(self._opened_s) :]].tolist()
+        self._opened_s += [now_s] * len(new)
+        self._gaps += [self._sync_gaps.add(t_ns) for t_ns in new]
         first = int(self._given)
         if len(syncs) - first == 1 and self._too_few(len(window) - int(syncs[-1]), now_s):
             self._open = window
             return self._nothing()
         answers = self._answers(window, syncs, first) if len(window) > len(syncs) else []
+        if new:
+            self._sync_gaps.go_on()
         last = self._ready(answers, first, len(syncs), now_s)
         rows = self._rows(answers, window[syncs], first, last)
         self._keep(window, syncs, answers, last)
@@ -166,7 +172,7 @@ class Collector:
                 self._messages[said.name], self._finger[said.node_id], row, said.row,
                 said.columns[COUNTER].astype(np.int64), said.columns, *np.zeros((2, len(row)), dtype=np.bool_),
             )  # fmt: skip
-            in_time = window["t_ns"][said.row] - window["t_ns"][syncs[row]] < self._sync_gaps.period_ns
+            in_time = window["t_ns"][said.row] - window["t_ns"][syncs[row]] < self._sync_gaps.horizon_ns
             seat(answers, expected, in_time, regular)
             found.append(answers)
         return found
