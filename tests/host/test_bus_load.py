@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host.bus_load import exact_bits, hand_budget, highest_rate_hz, least_bits, most_bits
+from tipforce.host.bus_load import (
+    LoadMeter,
+    exact_bits,
+    hand_budget,
+    highest_rate_hz,
+    least_bits,
+    most_bits,
+    range_of_bits,
+)  # fmt: skip
 from tipforce.host.frames import frame_array
 
 
@@ -87,3 +95,26 @@ def test_the_highest_rate_is_where_the_limit_is(nodes: int, pdos: tuple[str, ...
 def test_refused(arguments: tuple[int, float]) -> None:
     with pytest.raises(InputError):
         hand_budget(*arguments)
+
+
+@given(st.lists(st.tuples(identifiers, st.binary(max_size=8)), max_size=20))
+def test_the_fast_range_is_that_of_each_frame(frames: list[tuple[int, bytes]]) -> None:
+    frames = [*frames, (0x20000004, bytes(8))]  # an error frame is not what was on the wire
+    array = frame_array([(k, can_id, data) for k, (can_id, data) in enumerate(frames)])
+    least, most = range_of_bits(array)
+    real = [(0 if i & 0x40000000 else len(data), bool(i & 0x80000000)) for i, data in frames if not i & 0x20000000]
+    assert (least, most) == (sum(least_bits(*one) for one in real), sum(most_bits(*one) for one in real))
+    assert least <= exact_bits(array).sum() <= most
+
+
+def test_the_meter_looks_at_the_last_second() -> None:
+    meter = LoadMeter(100_000)
+    frames = frame_array([(0, 0x181, bytes(8))] * 100)
+    assert meter.load(0.0) == (0.0, 0.0)
+    for k in range(5):
+        meter.add(frames, 0.3 * k)
+    meter.add(frames[:0], 1.3)
+    low, high = meter.load(1.2)
+    assert low == pytest.approx(4 * 100 * 111 / 100_000)
+    assert high == pytest.approx(4 * 100 * 135 / 100_000)
+    assert meter.load(9.0) == (0.0, 0.0)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -110,6 +111,45 @@ def highest_rate_hz(
     at_one, at_two = (hand_budget(nodes, hz, pdos, gauges, bit_rate).most_load for hz in (1.0, 2.0))
     each = at_two - at_one
     return max(0.0, (limit - (at_one - each)) / each)
+
+
+_KINDS = [(length, extended) for extended in (False, True) for length in range(9)]
+_LEAST = np.array([least_bits(*kind) for kind in _KINDS])
+_MOST = np.array([most_bits(*kind) for kind in _KINDS])
+
+
+def range_of_bits(frames: FrameArray) -> tuple[int, int]:
+    """Bits of all of FRAME (n,) together, without one stuff bit and with as many as there can be; fast."""
+    flags = frames["can_id"] >> 29
+    length = np.minimum(frames["length"], 8).astype(np.int64)
+    if flags.any():
+        length[(flags & _REMOTE >> 29) != 0] = 0
+        length[(flags & _EXTENDED >> 29) != 0] += 9
+        length = length[(flags & _ERROR >> 29) == 0]
+    counts = np.bincount(length, minlength=len(_KINDS))
+    return int(counts @ _LEAST), int(counts @ _MOST)
+
+
+class LoadMeter:
+    """The load of a live bus over the last second, at a cost that a receive loop does not feel."""
+
+    def __init__(self, bit_rate: int = DEFAULT_BIT_RATE, window_s: float = 1.0) -> None:
+        self._bit_rate, self._window_s = bit_rate, window_s
+        self._batches: deque[tuple[float, int, int]] = deque()  # when, and bits without and with stuffing
+
+    def add(self, frames: FrameArray, now_s: float) -> None:
+        """Take received frames, FRAME (n,), and a monotonic time."""
+        if not len(frames):
+            return
+        self._batches.append((now_s, *range_of_bits(frames)))
+        while self._batches[0][0] < now_s - self._window_s:
+            self._batches.popleft()
+
+    def load(self, now_s: float) -> tuple[float, float]:
+        """Fraction of the bit rate, without one stuff bit and with as many as there can be. From any thread."""
+        recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - self._window_s]
+        bits = self._bit_rate * self._window_s
+        return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
 
 
 def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tipforce.errors import InputError, RefusedError
-from tipforce.host.bus_load import least_bits, most_bits
+from tipforce.host.bus_load import range_of_bits
 from tipforce.host.frames import FRAME, FrameArray
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.history import MAX_BYTES, row_bytes
@@ -88,9 +88,8 @@ class LogSource:
             for frames in log:
                 last_s = float(frames["t_ns"][-1]) * 1e-9
                 self._take(watcher, frames, last_s)
-                lengths = np.bincount(np.minimum(frames["length"], 8), minlength=9).tolist()
-                low += sum(count * least_bits(length) for length, count in enumerate(lengths))
-                high += sum(count * most_bits(length) for length, count in enumerate(lengths))
+                least, most = range_of_bits(frames)
+                low, high = low + least, high + most
         self._take(watcher, _NO_FRAMES, last_s + 1.0)
         self._bits = low, high
 

@@ -11,7 +11,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, RefusedError
-from tipforce.host.bus_load import hand_budget, least_bits, most_bits
+from tipforce.host.bus_load import LoadMeter
 from tipforce.host.frames import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
@@ -91,20 +91,7 @@ class HandSource:
         counters.dropped, counters.overrun = found.dropped, self._overrun
         counters.jitter_p99_us = found.sync.p99_us if found.sync.periods else None
         self.model.nmt = [self._hand.state(finger.node_id) for finger in self.model.fingers]
-        self._set_load()
-
-    def _set_load(self) -> None:
-        """From the rows that come, since a hand tells no frames: SYNC, PDOs and heartbeats."""
-        picture, plan = self.model.picture(), self._hand.file.hand
-        counters = self.model.counters
-        counters.load_low = counters.load_high = None
-        if picture.rate_hz > 0:
-            bit_rate = int(self._hand.file.bus.get("bitrate", 1_000_000))
-            budget = hand_budget(
-                len(self.model.fingers), picture.rate_hz, self._messages, self.model.gauges, bit_rate,
-                plan.heartbeat_ms * 1e-3,
-            )  # fmt: skip
-            counters.load_low, counters.load_high = budget.least_load, budget.most_load
+        counters.load_low, counters.load_high = found.load
 
     def tare(self, node_id: int) -> str:
         """See Source."""
@@ -123,11 +110,10 @@ class ListenSource:
         fingers: Sequence[Finger] = (), bit_rate: int = 1_000_000,
     ) -> None:  # fmt: skip
         self.title, self.no_tare = title, "this page only listens to the bus"
-        self._receiver, self._bit_rate = receiver, bit_rate
+        self._receiver, self._load = receiver, LoadMeter(bit_rate)
         self.model = Model(fingers, gauges)
         self._watcher = Watcher(make_finger, gauges, fingers, self.model.set_fingers)
         self._waiting: deque[tuple[FrameArray, float]] = deque(maxlen=MAX_WAITING_BATCHES)
-        self._seconds: deque[tuple[float, int, int]] = deque()
         self._down = False
         self._looked_s = time.monotonic()
         self._stopped = threading.Event()
@@ -150,6 +136,7 @@ class ListenSource:
                 return
             if len(frames):
                 self.received += len(frames)
+                self._load.add(frames, time.monotonic())
                 if self._down:
                     self._down = False
                     self.model.add_event(time.time_ns(), 0, "bus_up", "frames come again")
@@ -182,20 +169,7 @@ class ListenSource:
             setattr(counters, name, values)
         counters.dropped = self._receiver.dropped
         self.model.nmt = self._watcher.nmt()
-        self._set_load(frames, now_s)
-
-    def _set_load(self, frames: FrameArray | None, now_s: float) -> None:
-        """Bits of the last second: without one stuff bit, and with as many as there can be."""
-        if frames is not None:
-            lengths = np.bincount(np.minimum(frames["length"], 8), minlength=9).tolist()
-            low = sum(count * least_bits(length) for length, count in enumerate(lengths))
-            high = sum(count * most_bits(length) for length, count in enumerate(lengths))
-            self._seconds.append((now_s, low, high))
-        while self._seconds and self._seconds[0][0] < now_s - _LOAD_WINDOW_S:
-            self._seconds.popleft()
-        total = self._bit_rate * _LOAD_WINDOW_S
-        self.model.counters.load_low = sum(low for _, low, _ in self._seconds) / total
-        self.model.counters.load_high = sum(high for _, _, high in self._seconds) / total
+        self.model.counters.load_low, self.model.counters.load_high = self._load.load(now_s)
 
     def tare(self, node_id: int) -> str:
         """See Source."""

@@ -26,6 +26,7 @@ import numpy as np
 
 from tipforce.dictionary import objects
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
+from tipforce.host.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.host.configuration import verify_configuration
 from tipforce.host.frames import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
@@ -57,6 +58,8 @@ class Statistics:
     """Frames that the kernel or the buffer dropped."""
     overrun: int
     """Rows that slow consumers did not take in time."""
+    load: tuple[float, float]
+    """Fraction of the bus's bit rate in the last second, without stuffing and with the most there can be."""
 
 
 class Hand:
@@ -74,6 +77,7 @@ class Hand:
         self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
         self._babbling = BabbleWatch(plan.sync_hz)
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
+        self._load = LoadMeter(int(file.bus.get("bitrate", DEFAULT_BIT_RATE)))
         self._delivery = Delivery()
         self._keeper = Keeper(self._mend)
         self._sync: SyncProducer | None = None
@@ -146,8 +150,9 @@ class Hand:
     def statistics(self) -> Statistics:
         """What was counted so far."""
         return Statistics(
-            self._collector.tally, self._jitter.figures(), self._dropped + self._link.dropped, self._delivery.overrun
-        )
+            self._collector.tally, self._jitter.figures(), self._dropped + self._link.dropped, self._delivery.overrun,
+            self._load.load(time.monotonic()),
+        )  # fmt: skip
 
     def stop(self) -> None:
         """No more SYNCs and rows; the fingers go back to pre-operational."""
@@ -210,6 +215,7 @@ class Hand:
         if self._link.dropped != self._seen_dropped:
             self._seen_dropped = self._link.dropped
             self._collector.drop()
+        self._load.add(frames, now_s)
         rows = self._collector.add(frames, now_s)
         if len(rows):
             self._jitter.add(rows.sync_ns)
