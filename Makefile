@@ -13,7 +13,7 @@ demo: bootstrap-demo ## the main job with no hardware
 
 # tests/vcan needs a kernel with vcan: this one, or else User-mode Linux. Last, so its summary is the last line.
 test: lint ## style, types, imports, all tests, and the tests on a real vcan
-	$(PYTHON) -m pytest -n auto
+	$(PYTHON) -m pytest -n auto --dist=worksteal
 	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
 
 lint: bootstrap-test ## style, types and imports

@@ -27,20 +27,10 @@ from bench.calibration_study import (
     coverage,
     pooled,
 )
+from bench.printed import table
 
 ALLOWED_RATIO = 1.15
 ALLOWED_PERCENT = (93.0, 97.0)
-
-
-def table(header: list[str], rows: list[list[str]], markdown: bool) -> str:
-    """A table as aligned text or as Markdown."""
-    if markdown:
-        lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-        return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
-    return "\n".join(
-        "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True)) for row in [header, *rows]
-    )
 
 
 def comparison_rows(comparisons: list[Comparison]) -> list[list[str]]:

@@ -28,20 +28,10 @@ from bench.coverage_study import (
     study,
     without_the_one,
 )
+from bench.printed import table
 
 ISOTROPIC = "isotropic noise"
 QUANTITIES = ("P", "phi", "theta")
-
-
-def table(header: list[str], rows: list[list[str]], markdown: bool) -> str:
-    """A table as aligned text or as Markdown."""
-    if markdown:
-        lines = ["| " + " | ".join(header) + " |", "|" + "---|" * len(header)]
-        return "\n".join(lines + ["| " + " | ".join(row) + " |" for row in rows])
-    widths = [max(len(row[k]) for row in [header, *rows]) for k in range(len(header))]
-    return "\n".join(
-        "  ".join(f"{text:>{width}}" for text, width in zip(row, widths, strict=True)) for row in [header, *rows]
-    )
 
 
 def shown(cells: list[Cell], quantity: int) -> str:

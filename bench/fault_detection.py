@@ -18,7 +18,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 import numpy.typing as npt
-from bench.coverage import table
+from bench.printed import table
 
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.gauge_shift import GaugePosition, position_matrix

@@ -10,12 +10,11 @@ carry over; times do not.
 
 from __future__ import annotations
 
-import argparse
-import json
 import statistics
-import sys
 from pathlib import Path
 from typing import Any
+
+from bench import printed
 
 ROUNDS, REPEATS = 500, 7
 MODULES = "app", "can_port", "can_mcp2515", "flash", "nau7802", "source"  # of this board; the others have the rest
@@ -26,7 +25,8 @@ bus.coming.append((0, b'\\1\\0'))
 node.poll()
 """
 PREPARE = """
-from microcontroller.fakes import FakeClock, FakeNau7802, FakeMcp2515, MemorySlots
+from microcontroller.fake_controllers import FakeMcp2515
+from microcontroller.fakes import FakeClock, FakeNau7802, MemorySlots
 clock = FakeClock()
 naus = [FakeNau7802(clock, [1000 * k + 1]) for k in range(3)]
 bus = FakeMcp2515()
@@ -72,8 +72,9 @@ def measure() -> dict[str, Any]:
     compiled = files()
     sizes = {path.removeprefix(f"{engine.LIBRARY}/"): len(content) for path, content in compiled.items()}
     told = dict(compiled)
-    fakes = Path(engine.__file__).parents[1] / "microcontroller/fakes.py"
-    told[f"{engine.LIBRARY}/microcontroller/fakes.py"] = fakes.read_bytes()
+    for name in ("fakes.py", "fake_controllers.py"):
+        fakes = Path(engine.__file__).parents[1] / "microcontroller" / name
+        told[f"{engine.LIBRARY}/microcontroller/{name}"] = fakes.read_bytes()
     count = "import gc\nprint('heap', gc.mem_alloc())"
     calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", PREPARE, "import gc", count, IMPORT, count, DRIVERS,
              BUILD, count, "around(3000, 1000, False)", count]  # fmt: skip
@@ -113,15 +114,5 @@ def table(found: dict[str, Any]) -> str:
     ])  # fmt: skip
 
 
-def main() -> None:
-    """Parse, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
-    args = parser.parse_args()
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the runner lives with the tests that use it too
-    found = measure()
-    print(json.dumps(found, indent=1) if args.json else table(found))
-
-
 if __name__ == "__main__":
-    main()
+    printed.main(__doc__, measure, table)

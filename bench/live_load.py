@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import sys
 import tempfile
 import threading
@@ -167,8 +166,3 @@ def _their_logger(path: Path, rate_hz: int, seconds: float) -> tuple[float, int]
         notifier.stop()  # stops the logger, too
     one.close()
     return share, path.read_bytes().count(b"\n")
-
-
-def cores() -> int:
-    """How many cores this process may use."""
-    return len(os.sched_getaffinity(0))

@@ -9,14 +9,12 @@ of 32 bits as a microcontroller's; its speed is that of this machine, and its ti
 
 from __future__ import annotations
 
-import argparse
-import json
 import platform
 import statistics
-import sys
 from dataclasses import asdict
-from pathlib import Path
 from typing import Any
+
+from bench import printed
 
 STEPS, REPEATS, WARM_UP = 2000, 7, 1  # this MicroPython has a clock of milliseconds
 LEVELS = (0, 3)  # -O1 and -O2 leave out assert statements, and there are none
@@ -102,15 +100,5 @@ def table(found: dict[str, Any]) -> str:
     return "\n".join(rows)
 
 
-def main() -> None:
-    """Parse, measure, print."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--json", action="store_true", help="JSON instead of a table")
-    args = parser.parse_args()
-    sys.path.insert(0, str(Path(__file__).parents[1] / "tests"))  # the runner lives with the tests that use it too
-    found = measure()
-    print(json.dumps(found, indent=1) if args.json else table(found))
-
-
 if __name__ == "__main__":
-    main()
+    printed.main(__doc__, measure, table)

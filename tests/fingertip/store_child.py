@@ -1,9 +1,11 @@
 """Run by test_kill.py as a process of its own: calibrate, store, say so, again and again until it is killed.
 
-Arguments: the store file, the first serial number. Each line on stdout is a serial number whose store was confirmed.
+Argument: the store file. Each line on stdin is a first serial number, and starts a child that is to be killed. On
+stdout: the child's process id, then each serial number whose store was confirmed, then "ended" and the signal.
 """
 
 import binascii
+import os
 import struct
 import sys
 
@@ -53,5 +55,16 @@ def main(path: str, first: int) -> None:
         k += 1
 
 
+def serve(path: str) -> None:
+    """A forked child for each first serial number: as fresh as a process that imports all anew, and 20 times faster."""
+    for line in sys.stdin:
+        child = os.fork()
+        if not child:
+            print(os.getpid(), flush=True)
+            main(path, int(line))
+        _, status = os.waitpid(child, 0)
+        print("ended", os.WTERMSIG(status) if os.WIFSIGNALED(status) else "by itself", flush=True)
+
+
 if __name__ == "__main__":
-    main(sys.argv[1], int(sys.argv[2]))
+    serve(sys.argv[1])

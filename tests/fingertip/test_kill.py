@@ -1,6 +1,7 @@
 """SIGKILL at any instant of commit and store leaves one complete calibration: the last confirmed, or the next one."""
 
 import binascii
+import os
 import random
 import signal
 import subprocess
@@ -22,6 +23,8 @@ AT_ONCE = 2
 LONGEST_US = 6000  # a few cycles of commit and store
 CHILD = Path(__file__).with_name("store_child.py")
 
+Parent = subprocess.Popen[str]  # of the children that are killed: store_child.py
+
 
 def restarted(path: Path) -> Finger:
     """The node after a power cycle, on what the disk holds."""
@@ -29,23 +32,21 @@ def restarted(path: Path) -> Finger:
     return Finger(fingertip_node(5, source, save=store.save, load=store.load), source)
 
 
-def survive(path: Path, first: int, wait_us: int) -> tuple[int, int]:
+def survive(parent: Parent, path: Path, first: int, wait_us: int) -> tuple[int, int]:
     """Let a child store calibrations from ``first`` on and kill it; the last confirmed number, and the one found."""
-    with subprocess.Popen(
-        # -I -S: a start without site packages is twice as fast; the path of the package is handed over.
-        [sys.executable, "-I", "-S", "-c", start(), str(path), str(first)], stdout=subprocess.PIPE, text=True
-    ) as child:  # fmt: skip
-        assert child.stdout is not None
-        confirmed = int(child.stdout.readline())
-        until_ns = time.perf_counter_ns() + 1000 * wait_us
-        while time.perf_counter_ns() < until_ns:
-            pass  # sleep() is too coarse for an instant within a write
-        child.kill()
-        rest = child.stdout.read()
-        assert child.wait() < 0, "the child must have been killed, not have ended by itself"
-    # A number cut off in the middle was confirmed but not said; only whole lines count as said.
-    whole = rest[: rest.rfind("\n") + 1].split()
-    confirmed = int(whole[-1]) if whole else confirmed
+    assert parent.stdin is not None
+    assert parent.stdout is not None
+    parent.stdin.write(f"{first}\n")
+    parent.stdin.flush()
+    child = int(parent.stdout.readline())
+    confirmed = int(parent.stdout.readline())
+    until_ns = time.perf_counter_ns() + 1000 * wait_us
+    while time.perf_counter_ns() < until_ns:
+        pass  # sleep() is too coarse for an instant within a write
+    os.kill(child, signal.SIGKILL)
+    while not (line := parent.stdout.readline()).startswith("ended"):
+        confirmed = int(line)  # one write to a pipe each: a number is said as a whole or not at all
+    assert line == f"ended {int(signal.SIGKILL)}\n", "the child must have been killed, not have ended by itself"
     talk = restarted(path)
     active = talk.upload(0x2140)
     assert isinstance(active, bytes)
@@ -58,7 +59,7 @@ def survive(path: Path, first: int, wait_us: int) -> tuple[int, int]:
 
 
 def start() -> str:
-    """The child's first statement: find the package, then run the script."""
+    """The first statement of the children's parent: find the package, then run the script."""
     package_root = Path(str(sys.modules["tipforce"].__file__)).parents[1]
     run = f"runpy.run_path({str(CHILD)!r}, run_name='__main__')"
     return f"import sys, runpy; sys.path.insert(0, {str(package_root)!r}); {run}"
@@ -71,9 +72,12 @@ def test_calibration_survives_sigkill_at_any_instant(tmp_path: Path) -> None:
 
     def series(worker: int) -> list[tuple[int, int]]:
         path, first, seen = tmp_path / f"node-{worker}.json", 1, []
-        for wait_us in waits[worker]:
-            seen.append(survive(path, first, wait_us))
-            first = seen[-1][1] + 1  # each child goes on from what the one before left behind
+        # -I -S: a start without site packages is faster; the path of the package is handed over.
+        command = [sys.executable, "-I", "-S", "-c", start(), str(path)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True) as parent:
+            for wait_us in waits[worker]:
+                seen.append(survive(parent, path, first, wait_us))
+                first = seen[-1][1] + 1  # each child goes on from what the one before left behind
         return seen
 
     with ThreadPoolExecutor(AT_ONCE) as pool:

@@ -16,7 +16,7 @@ from firmware.flash import FlashStore
 from firmware.hx711 import Hx711
 from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
-from microcontroller import fakes
+from microcontroller import fake_controllers, fakes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -42,13 +42,13 @@ def chip(kind: str, clock: "fakes.FakeClock", signal: "list[int]") -> "tuple[Any
 def controller(kind: str) -> "tuple[Any, Any]":
     """(driver, fake) of one controller."""
     if kind == "mcp2515":
-        mcp = fakes.FakeMcp2515()
+        mcp = fake_controllers.FakeMcp2515()
         return Mcp2515(mcp, mcp.cs, BIT_RATE), mcp
     if kind == "machine":
-        machine = fakes.FakeMachineCan()
-        return MachineCan(fakes.MachineCanView(machine), BIT_RATE), machine
-    pyb = fakes.FakePybCan()
-    return PybCan(fakes.PybCanView(pyb), BIT_RATE), pyb
+        machine = fake_controllers.FakeMachineCan()
+        return MachineCan(fake_controllers.MachineCanView(machine), BIT_RATE), machine
+    pyb = fake_controllers.FakePybCan()
+    return PybCan(fake_controllers.PybCanView(pyb), BIT_RATE), pyb
 
 
 class Rig:

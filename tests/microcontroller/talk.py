@@ -13,7 +13,7 @@ import pytest
 
 from device.conversation import Conversation
 from microcontroller import rig
-from micropython import engine, scripts
+from micropython import recording, scripts
 from micropython.recording import Frame, Recording
 from micropython.talk import SYNC, Talk
 from tipforce.dictionary import table
@@ -22,7 +22,6 @@ from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
 
-STEPS_PER_CALL = 50
 COUNTS_PER_MICROSTRAIN = 1024.0
 SLOWER = {"nau7802": 4, "ads1220": 1, "hx711": 16}  # SYNCs stay apart by more than a conversion
 _CONTROLLER = {0x10: "passive", 0x40: "active", 0x08: "warning", 0x02: "overrun"}
@@ -191,23 +190,6 @@ def spoken(adc: str, can: str, wanted: Iterable[Callable[[], list[Recording]]]) 
         return [one for script in wanted for one in script()]
 
 
-def replay(recordings: Sequence[Recording], files: dict[str, bytes]) -> list[list[str]]:
-    """Hold each conversation on MicroPython: the answers to its steps, and what is in flash."""
-    told = dict(files)
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "from microcontroller import rig"]
-    for number, recording in enumerate(recordings):
-        told[f"/recording{number}"] = recording.text().encode()
-        calls.append(f"replay = rig.Replay('/recording{number}')")
-        for left in range(len(recording.steps), 0, -STEPS_PER_CALL):
-            calls.append(f"replay.go({min(left, STEPS_PER_CALL)})")
-        calls.append("replay.end()")
-    lines = iter(engine.run(told, calls))
-    return [[next(lines) for _ in range(len(recording.steps) + 1)] for recording in recordings]
-
-
 def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:
-    """MicroPython answers every step as CPython did, byte for byte, and stores the same."""
-    for recording, answers in zip(recordings, replay(recordings, files), strict=True):
-        for k, (step, here, there) in enumerate(zip(recording.steps, recording.answers, answers[:-1], strict=True)):
-            assert here == there, f"{recording.name}, step {k} ({step}): CPython {here}, MicroPython {there}"
-        assert recording.stored == answers[-1], f"{recording.name}: flash differs"
+    """MicroPython answers every step as CPython did, byte for byte, and flash holds the same."""
+    recording.assert_same(recordings, files, "from microcontroller.rig import Replay")

@@ -11,7 +11,7 @@ from firmware.can_port import QUEUE
 from firmware.can_pyb import PybCan
 from firmware.flash import FlashStore
 from firmware.source import Gauges
-from microcontroller import fakes, rig
+from microcontroller import fake_controllers, fakes, rig
 from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
 
 KINDS = ["mcp2515", "machine", "pyb"]
@@ -58,8 +58,8 @@ def test_pyb_sends_one_at_a_time() -> None:
 
 
 def test_pyb_of_old_firmware() -> None:
-    bus = fakes.FakePybCan(old=True)
-    port = PybCan(fakes.PybCanView(bus), 250000)
+    bus = fake_controllers.FakePybCan(old=True)
+    port = PybCan(fake_controllers.PybCanView(bus), 250000)
     bus.coming += [(0x123, b"\1"), (0x40000705, b"")]
     assert port.receive() == [(0x123, b"\1"), (0x40000705, b"")]
     assert bus.bit_rates == [250000]
@@ -108,13 +108,13 @@ def test_every_bit_rate_of_cia_301(oscillator_hz: int, bit_rate: int) -> None:
         with pytest.raises(ValueError, match=f"bit rate {bit_rate}: an oscillator of {oscillator_hz} Hz"):
             bit_timing(oscillator_hz, bit_rate)
         return
-    bus = fakes.FakeMcp2515(oscillator_hz)
+    bus = fake_controllers.FakeMcp2515(oscillator_hz)
     Mcp2515(bus, bus.cs, bit_rate, oscillator_hz)
     assert bus.bit_rates == [bit_rate]  # the fake checks the rules of the segments
 
 
 def test_no_mcp2515() -> None:
-    bus = fakes.FakeMcp2515()
+    bus = fake_controllers.FakeMcp2515()
     bus.dead = True
     with pytest.raises(OSError, match="MCP2515: no answer"):
         Mcp2515(bus, bus.cs, 500000)
@@ -123,9 +123,9 @@ def test_no_mcp2515() -> None:
 # --- the loop -------------------------------------------------------------------------------------------------------
 
 
-def firmware_on(clock: fakes.FakeClock, slots: fakes.MemorySlots) -> tuple[Firmware, fakes.FakeMachineCan]:
-    bus = fakes.FakeMachineCan()
-    port = MachineCan(fakes.MachineCanView(bus), 125000)
+def firmware_on(clock: fakes.FakeClock, slots: fakes.MemorySlots) -> tuple[Firmware, fake_controllers.FakeMachineCan]:
+    bus = fake_controllers.FakeMachineCan()
+    port = MachineCan(fake_controllers.MachineCanView(bus), 125000)
     fake = fakes.FakeAds1220(clock, [5])
     chips = [rig.chip("ads1220", clock, [k])[0] for k in range(3)]
     assert fake.registers[0] == 0

@@ -8,10 +8,11 @@ from microcontroller.test_replay import FOLDER, firmware_files
 from micropython import engine
 
 MACHINE = """
-from microcontroller import fakes
+from microcontroller import fake_controllers, fakes
 
 clock = fakes.FakeClock()
-machine_can, pyb_can, mcp2515 = fakes.FakeMachineCan(), fakes.FakePybCan(), fakes.FakeMcp2515()
+machine_can, pyb_can = fake_controllers.FakeMachineCan(), fake_controllers.FakePybCan()
+mcp2515 = fake_controllers.FakeMcp2515()
 buses = []
 fed = 0
 
@@ -34,7 +35,7 @@ def SPI(number, baudrate, polarity, phase):
 
 def CAN(number, bitrate):
     buses.append(machine_can)
-    return fakes.MachineCanView(machine_can)
+    return fake_controllers.MachineCanView(machine_can)
 
 def unique_id():
     return b'\\1\\2\\3'
@@ -54,11 +55,11 @@ class WDT:
 """
 PYB = """
 import machine
-from microcontroller import fakes
+from microcontroller import fake_controllers
 
 def CAN(number):
     machine.buses.append(machine.pyb_can)
-    return fakes.PybCanView(machine.pyb_can)
+    return fake_controllers.PybCanView(machine.pyb_can)
 """
 RUN = """
 import machine

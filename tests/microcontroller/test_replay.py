@@ -22,7 +22,8 @@ PAIRS = {
 def firmware_files() -> dict[str, bytes]:
     """The firmware folder and the fakes, by their place on MicroPython."""
     found = {f"{engine.LIBRARY}/firmware/{path.name}": path.read_bytes() for path in sorted(FOLDER.glob("*.py"))}
-    found |= {f"{engine.LIBRARY}/microcontroller/{name}": (HERE / name).read_bytes() for name in ("fakes.py", "rig.py")}
+    names = "fakes.py", "fake_controllers.py", "rig.py"
+    found |= {f"{engine.LIBRARY}/microcontroller/{name}": (HERE / name).read_bytes() for name in names}
     return found
 
 

@@ -86,25 +86,27 @@ def _frame(word: str) -> Frame:
     return int(can_id, 16), bytes.fromhex(data)
 
 
-def replay(recordings: Sequence[Recording], files: dict[str, bytes]) -> list[list[str]]:
+def replay(
+    recordings: Sequence[Recording], files: dict[str, bytes], replayer: str = "from on_node import Replay"
+) -> list[list[str]]:
     """Hold each conversation on MicroPython with ``files`` as its library: the answers to its steps, and the store."""
     told = dict(files)
-    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", "import on_node"]
+    calls = ["import sys", f"sys.path.append({engine.LIBRARY!r})", replayer]
     for number, recording in enumerate(recordings):
         told[f"/recording{number}"] = recording.text().encode()
-        calls.append(f"replay = on_node.Replay('/recording{number}')")
-        left = len(recording.steps)
-        while left > 0:
+        calls.append(f"replay = Replay('/recording{number}')")
+        for left in range(len(recording.steps), 0, -STEPS_PER_CALL):
             calls.append(f"replay.go({min(left, STEPS_PER_CALL)})")
-            left -= STEPS_PER_CALL
         calls.append("replay.end()")
     lines = iter(engine.run(told, calls))
     return [[next(lines) for _ in range(len(recording.steps) + 1)] for recording in recordings]
 
 
-def assert_same(recordings: Sequence[Recording], files: dict[str, bytes]) -> None:
+def assert_same(
+    recordings: Sequence[Recording], files: dict[str, bytes], replayer: str = "from on_node import Replay"
+) -> None:
     """MicroPython answers every step as CPython did, byte for byte, and stores the same."""
-    for recording, answers in zip(recordings, replay(recordings, files), strict=True):
+    for recording, answers in zip(recordings, replay(recordings, files, replayer), strict=True):
         for k, (step, here, there) in enumerate(zip(recording.steps, recording.answers, answers[:-1], strict=True)):
             assert here == there, f"{recording.name}, step {k} ({step}): CPython {here}, MicroPython {there}"
         assert recording.stored == answers[-1], f"{recording.name}: what was stored differs"

@@ -43,7 +43,7 @@ HUNG = groove_loads()
 
 
 def contact_error(F: FloatArray) -> FloatArray:
-    """Errors of P, phi, theta, (3, 3), of estimates F at LOADS."""
+    """Errors of P, phi, theta, (m, 3, 3), of estimates F (m, 3, 3) at LOADS."""
     found = contacts(F, pull=False)
     angles = [found.phi_rad - LOADS.phi_rad, found.theta_rad - LOADS.theta_rad]
     turned = [np.remainder(angle + pi, 2 * pi) - pi for angle in angles]
@@ -135,7 +135,7 @@ def test_each_cause_is_what_a_simulation_of_it_gives(cause: str, draw: Draw, dra
     rng = np.random.default_rng(7)
     sensor = replace(SENSOR, calibrated=cause != "gauge position")
     row = next(row for row in budget(sensor, LOADS, CAUSES).rows if row.cause == cause)
-    errors = np.array([contact_error(draw(rng)) for _ in range(draws)])
+    errors = contact_error(np.array([draw(rng) for _ in range(draws)]))
     spread = np.sqrt(np.mean(errors**2, axis=0))
     # Relative error of a standard deviation: 1 / sqrt(2 draws), here four times that.
     np.testing.assert_allclose(row.uncertainties, spread, rtol=4.0 / np.sqrt(2.0 * draws), atol=3e-6)

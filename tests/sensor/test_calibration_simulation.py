@@ -39,8 +39,9 @@ def test_intervals_hold_what_they_promise(condition: str, simulations: int, monk
 
 def test_the_command_prints_its_tables(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT)
-    from bench.calibration import comparison_rows, coverage_rows, table
+    from bench.calibration import comparison_rows, coverage_rows
     from bench.calibration_study import CONDITIONS, compare, coverage
+    from bench.printed import table
 
     faults, drift = CONDITIONS["offset and noise"]
     rows = comparison_rows([compare(0, faults, drift, "none")])

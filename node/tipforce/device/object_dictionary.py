@@ -82,12 +82,11 @@ class ObjectDictionary:
     def add(self, index: int, sub: int, entry: "Entry") -> None:
         """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
         kind, access, flags, default, low, high = entry
-        if kind == "f":
+        if kind == "f" and not (low is None and high is None):
             # As a client can write them: 1e30 itself is no REAL32, its nearest one is above it.
-            low, high = [_nearest_real32(limit) for limit in (low, high)]
-            entry = (kind, access, flags, default, low, high)
+            entry = (kind, access, flags, default, _nearest_real32(low), _nearest_real32(high))
         self._entries.setdefault(index, {})[sub] = entry
-        self.values[index << 8 | sub] = self.default(index, sub)
+        self.values[index << 8 | sub] = default + self.node_id if flags & ADD_NODE_ID else default  # type: ignore[operator]
 
     def find(self, index: int, sub: int) -> "Entry | int":
         """The entry, or the abort code that says why there is none."""

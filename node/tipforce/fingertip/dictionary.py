@@ -25,11 +25,12 @@ def build(
         if index in (0x1021, 0x1022) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
+            core_flags = _flags(flags)
             for k in range(count):
                 value: "Value" = default[k] if isinstance(default, tuple) else default
                 if kind == "D":
                     value = b""
-                entry = (kind, access, _flags(flags), value, low, high)
+                entry = (kind, access, core_flags, value, low, high)
                 od.add(index, first + k, shared.setdefault(entry, entry))
     if eds:
         od.readers[0x1021] = lambda _sub: eds
@@ -39,6 +40,8 @@ def build(
 
 def _flags(flags: int) -> int:
     """The table's flags in the words of the device core."""
+    if not flags:
+        return 0  # most entries
     found = 0
     for ours, theirs in (
         (table.TPDO, od_flags.TPDO),

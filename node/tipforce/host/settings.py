@@ -13,7 +13,6 @@ import tomli_w
 
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.eds import dcf_text
-from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.rows import Row, rows
 from tipforce.dictionary.types import Value
 from tipforce.errors import SdoAbortError
@@ -133,13 +132,3 @@ def _same(gauges: int, place: Place, a: Value, b: Value) -> bool:
 
 def _is_mapping(index: int) -> bool:
     return 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF
-
-
-def as_configuration(settings: Mapping[Place, Value], gauges: int = 3) -> Configuration:
-    """Settings as ``apply_configuration`` takes them."""
-    known = setting_rows(gauges)
-    found: Configuration = {}
-    for place, value in sorted(settings.items()):
-        row = known[place]
-        found[place] = Entry[Value](row.index, row.sub, row.letter, row.dotted, row.access, row.unit), value
-    return found

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple
 
@@ -122,6 +122,7 @@ class Problem:
         self.scale = np.concatenate([_SCALE, np.full(len(slots), _PLACE_SCALE)])
         self._stress = limits.stress_pascals * 1e-6  # N/mm^2
         self._modulus = limits.youngs_modulus_pascals * 1e-6
+        self._gap_slopes, self._gap_least = self._gaps()
         self.bounds = self._bounds()
 
     def rows(self, x: AnyArray) -> AnyArray:
@@ -129,13 +130,13 @@ class Problem:
         a, _, r, h1, h2, b = (x[:, k : k + 1] for k in range(_DIMENSIONS))
         s = x[:, _DIMENSIONS:]
         H, side, bend = self.horizontal, self.side, self.bend
-        upright = np.ones_like(s)
-        g1 = np.where(H, bend * 1.5 * a / h1**2 * (1.0 - 2.0 * s / a), upright / h2)
-        g2 = np.where(H, bend * side * 3.0 * r / h1**2 * (1.0 - 1.5 * s / a), side * 6.0 * r / h2**2 * upright)
-        g3 = np.where(H, side * 0.5 / h1 * upright, -side * 6.0 * (s + 0.5 * h1) / h2**2)
-        stress = np.stack((g1, g2, g3), axis=-1)
-        result: AnyArray = stress * (1e6 / (b * self._modulus))[..., np.newaxis]
-        return result
+        per_h1, per_h2, place = 1.0 / h1**2, 1.0 / h2**2, s / a
+        stress = np.empty((*s.shape, 3), dtype=x.dtype)
+        stress[..., 0] = np.where(H, bend * (1.5 * a * per_h1 * (1.0 - 2.0 * place)), 1.0 / h2)
+        stress[..., 1] = np.where(H, bend * side * (3.0 * r * per_h1 * (1.0 - 1.5 * place)), side * (6.0 * r * per_h2))
+        stress[..., 2] = side * np.where(H, 0.5 / h1, -6.0 * (s + 0.5 * h1) * per_h2)
+        stress *= (1e6 / (b * self._modulus))[..., np.newaxis]
+        return stress
 
     def constraints(self, x: AnyArray) -> AnyArray:
         """What must not be negative, (m, k): stress, slit, envelope, wall, slenderness, room between gauges."""
@@ -151,8 +152,8 @@ class Problem:
         columns.append((r - a - wall) / _PLACE_SCALE)
         columns.append((a - 0.5 * h2 - limits.slenderness * h1) / _PLACE_SCALE)
         columns.append((d - limits.slenderness * h2) / _PLACE_SCALE)
-        columns += [gap / _PLACE_SCALE for gap in self._gaps(x)]
-        return np.stack(columns, axis=-1)
+        gaps: AnyArray = (x @ self._gap_slopes - self._gap_least) / _PLACE_SCALE
+        return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
 
     def design(self, x: FloatArray, objective: str) -> Design:
         """The point (6 + n,) as a design."""
@@ -192,19 +193,19 @@ class Problem:
         result: FloatArray = np.clip(x, self.bounds[:, 0], self.bounds[:, 1])
         return result
 
-    def _gaps(self, x: AnyArray) -> Iterator[AnyArray]:
-        """Room between neighbours on each face: corner, gauges, corner; gauges of a face stand in order."""
+    def _gaps(self) -> tuple[FloatArray, FloatArray]:
+        """Room between neighbours on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
         length, clearance = self.limits.gauge_length_m / UNIT_M, self.limits.clearance_m / UNIT_M
-        a, d, h2 = x[:, 0], x[:, 1], x[:, 4]
+        unit = np.eye(_DIMENSIONS + len(self.slots))
+        a, d, _, _, h2, _ = unit[:_DIMENSIONS]
+        slopes, least = list[FloatArray](), list[float]()
         for slot in dict.fromkeys(self.slots):
-            columns = [_DIMENSIONS + k for k, other in enumerate(self.slots) if other == slot]
+            places = [unit[_DIMENSIONS + k] for k, other in enumerate(self.slots) if other == slot]
             # The vertical beam covers h2 / 2 on either side of the middle, and above it nothing bends.
-            inner = 0.5 * h2 if slot.beam == "H" else 0.0 * h2
-            end = a if slot.beam == "H" else d
-            yield x[:, columns[0]] - inner - 0.5 * length - clearance
-            for before, after in itertools.pairwise(columns):
-                yield x[:, after] - x[:, before] - length - clearance
-            yield end - x[:, columns[-1]] - 0.5 * length - clearance
+            inner, end = (0.5 * h2, a) if slot.beam == "H" else (0.0 * h2, d)
+            slopes += [after - before for before, after in itertools.pairwise((inner, *places, end))]
+            least += [0.5 * length + clearance, *[length + clearance] * (len(places) - 1), 0.5 * length + clearance]
+        return np.stack(slopes, axis=-1), np.array(least)
 
     def _bounds(self) -> FloatArray:
         limits = self.limits

@@ -143,9 +143,9 @@ def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
     # F1 lifts the tip by a^3 / 24 EI against the joint, F2 turns it by r a / 8 EI; I = h1^3 / 12. What each leaves
     # of the slit at the fraction x of an arm adds up to the largest sum at x = r / (2 a + 3 r).
     x = r / (2.0 * a + 3.0 * r)
-    lift = 0.5 * a**3 / h1**3 * (1.0 - 3.0 * x**2 + 2.0 * x**3)
-    turn = 1.5 * r * a**2 / h1**3 * x * (1.0 - x) ** 2
-    result: AnyArray = lift + turn
+    lift = 0.5 * a * (1.0 - x * x * (3.0 - 2.0 * x))
+    turn = 1.5 * r * x * (1.0 - x) ** 2
+    result: AnyArray = (lift + turn) * a * a / (h1 * h1 * h1)
     return result
 
 

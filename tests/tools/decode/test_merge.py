@@ -68,7 +68,7 @@ STREAMS = st.lists(
 
 
 @given(STREAMS, st.lists(st.integers(0, 30), max_size=5))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_blocks_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
     frames = frames_of(made)
     whole = merger()
@@ -94,7 +94,7 @@ def parts(frames: FrameArray, edges: list[int]) -> list[list[Item]]:
 
 
 @given(STREAMS, st.lists(st.integers(0, 30), max_size=4))
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=120, deadline=None)
 def test_parts_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
     frames = frames_of(made)
     edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
@@ -116,7 +116,7 @@ def test_parts_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[i
 
 
 @given(STREAMS)
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 def test_each_frame_is_in_one_row(made: list[tuple[str, int, int, int]]) -> None:
     frames = frames_of(made)
     one = merger()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import deque
+from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
 from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
@@ -128,6 +129,7 @@ def core_node(eds: bytes | None = None) -> Device:
     return fingertip_node(CORE_NODE_ID, source, 3, 0x1234, save, stored.get, core_eds() if eds is None else eds)
 
 
+@cache
 def core_eds() -> bytes:
     """What 1021h of the in-process node gives."""
     from tipforce.dictionary.eds import eds_text

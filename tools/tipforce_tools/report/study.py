@@ -6,7 +6,6 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from statistics import quantiles
-from typing import Protocol
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,13 +68,6 @@ class Study:
     """Methods that did not run, with the reason and what to install."""
     remarks: tuple[str, ...] = ()
     """What a reader should take away, each one sentence that these very numbers support."""
-
-
-class StudyModule(Protocol):
-    """A module of ``report.studies``: lazy imports inside, so that one study loads only what it compares."""
-
-    def studies(self, effort: Effort, advance: Callable[[], None]) -> list[Study]:
-        """Run; ``advance()`` after each step of the ``STEPS`` steps that the module announces."""
 
 
 def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:

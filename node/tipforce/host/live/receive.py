@@ -64,6 +64,7 @@ class Receiver(Protocol):
         ``channel`` indexes the names of the block. Raises EnvironmentLackError when the bus fails, and then
         InterfaceDownError if it may recover.
         """
+        return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """The same with interface names and CAN FD frames."""
@@ -74,9 +75,11 @@ class Receiver(Protocol):
     def close(self) -> None:
         """Stop listening."""
 
-    def __enter__(self) -> Self: ...
+    def __enter__(self) -> Self:
+        return self
 
-    def __exit__(self, *_: object) -> None: ...
+    def __exit__(self, *_: object) -> None:
+        self.close()
 
 
 def open_receiver(
@@ -129,8 +132,8 @@ def prepare_socket(one: socket.socket) -> None:
         one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
 
 
-class SocketReceiver:
-    """A Receiver over a datagram socket that carries ``struct can_frame``: a raw CAN socket, or one that plays it."""
+class SocketReceiver(Receiver):
+    """Over a datagram socket that carries ``struct can_frame``: a raw CAN socket, or one that plays it."""
 
     def __init__(self, one: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
         """Takes the socket over. ``tick_s`` 0: every receive returns as soon as there is a frame."""
@@ -157,12 +160,6 @@ class SocketReceiver:
     def close(self) -> None:
         """Close the socket."""
         self._socket.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
         """See Receiver."""

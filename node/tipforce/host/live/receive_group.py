@@ -8,7 +8,6 @@ import threading
 import time
 from collections.abc import Sequence
 from contextlib import ExitStack
-from typing import Self
 
 import numpy as np
 
@@ -21,7 +20,7 @@ _POLL_S = 0.1
 _WAITING_BLOCKS = 64  # of all receivers; the buses themselves hold what does not fit
 
 
-class ReceiverGroup:
+class ReceiverGroup(Receiver):
     """Receives from all of ``receivers``, which it takes over. A context manager."""
 
     def __init__(self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S) -> None:
@@ -64,16 +63,6 @@ class ReceiverGroup:
     def close(self) -> None:
         """Close all receivers."""
         self._closing.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def receive(self, timeout_s: float | None = None) -> FrameArray:
-        """See Receiver."""
-        return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """See Receiver."""

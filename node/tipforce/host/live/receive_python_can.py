@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from typing import Self
 
 import can
 import numpy as np
@@ -13,14 +12,15 @@ from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, SENT, FrameArray
 from tipforce.host.live.can_filter import Selection
+from tipforce.host.live.receive import Receiver
 from tipforce.socketcan import raw_can_id
 
 BURST = 512
 """Frames that one receive hands over at most."""
 
 
-class PythonCanReceiver:
-    """A Receiver over a python-can bus, which it takes over."""
+class PythonCanReceiver(Receiver):
+    """Over a python-can bus, which it takes over."""
 
     def __init__(self, bus: can.BusABC, selection: Selection, channel: str = "") -> None:
         """``channel`` is the name of the interface in the blocks; empty: what each message says."""
@@ -28,7 +28,11 @@ class PythonCanReceiver:
         self._selection = selection
         self._channel = "" if channel == "any" else channel
         self._names: dict[str, int] = {}
-        self.dropped = 0  # python-can does not tell
+
+    @property
+    def dropped(self) -> int:
+        """0: python-can does not tell."""
+        return 0
 
     def fileno(self) -> int:
         """None: many interfaces of python-can keep frames of their own behind the file."""
@@ -37,16 +41,6 @@ class PythonCanReceiver:
     def close(self) -> None:
         """Shut the bus down."""
         self._bus.shutdown()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
-    def receive(self, timeout_s: float | None = None) -> FrameArray:
-        """See Receiver."""
-        return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """See Receiver."""

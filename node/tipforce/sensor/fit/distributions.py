@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import lru_cache
 from math import exp, inf, isinf, lgamma, log, log1p, sqrt
 from statistics import NormalDist
 
@@ -17,6 +18,7 @@ def t_quantile(probability: float, dof: float) -> float:
     return sqrt(_root(lambda square: 0.5 * _beta(dof / (dof + square), 0.5 * dof, 0.5) - tail))
 
 
+@lru_cache(maxsize=256)  # one fit asks for the same few again and again
 def f_quantile(probability: float, dof_1: float, dof_2: float) -> float:
     """Return x with P(F < x) = probability, 0 < probability < 1, for finite degrees of freedom above 0."""
     tail = 1.0 - probability

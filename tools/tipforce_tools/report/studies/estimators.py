@@ -144,6 +144,28 @@ def _inputs(given: Contacts, what: str) -> str:
     )
 
 
+def _study(
+    about: tuple[str, str, str],
+    inputs: str,
+    series: tuple[Series, ...],
+    left_out: dict[str, str],
+    remarks: tuple[str, ...],
+) -> Study:
+    """``about``: the end of the key, of the title, and the unit of the error."""
+    key, title, error_unit = about
+    return Study(
+        key=f"estimator-{key}",
+        title=f"Estimator arithmetic: {title}",
+        error_unit=error_unit,
+        work_unit="s per sample",
+        reference=f"{_REFERENCE}; {inputs}",
+        reference_error=REFERENCE_ERROR,
+        series=series,
+        left_out=left_out,
+        remarks=remarks,
+    )  # fmt: skip
+
+
 def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
     def error(estimate: methods.Estimate) -> FloatArray:
         return errors(estimate[0], given.P_newtons) / given.full_scale_newtons
@@ -163,17 +185,8 @@ def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         f"The node's INTEGER16 object rounds P to 1 mN: {worst[NODE, 'INTEGER16 object']:.1e} of full scale.",
         _INTEGERS,
     ]
-    return Study(
-        key="estimator-force",
-        title="Estimator arithmetic: the force P",
-        error_unit="largest error of P / full scale",
-        work_unit="s per sample",
-        reference=f"{_REFERENCE}; {_inputs(given, 'and the corners of the converter range')}",
-        reference_error=REFERENCE_ERROR,
-        series=series,
-        left_out=left_out,
-        remarks=tuple(remarks),
-    )
+    about = ("force", "the force P", "largest error of P / full scale")
+    return _study(about, _inputs(given, "and the corners of the converter range"), series, left_out, tuple(remarks))
 
 
 def _angle_error(given: Contacts) -> Callable[[methods.Estimate], FloatArray]:
@@ -193,17 +206,8 @@ def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         *_same_on_micropython(found),
         _INTEGERS,
     )
-    return Study(
-        key="estimator-angle",
-        title="Estimator arithmetic: the contact angle theta",
-        error_unit="largest error of theta (degrees)",
-        work_unit="s per sample",
-        reference=f"{_REFERENCE}; {_inputs(given, 'at least 0.1 in |cos(delta)| from tangency')}",
-        reference_error=REFERENCE_ERROR,
-        series=series,
-        left_out=left_out,
-        remarks=remarks,
-    )
+    about = ("angle", "the contact angle theta", "largest error of theta (degrees)")
+    return _study(about, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
 
 
 def _same_on_micropython(found: dict[str, list[_Found]]) -> list[str]:
@@ -226,14 +230,5 @@ def _tangent_study(given: Contacts, found: dict[str, list[_Found]], left_out: di
         "large: the rounding of F = C V decides here, not that of the difference.",
         _INTEGERS,
     )
-    return Study(
-        key="estimator-tangent",
-        title="Estimator arithmetic: theta of contacts that nearly slide",
-        error_unit="largest error of theta (degrees)",
-        work_unit="s per sample",
-        reference=f"{_REFERENCE}; {_inputs(given, 'with |cos(delta)| from 0.001 to 0.1')}",
-        reference_error=REFERENCE_ERROR,
-        series=series,
-        left_out=left_out,
-        remarks=remarks,
-    )
+    about = ("tangent", "theta of contacts that nearly slide", "largest error of theta (degrees)")
+    return _study(about, _inputs(given, "with |cos(delta)| from 0.001 to 0.1"), series, left_out, remarks)
