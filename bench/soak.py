@@ -62,7 +62,7 @@ class Soak:
         self._faults = faults
         self._to_host = Injector(faults, seed + 1)
         # A node may miss a frame; it cannot get one later than the others do, on one and the same wire.
-        self._to_node = {n: Injector(Faults(drop=faults.drop), seed + 100 + n) for n in ids}
+        self._to_node = {n: Injector(Faults(drop=faults.drop / 10), seed + 100 + n) for n in ids}
         self._collector = Collector(ids, wait_s=WAIT_S, own_sync=True)
         self._supervisor = Supervisor(ids, HEARTBEAT_TIMEOUT_S)
         self._truth: dict[int, dict[int, bytes]] = {}  # by row, by node-id: the contact PDO that answered its SYNC
@@ -149,6 +149,10 @@ class Soak:
             self._check(rows, now_s)
         for event in self._supervisor.add(frames, now_s):
             self.outcome.counts[event.kind] += 1
+            if event.kind == "boot_up":
+                self._collector.forget(event.node_id)
+            elif event.kind == "heartbeat_lost":  # two that the bus lost are trouble, too
+                self._trouble_s = now_s
         # As the Hand does: until it is seen to run, because the command may be lost, too.
         self._starts |= {n for n, state in self._supervisor.states.items() if state == _PRE_OPERATIONAL}
 

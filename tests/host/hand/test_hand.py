@@ -159,8 +159,9 @@ def test_a_finger_that_forgot_everything_gets_its_id_and_calibration_back(finger
         fingers.switch_on(1, 255, forget=True)
         until(lambda: hand.settled() and not np.isnan(latest(hand)).any(), "it should come back")
         assert latest(hand) == pytest.approx([2.0, 3.0], abs=5e-3)
-        found = kinds(hand, 1)
-        assert [kind for kind in found if kind in ("heartbeat_lost", "assigned", "calibrated", "started")] == [
+        # Each may happen again where heartbeats are late on a busy machine; the order in which they begin stands.
+        began = dict.fromkeys(kinds(hand, 1))
+        assert [kind for kind in began if kind in ("heartbeat_lost", "assigned", "calibrated", "started")] == [
             "heartbeat_lost", "assigned", "calibrated", "started",
         ]  # fmt: skip
 

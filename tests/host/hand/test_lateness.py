@@ -109,6 +109,11 @@ def busy(finger: int, rows: int) -> list[Step]:
     return [Step(busy=frozenset({finger}))] * rows
 
 
+def settle() -> list[Step]:
+    """More than a second, after which every doubt has ended."""
+    return [*[WELL] * 4, *[Step(pause_ms=400)] * 6, *[WELL] * 30]
+
+
 def warm() -> list[Step]:
     return [WELL] * WARM_UP
 
@@ -176,11 +181,12 @@ def test_one_that_is_busy_for_too_long_is_not_waited_for_again() -> None:
 
 def test_a_finger_that_missed_a_sync_is_doubted_and_not_moved() -> None:
     world = World()
-    world.run([*warm(), Step(missed=frozenset({1})), *[WELL] * 40])
+    world.run([*warm(), Step(missed=frozenset({1})), *settle()])
     world.check()
     tally = world.collector.tally
     assert (tally.delayed.tolist(), tally.late.tolist()) == ([0, 0], [0, 0])
-    assert tally.doubtful.tolist() == [0, 3]
+    assert tally.doubtful[0] == 0
+    assert tally.doubtful[1] >= 6
     assert world.shown[-1] == [world.heard[-1]] * FINGERS
 
 
@@ -225,6 +231,6 @@ def test_no_value_is_of_another_row(
     Not both at once: a SYNC that the host did not hear beside a late finger can't be told from one that was not sent.
     """
     world = World(wait_ms, own_sync)
-    world.run([*warm(), *data.draw(st.lists(kinds, max_size=60)), *[WELL] * 30], cuts)
+    world.run([*warm(), *data.draw(st.lists(kinds, max_size=60)), *settle()], cuts)
     world.check()
     assert world.shown[-1] == [world.heard[len(world.shown) - 1]] * FINGERS  # and all is well again

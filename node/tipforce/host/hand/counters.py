@@ -2,9 +2,9 @@
 
 A node that answers every SYNC counts on by one for each row. A counter that lags behind the rows is either an answer
 that came late, or a node that missed a SYNC; one answer alone does not tell which. So it is doubted until CONFIRMED
-answers in a row lag by the same amount, which late ones hardly do. A counter that is ahead means SYNCs that did not
-reach the host, which leave a gap between those that did; by more than the gap it is more likely a babbler's frame
-before the node's own, or a node that rebooted.
+answers over CONFIRMED_S lag by the same amount, which late ones hardly do. A counter that is ahead means SYNCs that
+did not reach the host, which leave a gap between those that did; by more than the gap it is more likely a babbler's
+frame before the node's own, or a node that rebooted. A finger that was away for long begins anew: CONFIRMED answers.
 """
 
 from __future__ import annotations
@@ -12,9 +12,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-CONFIRMED = 4
+CONFIRMED, CONFIRMED_S = 4, 1.0
 FORGOTTEN_ROWS = 100
 BoolArray = npt.NDArray[np.bool_]
+IntArray = npt.NDArray[np.int64]
 
 
 class CounterCheck:
@@ -27,29 +28,34 @@ class CounterCheck:
         self._seen = np.full(fingers, -1, dtype=np.int64)
         self._lag = np.zeros(fingers, dtype=np.int64)
         self._run = np.zeros(fingers, dtype=np.int64)  # answers that lag by it
+        self._since_ns = np.zeros(fingers, dtype=np.int64)  # and when the first of them came
+        self._silent_rows = np.zeros(fingers, dtype=np.int64)
 
     def expected(self) -> npt.NDArray[np.int64]:
         """The counter of each finger's answer to the next SYNC (k,), -1 where it is unknown."""
         known = (self._base >= 0) & (self._rows < FORGOTTEN_ROWS) & (self._gaps == 0)
         return np.where(known, (self._base + self._rows + 1) % 256, -1)
 
-    def check(
-        self, counter: npt.NDArray[np.int64], stale: BoolArray, gaps: npt.NDArray[np.int64]
-    ) -> tuple[BoolArray, BoolArray]:
+    def forget(self, finger: int) -> None:
+        """It booted: its counter begins anew, and the next one is as good as any."""
+        self._base[finger] = self._seen[finger] = -1
+        self._rows[finger] = self._gaps[finger] = self._run[finger] = 0
+
+    def check(self, counter: IntArray, stale: BoolArray, gaps: IntArray, t_ns: IntArray) -> tuple[BoolArray, BoolArray]:
         """Judge the counters (m, k) of the next m rows, -1 where there was no answer.
 
-        ``gaps`` (m,) says how many SYNCs seem to lack before each. Returns two masks (m, k): repeated, the sample of
-        the row before, said to be stale; doubtful, an answer that may be to another SYNC. A reboot starts the counter
-        anew, which may make the first answers doubtful.
+        ``gaps`` (m,) says how many SYNCs seem to lack before each, ``t_ns`` (m,) when it came. Returns two masks
+        (m, k): repeated, the sample of the row before, said to be stale; doubtful, an answer that may be to another
+        SYNC.
         """
         repeated = np.zeros(counter.shape, dtype=np.bool_)
         doubtful = np.zeros(counter.shape, dtype=np.bool_)
         for row in range(len(counter)):
             self._gaps += gaps[row]
-            repeated[row], doubtful[row] = self._row(counter[row], stale[row])
+            repeated[row], doubtful[row] = self._row(counter[row], stale[row], int(t_ns[row]))
         return repeated, doubtful
 
-    def _row(self, now: npt.NDArray[np.int64], stale: BoolArray) -> tuple[BoolArray, BoolArray]:
+    def _row(self, now: IntArray, stale: BoolArray, t_ns: int) -> tuple[BoolArray, BoolArray]:
         here = now >= 0
         again = here & stale & (now == self._seen)
         repeated = again & (now == self._base)  # of one that was doubted itself nothing more is known
@@ -57,12 +63,17 @@ class CounterCheck:
         lag = (self._rows + 1 - (now - self._base) + 128) % 256 - 128
         # After so many rows an 8-bit counter tells ahead from behind no more.
         odd = judged & (self._base >= 0) & ((lag > 0) | (lag < -self._gaps) | (self._rows >= FORGOTTEN_ROWS))
-        self._run = np.where(odd, np.where(lag == self._lag, self._run + 1, 1), self._run)
+        same = odd & (lag == self._lag) & (self._run > 0)
+        begins_ns = np.where(self._silent_rows >= FORGOTTEN_ROWS, t_ns - int(CONFIRMED_S * 1e9), t_ns)
+        self._since_ns = np.where(odd & ~same, begins_ns, self._since_ns)
+        self._run = np.where(odd, np.where(same, self._run + 1, 1), self._run)
         self._lag = np.where(odd, lag, self._lag)
-        trusted = judged & ~(odd & (self._run < CONFIRMED))
+        confirmed = (self._run >= CONFIRMED) & (t_ns - self._since_ns >= CONFIRMED_S * 1e9)
+        trusted = judged & (~odd | confirmed)
         self._base = np.where(trusted, now, self._base)
         self._rows = np.where(trusted, 0, np.where(again, self._rows, self._rows + 1))
         self._gaps = np.where(trusted, 0, self._gaps)
         self._run = np.where(trusted, 0, self._run)
+        self._silent_rows = np.where(here, 0, self._silent_rows + 1)
         self._seen = np.where(here, now, self._seen)
         return repeated, here & ~trusted & ~repeated

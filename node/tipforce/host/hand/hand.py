@@ -223,6 +223,8 @@ class Hand:
         self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
         for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
             self._delivery.event(event)
+            if event.kind == "boot_up":
+                self._collector.forget(event.node_id)
             if event.kind in ("boot_up", "heartbeat_back"):
                 self._keeper.need([event.node_id])
             elif event.kind == "heartbeat_lost":

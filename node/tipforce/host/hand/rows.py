@@ -22,10 +22,11 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decode import Decoder
 from tipforce.host.frames import FRAME, FrameArray
-from tipforce.host.hand.counters import CONFIRMED, CounterCheck
+from tipforce.host.hand.counters import CounterCheck
 from tipforce.host.hand.lateness import Answers, BoolArray, IntArray, babbled, seat
 from tipforce.host.hand.sync_gaps import SyncGaps
 
+DISTRUSTED_ROWS = 4
 SYNC_COB_ID = 0x80
 COUNTER = "counter"
 
@@ -121,6 +122,11 @@ class Collector:
         """Frames were lost before or among those that are handed in next."""
         self._sync_gaps.drop()
 
+    def forget(self, node_id: int) -> None:
+        """This finger booted; others are none of ours."""
+        if self._finger[node_id] >= 0:
+            self._counters.forget(int(self._finger[node_id]))
+
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Take frames as they were received, FRAME (n,); the rows that became whole or timed out, often none.
 
@@ -181,11 +187,13 @@ class Collector:
         """How many of ``count`` open rows can be given out, in order."""
         shape = len(self._messages), count, len(self.node_ids)
         there: BoolArray = np.zeros(shape, dtype=np.bool_)
+        silent = self._silent.copy()
         for said in answers:
             sure = ~said.waiting & (said.row >= first)
             there[said.message, said.row[sure], said.finger[sure]] = True
+            silent[said.finger[said.waiting]] = False  # it is back, and still has to catch up
         whole: BoolArray = np.logical_and.reduce(there)
-        spared = whole | self._silent
+        spared = whole | silent
         spared[-1] = whole[-1]  # until the next SYNC comes there is time even for silent ones
         timed_out = now_s - np.array(self._opened_s) >= self._wait_s
         ready = np.logical_and.reduce(spared, axis=1) | timed_out
@@ -227,12 +235,13 @@ class Collector:
             self._spoke_again(said, first)
             unsure |= babbled(said, first, shape)
         gaps = np.maximum(np.array(self._gaps[first:last], dtype=np.int64), 0)
-        counter = self._judged(counters, columns["stale"], unsure, gaps)
+        sync_ns = syncs["t_ns"][first:last].astype(np.int64)
+        counter = self._judged(counters, columns["stale"], unsure, gaps, sync_ns)
         missing = counter < 0
         if missing.any():
             for column in columns.values():
                 column[missing] = np.nan if column.dtype.kind == "f" else False
-        rows = Rows(self.tally.rows, syncs["t_ns"][first:last].astype(np.int64), counter, columns)
+        rows = Rows(self.tally.rows, sync_ns, counter, columns)
         self.tally.rows += len(rows)
         self.tally.missing += missing.sum(axis=0)
         return rows
@@ -252,9 +261,11 @@ class Collector:
         """
         due = self._counters.expected()
         again = (said.row < first) & self._answered[said.finger] & (said.counter != due[said.finger])
-        self._distrust[said.finger[again]] = CONFIRMED
+        self._distrust[said.finger[again]] = DISTRUSTED_ROWS
 
-    def _judged(self, counters: IntArray, stale: BoolArray, unsure: BoolArray, gaps: IntArray) -> IntArray:
+    def _judged(
+        self, counters: IntArray, stale: BoolArray, unsure: BoolArray, gaps: IntArray, sync_ns: IntArray
+    ) -> IntArray:
         """From the counters of each message, (messages, m, k), those of the rows (m, k): -1 for what is not shown."""
         tally = self.tally
         counter: IntArray = counters[0].copy()
@@ -266,14 +277,14 @@ class Collector:
         if len(counter):
             self._answered = counter[-1] >= 0
         counter[unsure] = -1
-        repeated, doubtful = self._counters.check(counter, stale, gaps)
+        repeated, doubtful = self._counters.check(counter, stale, gaps, sync_ns)
         counter[doubtful] = -1
         tally.repeated += repeated.sum(axis=0)
         tally.doubtful += (doubtful | unsure).sum(axis=0)
         return counter
 
     def _distrusted(self, here: BoolArray, unsure: BoolArray) -> BoolArray:
-        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC: of CONFIRMED rows.
+        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC.
 
         A babbler's frame may come before the node's own, and its counter may happen to fit.
         """
@@ -281,7 +292,7 @@ class Collector:
         if self._distrust.any() or unsure.any():
             for number in range(len(here)):
                 distrusted[number] = (self._distrust > 0) & here[number]
-                self._distrust = np.where(unsure[number], CONFIRMED, np.maximum(self._distrust - 1, 0))
+                self._distrust = np.where(unsure[number], DISTRUSTED_ROWS, np.maximum(self._distrust - 1, 0))
         return distrusted
 
 
