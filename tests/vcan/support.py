@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import itertools
 import multiprocessing
 import os
@@ -31,14 +32,16 @@ _numbers = itertools.count()
 _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
     [
-        "numpy", "can.cli", "can.interfaces.socketcan", "canopen",
+        "numpy", "can.cli", "can.interfaces.socketcan", "canopen", "tomllib", "importlib.resources.readers",
         "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find",
         "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.load",
         "tipforce.fingertip.loop", "tipforce.fingertip.node", "tipforce.fingertip.store", "tipforce.dictionary.eds",
-        "tipforce.sensor.strain",
-        *(f"tipforce_tools.{name}" for name in ("main", "node", "sdo", "scan", "config", "calibrate", "layout_file")),
+        "tipforce.fingertip.ports", "tipforce.sensor.strain",
+        *(f"tipforce_tools.{name}" for name in ("main", "bus_flags", "node", "sdo", "scan", "config")),
+        *(f"tipforce_tools.{name}" for name in ("service", "layout_file", "calibrate.command", "calibrate.transfer")),
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
         "tipforce.host.live.receive_group", "tipforce.host.live.send", "tipforce_tools.log.writers",
+        *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),
     ]
 )  # fmt: skip
 
@@ -46,10 +49,12 @@ Frame = tuple[int, bytes]
 
 
 class RawBus:
-    """A raw CAN socket: frames as (can_id with the flags of linux/can.h, data)."""
+    """A raw CAN socket: frames as (can_id with the flags of linux/can.h, data); ``only`` this identifier, if given."""
 
-    def __init__(self, channel: str = "vcan0") -> None:
+    def __init__(self, channel: str = "vcan0", only: int | None = None) -> None:
         self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        if only is not None:
+            self._socket.setsockopt(socket.SOL_CAN_RAW, socket.CAN_RAW_FILTER, struct.pack("=II", only, 0x7FF))
         self._socket.bind((channel,))
 
     def __enter__(self) -> Self:
@@ -67,6 +72,14 @@ class RawBus:
         self._socket.settimeout(timeout_s)
         can_id, length, data = _FRAME.unpack(self._socket.recv(_FRAME.size))
         return can_id, data[:length]
+
+    def waiting(self) -> list[Frame]:
+        """What has come and was not received yet."""
+        found: list[Frame] = []
+        with contextlib.suppress(BlockingIOError):
+            while True:
+                found.append(self.receive(0.0))
+        return found
 
     def until(self, wanted: Callable[[Frame], bool], timeout_s: float = WAIT_S) -> list[Frame]:
         """Every frame up to the first that is ``wanted``, and that one. Raises TimeoutError."""
@@ -174,6 +187,7 @@ def _run_here(words: Sequence[str], outputs: Sequence[str]) -> None:
     """In the forked process: be `tipforce WORDS`."""
     from tipforce_tools.main import main
 
+    gc.freeze()  # a collection that visits what was imported would copy all of it, which takes half a second
     for fd, path in zip((1, 2), outputs, strict=True):
         file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC)
         os.dup2(file, fd)

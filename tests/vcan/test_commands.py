@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,23 +17,31 @@ from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.connection import Connection
 from tipforce_tools.demo.job import case_calibration
-from vcan.support import BUS, NODE_ID, Command, Launch
+from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
 
 pytestmark = pytest.mark.usefixtures("node")
 OK, DIFFERENT, USAGE, NO_RESPONSE, ABORT, REFUSED = 0, 1, 2, 5, 11, 12
 ID = str(NODE_ID)
+NOBODY = 127
 
 Run = Callable[..., Command]
 
 
 @pytest.fixture
-def run(launch: Launch) -> Run:
+def run(launch: Launch, host: Connection, bus: RawBus) -> Run:
     """Run a command on the bus to its end, and hold it to its exit code."""
+
+    def heard_all() -> bool:
+        """What the node said to the command has passed by the host, too, and can't be taken for an answer to it."""
+        since_s = time.monotonic()
+        bus.send(HEARTBEAT + NOBODY, b"\x7f")
+        return host.heartbeats.wait(NOBODY, (0x7F,), since_s, 1.0)
 
     def to_the_end(*words: str, code: int = OK, fresh: bool = False) -> Command:
         command = launch(*words, *BUS, fresh=fresh)
         assert command.wait() == code, command.stderr
         assert "Traceback" not in command.stderr
+        wait_until(heard_all, "the host should hear the bus")
         return command
 
     return to_the_end

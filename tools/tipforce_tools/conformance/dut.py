@@ -180,7 +180,12 @@ class Dut(Frames):
         """Whether an SDO upload of the entry finds it; a write-only entry exists too."""
         key = (index, sub)
         if key not in self._survey:
-            self._survey[key] = self.try_read(index, sub) not in (0x06020000, 0x06090011)
+            first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
+            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (0x06020000, 0x06090011)
+            self._survey[key] = not lacks
+            if first[0] != 0x80 and not first[0] & 2:
+                # Segments would follow, ten thousand of them for the EDS in 1021h: that it is there is enough.
+                self.request(struct.pack("<BHBI", 0x80, index, sub, 0x08000000))
         return self._survey[key]
 
     def is_tipforce(self) -> bool:

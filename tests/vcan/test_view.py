@@ -1,0 +1,169 @@
+"""`tipforce view` on a real bus: a hand that it brings up, and a page that only listens to the same bus."""
+
+from __future__ import annotations
+
+import http.client
+import json
+import signal
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from typing import Any, NamedTuple, Self
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+
+from tipforce.host.calibration_file import write_calibration
+from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
+from vcan.support import BUS, WAIT_S, Command, running_node, wait_until
+
+LOADS = {5: ("I", (4.4, 90.0, 60.0)), 6: ("II", (2.0, 150.0, 100.0))}  # case, and P N, phi, theta degree
+SYNC_HZ = 50
+# A sample is live for 2.5 SYNC periods, counted in SYNCs as they come; that they stop is seen after 0.1 s. The page
+# takes the period from the SYNCs themselves.
+LIVE_MS = 1.1 * 2.5 * 1000 / SYNC_HZ + 100
+JSON_STEP = np.array([5e-5, 5e-4, 5e-4])  # half a digit of what the events carry
+SAMPLES = 20
+
+Message = dict[str, Any]
+
+
+class Page:
+    """A page as a browser has it: what it fetches, and its stream of events."""
+
+    def __init__(self, command: Command) -> None:
+        wait_until(lambda: "\n" in command.stdout or command.ended, "the page's address should be told")
+        assert not command.ended, command.stderr
+        parts = urlsplit(json.loads(command.stdout)["url"])
+        assert (parts.hostname, parts.path, parts.query) == ("127.0.0.1", "/", "")
+        self.command, self._port = command, parts.port
+        self._stream = self._connect()
+
+    def _connect(self) -> http.client.HTTPConnection:
+        return http.client.HTTPConnection("127.0.0.1", self._port, timeout=WAIT_S)
+
+    def get(self, path: str) -> tuple[str, bytes]:
+        """Media type and content."""
+        connection = self._connect()
+        connection.request("GET", path)
+        answer = connection.getresponse()
+        assert answer.status == 200
+        found = answer.getheader("Content-Type", ""), answer.read()
+        connection.close()
+        return found
+
+    def __enter__(self) -> Self:
+        self._stream.request("GET", "/events?bin=20")
+        self._events = self._stream.getresponse()
+        assert self._events.getheader("Content-Type") == "text/event-stream; charset=utf-8"
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._stream.close()
+
+    def messages(self, last: Callable[[Message], bool]) -> list[Message]:
+        """Every message up to the first of which ``last`` holds."""
+        found: list[Message] = []
+        deadline_s = time.monotonic() + WAIT_S
+        while not found or not last(found[-1]):
+            assert time.monotonic() < deadline_s, found[-1:]
+            line = self._events.readline()
+            assert line, f"the stream ended\n{self.command.stderr}"
+            if line.startswith(b"data: "):
+                found.append(json.loads(line[6:]))
+        return found
+
+
+class Views(NamedTuple):
+    """Nodes by node-id, and the two pages on their bus."""
+
+    nodes: dict[int, Command]
+    pages: dict[str, Page]
+
+
+@pytest.fixture(scope="module")
+def views(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Views]:
+    """Two loaded nodes; `view hand.toml`, which calibrates and starts them and sends the SYNC; `view -i -c` beside."""
+    folder = tmp_path_factory.mktemp("view")
+    text = f'[bus]\ninterface = "socketcan"\nchannel = "vcan0"\n[hand]\nsync_hz = {SYNC_HZ}\n'
+    for node_id, (case, _) in LOADS.items():
+        write_calibration(folder / f"{case}.toml", case_calibration(case, pull=True))
+        text += f'[[finger]]\nnode_id = {node_id}\nlayout = "{case}"\ncalibration = "{case}.toml"\n'
+    (folder / "hand.toml").write_text(text)
+    with ExitStack() as stack:
+        nodes = {}
+        for node_id, (case, load) in LOADS.items():
+            flags = ("--layout", case, "--offset", "12.0,-8.5,5.3", "--load", ",".join(map(str, load)))
+            nodes[node_id] = stack.enter_context(running_node(folder, *flags, node_id=node_id))
+        commands = {
+            "hand.toml": Command(("view", str(folder / "hand.toml"), "--port", "0", "--json"), folder),
+            "vcan0": Command(("view", *BUS, "--port", "0", "--json"), folder),
+        }
+        for command in commands.values():
+            stack.callback(command.close)
+        yield Views(nodes, {title: Page(command) for title, command in commands.items()})
+
+
+def all_live(message: Message) -> bool:
+    return [finger["w"] for finger in message["fingers"]] == ["live", "live"]
+
+
+def check_ages(messages: list[Message]) -> None:
+    """What is shown as live is young, by the page's own times: that of the sample, and that of the picture."""
+    for message in messages:
+        for finger in message["fingers"]:
+            if finger["w"] == "live":
+                assert message["t"] - finger["since"] <= LIVE_MS, message
+
+
+@pytest.mark.parametrize("title", ["hand.toml", "vcan0"])
+def test_the_page_and_the_force_on_each_finger(views: Views, title: str) -> None:
+    page = views.pages[title]
+    kind, html = page.get("/")
+    assert kind.startswith("text/html")
+    assert b"<script" in html
+    with page:
+        messages = [page.messages(all_live)[-1] for _ in range(SAMPLES)]
+    check_ages(messages)
+    setup = json.loads(page.get("/api/setup")[1])
+    assert [finger["node_id"] for finger in setup["fingers"]] == list(LOADS)
+    assert setup["title"].startswith(title)
+    z = coverage_factor(SAMPLES * len(LOADS) * 3)
+    for message in messages:
+        for finger, (case, load) in zip(message["fingers"], LOADS.values(), strict=True):
+            error = np.array(finger["c"]) - load
+            error[1:] = (error[1:] + 180.0) % 360.0 - 180.0
+            _, bound, _ = bounds(case_calibration(case, pull=True), np.array(load), z)
+            assert (np.abs(error) <= bound + JSON_STEP).all(), (finger, load, bound)
+    assert messages[-1]["nmt"] == ["operational", "operational"]
+
+
+def test_a_finger_without_power_is_missing_on_both_pages(views: Views) -> None:
+    with ExitStack() as stack:
+        for page in views.pages.values():
+            stack.enter_context(page).messages(all_live)
+        assert views.nodes[6].end(signal.SIGKILL) == -signal.SIGKILL
+        killed_ms = time.time_ns() * 1e-6
+        for page in views.pages.values():
+            messages = page.messages(lambda message: message["fingers"][1]["w"] == "silent")
+            check_ages(messages)
+            for message in messages:
+                six = message["fingers"][1]
+                # What is shown of it is what it said before, soon told to be old; then there is no number any more.
+                assert six["since"] <= killed_ms
+                assert six["w"] in ("live", "stale", "silent")
+                assert ("c" in six) == (six["w"] != "silent")
+            assert messages[-1]["fingers"][1]["why"] == "no answer"
+            more = page.messages(lambda message: message["nmt"][1] in ("", "silent"))
+            assert {message["fingers"][1]["w"] for message in more} == {"silent"}
+            assert more[-1]["nmt"][0] == "operational"
+            page.messages(lambda message: message["fingers"][0]["w"] == "live")
+            told = [event for message in messages + more for event in message.get("events", ())]
+            assert [event["node"] for event in told if event["kind"] == "heartbeat_lost"] == [6]
+
+
+def test_the_commands_end_as_they_should(views: Views) -> None:
+    for page in views.pages.values():
+        assert page.command.end() == 0
+        assert "Traceback" not in page.command.stderr
