@@ -35,7 +35,7 @@ report: bootstrap-test ## error against run time and extreme cases: build/report
 docs: bootstrap-test ## the Python API reference, from the docstrings: build/api/index.html
 	$(PYTHON) -m tipforce_tools.api_reference -o build/api
 
-long: bootstrap-test ## the full counts of every long check, and the reports; about an hour
+long: bootstrap-test ## the full counts of every long check, and the reports; about two hours
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.micropython
@@ -45,6 +45,10 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.decode -o docs/decode-performance.md
 	$(PYTHON) -m bench.decode_check
 	$(PYTHON) -m bench.live
+	$(PYTHON) -m bench.hand
+	$(PYTHON) -m bench.view
+	$(PYTHON) -m bench.soak
+	$(PYTHON) -m bench.endurance
 	$(PYTHON) -m bench.tshark
 	$(PYTHON) -m bench.calibration
 	$(PYTHON) -m bench.coverage

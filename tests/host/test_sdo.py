@@ -171,6 +171,15 @@ def test_no_answer_at_all(connection: Connection, bus: FaultyBus, retries: int, 
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
 
 
+def test_answers_that_never_fit_are_no_silence(connection: Connection, bus: FaultyBus) -> None:
+    sdo = connection.sdo(NODE)
+    sdo.retries = 1
+    bus.fault = lambda message: with_data(message, b"\x43\x00\x10\x00\0\0\0\0")  # as to somebody else's question
+    for transfer in (lambda: sdo.read(od.IDENTITY_SERIAL), lambda: sdo.write(od.HEARTBEAT_PRODUCER_MS, 700)):
+        with pytest.raises(NoResponseError, match=r"no right response in 2 tries, the last: .*another SDO client"):
+            transfer()
+
+
 def test_a_late_answer_is_not_taken_for_the_next_one(connection: Connection, bus: FaultyBus) -> None:
     """The answer to a request that was given up arrives before the answer to the next request."""
     sdo = connection.sdo(NODE)

@@ -25,6 +25,8 @@ R = TypeVar("R")
 DEFAULT_TIMEOUT_S = 0.5
 DEFAULT_RETRIES = 2
 _UNKNOWN_COMMAND = 0x05040001
+_TIMED_OUT = "No SDO response"
+"""How canopen's error for a silent node begins."""
 
 
 class SdoChannel:
@@ -97,14 +99,16 @@ class SdoChannel:
 
     def _try(self, transfer: Callable[[], R], what: str) -> R:
         place = f"node {self.node_id} (0x{self.node_id:02X}), {what}"
+        wrong = ""
         with self._lock:
             for attempt in range(self.retries + 1):
                 try:
                     return transfer()
                 except SdoAbortedError as error:
                     raise SdoAbortError(f"{place}: {_meaning(error)}", error.code) from None
-                except (SdoCommunicationError, struct.error):
+                except (SdoCommunicationError, struct.error) as error:
                     # canopen unpacks what comes as if it had eight bytes: a shorter frame is a struct.error.
+                    wrong = "" if str(error).startswith(_TIMED_OUT) else str(error)
                     if attempt == self.retries:
                         break
                 except (can.CanError, RuntimeError) as error:  # canopen says so of a closed bus
@@ -114,6 +118,11 @@ class SdoChannel:
             # python-can's receiving thread ends at a bus error; from then on nothing would ever be heard.
             raise EnvironmentLackError(f"{place}: the bus failed: {notifier.exception}; open it again")
         tries = f"{self.retries + 1} tries" if self.retries else "1 try"
+        if wrong:
+            raise NoResponseError(
+                f"{place}: no right response in {tries}, the last: {wrong}; does another SDO client talk to this node, "
+                "or do two nodes have its node-id?"
+            )
         raise NoResponseError(
             f"{place}: no response after {tries} of {self.timeout_s:g} s; "
             "is the node powered, on this bus, at this bit rate, and is its node-id right? `tipforce scan` lists nodes"
