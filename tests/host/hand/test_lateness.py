@@ -147,6 +147,14 @@ def test_however_long_and_however_cut(stalls: list[list[frozenset[int]]], cuts: 
     assert world.collector.tally.late.tolist() == [0, 0]
 
 
+def test_an_answer_that_was_lost_is_not_waited_for() -> None:
+    world = World()
+    world.run([*warm(), Step(lost=frozenset({1}))])
+    assert len(world.shown) == WARM_UP
+    world.run([WELL])
+    assert world.shown[WARM_UP:] == [[WARM_UP + 1, None], [WARM_UP + 2, WARM_UP + 2]]
+
+
 def test_beside_gaps_only_the_sender_of_the_sync_knows() -> None:
     steps = [*warm(), *busy(1, 3), Step(pause_ms=5, busy=frozenset({1})), WELL]
     own, listener = World(own_sync=True), World()

@@ -8,7 +8,7 @@ channel = "can0"
 sync_hz = 500
 pdos = ["contact"]
 heartbeat_ms = 100
-wait_ms = 20                 # a row waits so long for a finger that is late
+wait_ms = 50                 # a row waits so long for a finger that is late
 config = "finger.toml"       # settings of all fingers (tipforce config save)
 
 [[finger]]
@@ -61,7 +61,7 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     pdos: tuple[str, ...] = ("contact",)
     heartbeat_ms: int = 100
     wait_ms: int | None = None
-    """How long a row waits for a finger that is late; None: 20, but two periods at least."""
+    """How long a row waits for a finger that is late; None: 50, but two periods at least."""
     config: str = ""
     store: bool = False
     """Store what was configured on the nodes."""
@@ -71,7 +71,7 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         """``wait_ms`` in seconds, with its default."""
         if self.wait_ms is not None:
             return self.wait_ms * 1e-3
-        return max(0.02, 2.0 / self.sync_hz if self.sync_hz else 0.0)
+        return max(0.05, 2.0 / self.sync_hz if self.sync_hz else 0.0)
 
 
 class HandFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):

@@ -193,7 +193,9 @@ class Collector:
             there[said.message, said.row[sure], said.finger[sure]] = True
             silent[said.finger[said.waiting]] = False  # it is back, and still has to catch up
         whole: BoolArray = np.logical_and.reduce(there)
-        spared = whole | silent
+        # Answers come in order: with a later one there the one that lacks was lost, and is not waited for.
+        passed = np.logical_and.reduce(np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1])
+        spared = passed | silent
         spared[-1] = whole[-1]  # until the next SYNC comes there is time even for silent ones
         timed_out = now_s - np.array(self._opened_s) >= self._wait_s
         ready = np.logical_and.reduce(spared, axis=1) | timed_out
