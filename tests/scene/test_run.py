@@ -90,6 +90,7 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
         load = load_of(scene, finger.node_id)
         assert load is not None
         errors: list[list[float]] = [[], [], []]
+        known = [0, 0, 0]
         for line in path.read_text().splitlines():
             stamp, _, frame = line.split()
             can_id, data = frame.split("#")
@@ -98,13 +99,24 @@ def test_errors_are_what_the_frames_say_against_the_load(tmp_path: Path) -> None
             applied = load.at(float(stamp[1:-1]))
             for k, per_unit in enumerate((1000.0, 100.0, 100.0)):
                 raw = int.from_bytes(bytes.fromhex(data)[2 * k : 2 * k + 2], "little", signed=True)
-                if raw != -0x8000:
+                known[k] += raw != -0x8000
+                if raw != -0x8000 and (k == 0 or applied[0] > 0.0):
                     error = raw / per_unit - applied[k]
                     errors[k].append((error + 180.0) % 360.0 - 180.0 if k else error)
-        assert tuple(map(len, errors)) == finger.known
+        assert tuple(known) == finger.known
         rms = [math.sqrt(sum(e * e for e in column) / len(column)) for column in errors]
         assert finger.rms_error == pytest.approx(rms, rel=1e-9, abs=1e-12)
         assert finger.max_error == pytest.approx([max(map(abs, column)) for column in errors], rel=1e-9, abs=1e-12)
+
+
+def test_a_direction_without_a_force_has_no_error() -> None:
+    """Node 2 of `drift` is never loaded: P leaves zero, and the direction of that is compared with nothing."""
+    loaded, unloaded = run(replace(read_scene(SCENES / "drift.toml"), expect=())).fingers
+    assert all(map(math.isfinite, (*loaded.applied_end, *loaded.rms_error, *loaded.max_error)))
+    assert unloaded.known[1] > 0  # the node does say a direction
+    for triple in (unloaded.applied_end, unloaded.rms_error, unloaded.max_error):
+        assert math.isfinite(triple[0])
+        assert all(map(math.isnan, triple[1:]))
 
 
 TWO = """

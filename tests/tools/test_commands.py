@@ -13,7 +13,9 @@ import pytest
 
 from host.bus_with_nodes import beam_calibration, connected, finger, new_channel
 from tipforce.dictionary import objects as od
+from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text, eds_text
+from tipforce.dictionary.rows import rows
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.connection import Connection
 from tipforce_tools.main import main
@@ -182,6 +184,35 @@ def test_sdo_exit_codes(tipforce: Tipforce) -> None:
     code, _, err = tipforce("sdo", "read", 5, "0x3000", 0, "u8")
     assert code == 11
     assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, Object does not exist\n"
+
+
+def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    readable = {place: row for place, row in rows(3, True).items() if row.access != "wo" and row.index != 0x1021}
+    code, out, err = tipforce("sdo", "dump", 5, "--json")
+    records = {(int(r["index"], 16), r["sub"]): r for r in map(json.loads, out.splitlines())}
+    # This node was given no EDS, and 1022h says how one is packed.
+    assert (code, set(readable) - set(records), set(records) - set(readable)) == (0, {(0x1022, 0)}, set())
+    assert f"{len(records)} entries, 1 of the dictionary it does not have" in err
+    for place, record in records.items():
+        assert (record["node"], record["name"], record["unit"]) == (5, readable[place].dotted, readable[place].unit)
+    assert records[0x1018, 4]["value"] == 1005
+    assert records[0x2140, 0]["value"] == types.format_value("D", bench[0].sdo(5).upload(0x2140, 0))
+    lines = tipforce("sdo", "dump", 5, "-q")[1].splitlines()
+    assert len(lines) == len(records)
+    assert any(line.split() == ["0x1017:00", "heartbeat.producer_ms", "20", "ms"] for line in lines)
+
+
+def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
+    """Asked for four gauges, a node of three leaves out what it does not have."""
+    code, out, err = tipforce("sdo", "dump", 5, "--gauges", 4, "--json")
+    three = {(r["index"], r["sub"]) for r in map(json.loads, out.splitlines())}
+    assert code == 0
+    assert 0 < len(three) < len([row for row in rows(4, True).values() if row.access != "wo"]) - 1
+    assert "of the dictionary it does not have" in err
+    assert tipforce("sdo", "dump", 5, "0x1017", 0)[::2] == (
+        2, "tipforce: sdo dump: reads all objects; for one: tipforce sdo read 5 0x1017 0\n",
+    )  # fmt: skip
+    assert "which object?" in tipforce("sdo", "read", 5)[2]
 
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])

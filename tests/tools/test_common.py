@@ -177,8 +177,11 @@ def test_colour(
     monkeypatch.setenv("TERM", "xterm")
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
-    common.console(bus_arguments(*words)).print("[red]x")
-    assert ("\x1b[31m" in capsys.readouterr().out) is coloured
+    for stderr in (False, True):
+        common.console(bus_arguments(*words), stderr=stderr).print("[bold red]x")
+        out, err = capsys.readouterr()
+        assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
+        assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either
 
 
 def test_set_up_logging_silences_the_libraries(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -76,7 +76,7 @@ def test_bash_knows_every_choice(tmp_path: Path) -> None:
     ("typed", "offered"),
     [
         ("tipforce ca", "calibrate"),
-        ("tipforce sdo ", "read write"),
+        ("tipforce sdo ", "read write dump"),
         ("tipforce sdo -i virtual -c x --fd re", "read"),
         ("tipforce sdo read 5 calibration.gen", "calibration.generation"),
         ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"),

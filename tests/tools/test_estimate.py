@@ -72,6 +72,22 @@ def test_one_row_for_each_row(calibration: Path, capsys: pytest.CaptureFixture[s
     assert "no [fit] table" in err
 
 
+def test_several_nodes_in_one_file_are_refused(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """What `decode` writes of a hand: one calibration can't be of all its fingers."""
+    load = microstrain(2.0, 30.0, 50.0)
+    rows, _ = estimated(calibration, f"t_s,node,SG1,SG2,SG3\n0,5,{load}\n1,5,{load}\n", capsys)
+    assert [row["status"] for row in rows] == ["ok", "ok"]
+    path = calibration.with_name("hand.csv")
+    cases = (("node", ("5", "6"), "(5, 6)"), ("channel,node", ("can0,5", "can1,5"), "(can0 5, can1 5)"))
+    for head, keys, told in cases:
+        path.write_text(f"{head},SG1,SG2,SG3\n" + "".join(f"{key},{load}\n" for key in keys))
+        assert main(["estimate", str(calibration), str(path)]) == 2
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert f"readings of 2 nodes {told}" in err
+        assert "--nodes 5 " in err
+
+
 def test_the_mode_of_a_row_selects_the_branch(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
     load = microstrain(2.0, -70.0, 90.0)
     rows, _ = estimated(calibration, f"SG1,SG2,SG3,mode\n{load},push\n{load},pull\n{load},\n{load},tear\n", capsys)

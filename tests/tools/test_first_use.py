@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import json
+import re
 import subprocess
 import sys
 from argparse import Namespace
@@ -89,6 +90,21 @@ def test_a_file_that_is_no_log_is_refused(not_a_log: Path, tmp_path: Path, capsy
         assert f"{not_a_log}: not one frame in it; is it a log?" in told
         assert "line 1: 'these are'" in told
     assert not out.exists()
+
+
+@pytest.mark.parametrize(
+    "words", [["dump"], ["dump", "--decode", "-q"], ["monitor"], ["monitor", "--json"], ["replay", "-i", "virtual"]]
+)
+def test_a_file_that_is_no_log_is_refused_by_all(
+    words: list[str], not_a_log: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    command, *flags = words
+    assert main([command, str(not_a_log), *flags, *(["-c", "no-log"] if command == "replay" else [])]) == 2
+    out, err = capsys.readouterr()
+    assert out == ""
+    assert err.startswith(f"tipforce: {not_a_log}: not one frame in it; is it a log? line 1: 'these are': ")
+    assert "known are candump's text" in err
+    assert err.count("line 1") == 1
 
 
 def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -230,13 +246,29 @@ def test_a_number_is_never_cut(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_the_demo_fits_eighty_columns(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     stream = io.StringIO()
-    monkeypatch.setattr(common, "console", lambda _: Console(file=stream, width=80))
+    monkeypatch.setattr(common, "console", lambda *_, **__: Console(file=stream, width=80))
     assert main(["demo", "-q"]) == 0
     capsys.readouterr()
     lines = stream.getvalue().splitlines()
     assert len(lines) > 114
     assert max(map(len, lines)) <= 80
     assert "\u2026" not in stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    "words", ["scene explain scenes/grasp.toml", "design table 1", "design table fig9 --repeats 2"]
+)
+def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """What is too long for its column goes on in the next line: a key is there to be copied."""
+    stream = io.StringIO()
+    monkeypatch.setattr(common, "console", lambda *_, **__: Console(file=stream, width=80))
+    monkeypatch.chdir(Path(__file__).parents[2])
+    assert main(words.split()) == 0
+    told = stream.getvalue()
+    assert max(map(len, told.splitlines())) <= 80
+    assert "\u2026" not in told
+    if words.startswith("scene"):
+        assert "noise.one_over_f_microstrain" in re.sub(r"\s+", "", told)
 
 
 def test_a_closed_pipe_is_no_failure_of_a_table() -> None:

@@ -22,7 +22,7 @@ from tipforce.errors import (
     TipforceError,
 )
 from tipforce_tools import main as module
-from tipforce_tools.main import COMMANDS, EXIT_CODES, main
+from tipforce_tools.main import COMMANDS, EXIT_CODES, command_parser, main
 
 HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "hypothesis")
 
@@ -255,6 +255,22 @@ def test_numbers_with_a_minus_are_values_not_flags(run_command: Run) -> None:
 
     assert run_command(body) == 0
     assert seen == [["-1.5e-3", "-1,0,0", "-.5"]]
+
+
+@pytest.mark.parametrize("name", ["calibrate", "design", "scene", "sdo", "lss", "config", "hand", "nmt", "export"])
+def test_a_missing_action_is_answered_with_a_line_for_each(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    told = command_parser(name).told
+    assert len(told) >= 1
+    for words in ([], ["-q"]):
+        with pytest.raises(SystemExit) as caught:
+            main([name, *words])
+        assert caught.value.code == 2
+        out, err = capsys.readouterr()
+        usage, question, *rest = err.splitlines()
+        assert out == ""
+        assert usage.startswith(f"usage: tipforce {name} ")
+        assert question.startswith(f"tipforce {name}: error: which ")
+        assert dict(line.split(maxsplit=1) for line in rest[: len(told)]) == dict(told)
 
 
 def run_into(stdout: int, command: str) -> tuple[int, str]:

@@ -159,6 +159,18 @@ def test_heartbeat_and_its_loss() -> None:
     assert "no heartbeat" in display.cells(node(fed(contacts(2)), 10))
 
 
+def test_a_boot_up_message_is_no_state_that_lasts() -> None:
+    boot_up = (0, 0x705, b"\x00")
+    assert node(fed([boot_up]), 10).nmt == "boot-up"
+    later = [(t + 1, can_id, data) for t, can_id, data in contacts(2)]
+    for monitor, t_ms in ((fed([boot_up, *later]), 11), (fed([boot_up]), 501), (fed([boot_up]), 60_000)):
+        found = node(monitor, t_ms)
+        assert (found.nmt, found.nmt_lost) == ("boot-up, no heartbeat", False)
+    assert node(fed([boot_up, *later, (20, 0x705, b"\x05")]), 20).nmt == "operational"
+    beats = [(1000 * k, 0x705, b"\x05") for k in range(3)]
+    assert node(fed([*beats, (2500, 0x705, b"\x00")]), 9000).nmt == "boot-up, no heartbeat"
+
+
 def test_emergency() -> None:
     found = node(
         fed([(0, 0x85, bytes.fromhex("1050810100000000")), (5, 0x85, bytes.fromhex("3050810100000000"))]), 2005

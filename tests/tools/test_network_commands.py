@@ -86,8 +86,10 @@ def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Connection, st
 
 def test_a_node_that_does_not_say_so_is_named(tipforce: Tipforce) -> None:
     code, out, err = tipforce("nmt", "start", "5,9", "--wait", "0.2")
-    assert (code, out) == (5, "")
+    assert (code, out) == (5, "   5 (0x05)  operational\n")  # the one that did is named, too
     assert "from node 9 (silent)" in err
+    code, out, err = tipforce("nmt", "stop", "5,9", "--wait", "0.2", "--json")
+    assert (code, json.loads(out)) == (5, {"node_id": 5, "state": "stopped"})
 
 
 # --- lss ------------------------------------------------------------------------------------------------------------

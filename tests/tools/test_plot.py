@@ -259,6 +259,41 @@ def test_everything_is_written_on_it(one: Path, tmp_path: Path, capsys: pytest.C
         assert words in text, words
 
 
+@pytest.mark.parametrize(
+    ("start", "title"),
+    [("0000000000.000000", "from 0 s of the log's clock"), ("0000000012.250000", "from 12.25 s of the log's clock")],
+)
+def test_a_log_whose_clock_is_no_date(
+    start: str, title: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, path = tmp_path / "run.log", tmp_path / "run.svg"
+    later = f"{float(start) + 1.0:017.6f}"
+    log.write_text("".join(f"({t}) can0 285#E803282394110300\n" for t in (start, later)))
+    plotted(capsys, str(log), "-o", str(path))
+    assert title in words_of(path)
+
+
+@pytest.mark.parametrize("signals", ["P,gauges,status", "gauges"])
+def test_a_legend_lies_on_no_trace_and_no_title(signals: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A gauge at its limit runs along the edge of the panel: the names are outside, and the title above them."""
+    from tipforce_tools.plot import session
+
+    log = tmp_path / "run.log"
+    pdos = {0x185: "FF7F0180000007", 0x285: "E8032823941107"}
+    lines = [f"({t:017.6f}) can0 {cob_id:03X}#{data}{t:02X}\n" for t in range(1, 9) for cob_id, data in pdos.items()]
+    log.write_text("".join(lines))
+    drawn: list[Any] = []
+    monkeypatch.setattr(session, "_write", lambda _args, figure, *_: drawn.append(figure))
+    assert main(["plot", str(log), "--signals", signals, "-o", str(tmp_path / "run.png")]) == 0
+    (figure,) = drawn
+    figure.canvas.draw()
+    (axes,) = [axes for axes in figure.axes if axes.get_legend() is not None]
+    legend = axes.get_legend().get_window_extent()
+    assert legend.y0 >= axes.get_window_extent().y1 - 1.0
+    assert not any(legend.overlaps(other.title.get_window_extent()) for other in figure.axes if other.get_title())
+    assert not any(legend.overlaps(other.get_window_extent()) for other in figure.axes if other is not axes)
+
+
 def test_the_same_log_gives_the_same_picture(one: Path, tmp_path: Path) -> None:
     for name in ("a.png", "b.png"):
         assert main(["plot", str(one), "-o", str(tmp_path / name)]) == 0

@@ -7,7 +7,9 @@ import math
 import os
 import re
 import sys
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import InputError
 
@@ -152,8 +154,21 @@ def note(args: argparse.Namespace, text: str) -> None:
         print(text, file=sys.stderr)
 
 
-def console(args: argparse.Namespace) -> Console:
-    """A rich console on stdout that follows --color and NO_COLOR; into a pipe tables keep a fixed width."""
+@contextmanager
+def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callable[[], None]]:
+    """A bar on stderr if that is a terminal, nothing elsewhere and with -q; call it after each of ``total`` steps."""
+    if args.quiet or not sys.stderr.isatty():
+        yield lambda: None
+        return
+    from rich.progress import Progress
+
+    with Progress(transient=True, console=console(args, stderr=True)) as bar:
+        task = bar.add_task(what, total=total)
+        yield lambda: bar.advance(task)
+
+
+def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
+    """A rich console that follows --color and NO_COLOR; into a pipe tables keep a fixed width."""
     from rich.console import Console
 
     class QuietConsole(Console):
@@ -161,20 +176,25 @@ def console(args: argparse.Namespace) -> Console:
             raise BrokenPipeError
 
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
-    width = None if sys.stdout.isatty() else 120
-    return QuietConsole(force_terminal=True if args.color == "always" else None, no_color=plain, width=width)
+    width = None if (sys.stderr if stderr else sys.stdout).isatty() else 120
+    always = True if args.color == "always" else None
+    # Without a colour system there are no bold letters, either: what is plain is text and nothing else.
+    system: Literal["auto"] | None = None if plain else "auto"
+    return QuietConsole(stderr=stderr, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
 def print_table(args: argparse.Namespace, table: Table) -> None:
     """A table on stdout. Where the terminal is too narrow it loses its lines, and words wrap; a number never does.
 
-    A number that is cut (`4.…`) says nothing, and one that wraps stands beside the label of another.
+    A number that is cut (`4.…`) says nothing, and one that wraps stands beside the label of another. A word that is
+    longer than its column goes on in the next line: names are there to be copied.
     """
     screen = console(args)
     unbounded = screen.options.update(width=1000)
     if screen.measure(table, options=unbounded).maximum > screen.width:
         table.box, table.padding, table.pad_edge = None, (0, 1, 0, 0), False
         for column in table.columns:
+            column.overflow = "fold"
             if column.justify == "right":
                 column.no_wrap, column.header = True, str(column.header).replace(" ", "\n")
         # What does not fit even so is for the terminal to wrap.

@@ -3,30 +3,31 @@
 from __future__ import annotations
 
 import argparse
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.dictionary.types import Value
     from tipforce.host.configuration import Configuration
     from tipforce.host.sdo import SdoChannel
 
+ACTIONS = {
+    "show": "the settings of a node that are not at their default (--all: every one)",
+    "apply": "a file to the node, then read back; if the node refuses one, what was there before is put back",
+    "diff": "what differs both ways: also what the node has changed and the file does not mention",
+    "save": "the node's settings to a file: TOML, or a DCF by its ending",
+    "verify": "does the node have what the file says? (exit code 1 if not)",
+}
 WITH_FILE = ("apply", "diff", "save", "verify")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce config`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
-        "show    the settings of a node that are not at their default (--all: every one)\n"
-        "apply   a file to the node, then read back; if the node refuses one, what was there before is put back\n"
-        "verify  does the node have what the file says? (exit code 1 if not)\n"
-        "diff    the same both ways: also what the node has changed and the file does not mention\n"
-        "save    write the node's settings to a file: TOML, or a DCF by its ending\n\n"
         "A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:\n"
         "  [objects]\n"
         '  "heartbeat.producer_ms" = 500\n'
@@ -38,7 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce config save 5 finger.toml -i socketcan -c can0\n"
         "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store"
     )
-    parser.add_argument("action", choices=("show", *WITH_FILE))
+    add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("file", nargs="?", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
@@ -148,11 +149,5 @@ def _read(args: argparse.Namespace, sdo: SdoChannel) -> dict[tuple[int, int], Va
     """All settings, with a bar on a terminal: it takes a transfer for each."""
     from tipforce.host.settings import read_settings, setting_rows
 
-    if args.quiet or not sys.stderr.isatty():
-        return read_settings(sdo, args.gauges)
-    from rich.console import Console
-    from rich.progress import Progress
-
-    with Progress(transient=True, console=Console(stderr=True)) as progress:
-        task = progress.add_task("read", total=len(setting_rows(args.gauges)))
-        return read_settings(sdo, args.gauges, lambda: progress.advance(task))
+    with common.progress(args, "read", len(setting_rows(args.gauges))) as advance:
+        return read_settings(sdo, args.gauges, advance)

@@ -44,11 +44,13 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.calibration_file import read_calibration, read_fit
     from tipforce.host.measurements import read_measurements
     from tipforce_tools.estimate_rows import estimates
+    from tipforce_tools.one_node import check_one_node
 
     if args.saturation is not None and not args.saturation > 0.0:
         raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain")
     calibration, fit = read_calibration(args.calibration), read_fit(args.calibration)
     data = read_measurements(args.gauges, loads=False)
+    check_one_node(args.gauges, data)
     if data.strain.shape[1] != calibration.gauges:
         raise InputError(
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"

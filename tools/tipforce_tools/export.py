@@ -8,16 +8,25 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.dictionary.eds import Values
     from tipforce.dictionary.table import Converter
 
 
+FORMATS = {
+    "eds": "the node's objects, for configuration tools",
+    "dbc": "the PDOs of nodes, for log and bus tools",
+    "dcf": "an EDS with the settings of one node",
+    "c": "dictionary and estimator for firmware, a folder of C99",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce export`."""
     parser.epilog = "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/"
-    parser.add_argument("format", choices=("eds", "dbc", "dcf", "c"))
+    add_choice(parser, "format", FORMATS)
     parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c: a folder, which is needed")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 8 (default %(default)s)")
     parser.add_argument(

@@ -8,10 +8,16 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, NoResponseError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.lss import LssAddress, LssMaster
 
+ACTIONS = {
+    "scan": "find a node without a node-id, by fastscan, and print its address",
+    "assign": "give node-ids",
+    "store": "have a node keep its node-id and bit rate over a power cycle",
+}
 NOBODY = (
     "no node without a node-id answered. A node that is already configured takes no part in a fastscan: "
     "`tipforce scan` lists those, and `tipforce lss assign ID --serial N --product P` renumbers one"
@@ -20,18 +26,15 @@ NOBODY = (
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce lss`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
-        "scan    find a node without a node-id, by fastscan, and print its address\n"
-        "assign  give node-ids: IDS to the nodes without one, in the order in which they are found, or with --serial\n"
-        "        to the one with that address, which may have a node-id already (it changes at its next reset)\n"
-        "store   have the node with that address keep its node-id and bit rate\n\n"
+        "assign gives IDS to the nodes without one, in the order in which they are found, or with --serial to the\n"
+        "one with that address, which may have a node-id already (it changes at its next reset).\n\n"
         "  tipforce lss scan -i socketcan -c can0\n"
         "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
         "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
         "Node-ids that are assigned without --store are gone after a power cycle."
     )
-    parser.add_argument("action", choices=("scan", "assign", "store"))
+    add_choice(parser, "action", ACTIONS)
     parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
     parser.add_argument("--store", action="store_true", help="assign: the nodes keep it over a power cycle")
     group = parser.add_argument_group("LSS address of one node (1018h)")

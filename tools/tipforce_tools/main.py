@@ -17,7 +17,7 @@ from tipforce.errors import (
 )
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser
+    from tipforce_tools.actions import CommandParser
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS = {
@@ -26,7 +26,7 @@ COMMANDS = {
     "run": ("tipforce_tools.scene.run", "run a scene: a hand of nodes, loads, faults, recording"),
     "scene": ("tipforce_tools.scene.command", "explain what a scene builds, and what it leaves out and why"),
     "scan": ("tipforce_tools.scan", "list the nodes on the bus"),
-    "sdo": ("tipforce_tools.sdo", "read or write an object of a node"),
+    "sdo": ("tipforce_tools.sdo", "read or write an object of a node, or read them all"),
     "hand": ("tipforce_tools.hand.command", "bring a hand of many fingers up from its file, and run it"),
     "nmt": ("tipforce_tools.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
     "lss": ("tipforce_tools.lss", "find nodes without a node-id, and give node-ids"),
@@ -127,14 +127,15 @@ def _run(name: str, words: list[str]) -> int:
     return int(importlib.import_module(COMMANDS[name][0]).run(args))
 
 
-def command_parser(name: str) -> ArgumentParser:
+def command_parser(name: str) -> CommandParser:
     """The parser of the command line of COMMANDS' ``name``."""
-    import argparse
     import importlib
     import re
 
+    from tipforce_tools.actions import CommandParser
+
     module_name, summary = COMMANDS[name]
-    parser = argparse.ArgumentParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
+    parser = CommandParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
     # argparse itself takes -1.5e-3 and -1,0,0 for flags that it does not know.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
     importlib.import_module(module_name).add_arguments(parser)

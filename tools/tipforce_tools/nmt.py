@@ -7,18 +7,25 @@ import threading
 
 from tipforce.errors import InputError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
 ALL = "all"
+COMMANDS = {
+    "start": "to operational: PDOs flow",
+    "stop": "to stopped: neither PDOs nor SDO, only heartbeat and NMT",
+    "preop": "to pre-operational: SDO, no PDOs",
+    "reset-node": "restart the node with what it has stored",
+    "reset-comm": "restart its communication alone",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce nmt`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "  tipforce nmt start 1-5 --wait -i socketcan -c can0      (exit code 5 if one does not say that it started)\n"
         "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
     )
-    parser.add_argument("command", choices=("start", "stop", "preop", "reset-node", "reset-comm"))
+    add_choice(parser, "command", COMMANDS)
     parser.add_argument("ids", type=_ids, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
         "--wait", nargs="?", type=float, const=2.0, metavar="S", help="for each heartbeat (%(const)s s unless given)"
@@ -28,9 +35,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send; with --wait print each node's state. Raises NoResponseError for a node that does not say so in time."""
+    """Send; with --wait print each node's state.
+
+    Raises NoResponseError for a node that does not say so in time, after the states of those that do.
+    """
     from tipforce.host.connection import Connection
-    from tipforce.host.nmt import command_and_wait
+    from tipforce.host.nmt import NotReachedError, command_and_wait
 
     common.set_up_logging(args)
     if args.wait is not None and not args.ids:
@@ -42,13 +52,21 @@ def run(args: argparse.Namespace) -> int:
             for node_id in args.ids or [0]:
                 connection.nmt(args.command, node_id)
             return 0
-        states = command_and_wait(connection, args.command, args.ids, args.wait)
+        try:
+            states = command_and_wait(connection, args.command, args.ids, args.wait)
+        except NotReachedError as error:
+            _print(args, error.reached)
+            raise
+    _print(args, states)
+    return 0
+
+
+def _print(args: argparse.Namespace, states: dict[int, str]) -> None:
     for node_id, state in sorted(states.items()):
         if args.json:
             common.print_json({"node_id": node_id, "state": state})
         else:
             print(f"{common.shown_id(node_id):>11}  {state}")
-    return 0
 
 
 def _ids(text: str) -> list[int]:

@@ -67,8 +67,10 @@ def _looks_like_csv(path: str) -> bool:
 
 def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     from tipforce.host.measurements import read_measurements
+    from tipforce_tools.one_node import check_one_node
 
     data = read_measurements(path, loads=False)
+    check_one_node(path, data)
     if data.t_s is None:
         raise InputError(f"replay:{path}: there is no column t_s; a replay needs the time of each row in seconds")
     if data.bad:

@@ -1,4 +1,4 @@
-"""`tipforce sdo read|write`: one object of a node, by number or by name."""
+"""`tipforce sdo read|write|dump`: one object of a node, by number or by name, or all of them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import argparse
 
 from tipforce.errors import InputError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
+ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all objects that can be read"}
 PERSISTENT = {0x1010: "stores parameters", 0x1011: "restores defaults at the next reset"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce sdo`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
         "  tipforce sdo read 10 0x1017 0 u16\n"
@@ -20,12 +21,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce sdo read 10 calibration.matrix:3\n"
         "  tipforce sdo write 10 0x1017 0 u16 500\n"
         "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
+        "  tipforce sdo dump 10                     all that can be read, with names and units\n"
         "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
     )
-    parser.add_argument("action", choices=("read", "write"))
+    add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
-    parser.add_argument("words", nargs="+", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; for write then VALUE")
-    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node, for names (default 3)")
+    parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; for write then VALUE")
+    parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump asks the node)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
@@ -35,11 +37,15 @@ def run(args: argparse.Namespace) -> int:
     """Read or write; prints the value read. Raises NoResponseError and SdoAbortError."""
     from tipforce.dictionary import types
 
+    if args.action == "dump":
+        return _dump(args)
     words = list(args.words)
+    if not words:
+        raise InputError(f"sdo {args.action}: which object? Write NAME, or INDEX SUB [TYPE]; `sdo dump` reads them all")
     value_text = words.pop() if args.action == "write" and len(words) > 1 else None
     if args.action == "write" and value_text is None:
         raise InputError("sdo write: write NAME VALUE, or INDEX SUB TYPE VALUE")
-    index, sub, letter, name = _entry(words, args.gauges)
+    index, sub, letter, name = _entry(words, 3 if args.gauges is None else args.gauges)
     data = None if value_text is None else types.encode(letter, types.parse_value(letter, value_text))
     common.set_up_logging(args)
     if data is not None and index in PERSISTENT:
@@ -58,6 +64,15 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(text)
     return 0
+
+
+def _dump(args: argparse.Namespace) -> int:
+    from tipforce_tools.sdo_dump import dump
+
+    if args.words:
+        raise InputError(f"sdo dump: reads all objects; for one: tipforce sdo read {args.node} {' '.join(args.words)}")
+    common.set_up_logging(args)
+    return dump(args)
 
 
 def _entry(words: list[str], gauges: int) -> tuple[int, int, str, str]:

@@ -19,12 +19,20 @@ _REACHED = {
 }
 
 
+class NotReachedError(NoResponseError):
+    """Some nodes did not say that they reached the state; ``reached`` has what the others said, by node-id."""
+
+    def __init__(self, message: str, reached: dict[int, str]) -> None:
+        super().__init__(message)
+        self.reached = reached
+
+
 def command_and_wait(
     connection: Connection, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
     """Send an NMT command to each node and wait until its heartbeat says so; the state that each reported.
 
-    Raises InputError for an unknown command, and NoResponseError naming the nodes that did not say so in time: they
+    Raises InputError for an unknown command, and NotReachedError naming the nodes that did not say so in time: they
     are off, or their heartbeat (1017h) is slower or 0.
     """
     since_s = time.monotonic()
@@ -40,8 +48,9 @@ def command_and_wait(
             said = "silent" if state is None else f"last said {NMT_STATES.get(state, f'state {state}')}"
             missing.append(f"{node_id} ({said})")
     if missing:
-        raise NoResponseError(
+        raise NotReachedError(
             f"nmt {command}: no heartbeat that says so within {timeout_s:g} s from node {', '.join(missing)}; "
-            "is its heartbeat (1017h) on and faster than this?"
+            "is its heartbeat (1017h) on and faster than this?",
+            found,
         )
     return found

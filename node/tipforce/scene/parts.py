@@ -22,11 +22,11 @@ _DEVICE = (
 _FINGERTIP = (
     "application", "calibration", "channels", "dictionary", "interrupts", "node", "sample", "simulated", "source",
 )  # fmt: skip
-_SCENE = ("build", "check", "loads", "reader", "run", "schema", "simulate", "sources")
+_SCENE = ("build", "check", "loads", "run", "schema", "simulate", "sources")
 _CORE = (
     "tipforce", "tipforce.device", "tipforce.dictionary", "tipforce.dictionary.table", "tipforce.errors",
     "tipforce.fingertip", "tipforce.scene", "tipforce.sensor", "tipforce.sensor.condition", "tipforce.sensor.layouts",
-    "tipforce.sensor.scalar", "msgspec",
+    "tipforce.sensor.scalar", "tipforce.toml_table", "msgspec",
     *(f"tipforce.device.{name}" for name in _DEVICE),
     *(f"tipforce.fingertip.{name}" for name in _FINGERTIP),
     *(f"tipforce.scene.{name}" for name in _SCENE),

@@ -45,9 +45,13 @@ class Contact:
 
     @property
     def error(self) -> FloatArray:
-        """Estimated less applied, (k, 3), angles wrapped; NaN where unknown."""
+        """Estimated less applied, (k, 3), angles wrapped; NaN where unknown, and of angles where no force is applied:
+
+        what has no direction has no error of it.
+        """
         found = self.estimated - self.applied
         found[:, 1:] = (found[:, 1:] + 180.0) % 360.0 - 180.0
+        found[self.applied[:, 0] == 0.0, 1:] = np.nan
         return found
 
 
@@ -62,10 +66,10 @@ class FingerResult:
     known: tuple[int, int, int]
     """How many of them carry P, phi, theta."""
     applied_end: tuple[float, float, float]
-    """At the last contact PDO."""
+    """At the last contact PDO; the angles of no force are NaN."""
     estimated_end: tuple[float, float, float]
     rms_error: tuple[float, float, float]
-    """Over the samples where each is known."""
+    """Over the samples where each is known, of angles those under a force: without one there is no direction."""
     max_error: tuple[float, float, float]
     """Largest absolute value."""
     slit_closed: int | None = None
@@ -148,14 +152,14 @@ def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: lis
         why = {"no frame": syncs} if sent else {_NO_PDO: syncs}
         return FingerResult(finger.node_id, syncs, 0, (0, 0, 0), nothing, nothing, nothing, nothing, None, why, counts)
     error = contact.error
-    known = np.isfinite(error)
-    columns = [error[known[:, k], k] for k in range(3)]
+    columns = [error[np.isfinite(error[:, k]), k] for k in range(3)]
+    P_newtons, *angles = contact.applied[-1].tolist()
     return FingerResult(
         finger.node_id,
         syncs,
         len(contact.t_s),
-        _counts(known),
-        _triple(contact.applied[-1].tolist()),
+        _counts(np.isfinite(contact.estimated)),
+        _triple([P_newtons, *(angles if P_newtons else (float("nan"),) * 2)]),
         _triple(contact.estimated[-1].tolist()),
         _triple([float(np.sqrt(np.mean(c * c))) if len(c) else float("nan") for c in columns]),
         _triple([float(np.max(np.abs(c))) if len(c) else float("nan") for c in columns]),

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 from typing import Annotated, Literal
 
 import msgspec
 from msgspec import Meta
 
-from tipforce.errors import InputError
-from tipforce.scene.reader import convert
+from tipforce.toml_table import convert, read_table
 
 MAX_NODES = 32
 
@@ -254,14 +252,6 @@ def read_scene(path: str | Path) -> Scene:
     """A scene file, checked. Raises InputError naming the place, the value and what is allowed."""
     from tipforce.scene.check import check_scene
 
-    try:
-        content = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise InputError(f"scene {path}: {error.strerror}") from error
-    except UnicodeDecodeError:
-        raise InputError(f"scene {path}: the file is not UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"scene {path}: {error}") from None
-    scene = convert(Scene, content, f"scene {path}")
+    scene = convert(Scene, read_table(path, f"scene {path}"), f"scene {path}")
     check_scene(scene, f"scene {path}")
     return scene

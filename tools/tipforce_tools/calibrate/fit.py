@@ -67,8 +67,10 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.measurements import read_measurements
     from tipforce.sensor.calibration import fit_calibration
     from tipforce_tools.calibrate import fit_report
+    from tipforce_tools.one_node import check_one_node
 
     data = read_measurements(args.data, loads=True)
+    check_one_node(args.data, data)
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     _check_layout(args, data)

@@ -191,10 +191,9 @@ class Walk:
         if self._args.quiet or not sys.stderr.isatty():
             yield lambda _count: None
             return
-        from rich.console import Console
         from rich.progress import Progress
 
-        with Progress(transient=True, console=Console(stderr=True)) as progress:
+        with Progress(transient=True, console=common.console(self._args, stderr=True)) as progress:
             task = progress.add_task("  capture", total=self._args.samples)
             yield lambda count: progress.update(task, completed=count)
 

@@ -117,9 +117,8 @@ def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], Non
     if args.quiet or not sys.stderr.isatty():
         yield lambda: None
         return
-    from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(console=Console(stderr=True), transient=True) as progress:
+    with Progress(console=common.console(args, stderr=True), transient=True) as progress:
         task = progress.add_task("conformance", total=total)
         yield lambda: progress.advance(task)

@@ -174,7 +174,9 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
 def _check_readable(told: Told) -> None:
     """Raises InputError where there is much and none of it is a frame: then something else was given than logs."""
     if summaries.bad_lines(told) and not any(notes.frames for notes in told.notes):
-        raise InputError(f"{', '.join(notes.source for notes in told.notes)}: not one frame in it; is it a log?")
+        from tipforce_tools.no_frame import MESSAGES, PACKED, PCAP, TEXT, no_frame
+
+        raise no_frame(", ".join(notes.source for notes in told.notes), (TEXT, PACKED, MESSAGES, PCAP))
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:

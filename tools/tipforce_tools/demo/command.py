@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.common import add_output_arguments, note, print_json, print_table, set_up_logging
+from tipforce_tools.common import add_output_arguments, console, note, print_json, print_table, set_up_logging
 from tipforce_tools.view.command import add_server_arguments
 
 if TYPE_CHECKING:
@@ -36,7 +36,6 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; 0 when every error is inside its bound and the host agrees with the nodes, otherwise 1."""
     if args.view:
         return _view(args)
-    from rich.console import Console
     from rich.progress import Progress
 
     from tipforce_tools.demo.job import CASES, grooves, run_demo
@@ -45,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
     started_s = time.monotonic()
     results: list[Result] = []
     with Progress(
-        transient=True, disable=args.quiet or not sys.stderr.isatty(), console=Console(stderr=True)
+        transient=True, disable=args.quiet or not sys.stderr.isatty(), console=console(args, stderr=True)
     ) as progress:
         task = progress.add_task("loads", total=2 * len(grooves()))
         for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), lambda: progress.advance(task)):

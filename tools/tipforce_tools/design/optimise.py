@@ -167,11 +167,10 @@ class _Progress:
     """A bar on stderr where that is a terminal; gives the call that moves it on by one."""
 
     def __init__(self, args: argparse.Namespace, total: int) -> None:
-        from rich.console import Console
         from rich.progress import Progress
 
         self._bar = Progress(
-            transient=True, disable=args.quiet or not sys.stderr.isatty(), console=Console(stderr=True)
+            transient=True, disable=args.quiet or not sys.stderr.isatty(), console=common.console(args, stderr=True)
         )
         self._total = total
 

@@ -39,14 +39,14 @@ def print_section(args: argparse.Namespace, section: Section) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    console = common.console(args)
     table = Table(title=section.title, title_justify="left", title_style="bold", box=box.SIMPLE_HEAD, pad_edge=False)
     for key, heading in section.columns.items():
         numeric = all(isinstance(_cell(record, key), (int, float, type(None))) for record in section.records)
         table.add_column(heading, justify="right" if numeric else "left", overflow="fold")
     for record in section.records:
         table.add_row(*(shown(_cell(record, key)) for key in section.columns))
-    console.print(table)
+    common.print_table(args, table)
+    console = common.console(args)
     for note in section.notes:
         console.print(Padding(Text(note), (0, 0, 1, 2)), highlight=False)
 

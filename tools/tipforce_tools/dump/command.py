@@ -16,6 +16,7 @@ CHANNEL[,FILTER...] as candump has it, identifiers and masks in hexadecimal:
   j         a frame must pass all of the filters, not just one
 Not candump's: -c is the channel (no colour), recording is `tipforce log`.
 At the end stderr tells what was left out (not with -q), and with -v what each message counted.
+exit codes: 0 ok, 1 a bad line with --strict, 2 usage, or not one frame in the text
 With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and python-can's configuration,
 a CHANNEL is a SocketCAN interface.
 

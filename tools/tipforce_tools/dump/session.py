@@ -102,14 +102,32 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             descriptor = _open_file(str(source))
             opened.callback(os.close, descriptor)
         blocks = text_blocks(descriptor, parser, args.timeout_ms)
+        counts = [0]
         try:
-            _show_all(session, (select(block, targets) for block in blocks))
+            _show_all(session, (select(block, targets) for block in _counted(blocks, counts)))
+            _check_readable(str(source), counts[0], parser)
         except BadLineError as error:
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
-            _report(args, session, parser.dropped, parser)
+            if counts[0] or not parser.bad:  # else all that there is to tell is the error
+                _report(args, session, parser.dropped, parser)
     return 0
+
+
+def _counted(blocks: Iterable[CandumpBlock], counts: list[int]) -> Iterator[CandumpBlock]:
+    """The blocks, their frames added to ``counts[0]``."""
+    for block in blocks:
+        counts[0] += len(block)
+        yield block
+
+
+def _check_readable(name: str, frames: int, parser: CandumpParser) -> None:
+    """Raises InputError where there is text and none of it is a frame."""
+    if parser.bad and not frames:
+        from tipforce_tools.no_frame import TEXT, no_frame
+
+        raise no_frame(name, (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
 
 
 def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools import common
+from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
@@ -38,19 +39,22 @@ EXAMPLE = """
 """
 
 
+ACTIONS = {
+    "check": "read the file and all that it names, and compute the bus load; needs no bus",
+    "up": "find the fingers, number them by LSS, configure, verify, calibrate, start; exit code 1 if one failed",
+    "run": "the same, then SYNC, rows and events until Ctrl-C; a finger that reboots is set up again",
+}
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce hand`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
-        "check  read the file and all that it names, and compute the bus load; needs no bus\n"
-        "up     find the fingers, number them by LSS, configure, verify, calibrate, start; exit code 1 if one failed\n"
-        "run    the same, then SYNC, rows and events until Ctrl-C; a finger that reboots is set up again\n\n"
         f"The file:\n{EXAMPLE}\n"
         "  tipforce hand up hand.toml\n"
         "  tipforce hand run hand.toml --json -i socketcan -c vcan0 | head\n"
         "`tipforce view hand.toml` shows it in a browser."
     )
-    parser.add_argument("action", choices=("check", "up", "run"))
+    add_choice(parser, "action", ACTIONS)
     parser.add_argument("file", metavar="FILE", help="hand.toml")
     parser.add_argument("--seconds", type=float, metavar="S", help="run: end after this time")
     common.add_confirm_argument(parser)

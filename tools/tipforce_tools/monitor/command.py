@@ -14,7 +14,7 @@ EPILOG = """\
 CHANNEL[,FILTER...] as `tipforce dump` has it. Keys: q or Ctrl-C ends. Where stdout is no terminal, a plain table is
 printed at the end, and with --json one line per interval.
 The bus load is between that with no stuff bits and that with the most, of the bit rate of -b (default: 1 Mbit/s).
-exit codes: 0 the log ended, q, or --once; 2 usage; 130 Ctrl-C or SIGTERM
+exit codes: 0 the log ended, q, or --once; 2 usage, or not one frame in the log; 130 Ctrl-C or SIGTERM
 
   tipforce monitor vcan0
   tipforce monitor -i pcan -c PCAN_USBBUS1 -b 1000000 --nodes 1-5

@@ -49,6 +49,10 @@ def monitor(args: Namespace) -> int:
         show = opened.enter_context(_screen(args, interval_s)) if screen else _lines(args)
         loop = Loop(args.once, interval_s, show if screen or (args.json and args.once is None) else None)
         loop.run(watched, source, lambda: stop.stopped or pressed())
+        if log is not None and source.ended and log.bad and not watched.frames:
+            from tipforce_tools.no_frame import MESSAGES, PACKED, PCAP, TEXT, no_frame
+
+            raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
         if not screen and not (args.json and args.once is None and loop.shown):
             _lines(args)(watched, source.now_ns())
     if log is not None:

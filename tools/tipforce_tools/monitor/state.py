@@ -14,6 +14,7 @@ from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.decode import Decoder, Samples
 from tipforce.host.frames import FrameArray
+from tipforce.host.heartbeats import BOOT_UP
 from tipforce.host.sample_counter import SampleCounters
 from tipforce_tools.monitor.window import Periods, Window
 
@@ -209,10 +210,16 @@ def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
 
 
 def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
-    """The state, and whether the heartbeat has been missing for three of its periods."""
+    """The state, and whether the heartbeat has been missing for three of its periods.
+
+    A boot-up message tells no state that lasts: the node leaves it at once, and only a heartbeat says for which.
+    """
     last_ns = node.heartbeats.last_ns
     if node.nmt is None or last_ns is None:
         return "", False
+    if node.nmt == BOOT_UP:
+        later = (node.samples.last_ns or last_ns) > last_ns or now_ns - last_ns > STALE_NS
+        return f"{NMT_STATES[BOOT_UP]}, no heartbeat" if later else NMT_STATES[BOOT_UP], False
     periods = node.heartbeats.periods()
     limit_ns = 3e6 * periods.p50_ms if periods else 3e9
     return NMT_STATES.get(node.nmt, f"state {node.nmt}"), now_ns - last_ns > max(limit_ns, STALE_NS)

@@ -36,6 +36,8 @@ _BARS = (
     ("fault", "front-end fault", "xx"),
     ("beyond_first_order", "u beyond first order", ".."),
 )
+_LEGEND_COLUMNS = 4
+_EPOCH_NS = 10**17  # 1973; before it the times are no dates
 LOST = "lost samples"
 _BEYOND = 7.0  # degrees that an axis of the whole circle shows beyond 180: a line at 180 is seen on both sides
 
@@ -111,8 +113,10 @@ def draw(fingers: Fingers, look: Look, plt: Any) -> Figure:
 
 
 def _default_title(fingers: Fingers) -> str:
-    if not fingers.timed or not fingers.start_ns or fingers.start_ns < 10**17:
-        return "time since the first sample"
+    if fingers.start_ns is None:
+        return ""
+    if fingers.start_ns < _EPOCH_NS:
+        return f"from {fingers.start_ns * 1e-9:.9g} s of the log's clock"
     start = datetime.fromtimestamp(fingers.start_ns // 10**9, UTC)
     return f"from {start:%Y-%m-%d %H:%M:%S}.{fingers.start_ns // 10**6 % 1000:03d} UTC"
 
@@ -172,16 +176,29 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
         unit = finger.units[signals[0]] if signals else ""
         ax.set_ylabel(f"{_TITLES.get(panel, panel)} ({_UNITS.get(unit, unit)})" if unit else panel, fontsize=8)
         if len(signals) > 1:
-            ax.margins(y=0.2)  # room for the legend
-            ax.legend(loc="upper right", fontsize=7, ncols=len(signals), handlelength=2.5, framealpha=0.8)
+            _legend_above(ax, len(signals))
         if not signals or all(finger.traces[signal].line() is None for signal in signals):
             text = "unknown all the time" if signals else "not in the log"
             ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=8, color="0.4")
     lost = f", {finger.lost.total} samples lost" if finger.lost.total else ""
-    axes[0].set_title(f"{name}{lost}", fontsize=9)
+    axes[0].set_title(f"{name}{lost}", fontsize=9, pad=_title_pad(axes[0]))
     axes[-1].set_xlabel("time (s)", fontsize=8)
     axes[-1].set_xlim(0, max(frame.length_s, 1e-6))
     axes[-1].tick_params(labelbottom=True)
+
+
+def _legend_above(ax: Axes, count: int) -> None:
+    """The names of ``count`` lines above their panel: inside it, a line at the gauges' limit would lie below them."""
+    ax.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, frameon=False, fontsize=7,
+        ncols=min(count, _LEGEND_COLUMNS), handlelength=2.2, columnspacing=1.2,
+    )  # fmt: skip
+
+
+def _title_pad(ax: Axes) -> float:
+    """Points between a panel and its title: room for a legend between them."""
+    legend = ax.get_legend()
+    return 6.0 if legend is None else 8.0 + 12.0 * math.ceil(len(legend.get_texts()) / _LEGEND_COLUMNS)
 
 
 def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, start_ns: int) -> None:

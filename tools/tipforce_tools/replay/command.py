@@ -14,7 +14,7 @@ EPILOG = """\
 WRITE=LOG sends to WRITE what the log has from LOG, as canplayer does; frames of other interfaces are left out. Without
 assignments frames go to the interface that the log names, or with -c all to that one. On a bus that is not virtual it
 asks first.
-exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, 130 ended by Ctrl-C or SIGTERM
+exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or not one frame in it, 130 ended by Ctrl-C or SIGTERM
 
   tipforce replay run.log                           to the interfaces of the log
   tipforce replay run.log.gz vcan1=vcan0 --speed 10

@@ -136,6 +136,8 @@ def replay(args: Namespace) -> int:
                     break
                 late_s[0] = max(late_s[0], time.monotonic() - start_s - frame.due_s)
                 buses.send(frame)
+            if not stop.stopped:
+                _check_readable(args.log, buses, parser)
         except BadLineError as error:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
@@ -146,6 +148,14 @@ def replay(args: Namespace) -> int:
             if started:
                 _report(args, buses, parser, time.monotonic() - start_s, late_s[0])
     return INTERRUPTED if stop.stopped else 0
+
+
+def _check_readable(name: str, buses: Buses, parser: CandumpParser) -> None:
+    """Raises InputError where there is text and none of it is a frame."""
+    if parser.bad and not buses.sent and not buses.left_out:
+        from tipforce_tools.no_frame import MESSAGES, PACKED, TEXT, no_frame
+
+        raise no_frame(name, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
 
 
 def _frames(args: Namespace, parser: CandumpParser) -> Iterator[Frame]:

@@ -122,10 +122,9 @@ def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], Non
     if args.quiet or not sys.stderr.isatty():
         yield lambda: None
         return
-    from rich.console import Console
     from rich.progress import Progress
 
     # It draws in a thread of its own: twice a second takes nothing from what is timed.
-    with Progress(console=Console(stderr=True), transient=True, refresh_per_second=2) as progress:
+    with Progress(console=common.console(args, stderr=True), transient=True, refresh_per_second=2) as progress:
         task = progress.add_task("report", total=total)
         yield lambda: progress.advance(task)

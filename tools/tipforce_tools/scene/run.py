@@ -89,10 +89,9 @@ def _progress(args: argparse.Namespace, duration_s: float) -> Iterator[Callable[
     if args.quiet or not sys.stderr.isatty():
         yield lambda _t_s: None
         return
-    from rich.console import Console
     from rich.progress import Progress
 
-    with Progress(transient=True, console=Console(stderr=True)) as progress:
+    with Progress(transient=True, console=common.console(args, stderr=True)) as progress:
         task = progress.add_task("simulated seconds", total=duration_s)
         yield lambda t_s: progress.update(task, completed=t_s)
 

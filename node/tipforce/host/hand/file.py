@@ -31,6 +31,7 @@ from tipforce.errors import InputError
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import read_calibration
 from tipforce.host.configuration import Configuration, read_configuration
+from tipforce.toml_table import convert, read_table
 
 MAX_FINGERS = 32
 HIGHEST_SYNC_HZ = 10_000.0
@@ -74,12 +75,17 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         return max(0.05, 2.0 / self.sync_hz if self.sync_hz else 0.0)
 
 
-class HandFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A whole file; paths in it are relative to it."""
+class _Content(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """The keys of a file."""
 
     finger: tuple[FingerPlan, ...]
     hand: HandPlan = HandPlan()
     bus: dict[str, Any] = {}
+
+
+class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
+    """A whole file; paths in it are relative to it."""
+
     folder: str = ""
     """Where the file lies; not a key of the file."""
 
@@ -109,15 +115,8 @@ class HandFile(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 def read_hand(path: str | Path) -> HandFile:
     """Read and check a hand file. Raises InputError naming the file, the place, the value and what is allowed."""
-    try:
-        found = msgspec.toml.decode(Path(path).read_bytes(), type=HandFile)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}") from None
-    if found.folder:
-        raise InputError(f"{path}: `folder` is no key of a hand file")
-    found = msgspec.structs.replace(found, folder=str(Path(path).parent))
+    content = convert(_Content, read_table(path, str(path)), str(path))
+    found = HandFile(finger=content.finger, hand=content.hand, bus=content.bus, folder=str(Path(path).parent))
     try:
         check_hand(found)
     except InputError as error:

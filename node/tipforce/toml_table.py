@@ -1,11 +1,16 @@
-"""A TOML table as a struct, strictly: each complaint names the place, the value, and what is allowed."""
+"""TOML files as structs, strictly: each complaint names the place, the value, and what is allowed.
+
+Files that people write (a scene, a hand) are read by this one reader, so that their mistakes are told alike.
+"""
 
 from __future__ import annotations
 
 import math
+import tomllib
 import types
 import typing
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
 import msgspec
@@ -13,6 +18,18 @@ import msgspec
 from tipforce.errors import InputError
 
 T = TypeVar("T", bound=msgspec.Struct)
+
+
+def read_table(path: str | Path, place: str) -> dict[str, Any]:
+    """What a TOML file holds. Raises InputError for one that can't be read, is not UTF-8, or is no TOML."""
+    try:
+        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+    except OSError as error:
+        raise InputError(f"{place}: {error.strerror}") from error
+    except UnicodeDecodeError:
+        raise InputError(f"{place}: the file is not UTF-8") from None
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{place}: {error}") from None
 
 
 def convert(kind: type[T], content: object, place: str) -> T:

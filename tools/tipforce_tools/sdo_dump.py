@@ -1,0 +1,116 @@
+"""`tipforce sdo dump`: every object of a node that can be read, with its name, value and unit."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, NamedTuple
+
+from tipforce.errors import InputError, SdoAbortError
+from tipforce_tools import common
+
+if TYPE_CHECKING:
+    from tipforce.dictionary.rows import Row
+    from tipforce.dictionary.types import Value
+    from tipforce.host.sdo import SdoChannel
+
+EDS = 0x1021
+_PROFILE_FREE = 0x2000  # below it every CANopen device has the same objects (CiA 301)
+_LAST_DIGIT = 9
+_NOT_THERE = (0x06020000, 0x06090011)  # SDO aborts: no such object, no such sub-index
+
+
+class Found(NamedTuple):
+    """One entry: its value and text, or the abort that the node answered with."""
+
+    row: Row
+    value: Value | None
+    text: str
+    abort: SdoAbortError | None
+
+
+def dump(args: argparse.Namespace) -> int:
+    """Print what the node holds; 0. An entry that it refuses to tell has the abort in place of its value.
+
+    Raises NoResponseError.
+    """
+    missing = 0
+    with common.open_connection(args) as connection:
+        sdo = connection.sdo(args.node)
+        rows = _readable(args, sdo)
+        shown = []
+        with common.progress(args, "read", len(rows)) as advance:
+            for found in _read(sdo, rows):
+                advance()
+                if found is None:
+                    missing += 1
+                else:
+                    shown.append(found)
+    width = max((len(_name(found.row)) for found in shown), default=0)
+    for found in shown:
+        _print(args, found, width)
+    absent = f", {missing} of the dictionary it does not have" if missing else ""
+    common.note(
+        args,
+        f"node {common.shown_id(args.node)}: {len(shown)} entries{absent}; left out: what can only be written, and its "
+        f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)",
+    )
+    return 0
+
+
+def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
+    """The entries to ask for: with --gauges those of such a fingertip, otherwise by what the node says that it is."""
+    from tipforce.dictionary.rows import rows
+    from tipforce.host.fingertip import FingertipClient
+
+    gauges, below = args.gauges, 0x10000
+    if gauges is None:
+        try:
+            identity = FingertipClient(sdo).identity()
+            gauges = identity.gauges if identity.is_fingertip else None
+        except SdoAbortError:  # 1018h:2 to 4 are optional
+            gauges = None
+        if gauges is None:
+            gauges, below = 3, _PROFILE_FREE
+            common.note(
+                args,
+                f"node {common.shown_id(args.node)} is no fingertip: only the objects of CiA 301 are read "
+                "(--gauges N: all those of a fingertip)",
+            )
+    return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
+
+
+def _read(sdo: SdoChannel, rows: list[Row]) -> Iterator[Found | None]:
+    """Each entry; None for one that the node does not have."""
+    from tipforce.dictionary import types
+
+    for row in rows:
+        try:
+            data = sdo.upload(row.index, row.sub)
+        except SdoAbortError as error:
+            yield None if error.code in _NOT_THERE else Found(row, None, "", error)
+            continue
+        try:
+            value = types.decode(row.letter, data)
+            yield Found(row, value, types.format_value(row.letter, value), None)
+        except InputError:  # another device's idea of this object: its bytes are what is known
+            yield Found(row, data, data.hex(" ").upper(), None)
+
+
+def _print(args: argparse.Namespace, found: Found, width: int) -> None:
+    row, abort = found.row, found.abort
+    if args.json:
+        record: dict[str, object] = {"node": args.node, "index": f"0x{row.index:04X}", "sub": row.sub}
+        value = found.text if isinstance(found.value, bytes) else found.value
+        record |= {"name": row.dotted, "value": value, "unit": row.unit, "access": row.access}
+        common.print_json(record if abort is None else record | {"abort": f"0x{abort.code:08X}"})
+        return
+    told = f"{found.text} {row.unit}" if abort is None else f"({str(abort).rpartition(': ')[2]})"
+    if row.letter == "I" and not row.unit and isinstance(found.value, int) and found.value > _LAST_DIGIT:
+        told += f"(0x{found.value:X})"  # COB-IDs, mappings, signatures
+    print(f"0x{row.index:04X}:{row.sub:02X}  {_name(row):{width}}  {told}".rstrip())
+
+
+def _name(row: Row) -> str:
+    """The name that `sdo read` takes; a sub-index 0 that only counts has none, and says what it is."""
+    return row.dotted if row.slug else row.name
