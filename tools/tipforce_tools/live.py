@@ -23,8 +23,9 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
     Raises EnvironmentLackError when a bus can't be opened; the others are closed then.
     """
     from tipforce.host.live.can_filter import Selection
-    from tipforce.host.live.receive import TICK_S, open_receiver
+    from tipforce.host.live.receive import open_receiver
     from tipforce.host.live.receive_group import ReceiverGroup
+    from tipforce.host.live.receiver import TICK_S
 
     options = resolved_options(args, named=bool(targets))
     tick = TICK_S if tick_s is None else tick_s

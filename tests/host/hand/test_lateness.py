@@ -11,7 +11,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.host.frames import frame_array
-from tipforce.host.hand.rows import Collector
+from tipforce.host.hand.collector import Collector
 
 WAIT_MS, WARM_UP, FINGERS = 20, 8, 2
 

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.host.frames import frame_array
-from tipforce.host.hand.rows import Collector, Rows
+from tipforce.host.hand.collector import Collector
+from tipforce.host.hand.rows import Rows
 
 SYNC = (0x80, b"")
 

@@ -21,8 +21,9 @@ from tipforce.host.decode import Decoder
 from tipforce.host.frames import SENT
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Filter, Selection
-from tipforce.host.live.receive import InterfaceDownError, SocketReceiver, open_receiver, prepare_socket
+from tipforce.host.live.receive import SocketReceiver, open_receiver, prepare_socket
 from tipforce.host.live.receive_group import ReceiverGroup
+from tipforce.host.live.receiver import InterfaceDownError
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 needs_recvmmsg = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")

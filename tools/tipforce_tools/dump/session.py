@@ -14,7 +14,7 @@ import numpy.typing as npt
 from tipforce.errors import InputError
 from tipforce.host.decode import Decoder, Key, Samples, lost_samples
 from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.live.receive import InterfaceDownError
+from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools import common

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce.host.live.receive import InterfaceDownError
+from tipforce.host.live.receiver import InterfaceDownError
 from tipforce_tools import common
 from tipforce_tools.dump.targets import split_targets
 from tipforce_tools.live import StopSignals, counted, open_targets

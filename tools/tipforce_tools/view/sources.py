@@ -16,7 +16,7 @@ from tipforce.host.frames import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.rows import Rows
-from tipforce.host.live.receive import InterfaceDownError, Receiver
+from tipforce.host.live.receiver import InterfaceDownError, Receiver
 from tipforce_tools.view.blocks import block_of_rows
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.model import Model

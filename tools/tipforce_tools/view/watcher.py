@@ -11,8 +11,9 @@ import numpy.typing as npt
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.decode import Decoder
 from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Supervisor
-from tipforce.host.hand.rows import SYNC_COB_ID, Collector, Rows
+from tipforce.host.hand.rows import SYNC_COB_ID, Rows
 from tipforce_tools.view.blocks import Block, block_of_rows
 from tipforce_tools.view.fingers import Finger
 

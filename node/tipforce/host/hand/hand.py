@@ -24,20 +24,20 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.dictionary import objects
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
 from tipforce.host.bus_load import DEFAULT_BIT_RATE, LoadMeter
-from tipforce.host.configuration import verify_configuration
 from tipforce.host.frames import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
-from tipforce.host.hand.bring_up import FingerReport, assign, bring_up, set_up, wanted_settings
+from tipforce.host.hand.bring_up import FingerReport, bring_up
+from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.delivery import Delivery
 from tipforce.host.hand.events import Event, Supervisor, waited_s
 from tipforce.host.hand.file import HandFile, read_hand
 from tipforce.host.hand.jitter import Jitter, JitterFigures
 from tipforce.host.hand.keeper import Keeper
 from tipforce.host.hand.link import Link, open_link
-from tipforce.host.hand.rows import Collector, Rows, Tally
+from tipforce.host.hand.mender import LOST, Mender
+from tipforce.host.hand.rows import Rows, Tally
 from tipforce.host.hand.sync_producer import SyncProducer
 from tipforce.host.heartbeats import OPERATIONAL
 
@@ -70,8 +70,6 @@ class Hand:
         self._own_link = link is None
         self._link = open_link(file.bus) if link is None else link
         plan = file.hand
-        self._wanted = {finger.node_id: wanted_settings(file, finger) for finger in file.finger}
-        self._plans = {finger.node_id: finger for finger in file.finger}
         gauges = file.finger[0].gauges
         self._collector = Collector(file.node_ids, file.messages, gauges, plan.wait_s, plan.sync_hz > 0)
         self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
@@ -79,6 +77,7 @@ class Hand:
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
         self._load = LoadMeter(int(file.bus.get("bitrate", DEFAULT_BIT_RATE)))
         self._delivery = Delivery()
+        self._mender = Mender(file, lambda: self._link.connection, self._supervisor, self._delivery.event)
         self._keeper = Keeper(self._mend)
         self._sync: SyncProducer | None = None
         self._thread: threading.Thread | None = None
@@ -238,7 +237,7 @@ class Hand:
             return
         self._probe_s = now_s + _LOST_PROBE_S
         if any(state < 0 for state in self._supervisor.states.values()):
-            self._keeper.need([_LSS])
+            self._keeper.need([LOST])
 
     # --- SYNC -----------------------------------------------------------------------------------------------------
 
@@ -252,7 +251,7 @@ class Hand:
             self._sync.stop()
             self._sync = None
 
-    # --- mending --------------------------------------------------------------------------------------------------
+    # --- what fails ----------------------------------------------------------------------------------------------
 
     def _lost(self, error: EnvironmentLackError) -> None:
         """The bus failed: open it again as soon as that works, and look after every finger."""
@@ -280,39 +279,4 @@ class Hand:
         self._start_sync()
 
     def _mend(self, node_id: int) -> bool:
-        """Bring one finger to what the file says; True when there is nothing more to do."""
-        if self._stopped.is_set():
-            return True
-        try:
-            return self._find_lost() if node_id == _LSS else self._mend_finger(node_id)
-        except TipforceError as error:
-            self._delivery.event(Event(time.monotonic(), node_id, "failed", str(error)))
-            return False
-
-    def _mend_finger(self, node_id: int) -> bool:
-        if self._supervisor.states[node_id] == OPERATIONAL and self._as_wanted(node_id):
-            return True
-        report = FingerReport(self._plans[node_id])
-        set_up(self._link.connection, self.file, report, self._wanted[node_id], self._delivery.event)
-        return report.ok or self._supervisor.states[node_id] < 0
-
-    def _as_wanted(self, node_id: int) -> bool:
-        """A finger that comes back operational may never have been away; then it is left in peace."""
-        sdo, calibration = self._link.connection.sdo(node_id), self.file.calibration(self._plans[node_id])
-        if calibration is not None and sdo.read(objects.CALIBRATION_ACTIVE_CRC) != calibration.crc32():
-            return False
-        return not verify_configuration(sdo, self._wanted[node_id])
-
-    def _find_lost(self) -> bool:
-        from tipforce.host.lss import LssMaster
-
-        with LssMaster(self._link.connection) as master:
-            somebody = master.any_unconfigured()
-        if somebody:
-            lost = [n for n, state in self._supervisor.states.items() if state < 0]
-            reports = [FingerReport(self._plans[n]) for n in lost]
-            assign(self._link.connection, reports, self.file.hand.store, self._delivery.event)
-        return True
-
-
-_LSS = 0  # among node-ids, stands for whoever has none
+        return self._stopped.is_set() or self._mender.mend(node_id)

@@ -16,7 +16,8 @@ from tipforce.host.connection import Connection
 from tipforce.host.frames import FrameArray, FrameBuffer
 from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
-from tipforce.host.live.receive import Receiver, open_receiver
+from tipforce.host.live.receive import open_receiver
+from tipforce.host.live.receiver import Receiver
 
 SERVICE_FILTERS = (
     {"can_id": 0x580, "can_mask": 0x780, "extended": False},

@@ -14,7 +14,7 @@ import struct
 import time
 from collections.abc import Mapping
 from contextlib import suppress
-from typing import Any, Protocol, Self
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -25,10 +25,8 @@ from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, SENT, FrameArray
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Selection
+from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver
 from tipforce.host.live.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
-
-TICK_S = 0.001
-"""The least time between two batches: frames that come faster are handed over together, at most this much later."""
 
 ANY = "any"
 """The channel of SocketCAN that means all interfaces."""
@@ -45,41 +43,6 @@ _KEEP = np.array([(1 << 8 * length) - 1 for length in range(9)], dtype=np.uint64
 
 
 Interfaces = npt.NDArray[np.uint16]
-
-
-class InterfaceDownError(EnvironmentLackError):
-    """The interface went down while it was listened to; when it comes up again, the receiver goes on."""
-
-
-class Receiver(Protocol):
-    """A bus that is listened to. A context manager; ``names`` are the interfaces that frames came from."""
-
-    @property
-    def dropped(self) -> int:
-        """Frames that the kernel dropped because nobody took them in time, as far as it tells."""
-
-    def receive(self, timeout_s: float | None = None) -> FrameArray:
-        """The classic frames that have come, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
-
-        ``channel`` indexes the names of the block. Raises EnvironmentLackError when the bus fails, and then
-        InterfaceDownError if it may recover.
-        """
-        return self.receive_block(timeout_s).frames
-
-    def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
-        """The same with interface names and CAN FD frames."""
-
-    def fileno(self) -> int:
-        """A file descriptor to wait on; -1: there is none."""
-
-    def close(self) -> None:
-        """Stop listening."""
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
 
 def open_receiver(

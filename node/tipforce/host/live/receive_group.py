@@ -14,7 +14,7 @@ import numpy as np
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, FrameArray
-from tipforce.host.live.receive import TICK_S, Receiver
+from tipforce.host.live.receiver import TICK_S, Receiver
 
 _POLL_S = 0.1
 _WAITING_BLOCKS = 64  # of all receivers; the buses themselves hold what does not fit

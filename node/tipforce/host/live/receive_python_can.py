@@ -12,7 +12,7 @@ from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frame_block import CandumpBlock
 from tipforce.host.frames import FRAME, SENT, FrameArray
 from tipforce.host.live.can_filter import Selection
-from tipforce.host.live.receive import Receiver
+from tipforce.host.live.receiver import Receiver
 from tipforce.socketcan import raw_can_id
 
 BURST = 512
