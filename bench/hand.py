@@ -99,7 +99,7 @@ def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
 def report(found: Outcome) -> str:
     """A row of the table of losses."""
     tally = found.statistics.tally
-    names = "delayed", "missing", "late", "mixed", "doubtful"
+    names = "delayed", "repeated", "missing", "late", "mixed", "doubtful"
     counts = " | ".join(str(int(getattr(tally, name).sum())) for name in names)
     p50, p99, largest = found.latency_us
     values = tally.rows * found.fingers
@@ -134,14 +134,15 @@ mostly this machine: three processes share its cores with other work, and a fing
 
 ## Rows
 Values are rows times fingers. Delayed: came after the next SYNC, and still into their own row by the sample counter.
-Missing: values that are not there. Late: answers that came after their row was given out (each leaves its value
-missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the
-counter says that it may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not
-take. Latency: from the SYNC (the kernel's time stamp) to the row in the consumer's hands, milliseconds.
+Stale: the finger had no new conversion (one each 500 us; it answers several SYNCs at once when it was late): P is
+unknown, and said to be. Missing: values that are not there. Late: answers that came after their row was given out (each
+leaves its value missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
+may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not take. Latency: from the
+SYNC (the kernel's time stamp) to the row in the consumer's hands, milliseconds.
 
-| hand | seconds | rows | values | delayed | missing | late | mixed | doubtful | rows not whole | dropped | overrun \
-| latency p50 | p99 | largest | CPU host | CPU fingers |
-|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|
+| hand | seconds | rows | values | delayed | stale | missing | late | mixed | doubtful | rows not whole | dropped \
+| overrun | latency p50 | p99 | largest | CPU host | CPU fingers |
+|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|---|
 """
 JITTER = """
 ## SYNC

@@ -44,7 +44,10 @@ def test_verdicts(counters: list[int], stale: str, gaps: str, verdicts: str) -> 
     t_ns = np.arange(len(counters)) * 340_000_000  # four of them are more than a second
     for cut in range(len(counters)):
         check = CounterCheck(1)
-        parts = [check.check(column[a], marks[a], lacking[a], t_ns[a]) for a in (slice(None, cut), slice(cut, None))]
+        parts = [
+            check.check(column[a], marks[a], marks[a] & False, lacking[a], t_ns[a])
+            for a in (slice(None, cut), slice(cut, None))
+        ]
         repeated = np.concatenate([part[0] for part in parts])[:, 0]
         doubtful = np.concatenate([part[1] for part in parts])[:, 0]
         assert "".join("r" if r else "d" if d else "." for r, d in zip(repeated, doubtful, strict=True)) == verdicts
@@ -54,15 +57,26 @@ def test_doubt_takes_a_second_however_fast_the_rows_are() -> None:
     check = CounterCheck(1)
     counter = np.array([7, -1, *range(8, 200)])[:, None]
     nothing = np.zeros(len(counter), dtype=np.int64)
-    _, doubtful = check.check(counter, counter < -1, nothing, np.arange(len(counter)) * 10_000_000)
+    _, doubtful = check.check(counter, counter < -1, counter < -1, nothing, np.arange(len(counter)) * 10_000_000)
     assert np.flatnonzero(doubtful[:, 0]).tolist() == list(range(2, 102))
 
 
 def test_a_finger_that_booted_is_not_doubted() -> None:
     check = CounterCheck(2)
     nothing, t_ns = np.zeros(2, dtype=np.int64), np.arange(2) * 10_000_000
-    check.check(np.array([[7, 7], [8, 8]]), np.zeros((2, 2), dtype=np.bool_), nothing, t_ns)
+    no = np.zeros((2, 2), dtype=np.bool_)
+    check.check(np.array([[7, 7], [8, 8]]), no, no, nothing, t_ns)
     check.forget(1)
-    _, doubtful = check.check(np.array([[1, 1], [2, 2]]), np.zeros((2, 2), dtype=np.bool_), nothing, t_ns)
+    _, doubtful = check.check(np.array([[1, 1], [2, 2]]), no, no, nothing, t_ns)
     assert doubtful.tolist() == [[True, False], [True, False]]
     assert check.expected().tolist() == [11, 3]
+
+
+def test_what_is_proved_is_believed_and_counted_from() -> None:
+    check = CounterCheck(1)
+    no, nothing, t_ns = np.zeros((4, 1), dtype=np.bool_), np.zeros(4, dtype=np.int64), np.arange(4) * 10_000_000
+    _, doubtful = check.check(np.array([[7], [13], [13], [14]]), no, no, nothing, t_ns)
+    assert doubtful[:, 0].tolist() == [False, True, True, True]
+    check = CounterCheck(1)
+    _, doubtful = check.check(np.array([[7], [13], [14], [15]]), no, np.array([[0], [1], [0], [0]]) > 0, nothing, t_ns)
+    assert not doubtful.any()

@@ -18,18 +18,28 @@ WAIT_MS, WARM_UP, FINGERS = 20, 8, 2
 
 @dataclass
 class Finger:
-    """Answers each SYNC that it gets with P = the SYNC's number (mN), at once or when it is no longer busy."""
+    """Answers each SYNC that it gets with P = the SYNC's number (mN), at once or when it is no longer busy.
+
+    A ``slow`` one has a single conversion for all that waited: the others repeat it, and say that it is stale.
+    """
 
     node_id: int
+    slow: bool = False
     counter: int = 250
-    answers: list[bytes] = field(default_factory=list)
+    waiting: list[int] = field(default_factory=list)
+    strange: list[bytes] = field(default_factory=list)
 
     def sync(self, number: int) -> None:
-        self.counter += 1
-        self.answers.append(struct.pack("<hhhBB", number, 4500, 3000, 3, self.counter % 256))
+        self.waiting.append(number)
 
     def flush(self) -> list[bytes]:
-        found, self.answers = self.answers, []
+        found, self.strange = self.strange, []
+        for k, number in enumerate(self.waiting):
+            stale = self.slow and k > 0
+            self.counter += not stale
+            P, status = (-0x8000, 11) if stale else (number, 3)
+            found.append(struct.pack("<hhhBB", P, 4500, 3000, status, self.counter % 256))
+        self.waiting = []
         return found
 
 
@@ -55,8 +65,8 @@ WELL = Step()
 class World:
     """A SYNC every millisecond, numbered; what the host showed, by the number of the row's SYNC."""
 
-    def __init__(self, wait_ms: int = WAIT_MS, own_sync: bool = False) -> None:
-        self.fingers = [Finger(n + 1) for n in range(FINGERS)]
+    def __init__(self, wait_ms: int = WAIT_MS, own_sync: bool = False, slow: bool = False) -> None:
+        self.fingers = [Finger(n + 1, slow) for n in range(FINGERS)]
         self.collector = Collector(
             [finger.node_id for finger in self.fingers], wait_s=wait_ms * 1e-3, own_sync=own_sync
         )
@@ -187,6 +197,17 @@ def test_one_that_is_busy_for_too_long_is_not_waited_for_again() -> None:
     world.check()
 
 
+@pytest.mark.parametrize("rows", [3, WAIT_MS + 20])
+def test_one_conversion_for_all_that_waited_is_no_lateness(rows: int) -> None:
+    """Its counter stands still meanwhile, and is never again what the number of rows would have it be."""
+    world = World(own_sync=True, slow=True)
+    world.run([*warm(), *busy(1, rows), *[WELL] * 20])
+    assert len(world.shown) == len(world.heard)
+    assert world.shown[-19:] == [[n, n] for n in world.heard[-19:]]
+    assert world.collector.tally.doubtful.tolist() == [0, 0]
+    world.check()
+
+
 def test_a_finger_that_missed_a_sync_is_doubted_and_not_moved() -> None:
     world = World()
     world.run([*warm(), Step(missed=frozenset({1})), *settle()])
@@ -211,8 +232,8 @@ def test_a_burst_that_begins_too_early_is_not_moved() -> None:
     """Somebody else speaks with the finger's COB-ID while it is busy."""
     world = World()
     world.run([*warm(), *busy(1, 3)])
-    stranger = struct.pack("<hhhBB", 9000, 4500, 3000, 3, (world.fingers[1].counter - 7) % 256)
-    world.fingers[1].answers.insert(0, stranger)
+    stranger = struct.pack("<hhhBB", 9000, 4500, 3000, 3, (world.fingers[1].counter - 4) % 256)
+    world.fingers[1].strange.append(stranger)
     world.run([WELL, *[WELL] * 2 * WAIT_MS])
     world.check()
     assert world.collector.tally.delayed.tolist() == [0, 0]
@@ -228,17 +249,19 @@ UNHEARD = st.builds(Step, unheard=st.integers(0, 9).map(lambda k: k == 0), misse
 
 
 @pytest.mark.parametrize(
-    ("kinds", "own_sync"), [(LATE, False), (LATE, True), (UNHEARD, False)], ids=["late", "late, own SYNC", "unheard"]
+    ("kinds", "own_sync", "slow"),
+    [(LATE, False, False), (LATE, True, False), (LATE, True, True), (UNHEARD, False, False)],
+    ids=["late", "late, own SYNC", "late, slow", "unheard"],
 )
 @given(st.data(), st.lists(st.integers(0, 8), min_size=1, max_size=5), st.sampled_from([2, 5, 20]))
 def test_no_value_is_of_another_row(
-    kinds: st.SearchStrategy[Step], own_sync: bool, data: st.DataObject, cuts: list[int], wait_ms: int
+    kinds: st.SearchStrategy[Step], own_sync: bool, slow: bool, data: st.DataObject, cuts: list[int], wait_ms: int
 ) -> None:
     """SYNCs and answers that are lost on either side, and fingers that are busy: what is shown is of its own time.
 
     Not both at once: a SYNC that the host did not hear beside a late finger can't be told from one that was not sent.
     """
-    world = World(wait_ms, own_sync)
+    world = World(wait_ms, own_sync, slow)
     world.run([*warm(), *data.draw(st.lists(kinds, max_size=60)), *settle()], cuts)
     world.check()
     assert world.shown[-1] == [world.heard[len(world.shown) - 1]] * FINGERS  # and all is well again

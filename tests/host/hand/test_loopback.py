@@ -20,5 +20,5 @@ def test_rows_over_loopback_sockets(sync: str) -> None:
     assert found.statistics.sync.periods >= tally.rows - 2
     assert 0.0 < found.latency_us[0] <= found.latency_us[1] <= found.latency_us[2]
     assert found.fingers_cpu > 0.0
-    assert report(found).count("|") == 18
+    assert report(found).count("|") == 19
     assert report_jitter(found).count("|") == 9

@@ -28,8 +28,7 @@ def test_without_faults_nothing_is_missing() -> None:
 
 
 def test_an_answer_that_is_not_doubted_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def trusting(_: CounterCheck, now: np.ndarray, stale: np.ndarray, t_ns: int) -> tuple[np.ndarray, np.ndarray]:
-        del stale, t_ns
+    def trusting(_: CounterCheck, now: np.ndarray, *_others: object) -> tuple[np.ndarray, np.ndarray]:
         return now < -1, now < -1
 
     faults = Faults(drop=0.05, delay=0.2, delay_s=0.025)

@@ -126,7 +126,7 @@ class Collector:
             row = np.searchsorted(syncs, said.row, side="right") - 1
             answers = Answers(
                 self._messages[said.name], self._finger[said.node_id], row, said.row,
-                said.columns[COUNTER].astype(np.int64), said.columns, *np.zeros((2, len(row)), dtype=np.bool_),
+                said.columns[COUNTER].astype(np.int64), said.columns, *np.zeros((3, len(row)), dtype=np.bool_),
             )  # fmt: skip
             in_time = window["t_ns"][said.row] - window["t_ns"][syncs[row]] < self._sync_gaps.horizon_ns
             seat(answers, expected, in_time, regular)
@@ -171,7 +171,7 @@ class Collector:
         """Rows ``first`` to ``last``; what came for those before is late."""
         shape = last - first, len(self.node_ids)
         counters = np.full((len(self._messages), *shape), -1, dtype=np.int64)
-        unsure = np.zeros(shape, dtype=np.bool_)
+        unsure, proved = np.zeros((2, *shape), dtype=np.bool_)
         columns: dict[str, npt.NDArray[Any]] = {
             name: np.full(shape, np.nan) if kind is float else np.zeros(shape, dtype=np.bool_)
             for name, kind in self._kinds.items()
@@ -179,6 +179,7 @@ class Collector:
         for said in answers:
             now = (said.row >= first) & (said.row < last)
             row, finger = said.row[now] - first, said.finger[now]
+            proved[row, finger] |= said.proved[now]
             counters[said.message, row, finger] = said.counter[now]  # of two answers in a row the second one stays
             for signal, values in said.columns.items():
                 if signal != COUNTER:
@@ -188,7 +189,7 @@ class Collector:
             unsure |= babbled(said, first, shape)
         gaps = np.maximum(np.array(self._gaps[first:last], dtype=np.int64), 0)
         sync_ns = syncs["t_ns"][first:last].astype(np.int64)
-        counter = self._judged(counters, columns["stale"], unsure, gaps, sync_ns)
+        counter = self._judged(counters, columns["stale"], unsure, proved, gaps, sync_ns)
         missing = counter < 0
         if missing.any():
             for column in columns.values():
@@ -216,8 +217,9 @@ class Collector:
         self._distrust[said.finger[again]] = DISTRUSTED_ROWS
 
     def _judged(
-        self, counters: IntArray, stale: BoolArray, unsure: BoolArray, gaps: IntArray, sync_ns: IntArray
-    ) -> IntArray:
+        self, counters: IntArray, stale: BoolArray, unsure: BoolArray, proved: BoolArray, gaps: IntArray,
+        sync_ns: IntArray,
+    ) -> IntArray:  # fmt: skip
         """From the counters of each message, (messages, m, k), those of the rows (m, k): -1 for what is not shown."""
         tally = self.tally
         counter: IntArray = counters[0].copy()
@@ -229,7 +231,7 @@ class Collector:
         if len(counter):
             self._answered = counter[-1] >= 0
         counter[unsure] = -1
-        repeated, doubtful = self._counters.check(counter, stale, gaps, sync_ns)
+        repeated, doubtful = self._counters.check(counter, stale, proved, gaps, sync_ns)
         counter[doubtful] = -1
         tally.repeated += repeated.sum(axis=0)
         tally.doubtful += (doubtful | unsure).sum(axis=0)

@@ -41,28 +41,31 @@ class CounterCheck:
         self._base[finger] = self._seen[finger] = -1
         self._rows[finger] = self._gaps[finger] = self._run[finger] = 0
 
-    def check(self, counter: IntArray, stale: BoolArray, gaps: IntArray, t_ns: IntArray) -> tuple[BoolArray, BoolArray]:
+    def check(
+        self, counter: IntArray, stale: BoolArray, proved: BoolArray, gaps: IntArray, t_ns: IntArray
+    ) -> tuple[BoolArray, BoolArray]:
         """Judge the counters (m, k) of the next m rows, -1 where there was no answer.
 
-        ``gaps`` (m,) says how many SYNCs seem to lack before each, ``t_ns`` (m,) when it came. Returns two masks
-        (m, k): repeated, the sample of the row before, said to be stale; doubtful, an answer that may be to another
-        SYNC.
+        ``proved`` (m, k): known to be in its row, whatever its counter is. ``gaps`` (m,) says how many SYNCs seem to
+        lack before each, ``t_ns`` (m,) when it came. Returns two masks (m, k): repeated, the sample of the row before,
+        said to be stale; doubtful, an answer that may be to another SYNC.
         """
         repeated = np.zeros(counter.shape, dtype=np.bool_)
         doubtful = np.zeros(counter.shape, dtype=np.bool_)
         for row in range(len(counter)):
             self._gaps += gaps[row]
-            repeated[row], doubtful[row] = self._row(counter[row], stale[row], int(t_ns[row]))
+            repeated[row], doubtful[row] = self._row(counter[row], stale[row], proved[row], int(t_ns[row]))
         return repeated, doubtful
 
-    def _row(self, now: IntArray, stale: BoolArray, t_ns: int) -> tuple[BoolArray, BoolArray]:
+    def _row(self, now: IntArray, stale: BoolArray, proved: BoolArray, t_ns: int) -> tuple[BoolArray, BoolArray]:
         here = now >= 0
         again = here & stale & (now == self._seen)
-        repeated = again & (now == self._base)  # of one that was doubted itself nothing more is known
+        repeated = again & (proved | (now == self._base))  # of one that was doubted itself nothing more is known
         judged = here & ~again
         lag = (self._rows + 1 - (now - self._base) + 128) % 256 - 128
         # After so many rows an 8-bit counter tells ahead from behind no more.
         odd = judged & (self._base >= 0) & ((lag > 0) | (lag < -self._gaps) | (self._rows >= FORGOTTEN_ROWS))
+        odd &= ~proved
         same = odd & (lag == self._lag) & (self._run > 0)
         begins_ns = np.where(self._silent_rows >= FORGOTTEN_ROWS, t_ns - int(CONFIRMED_S * 1e9), t_ns)
         self._since_ns = np.where(odd & ~same, begins_ns, self._since_ns)
@@ -70,6 +73,7 @@ class CounterCheck:
         self._lag = np.where(odd, lag, self._lag)
         confirmed = (self._run >= CONFIRMED) & (t_ns - self._since_ns >= CONFIRMED_S * 1e9)
         trusted = judged & (~odd | confirmed)
+        trusted |= again & proved
         self._base = np.where(trusted, now, self._base)
         self._rows = np.where(trusted, 0, np.where(again, self._rows, self._rows + 1))
         self._gaps = np.where(trusted, 0, self._gaps)

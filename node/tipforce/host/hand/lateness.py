@@ -41,6 +41,8 @@ class Answers:
     """Late, or so it seems: what comes next will tell to which row it belongs."""
     moved: BoolArray
     """Came after the next SYNC, and was put into its own row."""
+    proved: BoolArray
+    """Its row is certain: it is one of a finger that was late, and has answered every SYNC since."""
 
 
 def seat(answers: Answers, expected: IntArray, in_time: BoolArray, regular: BoolArray) -> None:
@@ -63,7 +65,7 @@ def seat(answers: Answers, expected: IntArray, in_time: BoolArray, regular: Bool
             late = lag[which] > 0
             if lag[last] == 0 and in_time[last] and regular[: answers.row[last] + 1].all():
                 answers.row[which] -= lag[which]  # below 0: its row was given out long ago
-                answers.moved[which] = late
+                answers.moved[which], answers.proved[which] = late, True
             else:
                 answers.waiting[which] = late
 
