@@ -1,15 +1,17 @@
 """TOML files as structs, strictly: each complaint names the place, the value, and what is allowed.
 
-Files that people write (a scene, a hand) are read by this one reader, so that their mistakes are told alike.
+Files that people write (a scene, a hand, a calibration, a configuration, a layout, a plan) are read by this one
+reader, so that their mistakes are told alike.
 """
 
 from __future__ import annotations
 
+import datetime
 import math
-import tomllib
+import re
 import types
 import typing
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, TypeVar, get_args, get_origin
 
@@ -19,51 +21,75 @@ from tipforce.errors import InputError
 
 T = TypeVar("T", bound=msgspec.Struct)
 
+_DATES = (datetime.datetime, datetime.date, datetime.time)
+"""TOML has these of its own: text does not stand for one."""
+
 
 def read_table(path: str | Path, place: str) -> dict[str, Any]:
     """What a TOML file holds. Raises InputError for one that can't be read, is not UTF-8, or is no TOML."""
+    import tomllib  # commands import this module for files that they may not be given
+
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{place}: {error.strerror}") from error
     except UnicodeDecodeError:
         raise InputError(f"{place}: the file is not UTF-8") from None
-    except tomllib.TOMLDecodeError as error:
+    except ValueError as error:  # no TOML, a number of thousands of digits, a NUL in the path
         raise InputError(f"{place}: {error}") from None
+    except RecursionError:
+        raise InputError(f"{place}: brackets are nested too deeply") from None
 
 
-def convert(kind: type[T], content: object, place: str) -> T:
+def convert(kind: type[T], content: object, place: str, finite: bool = True) -> T:
     """``content`` (what tomllib gave) as ``kind``; ``place`` is how the message calls it ("scenes/x.toml").
 
-    A field may be a number, a string, a list of these, a struct, or a list of structs; where a list holds a union of
-    structs, each with a tag, the key ``kind`` says which. Raises InputError for an unknown key (with the nearest known
-    one), a missing one, a wrong type, a value outside its limits, and a number that is not finite.
+    A field may be a number, a string, a list of these, a table of free keys with such values, a struct, or a list of
+    structs (plain values may stand among them); where a list holds a union of structs, each with a tag, the key
+    ``kind`` says which. A struct without ``forbid_unknown_fields`` lets keys be that it does not know, unless one looks
+    like a misspelt key that is missing. ``finite`` False leaves numbers that are not finite, as values of free keys
+    always are, to the caller.
+
+    Raises InputError for an unknown key (with the nearest known one), a missing one, a wrong type, a value outside its
+    limits, and a number that is not finite.
     """
     if not isinstance(content, Mapping):
         raise InputError(f"{place} is {_shown(content)}: allowed is a table")
     fields = {field.encode_name: field for field in msgspec.structs.fields(kind)}
     tag = kind.__struct_config__.tag_field
+    missing = [name for name, field in fields.items() if field.required and name not in content]
     for key in content:
-        if key not in fields and key != tag:
+        if key in fields or key == tag:
+            continue
+        if kind.__struct_config__.forbid_unknown_fields or _near(key, missing):
             raise InputError(f"{_at(place, key)}: no such key; {_suggestion(key, fields)}")
     values: dict[str, Any] = {}
     for name, field in fields.items():
         if name in content:
-            values[field.name] = _value(field.type, content[name], _at(place, name))
-        elif field.required:
+            values[field.name] = _value(field.type, content[name], _at(place, name), finite)
+        elif name in missing:
             raise InputError(f"{_at(place, name)} is missing; {_expected(field.type)}")
     return kind(**values)
 
 
-def _value(kind: Any, content: object, place: str) -> Any:
+def _value(kind: Any, content: object, place: str, finite: bool) -> Any:
+    if get_origin(kind) is dict and isinstance(content, Mapping):
+        return {key: _leaf(get_args(kind)[1], item, _at(place, key), False) for key, item in content.items()}
     structs, many = _structs(kind)
     if not structs:
-        return _leaf(kind, content, place)
+        return _leaf(kind, content, place, finite)
     if not many:
-        return convert(structs[0], content, place)
+        return convert(structs[0], content, place, finite)
+    plain = [option for option in _options(get_args(kind)[0]) if option not in structs]
     if not isinstance(content, list):
-        raise InputError(f"{place} is {_shown(content)}: write [[{place.rpartition(': ')[2]}]]")
-    return tuple(convert(_tagged(structs, item, at), item, at) for item, at in _numbered(content, place))
+        told = "allowed is a list" if plain else f"write [[{place.rpartition(': ')[2]}]]"
+        raise InputError(f"{place} is {_shown(content)}: {told}")
+    return tuple(
+        _leaf(get_args(kind)[0], item, at, finite)
+        if plain and not isinstance(item, Mapping)
+        else convert(_tagged(structs, item, at), item, at, finite)
+        for item, at in _numbered(content, place)
+    )
 
 
 def _numbered(items: list[object], place: str) -> list[tuple[object, str]]:
@@ -74,8 +100,12 @@ def _structs(kind: Any) -> tuple[list[type[msgspec.Struct]], bool]:
     """The structs that a field's type speaks of, and whether it holds many; none for a plain value."""
     if get_origin(kind) is tuple:
         return _structs(get_args(kind)[0])[0], True
-    options = get_args(kind) if get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
-    return [option for option in options if isinstance(option, type) and issubclass(option, msgspec.Struct)], False
+    return [one for one in _options(kind) if isinstance(one, type) and issubclass(one, msgspec.Struct)], False
+
+
+def _options(kind: Any) -> tuple[Any, ...]:
+    """The members of a union; a type that is none stands alone."""
+    return get_args(kind) if get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
 
 
 def _tagged(structs: list[type[msgspec.Struct]], item: object, place: str) -> type[msgspec.Struct]:
@@ -90,14 +120,22 @@ def _tagged(structs: list[type[msgspec.Struct]], item: object, place: str) -> ty
     return tags[str(found)]
 
 
-def _leaf(kind: Any, content: object, place: str) -> Any:
-    if not _finite(content):
+def _leaf(kind: Any, content: object, place: str, finite: bool) -> Any:
+    if finite and not _finite(content):
         raise InputError(f"{place} is {_shown(content)}: allowed are finite numbers")
     try:
-        return msgspec.convert(content, kind)
+        return msgspec.convert(content, kind, builtin_types=_DATES)
     except msgspec.ValidationError as error:
-        told = str(error).replace("`", "").replace(" - at $", " at ")
+        told = _QUOTED.sub(_in_toml, str(error)).replace(" - at $", " at ")
         raise InputError(f"{place} is {_shown(content)}: {told[0].lower()}{told[1:]}{_choices(kind)}") from None
+
+
+_QUOTED = re.compile(r"`([^`]*)`")
+
+
+def _in_toml(types_named: re.Match[str]) -> str:
+    """What msgspec calls object is a table here, and there is no null: such a key is left out."""
+    return types_named[1].replace("object", "table").replace(" | null", "")
 
 
 def _finite(content: object) -> bool:
@@ -119,10 +157,15 @@ def _expected(kind: Any) -> str:
 
 
 def _suggestion(word: str, known: Mapping[str, object]) -> str:
+    near = _near(word, known)
+    return (f"did you mean {near}? " if near else "") + f"allowed: {', '.join(known)}"
+
+
+def _near(word: str, known: Iterable[str]) -> str:
+    """The known word that is nearest, empty where none is near."""
     import difflib
 
-    near = difflib.get_close_matches(word, known, 1)
-    return (f"did you mean {near[0]}? " if near else "") + f"allowed: {', '.join(known)}"
+    return next(iter(difflib.get_close_matches(word, known, 1)), "")
 
 
 def _at(place: str, key: str) -> str:
@@ -130,5 +173,5 @@ def _at(place: str, key: str) -> str:
 
 
 def _shown(content: object) -> str:
-    text = repr(content)
+    text = content.isoformat() if isinstance(content, _DATES) else repr(content)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -124,12 +124,13 @@ def test_an_empty_mapping_maps_nothing(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("text", "expected"),
     [
-        ("", "missing required field `objects`"),
+        ("", "finger.toml: objects is missing"),
         ("[objects]\n", "no object is set"),
         ('[objects]\n"0x6124" = []\n', "no object is set"),
         ("[objects\n", "finger.toml: "),
-        ("[things]\n", "finger.toml: "),
-        ('[objects]\n"heartbeat.producer_ms" = true\n', "got `bool` - at `$.objects[...]`"),
+        ("[object]\n", "finger.toml: object: no such key; did you mean objects?"),
+        ("objects = 5\n", "finger.toml: objects is 5: expected table, got int"),
+        ('[objects]\n"heartbeat.producer_ms" = true\n', "objects.heartbeat.producer_ms is True: expected int | float"),
         ('[objects]\n"heartbeat.producer_ms" = 70000\n', "heartbeat.producer_ms (0x1017:00): 70000 does not fit"),
         ('[objects]\n"heartbeat.producer_ms" = 70000\n', "allowed are 0 to 65535"),
         ('[objects]\n"heartbeat.producer_ms" = 0.5\n', "(0x1017:00): 0.5 is not UNSIGNED16: allowed are integers"),

@@ -126,6 +126,20 @@ def test_a_file_that_is_not_there(tmp_path: Path) -> None:
         read_scene(tmp_path / "no-such.toml")
 
 
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        ("a = " + "[" * 50_000, "brackets are nested too deeply"),
+        ("a = " + "1" * 5_000, "4300 digits"),
+        ("a = [", "scene.toml: "),
+    ],
+)
+def test_a_file_that_is_no_toml(tmp_path: Path, text: str, told: str) -> None:
+    with pytest.raises(InputError) as caught:
+        read(tmp_path, text)
+    assert told in str(caught.value)
+
+
 def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="not UTF-8"):

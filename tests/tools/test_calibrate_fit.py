@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import tomllib
 from dataclasses import replace
 from pathlib import Path
@@ -190,7 +191,14 @@ def test_a_fit_table_of_somebody_else_does_not_hinder(data: Path, tmp_path: Path
     text = path.read_text()
     path.write_text(text.replace("dof = ", "degrees = "))
     assert read_calibration(path).gauges == 3
-    with pytest.raises(InputError, match=r"\[fit\]: Object missing required field `dof`"):
+    with pytest.raises(InputError, match=r"cal\.toml: fit\.dof is missing"):
+        read_fit(path)
+    path.write_text(text.replace("condition_number = ", "condition_number = inf\nof_somebody_else = nan #", 1))
+    record = read_fit(path)
+    assert record is not None
+    assert record.condition_number == math.inf
+    path.write_text(text.replace("normal_matrix = ", "normal_matrx = "))
+    with pytest.raises(InputError, match=r"cal\.toml: fit\.normal_matrx: no such key; did you mean normal_matrix\?"):
         read_fit(path)
     path.write_text(text[: text.index("[fit]")])
     assert read_fit(path) is None

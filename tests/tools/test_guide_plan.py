@@ -79,13 +79,19 @@ def test_a_plan_file(plan: Callable[[str], Path]) -> None:
     ("old", "new", "reason"),
     [
         ("P_N = 1.5", "P_N = 0", "step 1: P_N = 0: allowed is above 0"),
-        ("P_N = 1.5", "P_N = nan", "step 1: P_N = nan: allowed is above 0"),
+        ("P_N = 1.5", "P_N = nan", "step[1].P_N is nan: allowed are finite numbers"),
         ("phi_deg = 10", "phi_deg = 1000", "step 1: phi_deg = 1000.0: allowed is -720 to 720"),
         ("theta_deg = 90", "", "step 2: theta_deg = None"),
-        ('"push"', '"twist"', "Invalid enum value 'twist'"),
+        ('"push"', '"twist"', "step[2].mode is 'twist': invalid enum value 'twist'; allowed: pull, push, tare"),
         ('"push"', '"tare"', "step 2 is a tare, an unloaded reading"),
         ("tare_every = 2", "tare_every = 0", "tare_every = 0: allowed is 1 or more"),
-        ("tare_every = 2", "tares = 2", "unknown field `tares`"),
+        (
+            "tare_every = 2",
+            "tare_evry = 2",
+            "plan.toml: tare_evry: no such key; did you mean tare_every? allowed: step, tare_every",
+        ),
+        ("theta_deg = 40", "theta = 40", "step[1].theta: no such key; did you mean theta_deg?"),
+        ("phi_deg = 10", 'phi_deg = "10"', "step[1].phi_deg is '10': expected float, got str"),
         ("phi_deg = 10", "phi_deg =", "plan "),
     ],
 )

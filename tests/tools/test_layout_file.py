@@ -71,10 +71,16 @@ def test_the_examples_of_the_documentation(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("point", "message"),
     [
-        ('{ beam = "X", side = "left", position_mm = 1 }', "Invalid enum value 'X'"),
-        ('{ beam = "H", side = "up", position_mm = 1 }', "Invalid enum value 'up'"),
-        ('{ beam = "H", side = "left" }', "missing required field `position_mm`"),
-        ('{ beam = "H", side = "left", position_mm = 1, at = 2 }', "unknown field `at`"),
+        (
+            '{ beam = "X", side = "left", position_mm = 1 }',
+            "points[3].beam is 'X': invalid enum value 'X'; allowed: H, V",
+        ),
+        (
+            '{ beam = "H", side = "up", position_mm = 1 }',
+            "points[3].side is 'up': invalid enum value 'up'; allowed: left, right",
+        ),
+        ('{ beam = "H", side = "left" }', "points[3].position_mm is missing"),
+        ('{ beam = "H", side = "left", position_mm = 1, at = 2 }', "points[3].at: no such key; allowed: beam, side"),
         ('{ beam = "H", side = "left", position_mm = 15.1 }', "allowed is 0 to 0.015 m from the joint"),
         ('{ beam = "V", side = "left", position_mm = -0.1 }', "allowed is 0 to 0.015 m from the joint"),
         ('{ beam = "V", side = "left", position_mm = nan }', "allowed is 0 to 0.015 m from the joint"),

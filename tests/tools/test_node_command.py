@@ -155,17 +155,32 @@ def test_a_layout_with_a_geometry(tmp_path: Path) -> None:
         read_layout(str(path))
 
 
+def test_a_geometry_may_say_more(tmp_path: Path) -> None:
+    path = tmp_path / "layout.toml"
+    lines = "\n".join(f"{name} = {value}" for name, value in asdict(FABRICATED).items())
+    path.write_text(f'points = ["L", "R", "U"]\n[geometry]\n{lines}\ndrawing = "A-12"\n')
+    assert read_layout(str(path)) == (FABRICATED, ("L", "R", "U"))
+
+
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("", "missing required field `points`"),
+        ("", "layout.toml: points is missing"),
         ('points = ["K_H"]', "a layout of 1 gauge points: allowed are 3 to 8"),
         ('points = ["K_H", "S_H", "X"]', "gauge point X is not known: allowed are L, R"),
         ('points = ["K_H", "S_H", "K_H"]', "K_H is given more than once"),
-        ("points = 5", "Expected `array`, got `int` - at `$.points`"),
-        ('points = ["L", "R", "U"]\ngauges = 3', "unknown field `gauges`"),
-        ('points = ["L", "R", "U"]\n[geometry]\nr_m = "x"', "at `$.geometry"),
-        ('points = ["L", "R", "U"]\n[geometry]\nr_m = 0.01', "missing required field"),
+        ("points = 5", "points is 5: allowed is a list"),
+        (
+            'points = ["L", "R", "U"]\ngauges = 3',
+            "gauges: no such key; allowed: points, gauge_length_mm, geometry, bridge",
+        ),
+        ('points = ["L", "R", "U"]\n[geometry]\nr_m = "x"', "geometry.a_m is missing"),
+        ('points = ["L", "R", 5]', "points[3] is 5: expected str | table, got int"),
+        ('points = ["L", "R", "U"]\ngeometry = 5', "geometry is 5: allowed is a table"),
+        (
+            'points = ["L", "R", "U"]\n[geometry]\nr_mm = 0.01',
+            "geometry.r_mm: no such key; did you mean r_m? allowed: a_m, d_m",
+        ),
         ("points = [", "layout "),
     ],
 )

@@ -46,7 +46,9 @@ WRONG = [
     ("iio:device0,device1", BRIDGE.replace("5.0", "-5.0"), "excitation_volts = -5.0: allowed is a positive"),
     ("iio:device0,device1", BRIDGE + "count_range = [5, 5]\n", "[bridge] count_range = [5, 5]"),
     ("iio:device0,device1", BRIDGE.replace("100.0", "[1, 2]") + "count_range = [0, 255]\n", "2 numbers for 3 gauges"),
-    ("iio:device0,device1", BRIDGE + "colour = 1\n", "unknown field `colour`"),
+    ("iio:device0,device1", BRIDGE.replace("gain =", "gane ="), "bridge.gane: no such key; did you mean gain?"),
+    ("iio:device0,device1", BRIDGE.replace("100.0", "'x'"), "bridge.gain is 'x': expected float | array, got str"),
+    ("iio:device0,device1", BRIDGE + "colour = 1\n", "bridge.colour: no such key; allowed: kind, gauge_factor"),
     ("iio:device0,device3", BRIDGE, "has no voltage channel"),
 ]
 

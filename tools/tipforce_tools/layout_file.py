@@ -51,6 +51,7 @@ from tipforce.sensor.gauge_positions import Gauge, check_gauges
 from tipforce.sensor.gauge_shift import GaugePosition
 from tipforce.sensor.geometry import FABRICATED, Geometry
 from tipforce.sensor.layouts import LAYOUTS, layout
+from tipforce.toml_table import convert, read_table
 from tipforce_tools.bridge import BridgeTable, check_bridge
 
 
@@ -61,10 +62,22 @@ class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
     face: Literal["lower", "upper"] | None = None
 
 
+class _Body(msgspec.Struct):
+    """[geometry]. Keys that it does not know are let be."""
+
+    a_m: float
+    d_m: float
+    r_m: float
+    h1_m: float
+    h2_m: float
+    width_m: float
+    youngs_modulus_pascals: float
+
+
 class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
-    points: list[str | _Place]
+    points: tuple[str | _Place, ...]
     gauge_length_mm: float | None = None
-    geometry: Geometry = FABRICATED
+    geometry: _Body | None = None
     bridge: BridgeTable | None = None
 
 
@@ -77,6 +90,7 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
         return None
     content = _content(name_or_path)
     try:
+        _geometry(content)
         if content.bridge is not None:
             check_bridge(content.bridge)
     except InputError as error:
@@ -95,22 +109,24 @@ def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
     try:
         if content.gauge_length_mm is not None and not 0.0 < content.gauge_length_mm < float("inf"):
             raise InputError(f"gauge_length_mm = {content.gauge_length_mm!r}: allowed is a positive length")
-        return content.geometry, _gauges(content)
+        geometry = _geometry(content)
+        return geometry, _gauges(geometry, content.points)
     except InputError as error:
         raise InputError(f"layout {Path(name_or_path)}: {error}") from None
 
 
 def _content(name_or_path: str) -> _File:
-    path = Path(name_or_path)
+    place = f"layout {Path(name_or_path)}"
     try:
-        return msgspec.toml.decode(path.read_bytes(), type=_File)
-    except FileNotFoundError:
+        content = read_table(name_or_path, place)
+    except InputError as error:
+        if not isinstance(error.__cause__, FileNotFoundError):
+            raise
         raise InputError(
             f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
             'a layout file has a line like points = ["K_H", "S_H", "U"]'
         ) from None
-    except (OSError, msgspec.DecodeError, UnicodeDecodeError, InputError) as error:  # Geometry raises the last
-        raise InputError(f"layout {path}: {error}") from None
+    return convert(_File, content, place, finite=False)  # what is not finite is told with what is allowed
 
 
 def layout_text(
@@ -130,7 +146,7 @@ def layout_text(
             face: Literal["upper"] | None = "upper" if gauge.beam == "H" and gauge.face == "upper" else None
             points.append(_Place(gauge.beam, gauge.side, gauge.position_m * 1e3, face))
     length_mm = None if gauge_length_m is None else gauge_length_m * 1e3
-    content = msgspec.to_builtins(_File(points, length_mm))
+    content = msgspec.to_builtins(_File(tuple(points), length_mm))
     content["geometry"] = msgspec.to_builtins(geometry)
     head = "".join(f"# {line}".rstrip() + "\n" for line in comment.splitlines())
     return head + tomli_w.dumps(content)
@@ -151,13 +167,15 @@ def write_layout(
         raise InputError(f"layout {path}: {error.strerror}") from None
 
 
-def _gauges(content: _File) -> tuple[Gauge, ...]:
-    names = [point for point in content.points if isinstance(point, str)]
-    if len(names) == len(content.points):
+def _geometry(content: _File) -> Geometry:
+    return FABRICATED if content.geometry is None else Geometry(**msgspec.structs.asdict(content.geometry))
+
+
+def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, ...]:
+    names = [point for point in points if isinstance(point, str)]
+    if len(names) == len(points):
         return layout(names)
-    return check_gauges(
-        content.geometry, [point if isinstance(point, str) else _position(point) for point in content.points]
-    )
+    return check_gauges(geometry, [point if isinstance(point, str) else _position(point) for point in points])
 
 
 def _position(point: _Place) -> GaugePosition:

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.calibration import Calibration
+from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
     from tipforce.sensor.fit.result import Fit
@@ -40,7 +41,7 @@ class _Table(msgspec.Struct, forbid_unknown_fields=True):
 class FitRecord(msgspec.Struct):
     """The [fit] table: how the matrix came about, and all that the covariance of an estimate needs.
 
-    The crc32 of the file covers the node's record, not this table.
+    The crc32 of the file covers the node's record, not this table. Keys that others write into it are let be.
     """
 
     dof: float
@@ -131,10 +132,7 @@ def read_fit(path: str | Path) -> FitRecord | None:
     content = _decoded(path)
     if content.fit is None:
         return None
-    try:
-        record = msgspec.convert(content.fit, FitRecord)
-    except msgspec.ValidationError as error:
-        raise InputError(f"calibration {path}: [fit]: {error}") from None
+    record = convert(FitRecord, content.fit, f"calibration {path}: fit", finite=False)
     n = len(content.calibration.offset_microstrain)
     shapes = {
         "residual_covariance_microstrain2": (record.residual_covariance_microstrain2, ((n, n),)),
@@ -149,12 +147,8 @@ def read_fit(path: str | Path) -> FitRecord | None:
 
 
 def _decoded(path: str | Path) -> _File:
-    try:
-        return msgspec.toml.decode(Path(path).read_bytes(), type=_File)
-    except OSError as error:
-        raise InputError(f"calibration {path}: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"calibration {path}: {error}") from None
+    place = f"calibration {path}"
+    return convert(_File, read_table(path, place), place, finite=False)
 
 
 def _checked(content: _Table, path: str | Path) -> Calibration:

@@ -14,6 +14,7 @@ from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.sdo import SdoChannel
+from tipforce.toml_table import convert, read_table
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
 """By (index, sub), in index order: the entry and the value it shall have."""
@@ -58,12 +59,7 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
 
 
 def _read_toml(path: str | Path, node_id: int, gauges: int) -> Configuration:
-    try:
-        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: {error}") from None
+    content = convert(_File, read_table(path, str(path)), str(path))
     found: Configuration = {}
     for name, value in content.objects.items():
         try:

@@ -20,7 +20,7 @@ Pdo = Literal["gauges", "contact", "force", "health"]
 NodeIds = tuple[NodeId, ...]
 
 
-class _Table(msgspec.Struct, frozen=True, kw_only=True):
+class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
     pass
 
 

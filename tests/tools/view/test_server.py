@@ -86,6 +86,7 @@ def test_tare_only_where_it_is_allowed() -> None:
         assert post(server, 3) == (409, {"error": "node 3: the force is unknown"})
         for wrong in (9, "1", None, 1.5):
             assert post(server, wrong)[0] == 400
+        assert post(server, "1")[1] == {"error": "tare: node_id is '1': expected int, got str"}
         assert ask(server, "/api/setup", "POST", "{}", Origin=f"http://127.0.0.1:{server.guard.port}",
                    **{WRITE_HEADER: server.guard.write_token})[0] == 404  # fmt: skip
         assert source.tared == [1]

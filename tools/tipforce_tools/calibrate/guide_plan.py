@@ -29,6 +29,7 @@ from tipforce.host.measurement_rows import LARGEST_ANGLE_DEG
 from tipforce.sensor.fit.identify import FORCES, require_seen
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.grooves import paper_grooves
+from tipforce.toml_table import convert, read_table
 
 GRAVITY = 9.80665  # m/s^2
 TARE_EVERY = 4
@@ -71,7 +72,7 @@ class _FileStep(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
-    step: list[_FileStep]
+    step: tuple[_FileStep, ...]
     tare_every: int = TARE_EVERY
     name: str = ""
 
@@ -92,12 +93,7 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
 
 def file_plan(path: str | Path) -> tuple[Step, ...]:
     """The steps of a plan file. Raises InputError naming the file, the step and what is allowed."""
-    try:
-        content = msgspec.toml.decode(Path(path).read_bytes(), type=_File)
-    except OSError as error:
-        raise InputError(f"plan {path}: {error.strerror}") from None
-    except (msgspec.DecodeError, UnicodeDecodeError) as error:
-        raise InputError(f"plan {path}: {error}") from None
+    content = convert(_File, read_table(path, f"plan {path}"), f"plan {path}")
     if content.tare_every < 1:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
     try:

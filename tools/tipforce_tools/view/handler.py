@@ -14,6 +14,7 @@ from urllib.parse import parse_qs, urlsplit
 import msgspec
 
 from tipforce.errors import InputError, TipforceError
+from tipforce.toml_table import convert
 from tipforce_tools.view.csv import csv_chunks
 from tipforce_tools.view.fingers import drawing
 from tipforce_tools.view.frames import (
@@ -164,10 +165,13 @@ class Handler(BaseHTTPRequestHandler):
 
     def _tare(self, body: bytes) -> None:
         try:
-            wanted = msgspec.json.decode(body, type=_TareRequest)
+            wanted = convert(_TareRequest, msgspec.json.decode(body), "tare")
             if wanted.node_id not in {finger.node_id for finger in self.view.source.model.fingers}:
                 raise InputError(f"node-id {wanted.node_id}: no finger of this page")
-        except (msgspec.DecodeError, UnicodeDecodeError, InputError) as error:
+        except (msgspec.DecodeError, UnicodeDecodeError) as error:
+            self._say(HTTPStatus.BAD_REQUEST, f"tare: {error}")
+            return
+        except InputError as error:
             self._say(HTTPStatus.BAD_REQUEST, str(error))
             return
         if self.view.source.no_tare:
