@@ -21,7 +21,7 @@ from tipforce_tools.view.sources import Source
 
 _LOG = logging.getLogger(__name__)
 
-FRAMES_A_SECOND = 30.0
+FRAMES_A_SECOND = 33.0  # a browser sometimes gets two messages between two pictures: 30 shall be left
 MAX_CONNECTIONS = 64
 _PUMP_S = 1.0 / FRAMES_A_SECOND
 _TYPES = {
