@@ -28,6 +28,7 @@ EXAMPLE = """
   sync_hz = 500              # 0: another device sends the SYNC
   pdos = ["contact"]         # of gauges, contact, force
   heartbeat_ms = 100
+  wait_ms = 50               # so long a row waits for a finger that is late
   config = "finger.toml"     # settings of all fingers: tipforce config save
   store = false              # true: what was configured survives a power cycle
 
@@ -202,10 +203,10 @@ def _say_statistics(args: argparse.Namespace, hand: Hand, found: Statistics) -> 
     common.note(
         args,
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
-        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {found.dropped} frames dropped",
+        f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {found.dropped} frames dropped; "
+        f"bus load at last {100 * found.load[0]:.0f} to {100 * found.load[1]:.0f} %",
     )
     for k, finger in enumerate(hand.file.finger):
-        counts = ", ".join(
-            f"{name} {int(getattr(tally, name)[k])}" for name in ("missing", "late", "mixed", "doubtful", "repeated")
-        )
+        names = ("missing", "delayed", "late", "mixed", "doubtful", "repeated")
+        counts = ", ".join(f"{name} {int(getattr(tally, name)[k])}" for name in names)
         common.note(args, f"  {finger.label}: {counts}")
