@@ -182,6 +182,16 @@ def test_beside_gaps_only_the_sender_of_the_sync_knows() -> None:
     dropped.check()
 
 
+@pytest.mark.parametrize("cuts", [[1], [9]], ids=["SYNC alone", "all at once"])
+def test_after_a_drop_the_sender_knows_again(cuts: list[int]) -> None:
+    world = World(own_sync=True)
+    world.run(warm(), cuts)
+    world.collector.drop()
+    world.run([WELL, WELL, *busy(1, 3), WELL], cuts)
+    assert world.exact()
+    assert world.collector.tally.delayed.tolist() == [0, 3]
+
+
 def test_one_that_is_busy_for_too_long_is_not_waited_for_again() -> None:
     world = World()
     world.run([*warm(), *busy(1, WAIT_MS + 1)])

@@ -90,13 +90,13 @@ class Collector:
         new = window["t_ns"][syncs[len(self._opened_s) :]].tolist()
         self._opened_s += [now_s] * len(new)
         self._gaps += [self._sync_gaps.add(t_ns) for t_ns in new]
+        if new:
+            self._sync_gaps.end_batch()
         first = int(self._given)
         if len(syncs) - first == 1 and self._too_few(len(window) - int(syncs[-1]), now_s):
             self._open = window
             return self._nothing()
         answers = self._answers(window, syncs, first) if len(window) > len(syncs) else []
-        if new:
-            self._sync_gaps.go_on()
         last = self._ready(answers, first, len(syncs), now_s)
         rows = self._rows(answers, window[syncs], first, last)
         self._keep(window, syncs, answers, last)

@@ -19,22 +19,22 @@ class SyncGaps:
 
     def __init__(self, own: bool = False) -> None:
         self._own = own
-        self._dropped = False
+        self._doubted = 0  # how many batches of SYNCs yet
         self._intervals_ns: deque[int] = deque(maxlen=_INTERVALS)
         self._last_ns: int | None = None
 
     def drop(self) -> None:
-        """Frames were lost on the way to the host, perhaps a SYNC among them: so it is until ``go_on``."""
-        self._dropped = True
+        """Frames were lost on the way to the host, perhaps SYNCs: before, among or after the next that it gets."""
+        self._doubted = 2
 
-    def go_on(self) -> None:
-        """The next SYNCs follow one another again."""
-        self._dropped = False
+    def end_batch(self) -> None:
+        """The SYNCs that were received together were all added."""
+        self._doubted = max(self._doubted - 1, 0)
 
     def add(self, t_ns: int) -> int:
         """The SYNC received at ``t_ns``: how many may lack before it; -1 where it is closer than half a period."""
         before_ns, self._last_ns = self._last_ns, t_ns
-        if self._dropped or before_ns is None:
+        if self._doubted or before_ns is None:
             return UNKNOWN
         if self._own:
             return 0
@@ -45,7 +45,7 @@ class SyncGaps:
     @property
     def horizon_ns(self) -> int:
         """For how long after the last SYNC there was surely no other one."""
-        if self._dropped:
+        if self._doubted:
             return 0
         return _EVER_NS if self._own else self._period_ns()
 
