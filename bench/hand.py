@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 from bench.device import machine
-from bench.hand_bus import LoopbackLink
+from bench.hand_bus import LoopbackLink, may_hurry
 from bench.soak_fingers import calibration
 
 from tipforce.host.calibration_file import write_calibration
@@ -170,6 +170,8 @@ def main() -> int:
     parser.add_argument("--realtime", action="store_true", help="fingers and SYNC with SCHED_FIFO; needs the right to")
     parser.add_argument("--case", type=int, choices=range(len(CASES)), help="only this one")
     args = parser.parse_args()
+    if args.realtime and not may_hurry():
+        parser.error("--realtime: not permitted here; run it as root, or with `ulimit -r 10` allowed")
     cases = CASES if args.case is None else (CASES[args.case],)
     outcomes = []
     for fingers, sync_hz in cases:

@@ -120,6 +120,17 @@ def _hurry(realtime: bool) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(10))
 
 
+def may_hurry() -> bool:
+    """Whether this process may have the scheduling class SCHED_FIFO; it does not keep it."""
+    policy, param = os.sched_getscheduler(0), os.sched_getparam(0)
+    try:
+        _hurry(True)
+    except PermissionError:
+        return False
+    os.sched_setscheduler(0, policy, param)
+    return True
+
+
 class Child:
     """A process with a pipe."""
 
