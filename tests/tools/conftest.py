@@ -1,12 +1,15 @@
-"""What running commands in this process leaves behind is put back."""
+"""What running commands in this process leaves behind is put back; a node command without its loop."""
 
 from __future__ import annotations
 
 import logging
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 
 import pytest
+
+from tipforce.device.node import Device
+from tipforce.fingertip import loop
 
 
 @pytest.fixture(autouse=True)
@@ -19,3 +22,15 @@ def put_back_process_state() -> Iterator[None]:
     signal.signal(signal.SIGTERM, on_sigterm)
     for logger, level in zip(loggers, levels, strict=True):
         logger.setLevel(level)
+
+
+@pytest.fixture
+def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
+    """The devices that the loop was given; it ends at once."""
+    found: list[Device] = []
+
+    def run(given: Sequence[Device], _port: loop.Port, _stop: Callable[[], bool]) -> None:
+        found.extend(given)
+
+    monkeypatch.setattr(loop, "run", run)
+    return found

@@ -277,3 +277,22 @@ def test_a_closed_pipe_is_no_failure_of_a_table() -> None:
     command = f"{sys.executable} -m tipforce_tools.main demo -q | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
+
+
+@pytest.mark.parametrize(
+    ("words", "told"),
+    [
+        ("load --nodes x --rate 100", "--nodes: 'x': allowed are whole numbers from 1 on"),
+        ("log vcan0 -n 0", "-n: '0': allowed are whole numbers from 1 on"),
+        ("log vcan0 --seconds -1", "--seconds: '-1': allowed are seconds, more than 0"),
+        ("dump vcan0 -T 1.5", "-T: '1.5': allowed are whole numbers from 1 on"),
+        ("replay run.log --speed nan", "--speed: 'nan': allowed are numbers over 0, and inf"),
+        ("replay run.log --max-gap soon", "--max-gap: 'soon': allowed are seconds from 0 on"),
+        ("replay run.log --loop 0", "--loop: '0': allowed are whole numbers from 1 on"),
+    ],
+)
+def test_a_wrong_number_is_told_with_what_is_allowed(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit) as ended:
+        main(words.split())
+    assert ended.value.code == 2
+    assert capsys.readouterr().err.splitlines()[-1].endswith(told)

@@ -6,7 +6,6 @@ import errno
 import re
 import sys
 import types
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,7 @@ import pytest
 from fingertip.iio_tree import Tree
 from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
-from tipforce.fingertip import iio_buffer, iio_sysfs, loop
+from tipforce.fingertip import iio_buffer, iio_sysfs
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.iio import IioSource
 from tipforce.fingertip.source import Source
@@ -58,18 +57,6 @@ def tree(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Tree:
     found = Tree(tmp_path)
     monkeypatch.setattr(iio_sysfs, "ROOT", found.root)
     monkeypatch.setattr(iio_buffer, "HRTIMER", tmp_path / "no-configfs")
-    return found
-
-
-@pytest.fixture
-def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
-    """The devices that the loop was given; it ends at once."""
-    found: list[Device] = []
-
-    def run(given: Sequence[Device], _port: loop.Port, _stop: Callable[[], bool]) -> None:
-        found.extend(given)
-
-    monkeypatch.setattr(loop, "run", run)
     return found
 
 

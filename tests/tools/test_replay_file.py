@@ -3,30 +3,16 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
 from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
-from tipforce.fingertip import loop
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.replay import ReplaySource
 from tipforce.fingertip.source import Source
 from tipforce_tools.main import main
-
-
-@pytest.fixture
-def devices(monkeypatch: pytest.MonkeyPatch) -> list[Device]:
-    """The devices that the loop was given; it ends at once."""
-    found: list[Device] = []
-
-    def run(given: Sequence[Device], _port: loop.Port, _stop: Callable[[], bool]) -> None:
-        found.extend(given)
-
-    monkeypatch.setattr(loop, "run", run)
-    return found
 
 
 def node(layout: str, *words: str) -> int:

@@ -97,6 +97,25 @@ def number(text: str) -> float:
         return math.nan
 
 
+def count(text: str) -> int:
+    """How many of something, for argparse: a whole number from 1 on."""
+    try:
+        found = int(text)
+    except ValueError:
+        found = 0
+    if found < 1:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 1 on")
+    return found
+
+
+def seconds(text: str) -> float:
+    """A time, for argparse: more than 0."""
+    found = number(text)
+    if not 0 < found < math.inf:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are seconds, more than 0")
+    return found
+
+
 def node_id(text: str) -> int:
     """A node-id as `10` or `0x0A`, for argparse."""
     try:

@@ -69,7 +69,7 @@ def _paper(args: argparse.Namespace) -> int:
 
 def _count(text: str) -> int:
     """A number of nodes, or how many a set of node-ids has (other commands take one as --nodes)."""
-    return len(common.node_ids(text)) if "," in text or "-" in text[1:] else int(text)
+    return len(common.node_ids(text)) if "," in text or "-" in text[1:] else common.count(text)
 
 
 def pdo_names(text: str, gauges: int) -> list[str]:

@@ -42,6 +42,12 @@ def logs(words: Sequence[str]) -> list[str]:
     return found
 
 
+def narrowing_flags(args: Namespace) -> str:
+    """Those that were given of the flags that leave samples out, as people write them; empty for none."""
+    given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
+    return ", ".join(flag for flag, value in given if value is not None)
+
+
 def _natural(name: str) -> list[tuple[int, str]]:
     """run-2.log before run-10.log."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

@@ -215,9 +215,8 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
 def _nothing(args: Namespace, told: Told) -> str:
     """Why there is no row."""
     frames = sum(notes.frames for notes in told.notes)
-    given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
-    flags = [flag for flag, value in given if value is not None]
-    chosen = f"; {', '.join(flags)} may leave it out" if flags and frames else ""
+    flags = choice.narrowing_flags(args)
+    chosen = f"; {flags} may leave it out" if flags and frames else ""
     return f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}"
 
 

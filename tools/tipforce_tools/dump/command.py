@@ -51,8 +51,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-e", dest="errors", action="store_true", help="say what error frames mean")
     look.add_argument("-a", dest="ascii", action="store_true", help="show the data as characters, too")
     look.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
-    look.add_argument("-n", dest="count", type=_positive, metavar="COUNT", help="end after COUNT frames")
-    look.add_argument("-T", dest="timeout_ms", type=_positive, metavar="MS", help="end after MS without a frame")
+    look.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
+    look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--decode", action="store_true", help="add what the PDOs of fingertips say")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     parser.add_argument("--strict", action="store_true", help="text: exit 1 at the first bad line")
@@ -71,10 +71,3 @@ def run(args: argparse.Namespace) -> int:
     terminate_as_interrupt()
     common.set_up_logging(args)
     return dump(args)
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise ValueError
-    return number

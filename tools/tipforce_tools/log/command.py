@@ -1,7 +1,6 @@
 """`tipforce log [vcan0,181:7FF ...] [-o FILE]`: arguments, and nothing else."""
 
 import argparse
-import math
 import re
 
 from tipforce_tools import common
@@ -31,12 +30,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("targets", nargs="*", metavar="CHANNEL[,FILTER...]", help="buses with their filters")
     parser.add_argument("-o", "--output", metavar="FILE", help="default: candump's own name, by date and time")
     parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
-    parser.add_argument("-n", dest="count", type=_positive, metavar="COUNT", help="end after COUNT frames")
-    parser.add_argument("-T", dest="timeout_ms", type=_positive, metavar="MS", help="end after MS without a frame")
-    parser.add_argument("--seconds", type=_seconds, metavar="S", help="end after S seconds")
+    parser.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
+    parser.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
+    parser.add_argument("--seconds", type=common.seconds, metavar="S", help="end after S seconds")
     parser.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
     parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
-    parser.add_argument("--rotate-time", type=_seconds, metavar="S", help="a new file after S seconds")
+    parser.add_argument("--rotate-time", type=common.seconds, metavar="S", help="a new file after S seconds")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
@@ -51,20 +50,6 @@ def run(args: argparse.Namespace) -> int:
 
     common.set_up_logging(args)
     return record(args)
-
-
-def _positive(text: str) -> int:
-    number = int(text)
-    if number < 1:
-        raise ValueError
-    return number
-
-
-def _seconds(text: str) -> float:
-    number = float(text)
-    if not 0 < number < math.inf:
-        raise ValueError
-    return number
 
 
 def _bytes(text: str) -> int:

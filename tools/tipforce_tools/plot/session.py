@@ -88,8 +88,7 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
 def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int) -> None:
     count = len(fingers.named())
     if not count:
-        given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
-        flags = ", ".join(flag for flag, value in given if value is not None)
+        flags = choice.narrowing_flags(args)
         why = f" (of {counted(frames, 'frame')}, with {flags})" if flags else ""
         raise InputError(f"{', '.join(names)}: no PDO of a fingertip in it{why}, so there is nothing to draw")
     if not fingers.timed:

@@ -59,23 +59,20 @@ def _assignment(text: str) -> str:
 
 
 def _speed(text: str) -> float:
-    number = float(text)
+    number = common.number(text)
     if not number > 0:
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are numbers over 0, and inf")
     return number
 
 
 def _gap(text: str) -> float:
-    number = float(text)
+    number = common.number(text)
     if not 0 <= number < math.inf:
-        raise ValueError
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are seconds from 0 on")
     return number
 
 
 def _loop(text: str) -> int | None:
     if text in {"inf", "i"}:
         return None
-    number = int(text)
-    if number < 1:
-        raise ValueError
-    return number
+    return common.count(text)
