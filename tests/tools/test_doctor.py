@@ -10,9 +10,11 @@ import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.dictionary import objects as od
+from tipforce.errors import EnvironmentLackError
 from tipforce_tools.doctor.bus import configuration_check
 from tipforce_tools.doctor.kernel import can_interfaces, interface_checks
 from tipforce_tools.doctor.software import software_checks
+from tipforce_tools.doctor.vcan import vcan_checks
 from tipforce_tools.main import main
 
 UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
@@ -28,6 +30,7 @@ def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG"):
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
+    monkeypatch.setattr("tipforce_tools.doctor.vcan.trial", lambda: 0)  # test_vcan_boot.py has the real one
 
 
 def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> None:
@@ -101,6 +104,25 @@ def test_where_the_name_comes_from(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     monkeypatch.setattr("can.util.CONFIG_FILES", [str(path)])
     found = configuration_check({})
     assert found.finding == f"virtual hand, from {path}"
+
+
+def test_vcan_that_works_and_vcan_that_does_not(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("tipforce_tools.vcan.run.choose", lambda _interfaces: "uml")
+    assert main(["doctor"]) == 0
+    assert "`tipforce vcan` works: vcan0 and vcan1, in User-mode Linux, which boots here" in capsys.readouterr().out
+
+    def lacking() -> int:
+        raise EnvironmentLackError("User-mode Linux ended before it had booted\n  Kernel panic")
+
+    for trial, finding, step in (
+        (lacking, "User-mode Linux ended before it had booted", "`tipforce vcan -- true`"),
+        (lambda: 1, "`tipforce vcan -- true` ended with 1", "sudo modprobe vcan"),
+    ):
+        (check,) = vcan_checks(trial)
+        assert (check.state, check.finding) == ("note", finding)
+        assert step in check.next_step
 
 
 def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,4 +1,4 @@
-"""`tipforce vcan`, as far as it goes without booting anything: that is done once per test run, by the Makefile."""
+"""`tipforce vcan`, as far as it goes without booting anything: test_vcan_boot.py and the Makefile do that."""
 
 import argparse
 import os
@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.vcan import command, host, run, uml
+from tipforce_tools.vcan import command, host, parts, run, uml
 
 SCRIPT = files("tipforce_tools.vcan").joinpath("init.sh").read_text()
 needs_bash = pytest.mark.skipif(shutil.which("bash") is None, reason="the machine has no bash")
@@ -132,7 +132,7 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         given.update(rest, command=list(words))
         return 0
 
-    monkeypatch.setattr(command, "run_with_vcan", note)
+    monkeypatch.setattr(run, "run_with_vcan", note)
     args = parse("--interfaces", "a,b", "--memory", "512M", "--timeout", "2.5", "--host", "--rw", "--", "true")
     assert command.run(args) == 0
     assert given == {
@@ -142,6 +142,7 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         "timeout_s": 2.5,
         "place": "host",
         "writable": True,
+        "announced": False,
     }
 
 
@@ -195,6 +196,39 @@ def test_no_command_is_a_shell_on_a_terminal(
     monkeypatch.setenv("SHELL", shell)
     command.run(parse())
     assert asked == [("uml", [expected])]
+
+
+@pytest.mark.parametrize(
+    ("flags", "can_make", "expected"),
+    [
+        (
+            [],
+            False,
+            "User-mode Linux, with vcan0, vcan1; you are root; files that you write vanish on exit (--rw keeps",
+        ),
+        (["--rw"], False, "--rw: files that you write are kept"),
+        ([], True, "this kernel, with vcan0, vcan1; `exit` ends the shell"),
+    ],
+)
+@pytest.mark.usefixtures("asked")
+def test_a_shell_is_told_where_it_is_and_what_becomes_of_its_files(
+    flags: list[str], can_make: bool, expected: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    fake_kernel(monkeypatch, can_make=can_make)
+    monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=True))
+    command.run(parse(*flags))
+    said = capsys.readouterr()
+    assert expected in said.err
+    assert said.err.count("\n") == 1
+    assert said.out == ""
+    command.run(parse(*flags, "--", "true"))
+    assert capsys.readouterr().err == "", "a command's stderr is its own"
+
+
+def test_where_there_is_no_linux_one_line_says_what_works(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "platform", "darwin")
+    with pytest.raises(EnvironmentLackError, match=r"^vcan exists on Linux only.*darwin.*`tipforce demo`.*$"):
+        command.run(parse("--", "true"))
 
 
 def test_a_command_that_is_not_there_is_127_before_anything_boots(
@@ -261,26 +295,52 @@ def test_a_terminating_signal_is_130_and_the_handler_is_put_back(monkeypatch: py
 def test_what_is_missing_is_named_with_the_command_that_installs_it(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
-    monkeypatch.setattr(uml, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
-    monkeypatch.setattr(uml, "_MODULES", tmp_path)
+    monkeypatch.setattr(parts, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
+    monkeypatch.setattr(parts, "_MODULES", tmp_path)
     with pytest.raises(EnvironmentLackError, match=r"`apt-get install -y user-mode-linux` \(as root\)"):
         uml.run_in_uml(uml.Request(["true"], ["vcan0"], "1G", None, False))
 
 
+def test_a_processor_that_user_mode_linux_does_not_know_gets_one_line(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    monkeypatch.setattr(parts, "find_program", lambda name: None if name == "linux.uml" else f"/bin/{name}")
+    monkeypatch.setattr(parts, "_MODULES", tmp_path)
+    monkeypatch.setattr(os, "uname", lambda: os.uname_result(("Linux", "here", "6.1", "#1", "aarch64")))
+    with pytest.raises(
+        EnvironmentLackError, match=r"^this kernel has no vcan.* x86 only, not for aarch64; .*modprobe.*$"
+    ):
+        parts.require_parts()
+
+
+@needs_bash
+@pytest.mark.parametrize("kernel", ["6.1", "6.12"])
+def test_the_exchange_is_mounted_by_either_interface_of_hostfs(kernel: str) -> None:
+    """6.1 takes the whole option for the folder's path; 6.12 knows options by their names, and this one is hostfs=."""
+    function = SCRIPT[SCRIPT.index("mount_exchange() {") : SCRIPT.index("mount_basics() {")]
+    stand_in = (
+        "mount() { case $kernel,$4 in 6.12,hostfs=/tmp/x | 6.1,/tmp/x) echo mounted; return 0;; esac\nreturn 1; }\n"
+    )
+    script = f"{stand_in}{function}\nmount_exchange"
+    variables = {"kernel": kernel, "folder": "/tmp/x", "exchange": "/run/x"}
+    done = subprocess.run(["bash", "-c", script], env=variables, capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout) == (0, "mounted\n")
+
+
 def test_all_that_is_missing_is_named_at_once(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(uml, "find_program", lambda _name: None)
-    monkeypatch.setattr(uml, "_MODULES", tmp_path)
-    assert uml.missing_packages() == ["iproute2", "kmod", "user-mode-linux", "util-linux"]
+    monkeypatch.setattr(parts, "find_program", lambda _name: None)
+    monkeypatch.setattr(parts, "_MODULES", tmp_path)
+    assert parts.missing_packages() == ["iproute2", "kmod", "user-mode-linux", "util-linux"]
 
 
 def test_the_kernel_without_its_modules_is_not_complete(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(uml, "find_program", lambda name: f"/bin/{name}")
-    monkeypatch.setattr(uml, "_MODULES", tmp_path)
-    assert uml.missing_packages() == ["user-mode-linux"]
+    monkeypatch.setattr(parts, "find_program", lambda name: f"/bin/{name}")
+    monkeypatch.setattr(parts, "_MODULES", tmp_path)
+    assert parts.missing_packages() == ["user-mode-linux"]
     module = tmp_path / "6.1/kernel/drivers/net/can/vcan.ko"
     module.parent.mkdir(parents=True)
     module.touch()
-    assert uml.missing_packages() == []
+    assert parts.missing_packages() == []
 
 
 @needs_bash
@@ -347,7 +407,7 @@ class TestMachine:
 
     def test_a_kernel_that_does_not_boot_shows_its_last_messages(self, machine: "Machine") -> None:
         machine.does("echo Kernel panic; exit 1")
-        with pytest.raises(EnvironmentLackError, match=r"ended before it had booted; .*\n  Kernel panic"):
+        with pytest.raises(EnvironmentLackError, match=r"ended before it had booted \(.*\n  Kernel panic"):
             machine.run()
 
     def test_a_failed_set_up_is_told_in_its_own_words(self, machine: "Machine") -> None:
@@ -401,6 +461,7 @@ class Machine:
         self.program = folder / "linux.uml"
         monkeypatch.setattr(uml, "find_program", lambda _name: str(self.program))
         monkeypatch.setattr(uml, "require_parts", lambda: None)
+        monkeypatch.setattr(uml, "preloading", lambda _folder: {})
         monkeypatch.setattr(sys, "stdin", FakeStdin(terminal=False))
 
     def does(self, script: str) -> None:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import gc
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -30,6 +32,23 @@ def remote(tmp_path_factory: pytest.TempPathFactory) -> Iterator[canopen.RemoteN
             yield found
         finally:
             network.disconnect()
+
+
+@contextlib.contextmanager
+def finalizers_of_refused_streams() -> Iterator[None]:
+    """What is collected in here may be canopen's stream of a refused segmented download, and nothing else may raise.
+
+    Such a stream closes itself with one segment more, which the node refuses too. From Python 3.13 on (before, with
+    `-X dev`) what a finalizer raises is reported, and pytest makes a failure of it.
+    """
+    reported: list[tuple[str, type[BaseException]]] = []
+    before = sys.unraisablehook
+    sys.unraisablehook = lambda found: reported.append((type(found.object).__name__, found.exc_type))
+    try:
+        yield
+    finally:
+        sys.unraisablehook = before
+    assert set(reported) <= {("WritableStream", canopen.SdoAbortedError)}
 
 
 def default(remote: canopen.RemoteNode, index: int, sub: int = 0) -> object:
@@ -109,8 +128,9 @@ def test_refused_download_names_its_abort_code(
     found = refused.value.code
     # The failed stream of canopen sends one segment more when it is collected. If that were in canopen's own receiving
     # thread, while it holds the lock of the queue of responses, the two would wait for each other for ever.
-    del refused
-    gc.collect()
+    with finalizers_of_refused_streams():
+        del refused
+        gc.collect()
     assert found == code
 
 

@@ -29,6 +29,8 @@ def sync_by_cansend(bus: RawBus) -> list[Frame]:
 
 
 def test_no_pdo_before_nmt_start(bus: RawBus, node: Command) -> None:
+    cansend("000#8205")
+    bus.until(lambda frame: frame == (HEARTBEAT + NODE_ID, b"\0"))
     assert sync_by_cansend(bus) == [], node.stderr
 
 

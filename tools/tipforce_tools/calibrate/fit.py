@@ -66,6 +66,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.calibration_file import fit_record, write_calibration
     from tipforce.host.measurements import read_measurements
     from tipforce.sensor.calibration import fit_calibration
+    from tipforce.sensor.fit.rounding import rounded
     from tipforce_tools.calibrate import fit_report
     from tipforce_tools.one_node import check_one_node
 
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     _check_layout(args, data)
     model = model_of(args, data)
-    fit = fit_calibration(readings_of(data), model)
+    fit = rounded(fit_calibration(readings_of(data), model))
     calibration = calibration_of(args, data, fit)
     notes = fit_report.notes(data, fit, model, args.layout)
     if args.json:

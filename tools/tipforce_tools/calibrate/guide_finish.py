@@ -14,6 +14,7 @@ from tipforce.host.calibration_file import fit_record, write_calibration
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.measurements import Measurements, read_measurements
 from tipforce.sensor.calibration import fit_calibration
+from tipforce.sensor.fit.rounding import matrix_to_digits, rounded, to_digits
 from tipforce.sensor.fit.statistics import left_inverse
 from tipforce_tools import common
 from tipforce_tools.calibrate import fit as fit_command
@@ -47,11 +48,11 @@ def finish(args: argparse.Namespace, session: Session, client: FingertipClient) 
     path = str(session.path)
     data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
     model = fit_command.model_of(args, data)
-    fit = fit_calibration(fit_command.readings_of(data), model)
+    fit = rounded(fit_calibration(fit_command.readings_of(data), model))
     # The residuals also hold what differs from hook to hook; what a single reading of the node scatters by is what
     # the captures scattered by. C is then the best one for that: a node with more than three gauges relies on it.
-    noise = session.noise_covariance_strain2()
-    C = left_inverse(fit.A, noise) if fit.C.shape[1] > 3 else fit.C
+    noise = to_digits(session.noise_covariance_strain2())
+    C = matrix_to_digits(left_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C
     calibration = replace(fit_command.calibration_of(args, data, fit), C=C, covariance_strain2=noise)
     notes = fit_report.notes(data, fit, model, args.layout)
     notes.append("the node gets the noise covariance of the captures' own scatter")

@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Looks at the kernel, the interfaces, where the bus's name comes from, and what is installed. With a bus it\n"
-        "also opens it and listens; it never sends. Exit code 1 if something that was asked for will not work.\n"
+        "also opens it and listens; it never sends. Without one it tries `tipforce vcan`, which can take seconds.\n"
+        "Exit code 1 if something that was asked for will not work.\n"
         "  tipforce doctor\n"
         "  tipforce doctor -i socketcan -c can0"
     )
@@ -54,6 +55,7 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
     from tipforce_tools.doctor.iio import iio_checks
     from tipforce_tools.doctor.kernel import kernel_checks
     from tipforce_tools.doctor.software import software_checks
+    from tipforce_tools.doctor.vcan import vcan_checks
 
     options = common.bus_options(args)
     configuration = configuration_check(options)
@@ -65,6 +67,8 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
     yield configuration
     if named:
         yield from bus_checks(options, args.listen)
+    else:
+        yield from vcan_checks()
     yield from iio_checks()
     yield from software_checks()
 

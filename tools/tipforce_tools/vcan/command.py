@@ -5,8 +5,7 @@ import os
 import shutil
 import sys
 
-from tipforce.errors import InputError
-from tipforce_tools.vcan.run import run_with_vcan
+from tipforce.errors import EnvironmentLackError, InputError
 
 DESCRIPTION = """\
 Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. Used is the first that works of: this kernel,
@@ -15,8 +14,8 @@ User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linu
 yours everywhere.
 
 In User-mode Linux: COMMAND is root on one CPU; it sees your files, and what it writes is gone afterwards (--rw
-keeps it); stdin is /dev/null, and stdout and stderr are pipes, unless all three are a terminal, which COMMAND
-then gets.
+keeps it, except for temporary files: TMPDIR is a folder in memory); stdin is /dev/null, and stdout and stderr are
+pipes, unless all three are a terminal, which COMMAND then gets.
 """
 EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
@@ -53,6 +52,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the command, or a shell. Raises InputError and EnvironmentLackError as `run_with_vcan` does."""
+    if sys.platform != "linux":
+        raise EnvironmentLackError(
+            f"vcan exists on Linux only, and this is {sys.platform}; "
+            "`tipforce demo`, the library and the log tools work here"
+        )
+    from tipforce_tools.vcan.run import run_with_vcan
+
     command = args.command[1:] if args.command[:1] == ["--"] else args.command
     return run_with_vcan(
         command or _shell(),
@@ -61,6 +67,7 @@ def run(args: argparse.Namespace) -> int:
         timeout_s=args.timeout,
         place=args.place,
         writable=args.rw,
+        announced=not command,
     )
 
 

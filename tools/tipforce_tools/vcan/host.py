@@ -10,7 +10,8 @@ import subprocess
 import sys
 from collections.abc import Sequence
 
-from tipforce_tools.vcan.uml import INTERRUPTED, find_program, terminating_signals_interrupt
+from tipforce_tools.vcan.parts import find_program
+from tipforce_tools.vcan.uml import INTERRUPTED, terminating_signals_interrupt
 
 _SIOCGIFFLAGS = 0x8913  # linux/sockios.h
 _SIOCGIFHWADDR = 0x8927

@@ -6,6 +6,7 @@
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 folder=${0%/*}
 exchange=/run/tipforce-vcan
+temporary=/run/tipforce-vcan-tmp
 modules=/usr/lib/uml/modules/$(uname -r)/kernel
 
 halt() {
@@ -28,13 +29,18 @@ load() {
     done
 }
 
+# By hostfs and not by path: the root may be read-only, and this path may lie below /run. Linux 6.12 wants the option
+# by its name, and 6.1 takes all of it for the folder. What the mounts say goes to the kernel's messages.
+mount_exchange() {
+    mount -t hostfs -o "hostfs=$folder" exchange "$exchange" || mount -t hostfs -o "$folder" exchange "$exchange"
+}
+
 mount_basics() {
     mount -t proc proc /proc
     mount -t sysfs sysfs /sys
     mount -t tmpfs tmpfs /run
     mkdir -p "$exchange"
-    # By hostfs and not by path: the root may be read-only, and this path may lie below /run.
-    mount -t hostfs -o "$folder" exchange "$exchange" || halt
+    mount_exchange || halt
     mkdir -p /dev/pts /dev/shm
     mount -t devpts -o gid=5,mode=620,ptmxmode=666 devpts /dev/pts
     mount -t tmpfs -o mode=1777 tmpfs /dev/shm
@@ -86,10 +92,16 @@ make_root() {
     cd "$root" && pivot_root . . && umount -l . && cd / || fail "the writable layer could not become the root"
 }
 
+# The caller's temporary folder may hold what programs made there for the caller, and trust from nobody else: inside,
+# everybody is root. Made after the root: it lies in memory, whoever owns the caller's files.
+make_temporary_folder() {
+    mkdir -p "$temporary" && chmod 1777 "$temporary" || fail "the temporary folder $temporary could not be made"
+}
+
 # Called in a subshell, so that bash's own remark on a killed command goes to the log and not to the command's stderr.
 # `setsid` stands before the command so that a name with "=" in it is not taken for a variable.
 run_command() {
-    exec env -i -C "$directory" "${environment[@]}" /usr/bin/setsid "$@" "${command[@]}"
+    exec env -i -C "$directory" "${environment[@]}" TMPDIR="$temporary" /usr/bin/setsid "$@" "${command[@]}"
 }
 
 run_on_terminal() {
@@ -132,5 +144,6 @@ mount_basics
 read_request
 make_buses
 make_root
+make_temporary_folder
 "run_on_$console"
 halt

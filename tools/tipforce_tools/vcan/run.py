@@ -40,14 +40,16 @@ def run_with_vcan(
     timeout_s: float | None = None,
     place: str = "auto",
     writable: bool = False,
+    announced: bool = False,
 ) -> int:
     """Run `command` where all `interfaces` are vcan buses and up; return the command's own exit code.
 
     Directory and environment are the caller's. Besides the command's own codes: 127 when it is not found, 126 when
     it cannot be started, 128 + n when signal n ended it, 130 after SIGINT or SIGTERM to us, 1 (with a message on
     stderr) when it took longer than `timeout_s`. `memory` and `writable` (let the command write the caller's
-    files) matter in User-mode Linux alone. Raises InputError for an argument that is not usable and
-    EnvironmentLackError when the machine has no way to vcan; the text says what to install.
+    files) matter in User-mode Linux alone. `announced`: a line on stderr says first where the command runs. Raises
+    InputError for an argument that is not usable and EnvironmentLackError when the machine has no way to vcan; the
+    text says what to install.
     """
     _check(command, interfaces, timeout_s, place)
     uml.memory_bytes(memory)
@@ -58,11 +60,24 @@ def run_with_vcan(
     for stream in (sys.stdout, sys.stderr):
         stream.flush()
     chosen = choose(interfaces, place)
+    if announced:
+        print(_banner(chosen, interfaces, writable), file=sys.stderr, flush=True)
     if chosen == "direct":
         return host.run_here(command, timeout_s)
     if chosen == "namespace":
         return host.run_here(host.namespace_command(interfaces, command), timeout_s)
     return uml.run_in_uml(uml.Request(command, interfaces, memory, timeout_s, writable))
+
+
+def _banner(chosen: str, interfaces: Sequence[str], writable: bool) -> str:
+    """What somebody who is given a shell must know of it."""
+    buses = ", ".join(interfaces)
+    if chosen != "uml":
+        return f"tipforce vcan: this kernel, with {buses}; `exit` ends the shell"
+    kept = (
+        "--rw: files that you write are kept" if writable else "files that you write vanish on exit (--rw keeps them)"
+    )
+    return f"tipforce vcan: User-mode Linux, with {buses}; you are root; {kept}"
 
 
 def _check(command: Sequence[str], interfaces: Sequence[str], timeout_s: float | None, place: str) -> None:

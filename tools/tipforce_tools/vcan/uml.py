@@ -9,7 +9,6 @@ import contextlib
 import os
 import re
 import selectors
-import shutil
 import signal
 import subprocess
 import sys
@@ -22,21 +21,21 @@ from pathlib import Path
 from typing import IO, NamedTuple
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.vcan.parts import ELSEWHERE, SYSTEM_PATH, find_program, require_parts
+from tipforce_tools.vcan.xstate import preloading
 
 INTERRUPTED = 130
 PIPE_CLOSED = 141  # 128 + SIGPIPE: what a shell reports for a writer whose reader has left
 BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
 
-# program (or file) -> the Debian package that brings it
-_PROGRAMS = {"linux.uml": "user-mode-linux", "ip": "iproute2", "insmod": "kmod", "setsid": "util-linux"}
-_MODULES = Path("/usr/lib/uml/modules")
-_SYSTEM_PATH = "/usr/local/sbin:/usr/local/bin:/usr/sbin:/usr/bin:/sbin:/bin"
-
 # Starts the kernel, and beside it, in the same process group, one that waits for the end of the pipe on stdin and
 # then ends the group: so nothing stays even when the caller is killed without a chance to clean up.
 # The copy on 9 is needed: bash gives a background process /dev/null as stdin.
+# As many open files as we may have: the kernel keeps a file of the caller's open as long as it remembers it, closed or
+# not, and the 1024 of an ordinary user are few.
 _WATCHED = """exec 9<&0 </dev/null
+ulimit -S -n "$(ulimit -H -n)" 2>/dev/null
 { read -r <&9; kill -KILL 0; } >/dev/null 2>&1 &
 exec 9<&- "$@"
 """
@@ -50,29 +49,6 @@ class Request(NamedTuple):
     memory: str
     timeout_s: float | None
     writable: bool
-
-
-def missing_packages() -> list[str]:
-    """The Debian packages that this machine lacks for a run in User-mode Linux, sorted."""
-    lacking = {package for name, package in _PROGRAMS.items() if find_program(name) is None}
-    if not any(_MODULES.glob("*/kernel/drivers/net/can/vcan.ko*")):
-        lacking.add("user-mode-linux")
-    return sorted(lacking)
-
-
-def find_program(name: str) -> str | None:
-    """The path of a system program, also where the caller's PATH leaves the sbin folders out."""
-    return shutil.which(name, path=os.pathsep.join([os.environ.get("PATH", ""), _SYSTEM_PATH]))
-
-
-def require_parts() -> None:
-    """Raise EnvironmentLackError with the command that installs what is missing."""
-    lacking = missing_packages()
-    if lacking:
-        raise EnvironmentLackError(
-            "this kernel has no vcan, and User-mode Linux, which has, is not complete here: install it with "
-            f"`apt-get install -y {' '.join(lacking)}` (as root)"
-        )
 
 
 def write_list(path: Path, items: Sequence[str | bytes]) -> None:
@@ -131,7 +107,7 @@ class _Machine:
                 stdout=log,
                 stderr=subprocess.STDOUT,
                 pass_fds=fds,
-                env={"PATH": _SYSTEM_PATH, "TMPDIR": memory_folder(memory, folder)},
+                env={"PATH": SYSTEM_PATH, "TMPDIR": memory_folder(memory, folder), **preloading(folder)},
                 start_new_session=True,
             )
 
@@ -168,7 +144,7 @@ class _Machine:
                 print(f"tipforce vcan: the command was ended after {timeout_s:g} s (--timeout)", file=sys.stderr)
                 return 1
             elif now - begin > BOOT_LIMIT_S and self._file("started") is None:
-                raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s")
+                raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s ({ELSEWHERE})")
 
     def _copy_output(self) -> bool:
         """Pass on what has arrived, waiting a moment for it; False when nothing has."""
@@ -197,7 +173,7 @@ class _Machine:
         if failed := self._file("failed"):
             raise self._failure(f"User-mode Linux booted, but {failed.strip()}")
         if self._file("started") is None:
-            raise self._failure("User-mode Linux ended before it had booted")
+            raise self._failure(f"User-mode Linux ended before it had booted ({ELSEWHERE})")
         raise self._failure("User-mode Linux ended before the command did (out of memory? try a larger --memory)")
 
     def _failure(self, what: str) -> EnvironmentLackError:

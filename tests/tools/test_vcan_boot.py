@@ -1,0 +1,93 @@
+"""`tipforce vcan --uml` booted: on a processor with AMX, as `larger_xstate.c` plays one, and for an ordinary user."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tipforce.errors import EnvironmentLackError
+from tipforce_tools.doctor.vcan import vcan_checks
+from tipforce_tools.vcan import parts, run, uml, xstate
+
+FILES = 600
+LACKING = parts.missing_packages() if sys.platform == "linux" else ["Linux"]
+pytestmark = pytest.mark.skipif(bool(LACKING), reason=f"User-mode Linux is not complete here: no {', '.join(LACKING)}")
+
+
+@pytest.fixture
+def amx(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> str:
+    """A library that makes this processor one with AMX; it is preloaded after ours, and so stands behind it."""
+    library = tmp_path / "larger_xstate.so"
+    source = Path(__file__).with_name("larger_xstate.c")
+    subprocess.run(["gcc", "-shared", "-fPIC", "-o", str(library), str(source)], check=True)
+
+    def both(folder: Path) -> dict[str, str]:
+        return {"LD_PRELOAD": f"{xstate.build(folder)}:{library}"}
+
+    monkeypatch.setattr(uml, "preloading", both)
+    return str(library)
+
+
+def run_inside(code: str, writable: bool = False) -> int:
+    command = [sys.executable, "-c", code]
+    return run.run_with_vcan(command, place="uml", timeout_s=120.0, memory="512M", writable=writable)
+
+
+@pytest.mark.usefixtures("amx")
+def test_it_boots_where_the_floating_point_state_is_larger(capfd: pytest.CaptureFixture[str]) -> None:
+    assert run_inside("import sys; print(2.5 * len(sys.argv))") == 0
+    assert capfd.readouterr().out == "2.5\n"
+
+
+def test_without_the_library_that_processor_shows_the_fault(amx: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """So the test above tests something."""
+    monkeypatch.setattr(uml, "preloading", lambda _folder: {"LD_PRELOAD": amx})
+    with pytest.raises(EnvironmentLackError, match=r"(?s)before it had booted .*(put_fp_registers|fatal_sigsegv)"):
+        run_inside("pass")
+
+
+@pytest.mark.parametrize("writable", [False, True])
+def test_temporary_files_are_those_of_whom_the_command_runs_as(
+    writable: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The caller's folder is that of an ordinary user, with a pytest folder in it that pytest wants to own."""
+    theirs = tmp_path / "pytest-of-somebody"
+    theirs.mkdir(mode=0o700)
+    if os.geteuid() == 0:
+        os.chown(theirs, 12345, 12345)
+    monkeypatch.setenv("TMPDIR", str(tmp_path))
+    code = (
+        "import os, tempfile; folder = os.path.join(tempfile.gettempdir(), 'pytest-of-somebody'); "
+        "os.makedirs(folder, 0o700, exist_ok=True); print(os.stat(folder).st_uid == os.getuid() == 0)"
+    )
+    assert run_inside(code, writable=writable) == 0
+    assert capfd.readouterr().out == "True\n"
+
+
+def test_a_user_with_few_open_files_may_read_many(capfd: pytest.CaptureFixture[str]) -> None:
+    """User-mode Linux keeps files open that were closed inside, on the account of whom it runs for."""
+    soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
+    if hard < 4 * FILES:
+        pytest.skip(f"the hard limit of open files here is {hard}: `ulimit -Hn`")
+    code = (
+        "import itertools, os, pathlib; "
+        f"paths = list(itertools.islice(pathlib.Path(os.__file__).parent.rglob('*.py'), {FILES})); "
+        "print(len([path.read_bytes() for path in paths]))"
+    )
+    resource.setrlimit(resource.RLIMIT_NOFILE, (FILES // 2, hard))
+    try:
+        assert run_inside(code) == 0
+    finally:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (soft, hard))
+    assert capfd.readouterr().out == f"{FILES}\n"
+
+
+def test_doctor_tries_it() -> None:
+    (check,) = vcan_checks()
+    assert check.state == "ok", check
+    assert check.finding.startswith("`tipforce vcan` works: vcan0 and vcan1, ")
