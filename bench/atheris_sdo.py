@@ -24,7 +24,7 @@ except ImportError:
 # What is to guide the fuzzer must be imported under its eyes.
 with atheris.instrument_imports(include=["tipforce"]) if atheris is not None else contextlib.nullcontext():
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.fingertip.simulated import SimulatedSource
+    from tipforce.sources.simulated import SimulatedSource
 
 GROUPS = ("communication", "application", "calibration", "lss")
 STRAIN_PER_NEWTON = ((8e-5, 1e-5, -2e-5), (-1e-5, 9e-5, 3e-5), (2e-5, -3e-5, 7e-5))

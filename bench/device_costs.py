@@ -18,7 +18,7 @@ from bench.fuzz_frames import good_record
 from tipforce.device.node import Device
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 EDS = (Path(__file__).parents[1] / "eds" / "tipforce-3.eds").read_bytes()
 REPEATS = 7

@@ -1,7 +1,7 @@
 """SYNC to the last TPDO over loopback sockets: the node's loop beside canopen's LocalNode and raw-socket loops.
 
 Frames are ``struct can_frame`` in datagrams between two connected UDP sockets on 127.0.0.1, each set of nodes in a
-process of its own, the master in this one. The node's loop is fingertip/loop.py with the node's own SocketCanPort,
+process of its own, the master in this one. The node's loop is running/loop.py with the node's own SocketCanPort,
 only its socket is another one.
 """
 
@@ -22,9 +22,9 @@ from bench.device_costs import calibrated_node
 from bench.device_usage import MARK_ID, STOP_ID, Stopped, Usage
 
 from tipforce.device.node import Device
-from tipforce.fingertip import loop, ports
 from tipforce.fingertip.dictionary import build
 from tipforce.fingertip.sample import Sample
+from tipforce.running import loop, ports
 from tipforce.socketcan import CAN_FRAME
 
 SYNC = CAN_FRAME.pack(0x80, 0, b"")

@@ -13,7 +13,7 @@ import canopen
 from bench.device_costs import EDS, calibrated_node
 from bench.device_usage import MARK_ID, Stopped, Usage
 
-from tipforce.fingertip import loop
+from tipforce.running import loop
 from tipforce.socketcan import CAN_FRAME
 
 

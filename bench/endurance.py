@@ -20,10 +20,10 @@ from pathlib import Path
 from typing import NamedTuple
 from unittest import mock
 
-from tipforce.fingertip import loop
-from tipforce.fingertip.iio import IioSource
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.store import FileStore
+from tipforce.running import loop
+from tipforce.running.store import FileStore
+from tipforce.sources.iio import IioSource
 
 NODE_ID = 5
 SYNC_US, HEARTBEAT_US, HOUR_US = 100_000, 1_000_000, 3_600_000_000

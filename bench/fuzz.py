@@ -30,7 +30,7 @@ from tipforce.device.sdo_block import MAX_BLOCK
 from tipforce.device.sdo_server import MAX_DOWNLOAD_BYTES
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 ROUND_FRAMES = 2500
 MEMORY_ROUNDS = 40  # one round of so many runs under tracemalloc, which makes it several times slower

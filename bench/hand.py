@@ -126,7 +126,7 @@ HEAD = """\
 Written by `python -m bench.hand{options}` on: {machine}.
 
 Frames are `struct can_frame` in datagrams over UDP sockets on 127.0.0.1. The fingers run in one process (Python, by
-`fingertip/loop.py`), the SYNC in another, in place of the kernel's broadcast manager{realtime}.
+`running/loop.py`), the SYNC in another, in place of the kernel's broadcast manager{realtime}.
 The host is a `Hand` with the receiver of SocketCAN (`host/live/receive.py`), a consumer in another thread, and its own
 connection for SDO and heartbeats.
 That the same code works on a real SocketCAN bus is tested in `tests/vcan/test_hand_session.py`. What is late here is

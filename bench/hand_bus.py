@@ -18,13 +18,13 @@ from typing import Any
 
 from bench.live_loopback import bound_receiver, python_can_bus
 
-from tipforce.fingertip.loop import Frame
 from tipforce.host.connection import Connection
 from tipforce.host.frames import FrameArray
 from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
 from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
 from tipforce.host.live.receive import SocketReceiver
+from tipforce.running.loop import Frame
 from tipforce.socketcan import CAN_FRAME
 
 Address = tuple[str, int]
@@ -64,11 +64,11 @@ class LoopbackPort:
 
 def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, realtime: bool) -> None:
     """A process: fingers 1 to ``count`` until the pipe says stop; then their CPU time."""
-    from tipforce.fingertip import loop
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.fingertip.simulated import SimulatedSource
+    from tipforce.running import loop
     from tipforce.sensor.geometry import FABRICATED
     from tipforce.sensor.strain import strain_matrix
+    from tipforce.sources.simulated import SimulatedSource
 
     rows = strain_matrix(FABRICATED, "I").tolist()
     devices = []

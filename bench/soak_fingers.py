@@ -12,17 +12,17 @@ import can
 import numpy as np
 
 from tipforce.device.node import Device
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 NOISE_MICROSTRAIN = 0.5
 _CONTACT = 0x280

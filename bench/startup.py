@@ -48,7 +48,7 @@ args = parser.parse_args(["--node-id", "{NODE_ID}", "-q"])
 mark("flags")
 from tipforce.fingertip import loop
 import tipforce.fingertip.node
-import tipforce.fingertip.store
+import tipforce.running.store
 mark("import device, fingertip")
 import numpy
 mark("import numpy")

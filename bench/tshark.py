@@ -23,10 +23,10 @@ import canopen
 
 from tipforce.dictionary.eds import eds_text
 from tipforce.dictionary.table import product_code
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.sources.simulated import SimulatedSource
 
 ROOT = Path(__file__).parents[1]
 STRAIN_PER_NEWTON = [[1e-4, 0.0, 0.0], [0.0, 1e-4, 0.0], [0.0, 0.0, 1e-4]]

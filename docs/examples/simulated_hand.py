@@ -15,13 +15,13 @@ import can
 import numpy as np
 
 from tipforce.device.node import Device
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.host.calibration import Calibration
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 NOISE_MICROSTRAIN = 0.5
 

@@ -6,7 +6,7 @@ Where to begin, by what one wants to do:
 - decode frames and logs: `tipforce.host.decode`, `tipforce.host.logs.reader`
 - compute force and contact from strain: `tipforce.sensor.contact`, `tipforce.sensor.strain`
 - fit a calibration: `tipforce.sensor.calibration`
-- run a fingertip node: `tipforce.fingertip.node`, `tipforce.fingertip.loop`
+- run a fingertip node: `tipforce.fingertip.node`, `tipforce.running.loop`
 - build another CANopen device: `tipforce.device.node`
 - simulate: `tipforce.scene.run`, and faults on a bus: `tipforce.host.faults`
 

@@ -9,8 +9,8 @@ import can
 import pytest
 
 from tipforce.errors import NoResponseError
-from tipforce.fingertip import loop
-from tipforce.fingertip.ports import PythonCanPort
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
 from tipforce_tools.conformance.case import CheckError, all_cases, matching
 from tipforce_tools.conformance.dut import Dut
 from tipforce_tools.conformance.links import CoreLink, core_node

@@ -14,7 +14,7 @@ from canopen.sdo.exceptions import SdoAbortedError
 from device.tiny import Memory, dictionary
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
 RECORD = struct.pack(

@@ -14,7 +14,7 @@ from tipforce.device import codes, storage
 from tipforce.device.node import Device
 from tipforce.fingertip.calibration import Calibration
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 Store = dict[str, bytes]
 

@@ -71,7 +71,7 @@ def test_device_core_imports_the_standard_library_alone() -> None:
 
 
 def test_fingertip_node_imports_no_third_party_package() -> None:
-    loaded = modules_after("import tipforce.fingertip.node, tipforce.fingertip.store")
+    loaded = modules_after("import tipforce.fingertip.node, tipforce.running.store")
     assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
 
 

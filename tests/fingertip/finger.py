@@ -9,7 +9,7 @@ from device.conversation import Conversation
 from device.tiny import Memory
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 COMMIT, OPEN, ZERO, TARA = 0x74696D63, 0x6E65706F, 0x6F72657A, 0x61726174
 SAVE, LOAD = 0x65766173, 0x64616F6C

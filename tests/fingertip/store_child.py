@@ -10,8 +10,8 @@ import struct
 import sys
 
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
+from tipforce.running.store import FileStore
+from tipforce.sources.simulated import SimulatedSource
 
 ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
 PACKING = "<12fIIfB6f5fB"

@@ -21,9 +21,9 @@ from fingertip.finger import (
     record,
 )  # fmt: skip
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import DRIFT, SILENT, STUCK
-from tipforce.fingertip.simulated import SATURATED as AT_THE_END
 from tipforce.fingertip.source import Reading, Source
+from tipforce.sources.simulated import DRIFT, SILENT, STUCK
+from tipforce.sources.simulated import SATURATED as AT_THE_END
 
 
 @pytest.mark.parametrize("kind", [MOVING, IIR])

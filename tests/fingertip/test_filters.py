@@ -89,7 +89,7 @@ def test_memory_is_bounded() -> None:
 def test_type_none_and_a_constant_of_one_have_no_filter_and_load_none() -> None:
     code = (
         "import sys; from tipforce.fingertip.node import fingertip_node as node;"
-        "from tipforce.fingertip.simulated import SimulatedSource as Source;"
+        "from tipforce.sources.simulated import SimulatedSource as Source;"
         "node(5, Source([[1e-4] * 3] * 3)).step(0, [(0x605, bytes((0x2F, 0xA0, 0x61, 1, 0, 0, 0, 0))), (0x80, b'')]);"
         "print([m for m in sys.modules if m.split('.')[-1] in ('filters', 'front_end', 'random', 'array')])"
     )

@@ -16,12 +16,12 @@ from fingertip.finger import FAULT, PUSH, SATURATED, UNKNOWN, Finger, record, st
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text, file_name
 from tipforce.dictionary.lint import lint_eds
-from tipforce.fingertip.dynamic import DynamicLoad
-from tipforce.fingertip.dynamic_forces import DynamicForces
-from tipforce.fingertip.front_end import Bridge, FrontEnd, OneOverFNoise, Temperature
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.host.fingertip import Identity
+from tipforce.sources.dynamic_forces import DynamicForces
+from tipforce.sources.dynamic_load import DynamicLoad
+from tipforce.sources.front_end import Bridge, FrontEnd, OneOverFNoise, Temperature
+from tipforce.sources.simulated import SimulatedSource
 
 STATE = 0x08000022
 NO_OBJECT = 0x06020000
@@ -49,7 +49,7 @@ def test_nothing_named_is_the_ideal_converter() -> None:
 
 def test_no_noise_loads_no_random() -> None:
     code = (
-        "import sys; from tipforce.fingertip.front_end import *; from tipforce.fingertip.simulated import *;"
+        "import sys; from tipforce.sources.front_end import *; from tipforce.sources.simulated import *;"
         "s = SimulatedSource([[1e-4, 0, 0]] * 3, front_end=FrontEnd(24, Bridge(), temperature=20.0,"
         " apparent_strain=1.0, gain_drift_ppm=10.0)); print(s.read(0).counts, 'random' in sys.modules)"
     )

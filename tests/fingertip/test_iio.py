@@ -12,10 +12,10 @@ from fingertip.finger import SATURATED, STALE, UNKNOWN, record
 from fingertip.iio_tree import Tree
 from tipforce.device.node import Device
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.fingertip import iio_sysfs
-from tipforce.fingertip.iio import IioSource, Part
-from tipforce.fingertip.iio_sysfs import PolledDevice
 from tipforce.fingertip.node import fingertip_node
+from tipforce.sources import iio_sysfs
+from tipforce.sources.iio import IioSource, Part
+from tipforce.sources.iio_sysfs import PolledDevice
 
 FAULT = 1 << 7
 CONVERTER = (16, 2.0, ((2048.0, 4048.0),) * 3)

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from fingertip.iio_tree import Tree
 from tipforce.errors import EnvironmentLackError
-from tipforce.fingertip import iio_sysfs
-from tipforce.fingertip.iio import IioSource
-from tipforce.fingertip.iio_buffer import (
+from tipforce.sources import iio_sysfs
+from tipforce.sources.iio import IioSource
+from tipforce.sources.iio_buffer import (
     BufferedDevice,
     TimestampError,
     layout_of,
@@ -23,7 +23,7 @@ from tipforce.fingertip.iio_buffer import (
     triggers,
     value_of,
 )
-from tipforce.fingertip.iio_sysfs import ScanType
+from tipforce.sources.iio_sysfs import ScanType
 
 
 @pytest.fixture

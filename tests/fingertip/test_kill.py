@@ -15,8 +15,8 @@ import pytest
 from fingertip.finger import Finger
 from fingertip.store_child import ROWS, record
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
+from tipforce.running.store import FileStore
+from tipforce.sources.simulated import SimulatedSource
 
 KILLS = 200
 AT_ONCE = 2

@@ -12,9 +12,9 @@ from bench import endurance
 
 from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
 from tipforce.device.lss import UNCONFIGURED
-from tipforce.fingertip import loop, ports
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.running import loop, ports
+from tipforce.sources.simulated import SimulatedSource
 
 ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
 

@@ -18,7 +18,7 @@ from fingertip.finger import (
     strain_per_newton,
 )
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 F = tuple(PUSH[0] * math.sin(math.radians(a)) for a in (175.0, 165.0, 175.0 + 90.0))
 

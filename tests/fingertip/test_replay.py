@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tipforce.fingertip.replay import ReplaySource
+from tipforce.sources.replay import ReplaySource
 
 CONVERTER, ENDS = (16, 10.0), (-32768, 32767)
 

@@ -11,8 +11,8 @@ import pytest
 from fingertip.finger import SAVE, Finger, finger, record
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
+from tipforce.running.store import FileStore
+from tipforce.sources.simulated import SimulatedSource
 
 
 def node(path: Path) -> Finger:

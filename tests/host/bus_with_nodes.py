@@ -15,16 +15,16 @@ from can.interfaces.virtual import VirtualBus
 
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
 from tipforce.host.hand.polled import HandSample, PolledHand
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12
 """Variance of rounding to counts: all the noise that a noiseless finger has. With more than a count of noise in the

@@ -10,11 +10,11 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, NoResponseError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 from tipforce.host.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 
 LOAD = (4.4, 90.0, 45.0)
 EXPECTED = strain_matrix(FABRICATED, "I") @ force_vector(4.4, np.pi / 2, np.pi / 4) * 1e6

@@ -11,14 +11,14 @@ import struct
 import time
 
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
     from tipforce.device.node import Device
-    from tipforce.fingertip.front_end import FrontEnd
+    from tipforce.sources.front_end import FrontEnd
 
 
 class Store:
@@ -56,7 +56,7 @@ def front_end(header: "dict[str, Any]") -> "FrontEnd | None":
     named = header.get("front_end")
     if not named:
         return None
-    from tipforce.fingertip.front_end import Bridge, FrontEnd
+    from tipforce.sources.front_end import Bridge, FrontEnd
 
     return FrontEnd(bridge=Bridge(named["bridge"]), **{key: named[key] for key in named if key != "bridge"})
 

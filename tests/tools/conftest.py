@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 import pytest
 
 from tipforce.device.node import Device
-from tipforce.fingertip import loop
+from tipforce.running import loop
 
 
 @pytest.fixture(autouse=True)

@@ -9,10 +9,10 @@ from dataclasses import dataclass
 
 from device.conversation import Conversation
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 from tipforce.host.calibration import Calibration
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 from tipforce_tools.demo.job import NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, case_calibration
 
 START_S = 1_700_000_000

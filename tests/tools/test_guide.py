@@ -19,18 +19,18 @@ from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration_file import read_calibration, read_fit
 from tipforce.host.capture import Capture
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
+from tipforce.running.store import FileStore
 from tipforce.sensor.calibration import covariance_of_estimate
 from tipforce.sensor.contact import standard_uncertainties
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 from tipforce_tools.calibrate.guide_plan import Step
 from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.main import main

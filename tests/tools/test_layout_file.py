@@ -12,15 +12,15 @@ import pytest
 from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
 from tipforce.errors import InputError
-from tipforce.fingertip import loop
 from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.running import loop
 from tipforce.sensor.calibration import Readings, fit_calibration
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
 from tipforce.sensor.gauge_shift import GaugePosition
 from tipforce.sensor.geometry import FABRICATED, Geometry
 from tipforce.sensor.layouts import LAYOUTS
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools import layout_file
 from tipforce_tools.layout_file import layout_text, read_layout, write_layout
 from tipforce_tools.main import main

@@ -12,12 +12,12 @@ import pytest
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
+from tipforce.running.store import FileStore
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.main import main
 
 Tipforce = Callable[..., tuple[int, str, str]]

@@ -13,11 +13,11 @@ from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
 from tipforce.dictionary.eds import eds_text
 from tipforce.errors import InputError
-from tipforce.fingertip import loop
 from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.running import loop
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.layouts import LAYOUTS
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.layout_file import read_layout
 from tipforce_tools.main import main
 

@@ -13,10 +13,10 @@ import pytest
 from fingertip.iio_tree import Tree
 from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
-from tipforce.fingertip import iio_buffer, iio_sysfs
 from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.iio import IioSource
 from tipforce.fingertip.source import Source
+from tipforce.sources import iio_buffer, iio_sysfs
+from tipforce.sources.iio import IioSource
 from tipforce_tools.doctor.iio import iio_checks
 from tipforce_tools.layout_file import layout_text, read_bridge, read_layout
 from tipforce_tools.main import main

@@ -10,8 +10,8 @@ import pytest
 from host.bus_with_nodes import new_channel
 from tipforce.device.node import Device
 from tipforce.fingertip.application import Fingertip
-from tipforce.fingertip.replay import ReplaySource
 from tipforce.fingertip.source import Source
+from tipforce.sources.replay import ReplaySource
 from tipforce_tools.main import main
 
 

@@ -36,7 +36,7 @@ def test_the_node_tells_systemd_that_it_is_ready_alive_and_stopping(
     manager: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("WATCHDOG_USEC", "2000")
-    from tipforce.fingertip import loop
+    from tipforce.running import loop
 
     def run(_devices: object, _port: object, stop: object) -> None:
         assert callable(stop)

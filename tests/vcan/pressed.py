@@ -13,12 +13,12 @@ import struct
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import SocketCanPort
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.running import loop
+from tipforce.running.ports import SocketCanPort
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 FIRST_NEWTONS, NEWTONS_PER_S = 1.0, 1.0
 RISE_NS = 8_000_000_000  # then it begins anew: at 1 + 8 N no gauge is near its end

@@ -1,7 +1,7 @@
 """The [bridge] table of a layout file, and the scaling 6120h to 6123h that follows from it and a converter's scale.
 
 (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio). The bridge gives
-gauge factor * arms * excitation volts per unit strain (``tipforce.fingertip.front_end.Bridge``), times the gain of an
+gauge factor * arms * excitation volts per unit strain (``tipforce.sources.front_end.Bridge``), times the gain of an
 amplifier, on top of the voltage at no strain.
 """
 
@@ -72,7 +72,7 @@ def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Se
 
     Raises InputError where a channel has no scale and the table states none.
     """
-    from tipforce.fingertip.front_end import Bridge
+    from tipforce.sources.front_end import Bridge
 
     bridge = Bridge(table.kind, table.gauge_factor, table.excitation_volts)
     gains = table.gain if isinstance(table.gain, list) else [table.gain] * len(channels)

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from tipforce.device.node import Device
-    from tipforce.fingertip.front_end import FrontEnd
-    from tipforce.fingertip.loop import Port
     from tipforce.fingertip.source import Source
+    from tipforce.running.loop import Port
     from tipforce.sensor.gauge_positions import Gauge
     from tipforce.sensor.geometry import Geometry
+    from tipforce.sources.front_end import FrontEnd
 
 EPILOG = """\
 examples:
@@ -103,7 +103,7 @@ def run(args: argparse.Namespace) -> int:
 
 def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> None:
     """Run until a signal ends it, and tell those who wait for it: the manager, the bus, the person."""
-    from tipforce.fingertip import loop
+    from tipforce.running import loop
     from tipforce_tools import service
 
     who = f"node {common.shown_id(args.node_id)}"
@@ -134,7 +134,7 @@ def _shown_source(args: argparse.Namespace) -> str:
 def _device(args: argparse.Namespace) -> tuple[Device, Source]:
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.fingertip.store import FileStore
+    from tipforce.running.store import FileStore
     from tipforce_tools.layout_file import read_layout
 
     geometry, gauges = read_layout(args.layout)
@@ -171,8 +171,8 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
 
 
 def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
-    from tipforce.fingertip.simulated import SimulatedSource
     from tipforce.sensor.gauge_positions import gauge_matrix
+    from tipforce.sources.simulated import SimulatedSource
 
     load = _numbers("--load", args.load, 3)
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
@@ -190,7 +190,7 @@ def _front_end(args: argparse.Namespace) -> FrontEnd | None:
     """What lies before the counts, where a flag names something besides an ideal 16-bit converter."""
     if args.bits == 16 and not args.noise_1f:
         return None
-    from tipforce.fingertip.front_end import FrontEnd
+    from tipforce.sources.front_end import FrontEnd
 
     return FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
 
@@ -198,7 +198,7 @@ def _front_end(args: argparse.Namespace) -> FrontEnd | None:
 def _port(args: argparse.Namespace) -> tuple[Port, str]:
     """The shortest way to the bus: the kernel's own sockets for SocketCAN, python-can for every other interface."""
     from tipforce.errors import EnvironmentLackError
-    from tipforce.fingertip.ports import PythonCanPort, SocketCanPort
+    from tipforce.running.ports import PythonCanPort, SocketCanPort
 
     options = common.bus_options(args)
     if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:

@@ -12,8 +12,8 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.bridge import BridgeTable, ChannelScale, converter_of, ends_fit
 
 if TYPE_CHECKING:
-    from tipforce.fingertip.iio import IioSource, Part
-    from tipforce.fingertip.iio_sysfs import Device
+    from tipforce.sources.iio import IioSource, Part
+    from tipforce.sources.iio_sysfs import Device
 
 _LOG = logging.getLogger(__name__)
 _HRTIMER = "tipforce"
@@ -50,8 +50,8 @@ def open_iio(args: argparse.Namespace, gauges: int, bridge: BridgeTable | None, 
 
     Raises InputError, EnvironmentLackError for what is not there, does not fit together or may not be read.
     """
-    from tipforce.fingertip import iio_sysfs
-    from tipforce.fingertip.iio import IioSource
+    from tipforce.sources import iio_sysfs
+    from tipforce.sources.iio import IioSource
 
     root = iio_sysfs.ROOT if root is None else root
     if bridge is None:
@@ -81,7 +81,7 @@ def open_iio(args: argparse.Namespace, gauges: int, bridge: BridgeTable | None, 
 def _parts(
     args: argparse.Namespace, bridge: BridgeTable, root: Path
 ) -> tuple[list[Part], list[ChannelScale], list[str], list[tuple[int, int]]]:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     parts: list[Part] = []
     scales: list[ChannelScale] = []
@@ -115,7 +115,7 @@ def _parts(
 
 
 def _channels(device: Device, wanted: str) -> list[str]:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     there = iio_sysfs.voltage_channels(device.path)
     if wanted and wanted not in there:
@@ -126,7 +126,7 @@ def _channels(device: Device, wanted: str) -> list[str]:
 
 
 def _scale(path: Path, channel: str) -> ChannelScale:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     try:
         offset = iio_sysfs.attribute(path, channel, "offset") or 0.0
@@ -140,7 +140,7 @@ def _scale(path: Path, channel: str) -> ChannelScale:
 
 def _flush(args: argparse.Namespace, local: dict[Device, list[str]], parts: list[Part], root: Path) -> None:
     """Open what was collected for one device."""
-    from tipforce.fingertip.iio_sysfs import PolledDevice
+    from tipforce.sources.iio_sysfs import PolledDevice
 
     for device, channels in local.items():
         trigger = None if args.capture == "poll" else _trigger(args, device, root)
@@ -153,8 +153,8 @@ def _flush(args: argparse.Namespace, local: dict[Device, list[str]], parts: list
 
 def _buffered(args: argparse.Namespace, device: Device, channels: list[str], trigger: str) -> Part:
     """By the buffer; where nothing insists on it and the kernel refuses, polled, and that is said."""
-    from tipforce.fingertip.iio_buffer import BufferedDevice
-    from tipforce.fingertip.iio_sysfs import PolledDevice
+    from tipforce.sources.iio_buffer import BufferedDevice
+    from tipforce.sources.iio_sysfs import PolledDevice
 
     try:
         return BufferedDevice(device, channels, trigger)
@@ -167,7 +167,7 @@ def _buffered(args: argparse.Namespace, device: Device, channels: list[str], tri
 
 def _trigger(args: argparse.Namespace, device: Device, root: Path) -> str | None:
     """The trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
-    from tipforce.fingertip import iio_buffer
+    from tipforce.sources import iio_buffer
 
     if args.trigger:
         if args.trigger not in iio_buffer.triggers(root):
@@ -186,7 +186,7 @@ def _trigger(args: argparse.Namespace, device: Device, root: Path) -> str | None
 
 
 def _add_remote(wanted: Wanted, parts: list[Part], scales: list[ChannelScale], names: list[str]) -> None:
-    from tipforce.fingertip.iio_remote import RemoteDevice
+    from tipforce.sources.iio_remote import RemoteDevice
 
     remote = RemoteDevice(wanted.uri, wanted.device, [wanted.channel] if wanted.channel else [])
     parts.append(remote)
@@ -203,7 +203,7 @@ def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
     """Whether the measured excitation is off; None where nothing measures it."""
     if bridge.supply is None:
         return None
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     (wanted,) = parse_devices(bridge.supply)
     device = iio_sysfs.find(wanted.device, root)

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from tipforce.fingertip.replay import ReplaySource
+    from tipforce.sources.replay import ReplaySource
 
     FloatArray = npt.NDArray[np.float64]
 
@@ -25,7 +25,7 @@ def open_replay(text: str, gauges: int, speed: float = 1.0, loop: bool = False, 
     A CSV file needs ``t_s`` and SG1..SGn in microstrain; a log needs the gauge PDOs (0x180 + node-id) of three
     gauges. Counts are those of a converter of ``bits`` bits with a full scale of 3276.8 microstrain.
     """
-    from tipforce.fingertip.replay import ReplaySource
+    from tipforce.sources.replay import ReplaySource
 
     path, node_id = _split(text)
     is_csv = node_id is None and _looks_like_csv(path)

@@ -2,10 +2,10 @@
 
 from tipforce.device.lss import UNCONFIGURED
 from tipforce.device.node import Device
+from tipforce.sources.simulated import SimulatedSource, own_simulation_objects
 
 from .application import Fingertip
 from .dictionary import build
-from .simulated import SimulatedSource, own_simulation_objects
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

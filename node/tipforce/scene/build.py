@@ -15,11 +15,11 @@ from tipforce.device.node import Device
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, load_of
 from tipforce.scene.sources import Clock, source_of
 from tipforce.sensor.layouts import layout
+from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
     from tipforce.host.calibration import Calibration

@@ -5,17 +5,17 @@ from __future__ import annotations
 from functools import lru_cache
 from typing import TYPE_CHECKING, cast
 
-from tipforce.fingertip.dynamic import DynamicLoad
-from tipforce.fingertip.dynamic_forces import DynamicForces
 from tipforce.scene import schema
 from tipforce.sensor.dynamics.held import node_coefficients
 from tipforce.sensor.dynamics.model import modes
 from tipforce.sensor.geometry import FABRICATED
+from tipforce.sources.dynamic_forces import DynamicForces
+from tipforce.sources.dynamic_load import DynamicLoad
 
 if TYPE_CHECKING:
-    from tipforce.fingertip.dynamic import Coefficients
     from tipforce.scene.loads import LoadHistory, Triple
     from tipforce.scene.sources import Clock
+    from tipforce.sources.dynamic_load import Coefficients
 
 
 class Motion:

@@ -34,7 +34,7 @@ _CORE = (
 _STRUCTURE = ("tipforce.sensor.geometry", "tipforce.sensor.strain", "numpy")
 _FRAME = ("tipforce.sensor.frame", "tipforce.sensor.gauge_positions", "tipforce.sensor.gauge_shift")
 _DYNAMICS = ("beam_mass", "eigen", "held", "hold", "model")
-_BUS = ("tipforce.scene.realtime", "tipforce.fingertip.loop", "tipforce.fingertip.ports", "tipforce.host.bus", "can")
+_BUS = ("tipforce.scene.realtime", "tipforce.running.loop", "tipforce.running.ports", "tipforce.host.bus", "can")
 _RECORDING = (
     "tipforce.host", "tipforce.host.frames", "tipforce.socketcan", "tipforce.scene.recording", "tipforce.scene.results",
     "numpy",
@@ -123,8 +123,8 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
         "[dynamics]" if swinging else "",
         "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load at once",
         "tipforce.scene.motion",
-        "tipforce.fingertip.dynamic",
-        "tipforce.fingertip.dynamic_forces",
+        "tipforce.sources.dynamic_load",
+        "tipforce.sources.dynamic_forces",
         "tipforce.sensor.dynamics",
         *(f"tipforce.sensor.dynamics.{name}" for name in _DYNAMICS),
         *(*_FRAME, *_STRUCTURE),
@@ -148,7 +148,7 @@ def _electronics(scene: schema.Scene) -> Iterator[Part]:
         "no noise.one_over_f_microstrain",
         "random",
     )
-    yield _part("front end", named, "no [front_end]: an ideal converter of 16 bits", "tipforce.fingertip.front_end")
+    yield _part("front end", named, "no [front_end]: an ideal converter of 16 bits", "tipforce.sources.front_end")
     yield _part("temperature", "front_end.temperature_degC" if temperature else "", "no front_end.temperature_degC")
 
 

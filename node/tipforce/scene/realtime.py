@@ -16,10 +16,10 @@ from typing import Any
 import can
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.fingertip import loop
-from tipforce.fingertip.ports import PythonCanPort, SocketCanPort
 from tipforce.host.bus import open_bus
 from tipforce.host.frames import FrameBuffer
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort, SocketCanPort
 from tipforce.scene import schema
 from tipforce.scene.build import Finger
 from tipforce.scene.recording import Recording

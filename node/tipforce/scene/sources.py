@@ -6,13 +6,13 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, Triple
 from tipforce.sensor.layouts import layout
+from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
-    from tipforce.fingertip.front_end import FrontEnd
+    from tipforce.sources.front_end import FrontEnd
 
 
 class Clock:
@@ -68,7 +68,7 @@ def _front_end(scene: schema.Scene, seed: int, built: list[str]) -> FrontEnd | N
     pink = None if noise is None else noise.one_over_f_microstrain
     if given is None and pink is None:
         return None
-    from tipforce.fingertip.front_end import Bridge, FrontEnd
+    from tipforce.sources.front_end import Bridge, FrontEnd
 
     built.append("front end")
     options: dict[str, Any] = {"one_over_f": pink, "seed": seed}

@@ -15,15 +15,15 @@ from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_chan
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.connection import Connection
 from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
+from tipforce.running.store import FileStore
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 
 def node(node_id: int, serial: int, folder: Path) -> Device:

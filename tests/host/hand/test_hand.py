@@ -16,16 +16,16 @@ import pytest
 from host.bus_with_nodes import beam_calibration, new_channel
 from tipforce.device.node import Device
 from tipforce.errors import InputError
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 WAIT_S = 10.0
 

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.fingertip.dynamic import DynamicLoad
 from tipforce.sensor.dynamics import exact
 from tipforce.sensor.dynamics.held import (
     State,
@@ -23,6 +22,7 @@ from tipforce.sensor.dynamics.held import (
 )
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.geometry import FABRICATED
+from tipforce.sources.dynamic_load import DynamicLoad
 
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)

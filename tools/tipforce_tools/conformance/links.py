@@ -115,9 +115,9 @@ class BusLink:
 def core_node(eds: bytes | None = None) -> Device:
     """The node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.fingertip.simulated import SimulatedSource
     from tipforce.sensor.geometry import FABRICATED
     from tipforce.sensor.strain import strain_matrix
+    from tipforce.sources.simulated import SimulatedSource
 
     source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
     stored: dict[str, bytes] = {}

@@ -21,19 +21,19 @@ import numpy.typing as npt
 
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
-from tipforce.fingertip import loop
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.ports import PythonCanPort
-from tipforce.fingertip.simulated import SimulatedSource
-from tipforce.fingertip.store import FileStore
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
 from tipforce.sensor import contact as contact_model
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sources.simulated import SimulatedSource
 
 FloatArray = npt.NDArray[np.float64]
 

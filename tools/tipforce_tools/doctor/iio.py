@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tipforce_tools.doctor.check import Check
 
 if TYPE_CHECKING:
-    from tipforce.fingertip.iio_sysfs import Device
+    from tipforce.sources.iio_sysfs import Device
 
 _BUS = Path("/sys/bus/iio")
 
@@ -23,7 +23,7 @@ def iio_checks(
     if sys.platform != "linux":
         yield Check("ADC", "note", f"Industrial I/O is Linux's; this is {sys.platform}", "--source sim or replay:FILE")
         return
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     if not root.is_dir():
         yield Check("ADC", "note", "the kernel has no Industrial I/O", "`modprobe industrialio`, or --source sim")
@@ -44,7 +44,7 @@ def iio_checks(
 
 
 def _channels(path: Path) -> list[str]:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     try:
         return iio_sysfs.voltage_channels(path)
@@ -53,7 +53,7 @@ def _channels(path: Path) -> list[str]:
 
 
 def _device(device: Device, device_files: Path) -> Iterator[Check]:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     topic, channels = f"ADC {device.number}", _channels(device.path)
     types = [iio_sysfs.scan_type(device.path, channel) for channel in channels]
@@ -77,7 +77,7 @@ def _device(device: Device, device_files: Path) -> Iterator[Check]:
 
 
 def _scale(topic: str, path: Path, channel: str) -> Iterator[Check]:
-    from tipforce.fingertip import iio_sysfs
+    from tipforce.sources import iio_sysfs
 
     step = "write [bridge] volts_per_count = reference voltage / number of counts into the layout file"
     try:
@@ -90,7 +90,7 @@ def _scale(topic: str, path: Path, channel: str) -> Iterator[Check]:
 
 
 def _buffering(found: list[Device], root: Path, configfs: Path | None) -> Check:
-    from tipforce.fingertip import iio_buffer
+    from tipforce.sources import iio_buffer
 
     topic = "ADC trigger"
     own = [name for device in found if (name := iio_buffer.own_trigger(device, root))]

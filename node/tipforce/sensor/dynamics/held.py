@@ -66,7 +66,7 @@ def holds(modes: Modes, step_s: float) -> list[Hold]:
 
 
 def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
-    """Return what ``tipforce.fingertip.dynamic.DynamicLoad`` takes, for one length of step: plain floats.
+    """Return what ``tipforce.sources.dynamic_load.DynamicLoad`` takes, for one length of step: plain floats.
 
     Raises InputError for a step out of range.
     """

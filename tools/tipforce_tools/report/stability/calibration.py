@@ -10,7 +10,7 @@ import numpy as np
 
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 

@@ -10,9 +10,9 @@ from functools import partial
 import numpy as np
 
 from tipforce.fingertip import filters
-from tipforce.fingertip.front_end import Bridge, FrontEnd
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SILENT, SimulatedSource
+from tipforce.sources.front_end import Bridge, FrontEnd
+from tipforce.sources.simulated import SILENT, SimulatedSource
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 

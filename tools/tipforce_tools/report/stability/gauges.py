@@ -8,13 +8,13 @@ from collections.abc import Sequence
 import numpy as np
 
 from tipforce.dictionary import table
-from tipforce.fingertip import simulated
 from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor import parity
 from tipforce.sensor.forces import force_vector
 from tipforce.sensor.geometry import FABRICATED
 from tipforce.sensor.grooves import paper_grooves
 from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sources import simulated
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 

@@ -15,8 +15,8 @@ from tipforce.device.node import Device
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.fingertip.simulated import SimulatedSource
 from tipforce.fingertip.source import Source
+from tipforce.sources.simulated import SimulatedSource
 
 NODE_ID = 5
 UNKNOWN = table.UNKNOWN_I16

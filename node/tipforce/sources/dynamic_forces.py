@@ -4,7 +4,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from .dynamic import DynamicLoad
+    from .dynamic_load import DynamicLoad
     from .simulated import Forces
 
 

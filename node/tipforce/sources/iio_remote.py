@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.fingertip.iio_sysfs import UNKNOWN_TEMPERATURE
+from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE
 
 TIMEOUT_MS = 50
 

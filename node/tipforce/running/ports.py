@@ -17,7 +17,7 @@ from tipforce.socketcan import CAN_FRAME, raw_can_id
 if TYPE_CHECKING:
     import can
 
-    from tipforce.fingertip.loop import Frame
+    from tipforce.running.loop import Frame
 
 _LOG = logging.getLogger(__name__)
 _FULL_QUEUE_WAIT_S = 0.05

@@ -8,7 +8,7 @@ Errors here are ValueErrors that name the argument: this file keeps to the subse
 
 import math
 
-from .source import convert
+from tipforce.fingertip.source import convert
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -15,9 +15,9 @@ from collections.abc import Callable, Sequence
 from typing import Protocol
 
 from tipforce.dictionary import table
-from tipforce.fingertip.iio_buffer import TimestampError
-from tipforce.fingertip.iio_sysfs import UNKNOWN_TEMPERATURE
 from tipforce.fingertip.source import Reading, Source
+from tipforce.sources.iio_buffer import TimestampError
+from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE
 
 _LOG = logging.getLogger(__name__)
 WATCH_US = 40_000  # between two looks where no SYNC takes samples

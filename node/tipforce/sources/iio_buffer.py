@@ -16,8 +16,8 @@ from pathlib import Path
 from typing import NamedTuple
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.fingertip import iio_sysfs
-from tipforce.fingertip.iio_sysfs import Device, ScanType, at_same_place
+from tipforce.sources import iio_sysfs
+from tipforce.sources.iio_sysfs import Device, ScanType, at_same_place
 
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")

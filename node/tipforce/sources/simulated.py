@@ -4,8 +4,7 @@ import math
 
 from tipforce.device import codes
 from tipforce.dictionary import table
-
-from .source import Reading, Source, convert
+from tipforce.fingertip.source import Reading, Source, convert
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -2,7 +2,7 @@
 
 from bisect import bisect_right
 
-from .source import Reading, Source
+from tipforce.fingertip.source import Reading, Source
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -1,0 +1,1 @@
+"""What runs any CANopen device on a bus: the loop, the ports, the parameter store."""
