@@ -10,12 +10,12 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.calibration import Fit, Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.fit.design import direction_scatter
-from tipforce.sensor.fit.simulation import Faults, Simulated, simulate, unseen_forces
-from tipforce.sensor.fit.solve import Problem, solve
-from tipforce.sensor.fit.statistics import left_inverse
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor.calibration.regressors import direction_scatter
+from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
+from tipforce.sensor.calibration.solve import Problem, solve
+from tipforce.sensor.calibration.statistics import left_inverse
+from tipforce.sensor.contact.force import force_vector
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -20,11 +20,19 @@ import numpy as np
 import numpy.typing as npt
 from bench.printed import table
 
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.gauge_shift import GaugePosition, position_matrix
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.parity import UNCLEAR, alike, detect, detectable_strain, parity, weighted_inverse, without
-from tipforce.sensor.strain import noise_gain
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.redundancy import (
+    UNCLEAR,
+    alike,
+    detect,
+    detectable_strain,
+    parity,
+    weighted_inverse,
+    without,
+)
+from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import noise_gain
 
 FloatArray = npt.NDArray[np.float64]
 

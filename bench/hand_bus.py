@@ -66,8 +66,8 @@ def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, re
     """A process: fingers 1 to ``count`` until the pipe says stop; then their CPU time."""
     from tipforce.fingertip.node import fingertip_node
     from tipforce.running import loop
-    from tipforce.sensor.geometry import FABRICATED
-    from tipforce.sensor.strain import strain_matrix
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import strain_matrix
     from tipforce.sources.simulated import SimulatedSource
 
     rows = strain_matrix(FABRICATED, "I").tolist()

@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.design import OBJECTIVES, Objective, score, search
-from tipforce.sensor.design_problem import Design, Limits, Problem, Slot
-from tipforce.sensor.merit import LoadSet
+from tipforce.sensor.design.figures_of_merit import LoadSet
+from tipforce.sensor.design.search import OBJECTIVES, Objective, score, search
+from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot
 
 FloatArray = npt.NDArray[np.float64]
 

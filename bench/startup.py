@@ -54,7 +54,7 @@ import numpy
 mark("import numpy")
 import msgspec
 mark("import msgspec")
-import tipforce_tools.layout_file, tipforce.sensor.strain
+import tipforce_tools.layout_file, tipforce.sensor.structure.strain
 mark("import sensor")
 from tipforce.dictionary.eds import eds_text
 mark("import dictionary")

@@ -17,7 +17,7 @@ from pathlib import Path
 from bench.fem import figures, studies, table_3
 from bench.fem.table_3 import Variant
 
-from tipforce.sensor.published import CASES
+from tipforce.sensor.design.published import CASES
 from tipforce_tools.fem.limit import extrapolate_matrix
 from tipforce_tools.fem.mesh import GRADING, Resolution
 from tipforce_tools.fem.solve import Model, solve

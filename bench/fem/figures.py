@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 from bench.fem.studies import Convergence
 
-from tipforce.sensor.published import GAUGE_LENGTH_M
+from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce_tools.fem.gauges import nearest_place
 from tipforce_tools.fem.mesh import Resolution, Triangles, triangulate
 from tipforce_tools.fem.outline import STATED, Outline

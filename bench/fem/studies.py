@@ -12,9 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.layouts import LAYOUTS
-from tipforce.sensor.published import CASES
-from tipforce.sensor.strain import condition_number
+from tipforce.sensor.design.published import CASES
+from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.strain import condition_number
 from tipforce_tools.fem.gauges import Face, face, nearest_place, strain_matrix
 from tipforce_tools.fem.limit import Limit, corner_exponent, extrapolate
 from tipforce_tools.fem.mesh import GRADING, Resolution

@@ -12,9 +12,9 @@ import numpy as np
 import numpy.typing as npt
 from bench.fem.studies import GAUGES, case_conditions
 
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.layouts import LAYOUTS
-from tipforce.sensor.published import CASES, GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.design.published import CASES, GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce_tools.fem.gauges import nearest_place, strain_matrix
 from tipforce_tools.fem.mesh import Resolution
 from tipforce_tools.fem.outline import STATED

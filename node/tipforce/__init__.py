@@ -4,8 +4,8 @@ Where to begin, by what one wants to do:
 
 - read, calibrate and configure fingers on a bus: `tipforce.host`; a whole hand: `tipforce.host.hand.hand`
 - decode frames and logs: `tipforce.host.decode`, `tipforce.host.logs.reader`
-- compute force and contact from strain: `tipforce.sensor.contact`, `tipforce.sensor.strain`
-- fit a calibration: `tipforce.sensor.calibration`
+- compute force and contact from strain: `tipforce.sensor.contact.estimate`, `tipforce.sensor.structure.strain`
+- fit a calibration: `tipforce.sensor.calibration.fit`
 - run a fingertip node: `tipforce.fingertip.node`, `tipforce.running.loop`
 - build another CANopen device: `tipforce.device.node`
 - simulate: `tipforce.scene.run`, and faults on a bus: `tipforce.host.faults`

@@ -26,9 +26,9 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.sensor import scalar
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.export_c.files import ESTIMATOR, write_c_files
 
 HERE = Path(__file__).parent

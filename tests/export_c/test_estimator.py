@@ -18,7 +18,7 @@ from export_c.estimators import CALIBRATED, FORCE_STEP, SANITIZE, Block
 from tipforce.dictionary import table, types
 from tipforce.dictionary.rows import objects
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 from tipforce_tools.export_c.dictionary import row_words
 from tipforce_tools.export_c.files import c_files
 

@@ -21,7 +21,7 @@ from fingertip.finger import (
     matrix,
     record,
 )  # fmt: skip
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 NORMAL = (1.0, -170.0, 10.0)  # straight into the tip
 PULL_TIP = (0.015, -60.0, 60.0, 0.05, 0.02, 1)

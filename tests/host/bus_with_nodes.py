@@ -22,8 +22,8 @@ from tipforce.host.hand.polled import HandSample, PolledHand
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12

@@ -11,9 +11,9 @@ from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, NoResponseError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 
 LOAD = (4.4, 90.0, 45.0)

@@ -27,8 +27,8 @@ from tipforce.host.calibration import Calibration, FloatArray, difference
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix
 
 NODE = 5
 LOAD = (4.4, 90.0, 60.0)

@@ -19,8 +19,8 @@ from micropython.talk import SYNC, Talk
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 
 COUNTS_PER_MICROSTRAIN = 1024.0
 SLOWER = {"nau7802": 4, "ads1220": 1, "hx711": 16}  # SYNCs stay apart by more than a conversion

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from micropython import engine, on_node
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 
 Frame = tuple[int, bytes]
 STEPS_PER_CALL = 50  # garbage is collected between calls only

@@ -19,7 +19,7 @@ from tipforce.device.node import Device
 from tipforce.dictionary import table
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.calibration import Active
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 single = np.float32
 _FUNCTIONS = ("asin", "atan2", "sqrt", "ldexp")

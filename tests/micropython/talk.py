@@ -6,8 +6,8 @@ from typing import Any
 from device.conversation import Conversation, Frame
 from micropython.recording import RecordedDevice, Recording
 from tipforce.dictionary import table
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix
 
 SYNC: Frame = (0x80, b"")
 _LSS_MASTER, _LSS_SLAVE = 0x7E5, 0x7E4

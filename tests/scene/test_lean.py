@@ -107,7 +107,7 @@ def test_what_does_without_a_lost_gauge_is_loaded_when_one_is_lost(tmp_path: Pat
         path.write_text(text + more)
         told = run_child(path, tmp_path)
         check_lean(read_scene(path), told)
-        assert ("tipforce.sensor.scalar_parity" in told["modules"]) == loaded
+        assert ("tipforce.sensor.contact.scalar_redundancy" in told["modules"]) == loaded
 
 
 def test_the_scenes_are_found() -> None:

@@ -19,8 +19,8 @@ from tipforce.scene.loads import load_of
 from tipforce.scene.parts import bus_load, identifiers
 from tipforce.scene.run import Options, Outcome, run_scene
 from tipforce.scene.schema import Scene, read_scene
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix
 
 SCENES = Path(__file__).parents[2] / "scenes"
 

@@ -11,7 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.budget import (
+from tipforce.sensor.contact.estimate import contacts
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.error_budget import (
     DEGREE,
     Causes,
     Loads,
@@ -22,11 +24,9 @@ from tipforce.sensor.budget import (
     groove_loads,
     pad_loads,
 )
-from tipforce.sensor.contact import contacts
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.gauge_shift import GaugePosition, position_matrix
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
+from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], FloatArray]

@@ -9,7 +9,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import (
+from tipforce.sensor.calibration.fit import (
     Model,
     Readings,
     beam_prior,
@@ -18,11 +18,11 @@ from tipforce.sensor.calibration import (
     kronecker,
     linear_fit,
 )
-from tipforce.sensor.fit.simulation import Faults, Simulated, simulate
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.layouts import POINTS, layout
-from tipforce.sensor.strain import condition_number, strain_matrix
+from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import POINTS, layout
+from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 CLEAN = Faults(drift_strain=0.0, direction_scatter_rad=0.0, outlier_share=0.0, saturation=None)

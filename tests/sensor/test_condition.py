@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.sensor.condition import condition_number
+from tipforce.sensor.contact.scalar_condition import condition_number
 
 REAL32 = st.floats(-1e6, 1e6, width=32)
 

@@ -11,11 +11,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
-from tipforce.sensor.contact import contacts, estimate
-from tipforce.sensor.forces import force_from_strain, force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import contacts, estimate
+from tipforce.sensor.contact.force import force_from_strain, force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 SMALL = 4.0 * np.spacing(pi)
 """A few units in the last place of an angle near pi."""

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.first_order import CURVATURE_LIMIT, curvature, first_order_holds
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact.first_order import CURVATURE_LIMIT, curvature, first_order_holds
+from tipforce.sensor.contact.force import force_vector
 
 ROOT = Path(__file__).parents[2]
 

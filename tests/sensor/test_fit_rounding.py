@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tipforce.sensor.calibration import Model, Readings, fit_calibration
-from tipforce.sensor.fit.rounding import DIGITS, matrix_to_digits, rounded, to_digits
-from tipforce.sensor.fit.simulation import Simulated, simulate
+from tipforce.sensor.calibration.rounding import DIGITS, matrix_to_digits, rounded, to_digits
+from tipforce.sensor.calibration.simulation import Simulated, simulate
 
 
 def test_all_values_are_rounded_to_the_place_of_the_largest() -> None:

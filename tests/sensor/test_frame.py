@@ -10,7 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.frame import (
+from tipforce.sensor.design.figures_of_merit import slit_closure
+from tipforce.sensor.structure.gauge_positions import gauge_matrix
+from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
     EULER_BERNOULLI,
     HALF_PLANE_ROTATION,
@@ -20,12 +25,7 @@ from tipforce.sensor.frame import (
     RootCompliance,
     _stiffness,
 )
-from tipforce.sensor.gauge_positions import gauge_matrix
-from tipforce.sensor.gauge_shift import GaugePosition, strain_row
-from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS
-from tipforce.sensor.merit import slit_closure
-from tipforce.sensor.strain import condition_number, strain_matrix
+from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from dataclasses import FrozenInstanceError, fields, replace
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
+from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, layout, layout_code, mirror
 
 
 @pytest.mark.parametrize("name", [field.name for field in fields(Geometry)])

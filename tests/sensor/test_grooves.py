@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.grooves import paper_grooves, simulate_groove_errors
+from tipforce.sensor.design.groove_errors import paper_grooves, simulate_groove_errors
+from tipforce.sensor.structure.geometry import FABRICATED
 
 
 def test_grooves_pull_outward() -> None:

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import contacts, standard_uncertainties
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.merit import LoadSet, condition_bound, merit, worst_strain, worst_stress
-from tipforce.sensor.strain import condition_number, noise_gain, strain_matrix, thin_limit_matrix
+from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.figures_of_merit import LoadSet, condition_bound, merit, worst_strain, worst_stress
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import condition_number, noise_gain, strain_matrix, thin_limit_matrix
 
 NOISE = 0.5
 LOADS = LoadSet()

@@ -11,10 +11,10 @@ import pytest
 from numpy.polynomial import Legendre, Polynomial
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_shift import GaugePosition, nominal_position, strain_row
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.layouts import POINTS
-from tipforce.sensor.off_axis import (
+from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position, strain_row
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import POINTS
+from tipforce.sensor.structure.off_axis import (
     PlacedGauge,
     apparent_force,
     off_axis_wrenches,
@@ -23,7 +23,7 @@ from tipforce.sensor.off_axis import (
     torsion_constants,
     wrench_strain_matrix,
 )
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.strain import strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

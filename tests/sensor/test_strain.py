@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS, mirror
-from tipforce.sensor.strain import (
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.strain import (
     calibration_matrix,
     condition_number,
     noise_gain,

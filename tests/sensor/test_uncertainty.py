@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
-from tipforce.sensor.contact import contacts, miss_uncertainties, standard_uncertainties
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import contacts, miss_uncertainties, standard_uncertainties
+from tipforce.sensor.contact.force import force_vector
 
 FloatArray = npt.NDArray[np.float64]
 UPPER = np.triu_indices(3)

@@ -11,9 +11,9 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor import contact as planar
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.scalar import CONTACT_PRESENT, MISSES_TIP, OUTSIDE_PAD, THETA_UNRESOLVED
+from tipforce.sensor.contact import estimate as planar
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.scalar import CONTACT_PRESENT, MISSES_TIP, OUTSIDE_PAD, THETA_UNRESOLVED
 from tipforce.sensor.surfaces import Cylinder, Ellipsoid, HalfPlane, Surface, sphere
 from tipforce.sensor.wrench import Limits, contacts, standard_uncertainties, status
 
@@ -262,7 +262,7 @@ def test_errors() -> None:
 
 def test_a_planar_node_and_host_never_import_it() -> None:
     code = (
-        "import sys, tipforce.fingertip.node, tipforce.host.fingertip, tipforce.host.decode, tipforce.sensor.contact, "
+        "import sys, tipforce.fingertip.node, tipforce.host.fingertip, tipforce.host.decode, tipforce.sensor.contact.estimate, "
         "tipforce_tools.main, tipforce_tools.node, tipforce_tools.demo.command; "
         "print(*[m for m in sys.modules if m.endswith(('sensor.wrench', 'sensor.surfaces'))])"
     )

@@ -10,8 +10,8 @@ from dataclasses import dataclass
 from device.conversation import Conversation
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.calibration import Calibration
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource
 from tipforce_tools.demo.job import NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, case_calibration
 

@@ -11,9 +11,9 @@ import pytest
 
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.parity import weighted_inverse
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.contact.redundancy import weighted_inverse
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.main import main
 
 CAUSES = [

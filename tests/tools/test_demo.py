@@ -10,10 +10,10 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.host.calibration import Calibration
-from tipforce.sensor import contact as contact_model
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.contact import estimate as contact_model
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.demo import job
 from tipforce_tools.main import main
 

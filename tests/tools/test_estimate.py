@@ -14,10 +14,10 @@ import pytest
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.measurements import Measurements, write_measurements
-from tipforce.sensor.fit.simulation import Faults, simulate
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.calibration.simulation import Faults, simulate
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools import estimate_rows
 from tipforce_tools.estimate import COLUMNS
 from tipforce_tools.main import main

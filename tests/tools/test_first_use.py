@@ -204,8 +204,8 @@ def _write_calibration(path: str) -> None:
 
     from tipforce.host.calibration import Calibration
     from tipforce.host.calibration_file import write_calibration
-    from tipforce.sensor.geometry import FABRICATED
-    from tipforce.sensor.strain import calibration_matrix
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import calibration_matrix
 
     C = calibration_matrix(FABRICATED, "II")
     write_calibration(path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False))

@@ -25,11 +25,11 @@ from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
 from tipforce.running.store import FileStore
-from tipforce.sensor.calibration import covariance_of_estimate
-from tipforce.sensor.contact import standard_uncertainties
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor.contact.estimate import standard_uncertainties
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 from tipforce_tools.calibrate.guide_plan import Step
 from tipforce_tools.calibrate.guide_session import Session

@@ -14,12 +14,12 @@ from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.application import Fingertip
 from tipforce.running import loop
-from tipforce.sensor.calibration import Readings, fit_calibration
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.layouts import LAYOUTS
+from tipforce.sensor.calibration.fit import Readings, fit_calibration
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools import layout_file
 from tipforce_tools.layout_file import layout_text, read_layout, write_layout

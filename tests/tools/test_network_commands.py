@@ -15,8 +15,8 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
 from tipforce.running.store import FileStore
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.main import main
 

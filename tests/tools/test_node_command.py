@@ -15,8 +15,8 @@ from tipforce.dictionary.eds import eds_text
 from tipforce.errors import InputError
 from tipforce.fingertip.application import Fingertip
 from tipforce.running import loop
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.layouts import LAYOUTS
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.layout_file import read_layout
 from tipforce_tools.main import main

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.sensor.gauge_positions import gauge_matrix
-from tipforce.sensor.merit import LoadSet, merit, worst_stress
+from tipforce.sensor.design.figures_of_merit import LoadSet, merit, worst_stress
+from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools.layout_file import read_layout
 from tipforce_tools.main import main
 

@@ -98,7 +98,7 @@ def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
     found = records(capsys)
     told = {record["part"]: record for record in found if "part" in record}
     assert told["dynamics"]["built"]
-    assert "tipforce.sensor.dynamics.held" in told["dynamics"]["modules"]
+    assert "tipforce.sensor.dynamics.first_order_hold" in told["dynamics"]["modules"]
     assert not told["noise"]["built"]
     assert [record["cob_id"] for record in found if "cob_id" in record] == ["0x000", "0x080", "0x281", "0x701"]
     assert found[-1]["bus_load"] == pytest.approx(0.158)

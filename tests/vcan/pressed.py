@@ -16,8 +16,8 @@ import numpy.typing as npt
 from tipforce.fingertip.node import fingertip_node
 from tipforce.running import loop
 from tipforce.running.ports import SocketCanPort
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 FIRST_NEWTONS, NEWTONS_PER_S = 1.0, 1.0

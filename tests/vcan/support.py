@@ -36,7 +36,7 @@ _context.set_forkserver_preload(
         "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find",
         "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.load",
         "tipforce.running.loop", "tipforce.fingertip.node", "tipforce.running.store", "tipforce.dictionary.eds",
-        "tipforce.running.ports", "tipforce.sensor.strain",
+        "tipforce.running.ports", "tipforce.sensor.structure.strain",
         *(f"tipforce_tools.{name}" for name in ("main", "bus_flags", "node", "sdo", "scan", "config")),
         *(f"tipforce_tools.{name}" for name in ("service", "layout_file", "calibrate.command", "calibrate.transfer")),
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),

@@ -21,8 +21,8 @@ from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.rows import Rows
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix
 from vcan.pressed import NEWTONS_PER_S, force_newtons, run_node
 from vcan.support import HEARTBEAT, WAIT_S, Launch, RawBus, is_boot_up, wait_until
 from vcan.support import _context as context

@@ -25,9 +25,9 @@ from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.host.calibration import Calibration
 from tipforce.host.connection import Connection
 from tipforce.host.fingertip import FingertipClient
-from tipforce.sensor import scalar
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from vcan.adc import ADDRESSES, COUNTS, Adcs, in_user_mode_linux, load_modules
 from vcan.support import HEARTBEAT, NODE_ID, SYNC, Command, Frame, RawBus, running_node, wait_until
 

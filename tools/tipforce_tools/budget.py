@@ -6,7 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce.sensor.scalar import DEGREES
+from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools import common
 
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import numpy.typing as npt
 
     from tipforce.host.calibration import Calibration
-    from tipforce.sensor.budget import Budget, Causes, Loads, Sensor
+    from tipforce.sensor.design.error_budget import Budget, Causes, Loads, Sensor
 
     FloatArray = npt.NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the budget; 0."""
-    from tipforce.sensor.budget import budget
+    from tipforce.sensor.design.error_budget import budget
 
     common.set_up_logging(args)
     _check(args)
@@ -110,8 +110,8 @@ def _check(args: argparse.Namespace) -> None:
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
     import numpy as np
 
-    from tipforce.sensor.budget import Sensor
-    from tipforce.sensor.gauge_positions import gauge_matrix, place
+    from tipforce.sensor.design.error_budget import Sensor
+    from tipforce.sensor.structure.gauge_positions import gauge_matrix, place
     from tipforce_tools.layout_file import read_layout
 
     names = {1: "I", 2: "II", 3: "III"}
@@ -139,7 +139,7 @@ def _structure(path: str, calibration: Calibration) -> FloatArray:
     """A of a calibration. Raises InputError where C has no rank 3."""
     import numpy as np
 
-    from tipforce.sensor.parity import structure_matrix
+    from tipforce.sensor.contact.redundancy import structure_matrix
 
     covariance = calibration.covariance_strain2
     if not covariance.any():
@@ -153,7 +153,7 @@ def _structure(path: str, calibration: Calibration) -> FloatArray:
 def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool) -> Loads:
     import numpy as np
 
-    from tipforce.sensor.budget import Loads, pad_loads
+    from tipforce.sensor.design.error_budget import Loads, pad_loads
 
     if args.phi is not None:
         return Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
@@ -162,7 +162,7 @@ def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool
 
 
 def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes:
-    from tipforce.sensor.budget import DEGREE, Causes
+    from tipforce.sensor.design.error_budget import DEGREE, Causes
 
     defaults = Causes()
 
@@ -219,7 +219,7 @@ def _text(records: list[dict[str, object]], single: bool) -> str:
 
 def _say_limits(args: argparse.Namespace, found: Budget, causes: Causes) -> None:
     """What the table does not say, on stderr."""
-    from tipforce.sensor.budget import gravity_residual
+    from tipforce.sensor.design.error_budget import gravity_residual
 
     if not args.uncalibrated:
         common.note(args, "gauge position: none, the calibration takes it out (--uncalibrated shows it)")

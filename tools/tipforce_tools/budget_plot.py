@@ -9,7 +9,7 @@ import numpy as np
 from tipforce.errors import EnvironmentLackError, InputError
 
 if TYPE_CHECKING:
-    from tipforce.sensor.budget import Budget
+    from tipforce.sensor.design.error_budget import Budget
 
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", 180.0 / np.pi), ("theta", "deg", 180.0 / np.pi))
 

@@ -11,11 +11,11 @@ import numpy.typing as npt
 from tipforce.host.calibration import Calibration
 from tipforce.host.measurement_rows import MODES
 from tipforce.host.measurements import Measurements
-from tipforce.sensor import contact, scalar
-from tipforce.sensor.calibration import covariance_of_estimate
-from tipforce.sensor.first_order import first_order_holds
-from tipforce.sensor.fit.design import tare_groups
-from tipforce.sensor.forces import force_from_strain
+from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor.calibration.regressors import tare_groups
+from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact.first_order import first_order_holds
+from tipforce.sensor.contact.force import force_from_strain
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -116,15 +116,15 @@ def estimated(
     unloaded, saturated = data.unloaded[rows], (np.abs(V) >= limit).any(axis=1)
     counts = ~(unloaded | saturated)
     status = np.where(unloaded, TARE, np.where(saturated, SATURATED, 0))
-    limits = contact.Limits(
+    limits = estimate.Limits(
         calibration.contact_on_newtons,
         calibration.contact_off_newtons,
         calibration.theta_min_deg,
         calibration.theta_max_deg,
     )
-    chosen = contact.Contact(*(getattr(found, name)[counts] for name in contact.Contact.__slots__))
-    miss = contact.miss_uncertainties(F[counts], covariance[counts])
-    status[counts] = contact.status(chosen, u[counts], miss, limits, was_present)
+    chosen = estimate.Contact(*(getattr(found, name)[counts] for name in estimate.Contact.__slots__))
+    miss = estimate.miss_uncertainties(F[counts], covariance[counts])
+    status[counts] = estimate.status(chosen, u[counts], miss, limits, was_present)
     values = _in_degrees(np.stack((found.P_newtons, found.phi_rad, found.theta_rad), axis=-1), u)
     values[~counts] = np.nan
     known = _known(status)
@@ -140,15 +140,15 @@ def _in_degrees(values: FloatArray, u: FloatArray) -> FloatArray:
     return np.concatenate((values * unit, u * unit), axis=1)
 
 
-def _both_senses(F: FloatArray, covariance: FloatArray, pull: BoolArray) -> tuple[contact.Contact, FloatArray]:
+def _both_senses(F: FloatArray, covariance: FloatArray, pull: BoolArray) -> tuple[estimate.Contact, FloatArray]:
     """Contacts and standard uncertainties, each row by its own load sense; what no row needs is not computed."""
     if pull.all() or not pull.any():
         sense = bool(pull.all())
-        return contact.contacts(F, pull=sense), contact.standard_uncertainties(F, covariance, pull=sense)
-    senses = [contact.contacts(F, pull=sense) for sense in (True, False)]
-    fields = ([getattr(found, name) for found in senses] for name in contact.Contact.__slots__)
-    u = [contact.standard_uncertainties(F, covariance, pull=sense) for sense in (True, False)]
-    return contact.Contact(*(np.where(pull, *field) for field in fields)), np.where(pull[:, np.newaxis], *u)
+        return estimate.contacts(F, pull=sense), estimate.standard_uncertainties(F, covariance, pull=sense)
+    senses = [estimate.contacts(F, pull=sense) for sense in (True, False)]
+    fields = ([getattr(found, name) for found in senses] for name in estimate.Contact.__slots__)
+    u = [estimate.standard_uncertainties(F, covariance, pull=sense) for sense in (True, False)]
+    return estimate.Contact(*(np.where(pull, *field) for field in fields)), np.where(pull[:, np.newaxis], *u)
 
 
 def _known(status: npt.NDArray[np.int64]) -> BoolArray:

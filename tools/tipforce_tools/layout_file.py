@@ -47,10 +47,10 @@ from typing import Literal
 import msgspec
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_positions import Gauge, check_gauges
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.layouts import LAYOUTS, layout
+from tipforce.sensor.structure.gauge_positions import Gauge, check_gauges
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, layout
 from tipforce.toml_table import convert, read_table
 from tipforce_tools.bridge import BridgeTable, check_bridge
 

@@ -18,8 +18,8 @@ if TYPE_CHECKING:
     from tipforce.device.node import Device
     from tipforce.fingertip.source import Source
     from tipforce.running.loop import Port
-    from tipforce.sensor.gauge_positions import Gauge
-    from tipforce.sensor.geometry import Geometry
+    from tipforce.sensor.structure.gauge_positions import Gauge
+    from tipforce.sensor.structure.geometry import Geometry
     from tipforce.sources.front_end import FrontEnd
 
 EPILOG = """\
@@ -171,7 +171,7 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
 
 
 def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
-    from tipforce.sensor.gauge_positions import gauge_matrix
+    from tipforce.sensor.structure.gauge_positions import gauge_matrix
     from tipforce.sources.simulated import SimulatedSource
 
     load = _numbers("--load", args.load, 3)

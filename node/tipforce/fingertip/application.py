@@ -3,7 +3,7 @@
 from tipforce.device import codes, emcy
 from tipforce.device.node import Application, Device
 from tipforce.dictionary import table
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels

@@ -8,7 +8,7 @@ import struct
 
 from tipforce.device import codes
 from tipforce.dictionary import table
-from tipforce.sensor.condition import condition_number
+from tipforce.sensor.contact.scalar_condition import condition_number
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -56,9 +56,9 @@ class Active:
             found = None
             n = len(self.offsets)
             if n > 3:
-                from tipforce.sensor import scalar_parity  # a node with three gauges does without
+                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
 
-                found = scalar_parity.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
+                found = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
             self._solvers[lost] = found
         return self._solvers[lost]
 

@@ -5,7 +5,7 @@ from math import sqrt
 from tipforce.device import codes
 from tipforce.device.object_dictionary import decode, encode
 from tipforce.dictionary import table
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

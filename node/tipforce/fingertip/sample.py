@@ -2,7 +2,7 @@
 
 from tipforce.device.codes import NEVER_US
 from tipforce.dictionary import table
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 
 from .source import Source
 

@@ -16,7 +16,7 @@ from tipforce.host.calibration import Calibration
 from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
-    from tipforce.sensor.fit.result import Fit
+    from tipforce.sensor.calibration.result import Fit
 
 FloatArray = npt.NDArray[np.float64]
 
@@ -72,7 +72,7 @@ class FitRecord(msgspec.Struct):
         """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
         S = np.array(self.residual_covariance_microstrain2) * 1e-12
         if self.parameter_covariance_microstrain2 is None:
-            from tipforce.sensor.fit.result import kronecker
+            from tipforce.sensor.calibration.result import kronecker
 
             return kronecker(S, self.normal_matrix)
         n = S.shape[0]

@@ -18,7 +18,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, load_of
 from tipforce.scene.sources import Clock, source_of
-from tipforce.sensor.layouts import layout
+from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
@@ -164,9 +164,9 @@ def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: Simulat
     import numpy as np
 
     from tipforce.host.calibration import Calibration
-    from tipforce.sensor.geometry import FABRICATED
-    from tipforce.sensor.layouts import layout_code
-    from tipforce.sensor.strain import calibration_matrix
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.layouts import layout_code
+    from tipforce.sensor.structure.strain import calibration_matrix
 
     gauges = len(layout(group.layout))
     count = 1.0 / source.converter[1]  # microstrain; rounding to it counts as noise

@@ -9,7 +9,7 @@ from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
 from tipforce.scene import schema
 from tipforce.scene.loads import load_history
-from tipforce.sensor.layouts import layout
+from tipforce.sensor.structure.layouts import layout
 
 SYNCHRONOUS = ("gauges", "contact", "force")
 

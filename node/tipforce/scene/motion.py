@@ -6,9 +6,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, cast
 
 from tipforce.scene import schema
-from tipforce.sensor.dynamics.held import node_coefficients
+from tipforce.sensor.dynamics.first_order_hold import node_coefficients
 from tipforce.sensor.dynamics.model import modes
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sources.dynamic_forces import DynamicForces
 from tipforce.sources.dynamic_load import DynamicLoad
 

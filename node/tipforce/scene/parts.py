@@ -13,7 +13,7 @@ from tipforce.scene.build import node_pdos
 from tipforce.scene.check import SYNCHRONOUS
 from tipforce.scene.loads import load_of
 from tipforce.scene.simulate import NMT_COB_ID, SYNC_COB_ID
-from tipforce.sensor.layouts import layout
+from tipforce.sensor.structure.layouts import layout
 
 _DEVICE = (
     "bus_faults", "codes", "crc16", "emcy", "guarding", "heartbeat", "heartbeat_consumer", "lss", "nmt", "node",
@@ -25,14 +25,18 @@ _FINGERTIP = (
 _SCENE = ("build", "check", "loads", "run", "schema", "simulate", "sources")
 _CORE = (
     "tipforce", "tipforce.device", "tipforce.dictionary", "tipforce.dictionary.table", "tipforce.errors",
-    "tipforce.fingertip", "tipforce.scene", "tipforce.sensor", "tipforce.sensor.condition", "tipforce.sensor.layouts",
-    "tipforce.sensor.scalar", "tipforce.toml_table", "msgspec",
+    "tipforce.fingertip", "tipforce.scene", "tipforce.sensor", "tipforce.sensor.contact.scalar_condition", "tipforce.sensor.structure.layouts",
+    "tipforce.sensor.contact.scalar", "tipforce.toml_table", "msgspec",
     *(f"tipforce.device.{name}" for name in _DEVICE),
     *(f"tipforce.fingertip.{name}" for name in _FINGERTIP),
     *(f"tipforce.scene.{name}" for name in _SCENE),
 )  # fmt: skip
-_STRUCTURE = ("tipforce.sensor.geometry", "tipforce.sensor.strain", "numpy")
-_FRAME = ("tipforce.sensor.frame", "tipforce.sensor.gauge_positions", "tipforce.sensor.gauge_shift")
+_STRUCTURE = ("tipforce.sensor.structure.geometry", "tipforce.sensor.structure.strain", "numpy")
+_FRAME = (
+    "tipforce.sensor.structure.plane_frame",
+    "tipforce.sensor.structure.gauge_positions",
+    "tipforce.sensor.structure.gauge_shift",
+)
 _DYNAMICS = ("beam_mass", "eigen", "held", "hold", "model")
 _BUS = ("tipforce.scene.realtime", "tipforce.running.loop", "tipforce.running.ports", "tipforce.host.bus", "can")
 _RECORDING = (
@@ -116,7 +120,7 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
         "load history",
         "[[loads]] that change" if moving else "[dynamics]" if swinging else "",
         "every load is static" if loaded else "no [[loads]]",
-        *(("tipforce.sensor.published",) if published else ()),
+        *(("tipforce.sensor.design.published",) if published else ()),
     )
     yield _part(
         "dynamics",
@@ -180,7 +184,7 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
         "a calibrated layout of more than 3 gauges; at work once one is lost"
         if spare
         else "no calibrated node has more than 3",
-        on_demand=("tipforce.sensor.scalar_parity",),
+        on_demand=("tipforce.sensor.contact.scalar_redundancy",),
     )
     yield _part("SYNC", f"sync_hz = {scene.sync_hz:g}" if scene.sync_hz else "", "no sync_hz")
     yield _part("faults", f"[[faults]]: {len(scene.faults)}" if scene.faults else "", "no [[faults]]")
@@ -193,7 +197,11 @@ def _slit(scene: schema.Scene) -> Part:
         "no [slit]: nobody watches whether it closes",
         "tipforce.scene.slit",
         *("tipforce.sensor.dynamics", "tipforce.sensor.dynamics.slit", "tipforce.sensor.dynamics.model"),
-        *("tipforce.sensor.dynamics.beam_mass", "tipforce.sensor.dynamics.eigen", "tipforce.sensor.merit"),
+        *(
+            "tipforce.sensor.dynamics.beam_mass",
+            "tipforce.sensor.dynamics.eigen",
+            "tipforce.sensor.design.figures_of_merit",
+        ),
         *(*_FRAME, *_STRUCTURE),
     )
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tipforce.scene import schema
 from tipforce.sensor.dynamics.slit import closing_load
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 from tipforce.errors import InputError
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, Triple
-from tipforce.sensor.layouts import layout
+from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ def source_of(
         options["front_end"] = front_end
     if load is None:
         return SimulatedSource([(0.0, 0.0, 0.0)] * len(layout(group.layout)), **options)
-    from tipforce.sensor.geometry import FABRICATED
-    from tipforce.sensor.strain import strain_matrix
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import strain_matrix
 
     built.append("structure")
     if not load.constant or scene.dynamics is not None:

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 from tipforce.sensor.surfaces import Surface
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import exact
-from tipforce.sensor.dynamics.held import (
+from tipforce.sensor.dynamics.first_order_hold import (
     State,
     at_rest,
     energy,
@@ -21,7 +21,7 @@ from tipforce.sensor.dynamics.held import (
     settled,
 )
 from tipforce.sensor.dynamics.model import Modes, modes
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sources.dynamic_load import DynamicLoad
 
 BODY = modes(FABRICATED)

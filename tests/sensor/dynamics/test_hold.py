@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.sensor.dynamics.hold import Hold, hold
+from tipforce.sensor.dynamics.mode_step import Hold, hold
 
 DAMPING = [0.0, 0.01, 0.3, 0.999999, 1.0, 1.0000001, 1.4, 1.5000001, 2.0, 50.0]
 damping = st.one_of(st.sampled_from(DAMPING), st.floats(0.0, 50.0))

@@ -12,7 +12,7 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import exact
 from tipforce.sensor.dynamics.assembly import Striker
-from tipforce.sensor.dynamics.held import respond_at
+from tipforce.sensor.dynamics.first_order_hold import respond_at
 from tipforce.sensor.dynamics.impact import impact
 from tipforce.sensor.dynamics.integrators import (
     SCIPY_METHODS,
@@ -28,7 +28,7 @@ from tipforce.sensor.dynamics.integrators import (
     scipy_method,
 )
 from tipforce.sensor.dynamics.model import Modes, modes
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 
 FloatArray = npt.NDArray[np.float64]
 Fixed = Callable[[Problem, Load, FloatArray], Run]

@@ -20,8 +20,8 @@ from tipforce.sensor.dynamics.response import (
     quasi_static_error,
     step_overshoot,
 )
-from tipforce.sensor.frame import ELASTIC_ROOTS, Frame
-from tipforce.sensor.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
 
 JOINT = RigidBody(1e-9, 0.0, 1e-15)
 

@@ -16,9 +16,9 @@ from hypothesis import strategies as st
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.host.calibration import Calibration
 from tipforce.host.calibration_file import write_calibration
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.decode.resample import Resampler
 from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.main import main

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_shift import GaugePosition
+from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce_tools.fem.gauges import face, nearest_place, strain_matrix
 from tipforce_tools.fem.limit import corner_exponent, extrapolate
 from tipforce_tools.fem.mesh import GRADING, Resolution

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_tools.fem.mesh import GRADING, Resolution, Triangles, triangulate
 from tipforce_tools.fem.outline import STATED, Outline
 

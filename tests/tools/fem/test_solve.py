@@ -13,10 +13,10 @@ import pytest
 from skfem import Basis, ElementTriP2, ElementVector, MeshTri
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.gauge_shift import GaugePosition, strain_row
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.layouts import LAYOUTS, mirror
-from tipforce.sensor.strain import condition_number
+from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import LAYOUTS, mirror
+from tipforce.sensor.structure.strain import condition_number
 from tipforce_tools.fem.gauges import strain_matrix
 from tipforce_tools.fem.mesh import Resolution, triangulate
 from tipforce_tools.fem.outline import STATED, Outline

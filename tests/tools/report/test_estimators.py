@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.sensor import scalar
+from tipforce.sensor.contact import scalar
 from tipforce_tools.report import micropython
 from tipforce_tools.report.studies import estimator_fixed as fixed
 from tipforce_tools.report.studies import estimator_inputs as inputs

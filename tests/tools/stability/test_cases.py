@@ -14,9 +14,10 @@ from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
 from tipforce.host import decode, decode_columns
 from tipforce.host.logs import candump
-from tipforce.sensor import calibration as fitting
-from tipforce.sensor import condition, contact, frame, scalar, scalar_parity
-from tipforce.sensor.dynamics import held, integrators, model, switched
+from tipforce.sensor.calibration import fit as fitting
+from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_redundancy
+from tipforce.sensor.dynamics import first_order_hold, integrators, model, switched
+from tipforce.sensor.structure import plane_frame
 from tipforce_tools.report.stability.all import AREAS, cases
 from tipforce_tools.report.stability.case import Case
 
@@ -178,16 +179,16 @@ def _any_time(_right: Any) -> Any:
 
 
 FAULTS = (
-    Fault("contact.nearly_tangential", contact, "_triangle", _naive_triangle),
-    Fault("contact.magnitudes", contact, "_scaled", _unscaled),
-    Fault("contact.angle_wrap", contact, "_wrapped", lambda _right: lambda angle: angle),
+    Fault("contact.nearly_tangential", estimate, "_triangle", _naive_triangle),
+    Fault("contact.magnitudes", estimate, "_scaled", _unscaled),
+    Fault("contact.angle_wrap", estimate, "_wrapped", lambda _right: lambda angle: angle),
     Fault("contact.node_agrees", scalar, "sqrt", _times(1.0 + 1e-14)),
-    Fault("uncertainty.tangential", contact, "_finite_slope", _first_order_slope),
+    Fault("uncertainty.tangential", estimate, "_finite_slope", _first_order_slope),
     Fault("uncertainty.enormous_noise", scalar, "THETA_RESOLVED_DEG", lambda _right: 1e9),
-    Fault("layout.thickness", frame, "_surface_strain", _times(1.0 + 1e-9)),
-    Fault("layout.condition_graded", condition, "_sweep", _never),
+    Fault("layout.thickness", plane_frame, "_surface_strain", _times(1.0 + 1e-9)),
+    Fault("layout.condition_graded", scalar_condition, "_sweep", _never),
     Fault("gauge.stuck", Fingertip, "watch", lambda right: lambda self, *rest: right(self, *rest) & ~(1 << 9)),
-    Fault("gauge.swapped_six", scalar_parity, "chi_square_threshold", _times(1e6)),
+    Fault("gauge.swapped_six", scalar_redundancy, "chi_square_threshold", _times(1e6)),
     Fault("gauge.silent", Fingertip, "_silent", _never),
     Fault("filter.first_order_settles", filters.FirstOrder, "push", _truncating),
     Fault("filter.saturated", filters.Filtering, "_restart", lambda _right: lambda _self: None),
@@ -204,7 +205,7 @@ FAULTS = (
     Fault("clock.live_backwards", Device, "step", _clock_as_given),
     Fault("clock.log_beyond", candump.CandumpParser, "_time", _any_time),
     Fault("dynamics.stiffness_ratio", model, "jacobi", lambda right: lambda A: (right(A)[0] * (1 + 1e-9), right(A)[1])),
-    Fault("dynamics.step_1s", held, "hold", _phase_error),
+    Fault("dynamics.step_1s", first_order_hold, "hold", _phase_error),
     Fault("integrator.rk4_unstable", integrators, "runge_kutta_4", lambda _right: integrators.newmark),
     Fault("impact.linear_rigid", switched, "_root", _times(1.0 + 1e-9)),
     Fault("impact.linear_energy", switched.March, "_first_event", _no_event),

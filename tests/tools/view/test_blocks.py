@@ -7,8 +7,8 @@ import pytest
 
 from host.bus_with_nodes import beam_calibration
 from tipforce.host.hand.rows import Rows
-from tipforce.sensor import contact as contact_model
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact import estimate as contact_model
+from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.view.blocks import CALIBRATED, CONTACT, MISSING, block_of_rows
 from tipforce_tools.view.fingers import Finger, drawing
 from tools.view.support import fingers

@@ -12,7 +12,7 @@ from tipforce_tools import common
 if TYPE_CHECKING:
     from tipforce.host.calibration import Calibration
     from tipforce.host.measurements import Measurements
-    from tipforce.sensor.calibration import Fit, Model, Readings
+    from tipforce.sensor.calibration.fit import Fit, Model, Readings
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows: no file, 1."""
     from tipforce.host.calibration_file import fit_record, write_calibration
     from tipforce.host.measurements import read_measurements
-    from tipforce.sensor.calibration import fit_calibration
-    from tipforce.sensor.fit.rounding import rounded
+    from tipforce.sensor.calibration.fit import fit_calibration
+    from tipforce.sensor.calibration.rounding import rounded
     from tipforce_tools.calibrate import fit_report
     from tipforce_tools.one_node import check_one_node
 
@@ -99,8 +99,8 @@ def model_of(args: argparse.Namespace, data: Measurements) -> Model:
     """The model that the flags and the data ask for. Raises InputError for values that are not allowed."""
     import numpy as np
 
-    from tipforce.sensor.calibration import Model, beam_prior
-    from tipforce.sensor.fit.design import tare_groups
+    from tipforce.sensor.calibration.fit import Model, beam_prior
+    from tipforce.sensor.calibration.regressors import tare_groups
     from tipforce_tools.layout_file import read_layout
 
     drift = args.drift
@@ -136,7 +136,7 @@ def readings_of(data: Measurements) -> Readings:
     """The rows as the fit takes them; a tare row has no load whatever its angles say."""
     import numpy as np
 
-    from tipforce.sensor.calibration import Readings
+    from tipforce.sensor.calibration.fit import Readings
 
     if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
         raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
@@ -147,7 +147,7 @@ def readings_of(data: Measurements) -> Readings:
 def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Calibration:
     """The calibration that goes into the file and to the node."""
     from tipforce.host.calibration import Calibration
-    from tipforce.sensor.layouts import CUSTOM_LAYOUT_CODE, layout_code
+    from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
     from tipforce_tools.layout_file import read_layout
 
     code = CUSTOM_LAYOUT_CODE

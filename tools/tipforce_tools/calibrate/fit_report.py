@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from tipforce.host.calibration import Calibration
 from tipforce.host.measurements import Measurements
-from tipforce.sensor.calibration import Fit, LoadResidual, Model
-from tipforce.sensor.gauge_positions import gauge_matrix
+from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model
+from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools import common
 from tipforce_tools.layout_file import read_layout
 

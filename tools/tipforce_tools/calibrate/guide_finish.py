@@ -13,9 +13,9 @@ from tipforce.errors import InputError
 from tipforce.host.calibration_file import fit_record, write_calibration
 from tipforce.host.fingertip import FingertipClient
 from tipforce.host.measurements import Measurements, read_measurements
-from tipforce.sensor.calibration import fit_calibration
-from tipforce.sensor.fit.rounding import matrix_to_digits, rounded, to_digits
-from tipforce.sensor.fit.statistics import left_inverse
+from tipforce.sensor.calibration.fit import fit_calibration
+from tipforce.sensor.calibration.rounding import matrix_to_digits, rounded, to_digits
+from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce_tools import common
 from tipforce_tools.calibrate import fit as fit_command
 from tipforce_tools.calibrate import fit_report

@@ -115,8 +115,8 @@ class BusLink:
 def core_node(eds: bytes | None = None) -> Device:
     """The node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
     from tipforce.fingertip.node import fingertip_node
-    from tipforce.sensor.geometry import FABRICATED
-    from tipforce.sensor.strain import strain_matrix
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce.sensor.structure.strain import strain_matrix
     from tipforce.sources.simulated import SimulatedSource
 
     source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())

@@ -29,10 +29,10 @@ from tipforce.host.hand.polled import PolledHand
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
-from tipforce.sensor import contact as contact_model
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact import estimate as contact_model
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
 FloatArray = npt.NDArray[np.float64]

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.gauge_shift import nominal_position
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.grooves import paper_grooves
-from tipforce.sensor.layouts import LAYOUTS, POINTS
-from tipforce.sensor.published import GAUGE_LENGTH_M
+from tipforce.sensor.design.groove_errors import paper_grooves
+from tipforce.sensor.design.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce_tools.design.plots import BLUE, GREEN, GREY, VERMILLION, new_figure
 
 if TYPE_CHECKING:

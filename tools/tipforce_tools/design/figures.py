@@ -9,12 +9,12 @@ from math import degrees, radians
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.grooves import simulate_groove_errors
-from tipforce.sensor.layouts import LAYOUTS
-from tipforce.sensor.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
-from tipforce.sensor.published import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
-from tipforce.sensor.shift_study import condition_against_shift, influences, most_influential
+from tipforce.sensor.design.groove_errors import simulate_groove_errors
+from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
+from tipforce.sensor.design.shift_study import condition_against_shift, influences, most_influential
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
 from tipforce_tools.design.section import Section
 
 SHIFTS_MM = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)

@@ -14,10 +14,10 @@ from tipforce.errors import InputError
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.sensor.assessment import Assessment
-    from tipforce.sensor.design import Objective
-    from tipforce.sensor.design_problem import Design, Limits
-    from tipforce.sensor.merit import LoadSet
+    from tipforce.sensor.design.assessment import Assessment
+    from tipforce.sensor.design.figures_of_merit import LoadSet
+    from tipforce.sensor.design.search import Objective
+    from tipforce.sensor.design.search_problem import Design, Limits
 
 _FROM = 4  # configurations that the way to the least condition number starts from
 
@@ -115,9 +115,9 @@ def run(args: argparse.Namespace) -> int:
 
 def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcome:
     """Search for the objective and for the condition number, walk from one to the other, assess all."""
-    from tipforce.sensor.assessment import FIGURES, pareto
-    from tipforce.sensor.design import TRADE_OFF_STEPS, search, trade_off
-    from tipforce.sensor.design_problem import configurations
+    from tipforce.sensor.design.assessment import FIGURES, pareto
+    from tipforce.sensor.design.search import TRADE_OFF_STEPS, search, trade_off
+    from tipforce.sensor.design.search_problem import configurations
 
     axis: Objective = "theta" if args.objective == "condition" else args.objective
     starts = len(configurations(args.gauges, limits.upper_face)) * max(args.starts, 0)
@@ -146,9 +146,9 @@ class _Judge:
         }  # fmt: skip
 
     def paper(self) -> list[Assessment]:
-        from tipforce.sensor.assessment import assess, glued
-        from tipforce.sensor.geometry import FABRICATED
-        from tipforce.sensor.layouts import LAYOUTS
+        from tipforce.sensor.design.assessment import assess, glued
+        from tipforce.sensor.structure.geometry import FABRICATED
+        from tipforce.sensor.structure.layouts import LAYOUTS
 
         found = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in ("I", "II", "III")]
         try:
@@ -158,7 +158,7 @@ class _Judge:
             return found
 
     def design(self, design: Design, name: str) -> Assessment:
-        from tipforce.sensor.assessment import assess
+        from tipforce.sensor.design.assessment import assess
 
         return assess(name, design.geometry, design.gauges, **self.options)
 
@@ -184,8 +184,8 @@ class _Progress:
 
 
 def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
-    from tipforce.sensor.design_problem import Limits
-    from tipforce.sensor.merit import LoadSet
+    from tipforce.sensor.design.figures_of_merit import LoadSet
+    from tipforce.sensor.design.search_problem import Limits
 
     envelope = _pair("--envelope", args.envelope)
     loads = LoadSet(args.load, *_pair("--pad", args.pad), args.friction)

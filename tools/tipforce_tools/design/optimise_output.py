@@ -7,9 +7,9 @@ from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING
 
-from tipforce.sensor.assessment import AGREEMENT, Assessment
-from tipforce.sensor.gauge_positions import gauge_name
-from tipforce.sensor.merit import Merit
+from tipforce.sensor.design.assessment import AGREEMENT, Assessment
+from tipforce.sensor.design.figures_of_merit import Merit
+from tipforce.sensor.structure.gauge_positions import gauge_name
 from tipforce_tools import common
 
 if TYPE_CHECKING:

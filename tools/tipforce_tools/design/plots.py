@@ -11,13 +11,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.grooves import simulate_groove_errors
-from tipforce.sensor.layouts import LAYOUTS
-from tipforce.sensor.off_axis import apparent_force, off_axis_wrenches
-from tipforce.sensor.published import CALIBRATION_WEIGHT_NEWTONS, CASES
-from tipforce.sensor.ranking import ranked_layouts
-from tipforce.sensor.shift_study import condition_against_shift
+from tipforce.sensor.design.groove_errors import simulate_groove_errors
+from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS, CASES
+from tipforce.sensor.design.ranking import ranked_layouts
+from tipforce.sensor.design.shift_study import condition_against_shift
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
 from tipforce_tools.design.section import Section
 
 if TYPE_CHECKING:

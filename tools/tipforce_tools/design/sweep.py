@@ -13,8 +13,8 @@ from tipforce_tools import common
 from tipforce_tools.design.section import Record, Section, print_section
 
 if TYPE_CHECKING:
-    from tipforce.sensor.gauge_shift import GaugePosition
-    from tipforce.sensor.geometry import Geometry
+    from tipforce.sensor.structure.gauge_shift import GaugePosition
+    from tipforce.sensor.structure.geometry import Geometry
 
 DIMENSIONS = ("a", "d", "r", "h1", "h2", "width")
 DEFAULT_SHIFT_MM = 5.0
@@ -97,7 +97,7 @@ def _changed(
     what: str, names: list[str], geometry: Geometry, gauges: Sequence[str | GaugePosition]
 ) -> Callable[[float], tuple[Geometry, list[GaugePosition]]]:
     """A function from the value in metres to the body and the places of its gauges."""
-    from tipforce.sensor.gauge_shift import shifted
+    from tipforce.sensor.structure.gauge_shift import shifted
 
     def resized(value_m: float) -> tuple[Geometry, list[GaugePosition]]:
         body = replace(geometry, **{f"{what}_m": value_m})
@@ -115,9 +115,9 @@ def _changed(
 def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
     import numpy as np
 
-    from tipforce.sensor.gauge_shift import position_matrix
-    from tipforce.sensor.strain import condition_number, noise_gain, row_equilibrated_condition_number
-    from tipforce.sensor.tables import maximum_over_contacts
+    from tipforce.sensor.design.tables import maximum_over_contacts
+    from tipforce.sensor.structure.gauge_shift import position_matrix
+    from tipforce.sensor.structure.strain import condition_number, noise_gain, row_equilibrated_condition_number
 
     matrix = position_matrix(geometry, places)
     regular = int(np.linalg.matrix_rank(matrix)) == 3

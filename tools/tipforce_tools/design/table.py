@@ -51,7 +51,7 @@ def run(args: argparse.Namespace) -> int:
 
 def sections(args: argparse.Namespace) -> Iterator[Section]:
     """What was asked for, each computed only when it is its turn."""
-    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce_tools.design import figures, tables
 
     makers: dict[str, list[Callable[[], Section]]] = {

@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS
-from tipforce.sensor.measured import nearest_common_shifts, rounding_range, shared_gauge_disagreement
-from tipforce.sensor.published import (
+from tipforce.sensor.design.printed_matrices import nearest_common_shifts, rounding_range, shared_gauge_disagreement
+from tipforce.sensor.design.published import (
     CALIBRATION_WEIGHT_NEWTONS,
     CASES,
     MEASURED_MATRICES,
@@ -14,10 +12,12 @@ from tipforce.sensor.published import (
     TABLE_3_SIMULATION,
     TABLE_3_THEORY,
 )
-from tipforce.sensor.ranking import ranked_layouts, ties
-from tipforce.sensor.shift_study import shift_to_reach
-from tipforce.sensor.strain import thin_limit_matrix
-from tipforce.sensor.tables import THIN_UNIT, condition_numbers_by_unit, reading, table_1, table_2, table_3
+from tipforce.sensor.design.ranking import ranked_layouts, ties
+from tipforce.sensor.design.shift_study import shift_to_reach
+from tipforce.sensor.design.tables import THIN_UNIT, condition_numbers_by_unit, reading, table_1, table_2, table_3
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.strain import thin_limit_matrix
 from tipforce_tools.design.section import Section
 
 MM = 1e3

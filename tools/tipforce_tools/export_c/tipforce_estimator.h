@@ -1,5 +1,5 @@
 /* Force and contact from the gauges of a fingertip: F = C (strain - offset) - tare, then P, phi, theta, their standard
- * uncertainties and the status byte 2120h. The formulas are those of tipforce.sensor.scalar; C99, no allocation, no
+ * uncertainties and the status byte 2120h. The formulas are those of tipforce.sensor.contact.scalar; C99, no allocation, no
  * state, no library but math.h (float variant) or none (fixed-point variant).
  *
  * F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi). TIPFORCE_GAUGES comes from tipforce_od.h.

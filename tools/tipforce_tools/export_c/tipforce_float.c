@@ -1,4 +1,4 @@
-/* The float variant; see tipforce_estimator.h. Line by line the formulas of tipforce.sensor.scalar. */
+/* The float variant; see tipforce_estimator.h. Line by line the formulas of tipforce.sensor.contact.scalar. */
 #include "tipforce_estimator.h"
 
 #include <math.h>

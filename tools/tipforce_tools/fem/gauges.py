@@ -13,9 +13,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_positions import Gauge, gauge_name, place
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.published import GAUGE_LENGTH_M
+from tipforce.sensor.design.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
+from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce_tools.fem.outline import Outline
 from tipforce_tools.fem.solve import Solution
 

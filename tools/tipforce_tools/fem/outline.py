@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.hand.rows import Rows
-from tipforce.sensor import contact as contact_model
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact import estimate as contact_model
+from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.view.fingers import Finger
 
 FloatArray = npt.NDArray[np.float64]

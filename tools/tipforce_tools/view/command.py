@@ -18,8 +18,8 @@ if TYPE_CHECKING:
 
     from tipforce.host.hand.file import HandFile
     from tipforce.host.hand.hand import Hand
-    from tipforce.sensor.gauge_positions import Gauge
-    from tipforce.sensor.geometry import Geometry
+    from tipforce.sensor.structure.gauge_positions import Gauge
+    from tipforce.sensor.structure.geometry import Geometry
     from tipforce_tools.view.fingers import Finger
     from tipforce_tools.view.sources import Source
 

@@ -22,8 +22,8 @@ from tipforce.host.hand.hand import Hand
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SILENT, SimulatedSource
 from tipforce_tools.demo.job import NOISE_MICROSTRAIN, OFFSETS_MICROSTRAIN, case_calibration
 

@@ -9,11 +9,11 @@ from typing import Any, Literal
 import numpy as np
 
 from tipforce.host.calibration import Calibration
-from tipforce.sensor.gauge_positions import Gauge, gauge_name, place
-from tipforce.sensor.gauge_shift import GaugePosition, strain_row
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.layouts import LAYOUTS
-from tipforce.sensor.published import GAUGE_LENGTH_M
+from tipforce.sensor.design.published import GAUGE_LENGTH_M
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
+from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS
 
 MM = 1e3
 _LAYOUT_NAMES = {1: "I", 2: "II", 3: "III"}

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.held import State
+from tipforce.sensor.dynamics.first_order_hold import State
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.slit import SlitStop
 from tipforce.sensor.dynamics.switched import Switched

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.frame import FrameModel
-from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.plane_frame import FrameModel
 
 FloatArray = npt.NDArray[np.float64]
 

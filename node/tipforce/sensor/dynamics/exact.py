@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.dynamics.held import State
-from tipforce.sensor.dynamics.hold import hold
+from tipforce.sensor.dynamics.first_order_hold import State
+from tipforce.sensor.dynamics.mode_step import hold
 from tipforce.sensor.dynamics.model import Modes
 
 FloatArray = npt.NDArray[np.float64]

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.extrapolation import adapted, step
-from tipforce.sensor.dynamics.held import State
+from tipforce.sensor.dynamics.first_order_hold import State
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.switched import March, Touch
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
-from tipforce.sensor.dynamics.held import State, checked_loads
+from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.slit import SlitStop
 from tipforce.sensor.dynamics.switched import March, Touch

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
-from tipforce.sensor.dynamics.held import checked_loads
+from tipforce.sensor.dynamics.first_order_hold import checked_loads
 from tipforce.sensor.dynamics.model import Modes
 
 FloatArray = npt.NDArray[np.float64]

@@ -21,8 +21,8 @@ import numpy.typing as npt
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
 from tipforce.sensor.dynamics.eigen import jacobi
-from tipforce.sensor.frame import EULER_BERNOULLI, Frame, FrameModel
-from tipforce.sensor.geometry import Geometry
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.held import checked_loads
+from tipforce.sensor.dynamics.first_order_hold import checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.switched import exponential
 

@@ -16,10 +16,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
+from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M
 from tipforce.sensor.dynamics.model import Modes, compliances
-from tipforce.sensor.frame import EULER_BERNOULLI, Frame, FrameModel
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.merit import PAPER_SLIT_M
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
 
 FloatArray = npt.NDArray[np.float64]
 

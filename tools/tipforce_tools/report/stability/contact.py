@@ -9,8 +9,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor import contact, scalar
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 
@@ -51,7 +51,7 @@ def cases() -> list[Case]:
 
 
 def _no_load() -> Observed:
-    found = contact.contacts(np.zeros(3), pull=False)
+    found = estimate.contacts(np.zeros(3), pull=False)
     node = talk.simulated().sync()
     angles_unknown = bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad))
     held = float(found.P_newtons) == 0.0 and angles_unknown and node.contact == (0, talk.UNKNOWN, talk.UNKNOWN)
@@ -61,7 +61,7 @@ def _no_load() -> Observed:
 def _denormal() -> Observed:
     rng = np.random.default_rng(1)
     F = np.round(rng.uniform(-1.0, 1.0, (2000, 3)) * 10.0 ** rng.uniform(0.0, 15.0, (2000, 1))) * _SMALLEST
-    small, large = contact.contacts(F, pull=True), contact.contacts(np.ldexp(F, 1060), pull=True)
+    small, large = estimate.contacts(F, pull=True), estimate.contacts(np.ldexp(F, 1060), pull=True)
     worst = float(np.nanmax(np.abs([small.phi_rad - large.phi_rad, small.theta_rad - large.theta_rad])))
     same = worst <= 4.0 * _EPSILON and np.array_equal(np.isnan(small.theta_rad), np.isnan(large.theta_rad))
     P_off = np.abs(small.P_newtons / _SMALLEST - np.ldexp(large.P_newtons, -1060 + 1074)).max()
@@ -71,7 +71,7 @@ def _denormal() -> Observed:
 def _magnitudes() -> Observed:
     rng = np.random.default_rng(2)
     F = rng.standard_normal((20000, 3)) * 10.0 ** rng.uniform(-300.0, 299.0, (20000, 1))
-    found = contact.contacts(F, pull=False)
+    found = estimate.contacts(F, pull=False)
     worst = 0.0 if np.isfinite([found.P_newtons, found.miss_newtons]).all() else math.inf
     for row, P, miss in zip(F[::20].tolist(), found.P_newtons[::20].tolist(), found.miss_newtons[::20].tolist(),
                             strict=True):  # fmt: skip
@@ -86,7 +86,7 @@ def _magnitudes() -> Observed:
 
 def _overflow() -> Observed:
     F = np.array([1.7e308, 1.0e308, 1.7e308])
-    found, small = contact.contacts(F, pull=True), contact.contacts(np.ldexp(F, -600), pull=True)
+    found, small = estimate.contacts(F, pull=True), estimate.contacts(np.ldexp(F, -600), pull=True)
     angles = float(found.phi_rad) == float(small.phi_rad) and float(found.theta_rad) == float(small.theta_rad)
     P = float(found.P_newtons)
     return Observed(math.inf == P and angles, f"P = {P:g} N, angles as of F / 2^600: {angles}")
@@ -95,11 +95,11 @@ def _overflow() -> Observed:
 def _not_finite() -> Observed:
     rng = np.random.default_rng(3)
     F = rng.standard_normal((1009, 3))
-    good = contact.contacts(F, pull=False)
+    good = estimate.contacts(F, pull=False)
     spoilt = F.copy()
     for k in range(9):
         spoilt[100 * k, k % 3] = (math.nan, math.inf, -math.inf)[k // 3]
-    found = contact.contacts(spoilt, pull=False)
+    found = estimate.contacts(spoilt, pull=False)
     bad = np.zeros(1009, dtype=np.bool_)
     bad[:900:100] = True
     names = ("P_newtons", "phi_rad", "theta_rad", "delta_rad", "miss_newtons")
@@ -116,7 +116,7 @@ def _exactly_tangential() -> Observed:
     worst, missed = 0.0, 0.0
     for sign in (1.0, -1.0):
         for pull in (True, False):
-            found = contact.contacts(np.array([3.0, sign * 5.0, 4.0]) * scales, pull=pull)
+            found = estimate.contacts(np.array([3.0, sign * 5.0, 4.0]) * scales, pull=pull)
             right = math.atan2(3.0, 4.0) - sign * 0.5 * math.pi
             worst = max(worst, float(np.abs(found.theta_rad - right).max()))
             missed = max(missed, float(found.miss_newtons.max()))
@@ -128,13 +128,13 @@ def _nearly_tangential() -> Observed:
     for k in range(1, 53):
         F2 = 1.0 - 2.0**-k
         for F in ((1.0, F2, 0.0), (0.0, F2, 1.0), (1.0, F2, 2.0**-60), (-(2.0**-30), F2, -1.0)):
-            found = contact.contacts(F, pull=True)
+            found = estimate.contacts(F, pull=True)
             exact = math.atan2(F2, _exact_cosine(*F))
             worst = max(worst, abs(float(found.delta_rad) / exact - 1.0), _cosine_error(found, F))
     return Observed(worst <= 8.0 * _EPSILON, f"worst relative error {worst:.1e} of delta and of 90 degrees - delta")
 
 
-def _cosine_error(found: contact.Contact, F: tuple[float, float, float]) -> float:
+def _cosine_error(found: estimate.Contact, F: tuple[float, float, float]) -> float:
     """Relative error of pi/2 - delta where that is no difference of rounded numbers: by the sine of the gap."""
     exact = _exact_cosine(*F) / math.hypot(F[0], F[2])
     # delta itself is rounded to 1 unit of 1.57: the gap cannot be known better than that.
@@ -148,7 +148,7 @@ def _oblique() -> Observed:
         for phi in rng.uniform(-3.0, 3.0, 20).tolist():
             F1, F3 = math.sin(phi), math.cos(phi)
             F2 = (1.0 - 2.0**-k) * math.hypot(F1, F3)
-            found = contact.contacts((F1, F2, F3), pull=True)
+            found = estimate.contacts((F1, F2, F3), pull=True)
             worst = max(worst, abs(float(found.delta_rad) - math.atan2(F2, _exact_cosine(F1, F2, F3))))
     return Observed(worst <= 3e-8, f"worst error of delta {worst:.1e} radian")
 
@@ -164,7 +164,7 @@ def _misses() -> Observed:
 
 
 def _only_F2() -> Observed:
-    found = contact.contacts((0.0, 1.0, 0.0), pull=False)
+    found = estimate.contacts((0.0, 1.0, 0.0), pull=False)
     P, phi, theta, miss = scalar.contact(0.0, -1.0, 0.0, True)
     held = (float(found.P_newtons), float(found.miss_newtons), P, miss) == (0.5, 1.0, 0.5, 1.0)
     held &= bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad)) and math.isnan(phi) and math.isnan(theta)
@@ -176,7 +176,7 @@ def _angle_wrap() -> Observed:
     turn = np.concatenate((math.pi - beside, beside - math.pi))
     phi, theta = (grid.ravel() for grid in np.meshgrid(turn, turn))
     F = force_vector(1.0, phi, theta)
-    found = contact.contacts(np.concatenate((F, [[-0.0, 0.0, -1.0], [0.0, -0.0, -1.0]])), pull=True)
+    found = estimate.contacts(np.concatenate((F, [[-0.0, 0.0, -1.0], [0.0, -0.0, -1.0]])), pull=True)
     inside = all(bool(((a > -math.pi) & (a <= math.pi)).all()) for a in (found.phi_rad, found.theta_rad))
     off = max(float(np.abs(np.sin(found.phi_rad[:-2] - phi)).max()),
               float(np.abs(np.sin(found.theta_rad[:-2] - theta)).max()))  # fmt: skip
@@ -192,7 +192,7 @@ def _node_agrees() -> Observed:
     near[:, 1] = np.hypot(near[:, 0], near[:, 2]) * (1.0 + 1e-12 * rng.standard_normal(1000))
     worst = 0.0
     for pull in (True, False):
-        found = contact.contacts(F, pull=pull)
+        found = estimate.contacts(F, pull=pull)
         ours = np.array([scalar.contact(a, b, c, pull) for a, b, c in F.tolist()])
         theirs = np.stack((found.P_newtons, found.phi_rad, found.theta_rad, found.miss_newtons), axis=-1)
         size = np.stack((found.P_newtons, np.ones(10000), np.ones(10000), found.P_newtons), axis=-1)

@@ -11,11 +11,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics import held as stepping
+from tipforce.sensor.dynamics import first_order_hold as stepping
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
 from tipforce.sensor.dynamics.sampling import AntiAlias, sampled
-from tipforce.sensor.frame import Frame
-from tipforce.sensor.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_tools.report.stability.case import Case, Observed, refusal
 

@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import Fit, Model, Readings, fit_calibration
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.grooves import paper_grooves
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.groove_errors import paper_grooves
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.report.stability.case import Case, Observed
 
 FloatArray = npt.NDArray[np.float64]

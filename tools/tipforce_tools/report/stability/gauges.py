@@ -9,11 +9,11 @@ import numpy as np
 
 from tipforce.dictionary import table
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sensor import parity
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.grooves import paper_grooves
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.contact import redundancy
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.groove_errors import paper_grooves
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import simulated
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
@@ -190,8 +190,8 @@ def _pairs(n: int) -> list[list[int]]:
 def _swapped_six() -> Observed:
     gauges = ("L", "R", "K_H", "S_H", "T", "U")
     A, Sigma = strain_matrix(FABRICATED, gauges), 9e-14 * np.eye(6)
-    C = parity.weighted_inverse(A, Sigma)
-    model = parity.parity(C, Sigma)
+    C = redundancy.weighted_inverse(A, Sigma)
+    model = redundancy.parity(C, Sigma)
     rng = np.random.default_rng(10)
     F = np.array([talk.forces((1.0, theta + 180.0 + tilt, theta)) for theta in range(15, 180, 15) for tilt in (-20, 5)])
     V = F @ A.T + 3e-7 * rng.standard_normal((len(F), 6))
@@ -200,10 +200,10 @@ def _swapped_six() -> Observed:
     for order in _pairs(6):
         swapped = V[:, order]
         off = np.linalg.norm(swapped @ C.T - F, axis=1) > 0.05
-        fault = parity.detect(model, swapped).fault
+        fault = redundancy.detect(model, swapped).fault
         harmful, caught = harmful + int(off.sum()), caught + int((off & fault).sum())
         shares.append(float(fault[off].mean()))
-    alarms = int(parity.detect(model, V).fault.sum())
+    alarms = int(redundancy.detect(model, V).fault.sum())
     held = harmful > 100 and min(shares) > 0.5 and alarms == 0
     told = f"{caught} of {harmful} harmful contacts, {min(shares):.0%} or more of each pair"
     return Observed(held, f"{told}; {alarms} alarms of {len(F)} unswapped")

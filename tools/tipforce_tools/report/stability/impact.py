@@ -8,11 +8,11 @@ import numpy as np
 
 from tipforce.sensor.dynamics import integrators
 from tipforce.sensor.dynamics.assembly import Striker
-from tipforce.sensor.dynamics.held import energy
+from tipforce.sensor.dynamics.first_order_hold import energy
 from tipforce.sensor.dynamics.impact import Impact, impact, overload
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.dynamics.slit import closing_load, slit_stop
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_tools.report.stability.case import Case, Observed, refusal
 
 _STIFFNESSES = (1e5, 1e6, 1e7, 1e8)

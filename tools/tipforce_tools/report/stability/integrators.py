@@ -7,7 +7,7 @@ import numpy as np
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import integrators
 from tipforce.sensor.dynamics.model import modes
-from tipforce.sensor.geometry import FABRICATED
+from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_tools.report.stability.case import Case, Observed
 
 

@@ -10,12 +10,12 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor import condition
-from tipforce.sensor.frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
-from tipforce.sensor.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS
-from tipforce.sensor.merit import LoadSet, merit
-from tipforce.sensor.strain import calibration_matrix, condition_number, strain_matrix, thin_limit_matrix
+from tipforce.sensor.contact import scalar_condition
+from tipforce.sensor.design.figures_of_merit import LoadSet, merit
+from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
+from tipforce.sensor.structure.strain import calibration_matrix, condition_number, strain_matrix, thin_limit_matrix
 from tipforce_tools.report.stability.case import Case, Observed, refusal
 
 FloatArray = npt.NDArray[np.float64]
@@ -131,7 +131,7 @@ def _condition() -> Observed:
         # s1 s2 = e and s1^2 + s2^2 = trace: s1^2 = (trace + sqrt(trace^2 - 4 e^2)) / 2, no cancellation.
         largest_squared = (float(trace) + math.sqrt(float(trace**2 - 4 * Fraction(e) ** 2))) / 2.0
         exact = largest_squared / e
-        for found in (condition_number(rows), condition.condition_number(rows)):
+        for found in (condition_number(rows), scalar_condition.condition_number(rows)):
             worst = max(worst, abs(found / exact - 1.0) / (exact * 2.0**-52))
     return Observed(worst <= 8.0, f"worst error {worst:.2f} x 2^-52 x condition number, up to {exact:.1e}")
 
@@ -143,12 +143,12 @@ def _graded() -> Observed:
         # Rows 2 and 3 are parallel: a third direction makes them independent again.
         rows[2] = [1.0, -1.0, -2.0]
         exact = math.sqrt(6.0) / (math.sqrt(3.0) * grade)
-        worst = max(worst, abs(condition.condition_number(rows) / exact - 1.0))
+        worst = max(worst, abs(scalar_condition.condition_number(rows) / exact - 1.0))
         tilted = [rows[0], [grade, -grade * 0.5, grade], rows[2]]
         # The part of row 2 across rows 0 and 2, by projection in exact fractions.
         across = _across([[Fraction(x) for x in row] for row in tilted])
         exact = math.sqrt(6.0) / math.sqrt(float(across / Fraction(grade) ** 2)) / grade
-        worst = max(worst, abs(condition.condition_number(tilted) / exact - 1.0))
+        worst = max(worst, abs(scalar_condition.condition_number(tilted) / exact - 1.0))
     return Observed(worst <= 1e-12, f"worst relative error {worst:.1e} of condition numbers up to 1e150")
 
 
@@ -168,8 +168,8 @@ def _singular() -> Observed:
         "two equal rows": [[1.0, 2.0, 3.0], [1.0, 2.0, 3.0], [3.0, 1.0, 2.0]],
         "all zero": [[0.0] * 3] * 3,
     }
-    least = min(min(condition_number(rows), condition.condition_number(rows)) for rows in matrices.values())
-    nan = condition.condition_number([[1.0, 2.0, math.nan], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+    least = min(min(condition_number(rows), scalar_condition.condition_number(rows)) for rows in matrices.values())
+    nan = scalar_condition.condition_number([[1.0, 2.0, math.nan], [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
     return Observed(least > 1e15 and math.isnan(nan) and not nan <= math.inf, f"least {least:.1e}; with NaN {nan}")
 
 

@@ -8,14 +8,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor import contact, first_order, scalar
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.contact import estimate, first_order, scalar
+from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 
 FloatArray = npt.NDArray[np.float64]
 _DRAWS = 40_000
-_LIMITS = contact.Limits(0.05, 0.02, -180.0, 180.0)
+_LIMITS = estimate.Limits(0.05, 0.02, -180.0, 180.0)
 
 
 def cases() -> list[Case]:
@@ -49,10 +49,10 @@ def cases() -> list[Case]:
 
 def _no_noise() -> Observed:
     F, nothing = np.array([[0.3, 0.1, -0.9], [3.0, 5.0, 4.0]]), np.zeros((3, 3))
-    u = contact.standard_uncertainties(F, nothing, pull=False)
+    u = estimate.standard_uncertainties(F, nothing, pull=False)
     node = [scalar.uncertainty(a, b, c, (0.0,) * 6, False) for a, b, c in F.tolist()]
-    found = contact.contacts(F, pull=False)
-    bits = contact.status(found, u, contact.miss_uncertainties(F, nothing), _LIMITS)
+    found = estimate.contacts(F, pull=False)
+    bits = estimate.status(found, u, estimate.miss_uncertainties(F, nothing), _LIMITS)
     held = not u.any() and not np.isnan(u).any() and node == [(0.0, 0.0, 0.0)] * 2
     return Observed(held and bits.tolist() == [1, 1], f"u {u.ravel().tolist()}, status {bits.tolist()}")
 
@@ -60,9 +60,9 @@ def _no_noise() -> Observed:
 def _enormous() -> Observed:
     F = force_vector(1.0, math.radians(175.0), math.radians(10.0))
     noise = 10.0 ** np.arange(-6.0, 7.0, 0.5)
-    u = np.array([contact.standard_uncertainties(F, s * s * np.eye(3), pull=False) for s in noise])
-    found = contact.contacts(np.tile(F, (len(noise), 1)), pull=False)
-    bit_4 = contact.status(found, u, np.zeros(len(noise)), _LIMITS) & scalar.THETA_UNRESOLVED != 0
+    u = np.array([estimate.standard_uncertainties(F, s * s * np.eye(3), pull=False) for s in noise])
+    found = estimate.contacts(np.tile(F, (len(noise), 1)), pull=False)
+    bit_4 = estimate.status(found, u, np.zeros(len(noise)), _LIMITS) & scalar.THETA_UNRESOLVED != 0
     f1, f2, f3 = F.tolist()
     node = []
     for variance in (noise * noise).tolist():
@@ -89,10 +89,10 @@ def _node_enormous() -> Observed:
 def _scale() -> Observed:
     rng = np.random.default_rng(6)
     F, B = rng.standard_normal((200, 3)), 0.05 * rng.standard_normal((3, 3))
-    one = contact.standard_uncertainties(F, B @ B.T, pull=False)
+    one = estimate.standard_uncertainties(F, B @ B.T, pull=False)
     worst = 0.0
     for power in (-800, -500, -100, 100, 500):
-        scaled = contact.standard_uncertainties(np.ldexp(F, power), _times(B @ B.T, 2 * power), pull=False)
+        scaled = estimate.standard_uncertainties(np.ldexp(F, power), _times(B @ B.T, 2 * power), pull=False)
         scaled[:, 0] = np.ldexp(scaled[:, 0], -power)
         worst = max(worst, float(np.abs(scaled / one - 1.0).max())) if abs(power) <= 500 else worst
         if power == -800:  # the covariance itself is 0 then: so must u be, not NaN
@@ -112,8 +112,8 @@ def _not_finite() -> Observed:
         for k in range(3):
             F, K = np.array([0.1, 0.2, -0.9]), good.copy()
             F[k], K[k, k] = bad, bad
-            unknown.append(np.isnan(contact.standard_uncertainties(F, good, pull=False)).all())
-            unknown.append(np.isnan(contact.standard_uncertainties([0.1, 0.2, -0.9], K, pull=False)).all())
+            unknown.append(np.isnan(estimate.standard_uncertainties(F, good, pull=False)).all())
+            unknown.append(np.isnan(estimate.standard_uncertainties([0.1, 0.2, -0.9], K, pull=False)).all())
     bits = scalar.status_bits(1.0, math.nan, math.nan, 0.0, 0.0, 0.1, _LIMITS, True)
     held = bool(all(unknown)) and bool(bits & scalar.THETA_UNRESOLVED)
     return Observed(held, f"{sum(map(bool, unknown))} of {len(unknown)} all NaN; status {bits:02X}h")
@@ -123,7 +123,7 @@ def _tangential() -> Observed:
     ratios = []
     for cosine in (0.0, 1e-3, 0.01, 0.03, 0.1, 0.3):
         F = np.array([0.6, math.sqrt(1.0 - cosine * cosine), 0.8])
-        u = contact.standard_uncertainties(F, 1e-6 * np.eye(3), pull=False)[2]
+        u = estimate.standard_uncertainties(F, 1e-6 * np.eye(3), pull=False)[2]
         ratios.append(float(u) / _spread(F, 1e-3))
     held = all(1.0 / 1.5 <= ratio <= 1.5 for ratio in ratios)
     return Observed(held, "u_theta over Monte Carlo: " + ", ".join(f"{ratio:.3f}" for ratio in ratios))
@@ -132,8 +132,8 @@ def _tangential() -> Observed:
 def _spread(F: FloatArray, sigma: float, seed: int = 7) -> float:
     """Root mean square deviation of theta from its true value under noise."""
     draws = F + sigma * np.random.default_rng(seed).standard_normal((_DRAWS, 3))
-    true = float(contact.contacts(F, pull=False).theta_rad)
-    off = contact.contacts(draws, pull=False).theta_rad - true
+    true = float(estimate.contacts(F, pull=False).theta_rad)
+    off = estimate.contacts(draws, pull=False).theta_rad - true
     off = (off + math.pi) % (2.0 * math.pi) - math.pi
     return float(np.sqrt(np.mean(off * off)))
 
@@ -144,8 +144,8 @@ def _tangential_flag() -> Observed:
         F = np.array([[0.6, math.sqrt(1.0 - cosine * cosine), 0.8]])
         for sigma in (1e-4, 1e-3, 1e-2, 0.1, 0.3):
             K = sigma * sigma * np.eye(3)
-            u = contact.standard_uncertainties(F, K, pull=False)
-            bits = contact.status(contact.contacts(F, pull=False), u, contact.miss_uncertainties(F, K), _LIMITS)
+            u = estimate.standard_uncertainties(F, K, pull=False)
+            bits = estimate.status(estimate.contacts(F, pull=False), u, estimate.miss_uncertainties(F, K), _LIMITS)
             large = bool(u[0, 2] > math.radians(30.0))
             bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(first_order.first_order_holds(F, K)[0, 2])
             # The bend of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
@@ -167,9 +167,9 @@ def _first_order() -> Observed:
         if not first_order.first_order_holds(F, K)[2]:
             continue
         holding += 1
-        theta = contact.contacts(np.vstack((F, F + sigma * draws)), pull=False).theta_rad
+        theta = estimate.contacts(np.vstack((F, F + sigma * draws)), pull=False).theta_rad
         off = (theta[1:] - theta[0] + math.pi) % (2.0 * math.pi) - math.pi
-        ratio = float(contact.standard_uncertainties(F, K, pull=False)[2] / np.sqrt(np.mean(off * off)))
+        ratio = float(estimate.standard_uncertainties(F, K, pull=False)[2] / np.sqrt(np.mean(off * off)))
         worst = max(worst, abs(ratio - 1.0))
     held = worst <= 0.15 and 100 < holding < 900
     return Observed(held, f"{holding} of 1000 hold; u_theta off by at most {worst:.1%}")
@@ -184,15 +184,15 @@ def _missing() -> Observed:
         bits.append(bool(status & scalar.MISSES_TIP))
     rng = np.random.default_rng(9)
     F = np.array([0.6, 1.0, 0.8]) + 0.01 * rng.standard_normal((200_000, 3))
-    found = contact.contacts(F, pull=False)
-    u_miss = contact.miss_uncertainties(F, 1e-4 * np.eye(3))
+    found = estimate.contacts(F, pull=False)
+    u_miss = estimate.miss_uncertainties(F, 1e-4 * np.eye(3))
     rate = float(np.mean(found.miss_newtons > 3.0 * u_miss))
     held = bits == [0.25 * k > 3.0 for k in range(25)] and rate < 0.002
     return Observed(held, f"first set at {0.25 * bits.index(True):g} u; tangential load at noise: {rate:.2%}")
 
 
 def _impossible() -> Observed:
-    from tipforce.sensor.parity import weighted_inverse
+    from tipforce.sensor.contact.redundancy import weighted_inverse
 
     A = np.array(talk.strain_per_newton(4))
     try:

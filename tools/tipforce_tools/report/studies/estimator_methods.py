@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.fingertip.calibration import Active
-from tipforce.sensor import scalar
-from tipforce.sensor.contact import estimate as estimate_in_bulk
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
 from tipforce_tools.report import micropython
 from tipforce_tools.report.studies import estimator_fixed as fixed
 from tipforce_tools.report.studies.estimator_inputs import LSB_MICROSTRAIN, Contacts
@@ -124,7 +124,7 @@ _SHOWN = 'print("out", binascii.hexlify(b"".join([struct.pack("<2d", f[0], f[2])
 
 
 def on_micropython(given: Contacts, effort: Effort) -> tuple[Estimate, Timing]:
-    """The node's ``sensor/scalar.py`` on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
+    """The node's ``sensor/contact/scalar.py`` on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
     counts = given.counts
     repeats = max(1, 2000 // len(counts))  # its clock has milliseconds, and a sample takes some 30 microseconds
     files = {

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.calibration import Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.fit.simulation import true_matrix, unseen_forces
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.grooves import paper_grooves
+from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor.calibration.simulation import true_matrix, unseen_forces
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, quartiles, timed
 
 FloatArray = npt.NDArray[np.float64]

@@ -61,7 +61,7 @@ def _smooth() -> _Task:
     from tipforce.sensor.dynamics import exact
     from tipforce.sensor.dynamics.integrators import Problem
     from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.structure.geometry import FABRICATED
 
     body, F, duration = modes(FABRICATED, 0.01), np.array(_FORCE), 0.04
     t = np.linspace(0.0, duration, _SAMPLES + 1)
@@ -83,7 +83,7 @@ def _step() -> _Task:
     from tipforce.sensor.dynamics import exact
     from tipforce.sensor.dynamics.integrators import Problem
     from tipforce.sensor.dynamics.model import STEEL_DENSITY, modes
-    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.structure.geometry import FABRICATED
 
     # The mass of the beams adds modes to 77 kHz: stiff.
     body, F, duration = modes(FABRICATED, 0.01, beam_density_kg_m3=STEEL_DENSITY), np.array(_FORCE), 0.02
@@ -106,7 +106,7 @@ def _tap() -> _Task:
     from tipforce.sensor.dynamics import exact
     from tipforce.sensor.dynamics.integrators import Problem
     from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.structure.geometry import FABRICATED
 
     body, F, duration, tap = modes(FABRICATED, 0.01), np.array(_FORCE), 0.02, 1e-3
     t = np.linspace(0.0, duration, _SAMPLES + 1)
@@ -129,7 +129,7 @@ def _impact() -> _Task:
     from tipforce.sensor.dynamics.impact import impact
     from tipforce.sensor.dynamics.integrators import Problem, no_load
     from tipforce.sensor.dynamics.model import modes
-    from tipforce.sensor.geometry import FABRICATED
+    from tipforce.sensor.structure.geometry import FABRICATED
 
     body, striker, duration = modes(FABRICATED, 0.01), Striker(0.01, 0.3, 1e7), 4e-3
     t = np.linspace(0.0, duration, _SAMPLES + 1)
@@ -152,7 +152,7 @@ def _held(body: object, load: Load, duration_s: float) -> Callable[[int], FloatA
     """The held step, sampling the load itself as its user must: that is part of the time."""
     import numpy as np
 
-    from tipforce.sensor.dynamics.held import respond
+    from tipforce.sensor.dynamics.first_order_hold import respond
     from tipforce.sensor.dynamics.model import Modes
 
     assert isinstance(body, Modes)

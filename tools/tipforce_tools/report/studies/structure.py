@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
-    from tipforce.sensor.frame import FrameModel
+    from tipforce.sensor.structure.plane_frame import FrameModel
     from tipforce_tools.fem.limit import Limit
 
 FloatArray = npt.NDArray[np.float64]
@@ -157,8 +157,8 @@ def _beams_against_meshes(found: dict[str, list[_Found]], error: Callable[[Float
 
 def conditions(matrix: FloatArray) -> list[float]:
     """Return the condition numbers of the three cases from the rows GAUGES (5, 3)."""
-    from tipforce.sensor.layouts import LAYOUTS
-    from tipforce.sensor.strain import condition_number
+    from tipforce.sensor.structure.layouts import LAYOUTS
+    from tipforce.sensor.structure.strain import condition_number
 
     return [condition_number(matrix[[GAUGES.index(point) for point in LAYOUTS[case]]]) for case in CASES]
 
@@ -169,10 +169,10 @@ def _distance(matrix: FloatArray, other: FloatArray) -> float:
 
 def _beam_models() -> dict[str, Matrix]:
     """Models without a mesh. All but the first have their gauges where the finite elements have them."""
-    from tipforce.sensor.frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
-    from tipforce.sensor.gauge_shift import position_matrix
-    from tipforce.sensor.published import GAUGE_LENGTH_M
-    from tipforce.sensor.strain import strain_matrix
+    from tipforce.sensor.design.published import GAUGE_LENGTH_M
+    from tipforce.sensor.structure.gauge_shift import position_matrix
+    from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
+    from tipforce.sensor.structure.strain import strain_matrix
     from tipforce_tools.fem.gauges import nearest_place
     from tipforce_tools.fem.outline import STATED
 

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.fit.result import Fit
+from tipforce.sensor.calibration.result import Fit
 
 FloatArray = npt.NDArray[np.float64]
 DIGITS = 9

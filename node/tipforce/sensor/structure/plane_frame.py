@@ -25,10 +25,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_positions import Gauge, place
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import POINTS
+from tipforce.sensor.structure.gauge_positions import Gauge, place
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import POINTS
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,8 +15,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.design_problem import Design, Limits, Problem, Slot, configurations
-from tipforce.sensor.merit import LoadSet
+from tipforce.sensor.design.figures_of_merit import LoadSet
+from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot, configurations
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,12 +7,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.fit.data import Model, Readings
-from tipforce.sensor.fit.design import OffsetBasis, reference_map
-from tipforce.sensor.fit.distributions import t_quantile
-from tipforce.sensor.fit.result import Fit, LoadResidual
-from tipforce.sensor.fit.solve import Problem, Solution, observed_inverse
-from tipforce.sensor.strain import condition_number, row_equilibrated_condition_number
+from tipforce.sensor.calibration.data import Model, Readings
+from tipforce.sensor.calibration.distributions import t_quantile
+from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
+from tipforce.sensor.calibration.result import Fit, LoadResidual
+from tipforce.sensor.calibration.solve import Problem, Solution, observed_inverse
+from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

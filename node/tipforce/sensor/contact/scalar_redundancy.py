@@ -7,7 +7,7 @@ Matrices are lists of rows, noise is the upper triangle of the gauges' covarianc
 
 from math import erfc, exp, pi, sqrt
 
-from .condition import condition_number
+from .scalar_condition import condition_number
 
 CONDITION_LIMIT = 1e4  # of the matrix of the gauges left, 2-norm, as 2105h:1: beyond it they have no rank 3
 FALSE_ALARM_RATE = 1e-4  # of fault detection, per sample

@@ -7,8 +7,8 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.fit.distributions import f_quantile
-from tipforce.sensor.fit.solve import NOISE_FLOOR, Problem, Solution, observed_inverse
+from tipforce.sensor.calibration.distributions import f_quantile
+from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution, observed_inverse
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

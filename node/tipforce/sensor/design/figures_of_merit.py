@@ -14,8 +14,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.strain import condition_number, noise_gain, stress_coefficients
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.strain import condition_number, noise_gain, stress_coefficients
 
 FloatArray = npt.NDArray[np.float64]
 AnyArray = npt.NDArray[Any]

@@ -11,10 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import POINTS, VERTICAL_POINTS, Layout
-from tipforce.sensor.strain import (
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import POINTS, VERTICAL_POINTS, Layout
+from tipforce.sensor.structure.strain import (
     calibration_matrix,
     condition_number,
     noise_gain,

@@ -8,9 +8,9 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import LAYOUTS, POINTS, mirror
-from tipforce.sensor.strain import (
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.strain import (
     condition_number,
     noise_gain,
     row_equilibrated_condition_number,

@@ -11,14 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.fit.data import Model, Prior, Readings, beam_prior, checked
-from tipforce.sensor.fit.design import OffsetBasis, bad_tares, direction_scatter, offset_basis, reference_map
-from tipforce.sensor.fit.identify import FORCES, require_clear, require_seen
-from tipforce.sensor.fit.result import Fit, LoadResidual, covariance_of_estimate, kronecker
-from tipforce.sensor.fit.solve import Problem, Solution, pick, solve
-from tipforce.sensor.fit.start import corner, outlying, suspects
-from tipforce.sensor.fit.statistics import Left, Scales, result
-from tipforce.sensor.forces import force_vector
+from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
+from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
+from tipforce.sensor.calibration.regressors import (
+    OffsetBasis,
+    bad_tares,
+    direction_scatter,
+    offset_basis,
+    reference_map,
+)
+from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
+from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
+from tipforce.sensor.calibration.start import corner, outlying, suspects
+from tipforce.sensor.calibration.statistics import Left, Scales, result
+from tipforce.sensor.contact.force import force_vector
 
 __all__ = [
     "Fit", "LoadResidual", "Model", "Prior", "Readings",

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import POINTS, Layout, layout
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import POINTS, Layout, layout
 
 FloatArray = npt.NDArray[np.float64]
 Beam = Literal["H", "V"]

@@ -10,10 +10,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.fit.design import DRIFTS
-from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import MAX_GAUGES, MIN_GAUGES
+from tipforce.sensor.calibration.regressors import DRIFTS
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
 
 FloatArray = npt.NDArray[np.float64]
 

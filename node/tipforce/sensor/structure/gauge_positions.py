@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_shift import GaugePosition, nominal_position, strain_row
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import MAX_GAUGES, MIN_GAUGES, POINTS
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position, strain_row
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS
+from tipforce.sensor.structure.strain import strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

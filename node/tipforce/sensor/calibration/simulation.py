@@ -7,11 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.geometry import FABRICATED
-from tipforce.sensor.grooves import paper_grooves
-from tipforce.sensor.layouts import Layout
-from tipforce.sensor.strain import strain_matrix
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.groove_errors import paper_grooves
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import Layout
+from tipforce.sensor.structure.strain import strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -6,11 +6,11 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields
 
-from tipforce.sensor.frame import ELASTIC_ROOTS, Frame, FrameModel
-from tipforce.sensor.gauge_positions import Gauge, gauge_matrix
-from tipforce.sensor.gauge_shift import nominal_position
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.merit import LoadSet, Merit, merit, slit_closure, worst_strain, worst_stress
+from tipforce.sensor.design.figures_of_merit import LoadSet, Merit, merit, slit_closure, worst_strain, worst_stress
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, FrameModel
 
 AGREEMENT = 0.03
 """What beam theory and the frame may differ by, relative, before a design counts as not proven."""

@@ -20,8 +20,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar_parity
-from tipforce.sensor.scalar_parity import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
+from tipforce.sensor.contact import scalar_redundancy
+from tipforce.sensor.contact.scalar_redundancy import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -147,7 +147,7 @@ def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
     A = structure_matrix(matrix, covariance)
     Q, P = np.linalg.inv(covariance), np.eye(n) - A @ matrix
     visible = np.einsum("ki,ik->k", Q, P)
-    visible = np.where(visible * np.diag(covariance) < scalar_parity.SMALLEST_VARIANCE, 0.0, visible)
+    visible = np.where(visible * np.diag(covariance) < scalar_redundancy.SMALLEST_VARIANCE, 0.0, visible)
     return Parity(A, matrix, np.asarray(Q, dtype=np.float64), P, visible)
 
 
@@ -174,7 +174,7 @@ def alike(model: Parity, smallest_sine: float = 1e-6) -> list[tuple[int, int]]:
 
 def detectable_strain(model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE) -> FloatArray:
     """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: none shows."""
-    threshold = scalar_parity.chi_square_threshold(false_alarm_rate, model.degrees)
+    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees)
     with np.errstate(divide="ignore"):
         found: FloatArray = np.sqrt((threshold - model.degrees) / model.visible)
     return found
@@ -204,8 +204,8 @@ def detect(
     if V.ndim < 1 or V.shape[-1] != n:
         raise InputError(f"strain has the shape {V.shape}: allowed is (..., {n})")
     factor = np.asarray(variance_factor, dtype=np.float64)
-    alarm = scalar_parity.chi_square_threshold(false_alarm_rate, n - 3)
-    exclusion = scalar_parity.chi_square_threshold(exclusion_rate, n - 4)
+    alarm = scalar_redundancy.chi_square_threshold(false_alarm_rate, n - 3)
+    exclusion = scalar_redundancy.chi_square_threshold(exclusion_rate, n - 4)
     with np.errstate(invalid="ignore", over="ignore"):
         r = V - (V @ model.C.T) @ model.A.T
         weighed = r @ model.Q

@@ -12,9 +12,15 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_shift import GaugePosition
-from tipforce.sensor.geometry import FABRICATED, Geometry
-from tipforce.sensor.merit import PAPER_LOAD_NEWTONS, PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
+from tipforce.sensor.design.figures_of_merit import (
+    PAPER_LOAD_NEWTONS,
+    PAPER_SLIT_M,
+    AnyArray,
+    slit_compliance,
+    worst_stress,
+)
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 
 FloatArray = npt.NDArray[np.float64]
 

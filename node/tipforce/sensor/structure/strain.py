@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import VERTICAL_POINTS, Layout, layout
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import VERTICAL_POINTS, Layout, layout
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor import scalar
-from tipforce.sensor.forces import force_from_strain
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.force import force_from_strain
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

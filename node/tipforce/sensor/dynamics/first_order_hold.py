@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics.hold import Hold, hold
+from tipforce.sensor.dynamics.mode_step import Hold, hold
 from tipforce.sensor.dynamics.model import Modes
 
 FloatArray = npt.NDArray[np.float64]

@@ -8,17 +8,17 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import contacts, standard_uncertainties
-from tipforce.sensor.forces import force_from_strain, force_vector
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import Layout
-from tipforce.sensor.published import (
+from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
+from tipforce.sensor.contact.force import force_from_strain, force_vector
+from tipforce.sensor.design.published import (
     CALIBRATION_THETA_DEG,
     CALIBRATION_WEIGHT_NEWTONS,
     X_GROOVES_DEG,
     Y_GROOVES_DEG,
 )
-from tipforce.sensor.strain import calibration_matrix, strain_matrix
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import Layout
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 

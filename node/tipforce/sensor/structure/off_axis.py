@@ -18,9 +18,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.gauge_shift import GaugePosition, nominal_position
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.layouts import Layout, layout
+from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import Layout, layout
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import contacts, standard_uncertainties
+from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -14,14 +14,14 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import standard_uncertainties
-from tipforce.sensor.first_order import first_order_holds
-from tipforce.sensor.forces import force_vector
-from tipforce.sensor.gauge_shift import GaugePosition, strain_row
-from tipforce.sensor.geometry import Geometry
-from tipforce.sensor.grooves import paper_grooves
-from tipforce.sensor.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
-from tipforce.sensor.published import CALIBRATION_WEIGHT_NEWTONS
+from tipforce.sensor.contact.estimate import standard_uncertainties
+from tipforce.sensor.contact.first_order import first_order_holds
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.design.groove_errors import paper_grooves
+from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS
+from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

@@ -1,0 +1,1 @@
+"""The calibration fit: readings under known loads to C, offsets and their uncertainty."""

@@ -1,0 +1,1 @@
+"""Design studies: the paper's tables and figures, the error budget, the search for better structures."""

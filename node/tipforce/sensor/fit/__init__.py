@@ -1,1 +1,0 @@
-"""The parts of the calibration fit; `tipforce.sensor.calibration` puts them together."""

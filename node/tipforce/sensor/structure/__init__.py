@@ -1,0 +1,1 @@
+"""The structure: geometry, gauge layouts, strain per force, beam and frame models."""
