@@ -28,7 +28,7 @@ from bench.decode_log import hand_traffic, write_log
 from bench.decode_methods import DBC
 from bench.decode_profile import profile
 
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 
 ROOT = Path(__file__).parents[1]
 ASAMMDF_PYTHON = ROOT / "build" / "bench-venv" / "bin" / "python"

@@ -10,9 +10,9 @@ import numpy as np
 import numpy.typing as npt
 from bench.decode_methods import DBC
 
-from tipforce.host.decode import Decoder
-from tipforce.host.decode_columns import Column
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.columns import Column
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 _SPECIAL = np.array([0x8000, 0x8001, 0x7FFF, 0, 0xFFFF], dtype=np.uint16)
 _BLOCK = 100_000

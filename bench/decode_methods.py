@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from tipforce.host.frames import FrameArray
+    from tipforce.host.frames.frame_array import FrameArray
 
 DBC = Path(__file__).parents[1] / "dbc" / "tipforce.dbc"
 Result = dict[str, float]
@@ -33,7 +33,7 @@ def parse(log: Path) -> Result:
 
 def memory(log: Path) -> Result:
     """Text to columns, block by block."""
-    from tipforce.host.decode import Decoder
+    from tipforce.host.decoding.decoder import Decoder
     from tipforce.host.logs.reader import open_log
 
     decoder, frames, decoded = Decoder(), 0, 0
@@ -48,7 +48,7 @@ def memory_sum(log: Path) -> float:
     """What ``memory`` would have found: not timed, for the C program does it on the way and numpy in a further pass."""
     import numpy as np
 
-    from tipforce.host.decode import Decoder
+    from tipforce.host.decoding.decoder import Decoder
     from tipforce.host.logs.reader import open_log
 
     decoder, total = Decoder(), 0.0

@@ -20,7 +20,7 @@ from bench.device import machine
 from bench.hand_bus import LoopbackLink, may_hurry
 from bench.soak_fingers import calibration
 
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand, Statistics
 

@@ -10,7 +10,7 @@ from collections.abc import Callable
 import can
 from bench.live_loopback import CanopenHost, connected_pair, contact_frames, python_can_bus
 
-from tipforce.host.decode import Decoder
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
 
 FRAMES = 2048  # in one turn

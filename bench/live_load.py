@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 from bench.live_loopback import bound_receiver, python_can_bus, running_numbers, sending
 
-from tipforce.host.decode import Decoder
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
 from tipforce_tools.log.session import TICK_S
 from tipforce_tools.log.writers import open_writer

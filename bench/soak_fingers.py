@@ -13,8 +13,8 @@ import numpy as np
 
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.running import loop

@@ -16,9 +16,9 @@ from rclpy.qos import qos_profile_sensor_data
 from tipforce_msgs.msg import FingertipContact
 
 from tipforce.errors import TipforceError
-from tipforce.host.connection import Connection
-from tipforce.host.decode import Samples
+from tipforce.host.decoding.decoder import Samples
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
 
 FLAGS = ("contact", "calibrated", "saturated", "stale", "fault")
 

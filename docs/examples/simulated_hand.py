@@ -16,7 +16,7 @@ import numpy as np
 
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from simulated_hand import beam_calibration, finger, running
-from tipforce.host.connection import Connection
-from tipforce.host.faults import Faults, FaultyBus, quiet
-from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.faulty_bus import Faults, FaultyBus, quiet
+from tipforce.host.network.finger import FingertipClient
 
 BUS: dict[str, Any] = {
     "interface": os.environ.get("CAN_INTERFACE", "virtual"),

@@ -11,7 +11,7 @@ import pytest
 
 from docs.ros2_stand_in import FingertipContact, WrenchStamped, install
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.network.finger import FingertipClient
 
 BRIDGE = Path(__file__).parents[2] / "docs" / "examples" / "ros2_bridge.py"
 

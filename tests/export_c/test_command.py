@@ -12,7 +12,7 @@ import pytest
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.lint import lint_eds
 from tipforce.dictionary.table import CONVERTER_24
-from tipforce.host.configuration import read_configuration
+from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce_tools.export_c.files import c_files
 from tipforce_tools.main import main
 

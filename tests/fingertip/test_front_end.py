@@ -17,7 +17,7 @@ from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text, file_name
 from tipforce.dictionary.lint import lint_eds
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.fingertip import Identity
+from tipforce.host.network.finger import Identity
 from tipforce.sources.dynamic_forces import DynamicForces
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce.sources.front_end import Bridge, FrontEnd, OneOverFNoise, Temperature

@@ -16,9 +16,9 @@ from can.interfaces.virtual import VirtualBus
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration import Calibration
-from tipforce.host.connection import Connection
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import HandSample, PolledHand
+from tipforce.host.network.connection import Connection
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host.bus_load import (
+from tipforce.host.frames.frame_array import frame_array
+from tipforce.host.network.bus_load import (
     LoadMeter,
     exact_bits,
     hand_budget,
@@ -16,7 +17,6 @@ from tipforce.host.bus_load import (
     most_bits,
     range_of_bits,
 )  # fmt: skip
-from tipforce.host.frames import frame_array
 
 
 def wire_bits(can_id: int, data: bytes) -> int:

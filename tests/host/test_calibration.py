@@ -16,8 +16,8 @@ from hypothesis import strategies as st
 from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
 from tipforce.dictionary import table
 from tipforce.errors import InputError
-from tipforce.host.calibration import Calibration, difference
-from tipforce.host.calibration_file import read_calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration, difference
+from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
 
 REAL32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 U32 = st.integers(0, 0xFFFFFFFF)

@@ -10,7 +10,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, NoResponseError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
+from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

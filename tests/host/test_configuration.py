@@ -16,14 +16,14 @@ from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.rows import rows
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.configuration import (
+from tipforce.host.configuration.configuration_file import (
     Configuration,
     apply_configuration,
     read_configuration,
     verify_configuration,
 )
-from tipforce.host.connection import Connection
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.sdo import SdoChannel
 
 NODE = 5
 

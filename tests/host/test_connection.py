@@ -11,9 +11,9 @@ import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
-from tipforce.host.bus import open_bus
-from tipforce.host.connection import Connection
-from tipforce.host.frames import FrameBuffer, frame_array
+from tipforce.host.frames.frame_array import FrameBuffer, frame_array
+from tipforce.host.network.bus import open_bus
+from tipforce.host.network.connection import Connection
 
 HEARTBEAT = 0x705
 

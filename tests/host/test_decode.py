@@ -8,8 +8,8 @@ import pytest
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder, Samples, lost_samples, unwrap_counter
-from tipforce.host.frames import FrameArray, frame_array
+from tipforce.host.decoding.decoder import Decoder, Samples, lost_samples, unwrap_counter
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 
 STATUS_NAMES = [name for name, _ in STATUS_BITS]
 REAL_P = (0x6130, 7, 32)  # n = 3: channel 7 is P

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 DBC = Path(__file__).parents[2] / "dbc" / "tipforce.dbc"
 FRAMES = 10_000

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from host.bus_with_nodes import new_channel
 from tipforce.errors import InputError
-from tipforce.host.faults import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
+from tipforce.host.network.faulty_bus import Babbler, Faults, FaultyBus, Injector, RawFrame, quiet
 
 FRAMES: list[RawFrame] = [(0x181 + k % 5, k.to_bytes(4, "little")) for k in range(4000)]
 

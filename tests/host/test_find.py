@@ -14,9 +14,9 @@ from tipforce.device.object_dictionary import ObjectDictionary
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.connection import Connection
-from tipforce.host.find import FoundNode, find_nodes
-from tipforce.host.fingertip import FingertipClient, Identity
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.find import FoundNode, find_nodes
+from tipforce.host.network.finger import FingertipClient, Identity
 
 WAIT_S = 0.2
 

@@ -23,10 +23,10 @@ from host.bus_with_nodes import (
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError
-from tipforce.host.calibration import Calibration, FloatArray, difference
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.configuration.calibration import Calibration, FloatArray, difference
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
 

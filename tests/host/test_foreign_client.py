@@ -13,7 +13,7 @@ import pytest
 
 from host.bus_with_nodes import connected, finger
 from tipforce.dictionary.eds import eds_text
-from tipforce.host.connection import Connection
+from tipforce.host.network.connection import Connection
 
 NODE = 5
 

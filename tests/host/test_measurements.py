@@ -11,9 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host import measurements
-from tipforce.host.measurement_rows import MODES
-from tipforce.host.measurements import BadRow, Measurements, read_measurements, write_measurements
+from tipforce.host.configuration import measurements
+from tipforce.host.configuration.measurement_rows import MODES
+from tipforce.host.configuration.measurements import BadRow, Measurements, read_measurements, write_measurements
 
 HEADER = "SG1,SG2,SG3,P_N,phi_deg,theta_deg"
 

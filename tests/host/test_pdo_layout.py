@@ -12,10 +12,10 @@ from tipforce.device.codes import EXTENDED_FLAG
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder, Samples
-from tipforce.host.frames import FRAME, FrameArray, frame_array
-from tipforce.host.pdo_layout import dbc_messages, dcf_layout, layout_decoder, node_layout
-from tipforce.host.sample_counter import SampleCounters
+from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.pdo_layout import dbc_messages, dcf_layout, layout_decoder, node_layout
+from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 
 DBC = Path(__file__).parents[2] / "dbc" / "tipforce.dbc"
 DEFAULTS = {message.name: message for message in tpdo_messages()}

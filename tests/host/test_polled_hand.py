@@ -11,9 +11,9 @@ import pytest
 from host.bus_with_nodes import FaultyBus, apply_load, beam_calibration, connected, finger, fresh_sample
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 
 PATIENCE_S = 0.25  # for a row that stays incomplete
 FINGERS = {1: "I", 2: "II", 7: "III"}

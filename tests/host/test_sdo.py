@@ -14,7 +14,7 @@ from host.bus_with_nodes import FaultyBus, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
-from tipforce.host.connection import Connection
+from tipforce.host.network.connection import Connection
 
 NODE = 5
 ANSWER = 0x580 + NODE

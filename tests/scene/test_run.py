@@ -12,8 +12,8 @@ import pytest
 from msgspec.structs import replace
 
 from tipforce.errors import InputError
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.loads import load_of
 from tipforce.scene.parts import bus_load, identifiers

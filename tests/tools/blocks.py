@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import CandumpParser
 
 MIXED_LOG = """\

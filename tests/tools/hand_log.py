@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 from device.conversation import Conversation
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource

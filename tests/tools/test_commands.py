@@ -16,8 +16,8 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.rows import rows
-from tipforce.host.calibration_file import write_calibration
-from tipforce.host.connection import Connection
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.network.connection import Connection
 from tipforce_tools.main import main
 
 ROOT = Path(__file__).parents[2]

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tipforce.host.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 import pytest
 
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import write_calibration
-from tipforce.host.measurements import Measurements, write_measurements
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -18,7 +18,7 @@ from rich.table import Table
 from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.network.finger import FingertipClient
 from tipforce_tools import common
 from tipforce_tools.main import main
 from tipforce_tools.view.fingers import Finger
@@ -202,8 +202,8 @@ def test_gauges_of_a_decoded_log_are_measurements(
 def _write_calibration(path: str) -> None:
     import numpy as np
 
-    from tipforce.host.calibration import Calibration
-    from tipforce.host.calibration_file import write_calibration
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.host.configuration.calibration_file import write_calibration
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import calibration_matrix
 

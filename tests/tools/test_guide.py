@@ -19,11 +19,11 @@ from host.bus_with_nodes import apply_load, connected, fresh_sample, new_channel
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration_file import read_calibration, read_fit
-from tipforce.host.capture import Capture
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.capture import Capture
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.contact.estimate import standard_uncertainties

@@ -19,7 +19,7 @@ import numpy as np
 import pytest
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.host.frames import FRAME, FrameArray, frame_array
+from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
 from tipforce_tools.main import COMMANDS, command_parser, main
 from tipforce_tools.monitor import display

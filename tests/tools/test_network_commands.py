@@ -12,8 +12,8 @@ import pytest
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce_tools.main import main
 from tipforce_tools.plot.bins import BINS, Bins
 from tipforce_tools.plot.finger import Finger

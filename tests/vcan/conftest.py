@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.host.connection import Connection
+from tipforce.host.network.connection import Connection
 from tipforce_tools.vcan.host import is_up
 from vcan.support import Command, Launch, RawBus, running_node
 

@@ -33,7 +33,7 @@ _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
     [
         "numpy", "can.cli", "can.interfaces.socketcan", "canopen", "tomllib", "importlib.resources.readers",
-        "tipforce.host.calibration_file", "tipforce.host.configuration", "tipforce.host.find",
+        "tipforce.host.configuration.calibration_file", "tipforce.host.configuration.configuration_file", "tipforce.host.network.find",
         "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.load",
         "tipforce.running.loop", "tipforce.fingertip.node", "tipforce.running.store", "tipforce.dictionary.eds",
         "tipforce.running.ports", "tipforce.sensor.structure.strain",

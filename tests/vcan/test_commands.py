@@ -13,9 +13,9 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import write_calibration
-from tipforce.host.connection import Connection
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.network.connection import Connection
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
 

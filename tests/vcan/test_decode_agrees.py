@@ -14,9 +14,9 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.sdo import SdoChannel
 from tipforce_tools.demo.job import case_calibration, grooves
 from vcan.support import (
     NODE_ID,

@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.host.fd_frame import LENGTHS
+from tipforce.host.frames.fd_frame import LENGTHS
 from vcan.support import WAIT_S, Command, peer, wait_until
 
 EVERYTHING = "vcan0,0:0,#FFFFFFFF"

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 from tipforce.dictionary import objects as od
-from tipforce.host.connection import Connection
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import Command, running_node
 

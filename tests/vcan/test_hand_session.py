@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.rows import Rows
 from tipforce.sensor.structure.geometry import FABRICATED

@@ -22,9 +22,9 @@ import numpy as np
 import pytest
 
 from tipforce.fingertip.application import FROZEN_READINGS
-from tipforce.host.calibration import Calibration
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from tipforce.host.decode import Decoder
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.can_filter import Filter, Selection
 from tipforce.host.live.receive import SocketReceiver, open_receiver, open_socket
 from vcan.support import WAIT_S, Command, Launch, RawBus, wait_until

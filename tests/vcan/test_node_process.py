@@ -13,8 +13,8 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.errors import SdoAbortError
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import HEARTBEAT, NODE_ID, SDO_REQUEST, SYNC, WAIT_S, Command, RawBus, running_node, wait_until
 

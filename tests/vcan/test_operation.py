@@ -14,8 +14,8 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import SdoAbortError
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.adc import in_user_mode_linux
 from vcan.support import HEARTBEAT, NODE_ID, SDO_ANSWER, SDO_REQUEST, SYNC, RawBus, running_node

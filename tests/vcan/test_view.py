@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 import numpy as np
 import pytest
 
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import BUS, WAIT_S, Command, running_node, wait_until
 

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     import numpy as np
     import numpy.typing as npt
 
-    from tipforce.host.calibration import Calibration
+    from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.design.error_budget import Budget, Causes, Loads, Sensor
 
     FloatArray = npt.NDArray[np.float64]
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
     _check(args)
     calibration = None
     if args.file is not None:
-        from tipforce.host.calibration_file import read_calibration
+        from tipforce.host.configuration.calibration_file import read_calibration
 
         calibration = read_calibration(args.file)
     sensor = _sensor(args, calibration)

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from tipforce.host.connection import Connection
+    from tipforce.host.network.connection import Connection
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,7 +71,7 @@ def bus_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """The bus that the flags, python-can's configuration files and the environment name."""
-    from tipforce.host.bus import open_bus as open_bus_by_options
+    from tipforce.host.network.bus import open_bus as open_bus_by_options
 
     return open_bus_by_options(**bus_options(args))
 
@@ -80,7 +80,7 @@ def open_connection(args: argparse.Namespace) -> Connection:
     """A host connection on that bus."""
     import threading
 
-    from tipforce.host.connection import Connection
+    from tipforce.host.network.connection import Connection
 
     if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
         raise InputError(

@@ -12,8 +12,8 @@ from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.dictionary.types import Value
-    from tipforce.host.configuration import Configuration
-    from tipforce.host.sdo import SdoChannel
+    from tipforce.host.configuration.configuration_file import Configuration
+    from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
     "show": "the settings of a node that are not at their default (--all: every one)",
@@ -62,8 +62,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _with_file(args: argparse.Namespace) -> int:
-    from tipforce.host.configuration import apply_configuration, read_configuration, verify_configuration
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.configuration.configuration_file import (
+        apply_configuration,
+        read_configuration,
+        verify_configuration,
+    )
+    from tipforce.host.network.finger import FingertipClient
 
     wanted = read_configuration(args.file, args.node, args.gauges)
     if args.action == "apply" and args.store:
@@ -89,7 +93,7 @@ def _with_file(args: argparse.Namespace) -> int:
 def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> int:
     from dataclasses import asdict
 
-    from tipforce.host.settings import compare
+    from tipforce.host.configuration.settings import compare
 
     differences = compare(_read(args, sdo), wanted, args.node, args.gauges)
     for found in differences:
@@ -104,7 +108,7 @@ def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> i
 
 def _show(args: argparse.Namespace) -> int:
     from tipforce.dictionary import types
-    from tipforce.host.settings import changed_settings, default_settings, setting_rows
+    from tipforce.host.configuration.settings import changed_settings, default_settings, setting_rows
 
     with common.open_connection(args) as connection:
         settings = _read(args, connection.sdo(args.node))
@@ -125,8 +129,8 @@ def _show(args: argparse.Namespace) -> int:
 
 
 def _save(args: argparse.Namespace) -> int:
-    from tipforce.host.fingertip import FingertipClient
-    from tipforce.host.settings import changed_settings, settings_dcf, settings_toml
+    from tipforce.host.configuration.settings import changed_settings, settings_dcf, settings_toml
+    from tipforce.host.network.finger import FingertipClient
 
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
@@ -147,7 +151,7 @@ def _save(args: argparse.Namespace) -> int:
 
 def _read(args: argparse.Namespace, sdo: SdoChannel) -> dict[tuple[int, int], Value]:
     """All settings, with a bar on a terminal: it takes a transfer for each."""
-    from tipforce.host.settings import read_settings, setting_rows
+    from tipforce.host.configuration.settings import read_settings, setting_rows
 
     with common.progress(args, "read", len(setting_rows(args.gauges))) as advance:
         return read_settings(sdo, args.gauges, advance)

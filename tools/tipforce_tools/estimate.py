@@ -15,7 +15,7 @@ from tipforce.errors import InputError
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.host.measurements import Measurements
+    from tipforce.host.configuration.measurements import Measurements
 
 COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta_deg", "status")
 
@@ -41,8 +41,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write one row for each row: 0; with --strict and bad rows 1."""
-    from tipforce.host.calibration_file import read_calibration, read_fit
-    from tipforce.host.measurements import read_measurements
+    from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+    from tipforce.host.configuration.measurements import read_measurements
     from tipforce_tools.estimate_rows import estimates
     from tipforce_tools.one_node import check_one_node
 

@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.calibration import Calibration
-from tipforce.host.measurement_rows import MODES
-from tipforce.host.measurements import Measurements
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.measurement_rows import MODES
+from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
 from tipforce.sensor.contact import estimate, scalar

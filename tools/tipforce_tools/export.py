@@ -80,7 +80,7 @@ def _values(args: argparse.Namespace) -> Values:
     """What the settings file says; without one the DCF has no ParameterValue: all defaults hold."""
     if not args.settings:
         return {}
-    from tipforce.host.configuration import read_configuration
+    from tipforce.host.configuration.configuration_file import read_configuration
 
     found = read_configuration(args.settings, args.node_id, args.gauges)
     return {place: value for place, (_entry, value) in found.items()}

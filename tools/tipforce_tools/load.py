@@ -10,8 +10,8 @@ from tipforce.errors import InputError
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.host.bus_load import Budget
-    from tipforce.host.frames import FrameArray
+    from tipforce.host.frames.frame_array import FrameArray
+    from tipforce.host.network.bus_load import Budget
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _paper(args: argparse.Namespace) -> int:
-    from tipforce.host.bus_load import DEFAULT_BIT_RATE, hand_budget
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, hand_budget
 
     if not 0 < args.limit <= 100:
         raise InputError(f"--limit {args.limit:g}: allowed is a percentage over 0, up to 100")
@@ -92,7 +92,7 @@ def budget_lines(budget: Budget) -> list[str]:
 
 def what_fits(nodes: int, rate_hz: float, pdos: list[str], gauges: int, bit_rate: int, limit: float) -> list[str]:
     """Lines that say which rate, and how many nodes, would fit; with all PDOs that were asked for, and with each."""
-    from tipforce.host.bus_load import hand_budget, highest_rate_hz
+    from tipforce.host.network.bus_load import hand_budget, highest_rate_hz
 
     lines = []
     choices = [pdos] + ([[name] for name in pdos] if len(pdos) > 1 else [])
@@ -120,8 +120,8 @@ def _print_records(budget: Budget) -> None:
 def _live(args: argparse.Namespace) -> int:
     import can
 
-    from tipforce.host.bus_load import DEFAULT_BIT_RATE, exact_bits
-    from tipforce.host.frames import FrameBuffer
+    from tipforce.host.frames.frame_array import FrameBuffer
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
 
     if not 0 < args.seconds <= 86400:
         raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0 s, up to a day")
@@ -145,7 +145,7 @@ def _live(args: argparse.Namespace) -> int:
 def _say_live(args: argparse.Namespace, frames: FrameArray, load: float, elapsed_s: float) -> None:
     import numpy as np
 
-    from tipforce.host.bus_load import exact_bits
+    from tipforce.host.network.bus_load import exact_bits
 
     ids, place, counts = np.unique(frames["can_id"], return_inverse=True, return_counts=True)
     bits = np.bincount(place, weights=exact_bits(frames).astype(np.float64), minlength=len(ids))

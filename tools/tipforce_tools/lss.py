@@ -11,7 +11,7 @@ from tipforce_tools import common
 from tipforce_tools.actions import add_choice
 
 if TYPE_CHECKING:
-    from tipforce.host.lss import LssAddress, LssMaster
+    from tipforce.host.network.lss import LssAddress, LssMaster
 
 ACTIONS = {
     "scan": "find a node without a node-id, by fastscan, and print its address",
@@ -52,8 +52,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """0; 5 when no node answered. Raises RefusedError when a node refuses."""
-    from tipforce.host.connection import Connection
-    from tipforce.host.lss import LssMaster
+    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.lss import LssMaster
 
     common.set_up_logging(args)
     _check(args)
@@ -102,7 +102,7 @@ def _assign(args: argparse.Namespace, master: LssMaster) -> int:
 
 def _one(args: argparse.Namespace, master: LssMaster) -> int:
     from tipforce.dictionary.table import REVISION
-    from tipforce.host.lss import LssAddress
+    from tipforce.host.network.lss import LssAddress
 
     revision = REVISION if args.revision is None else args.revision
     address = LssAddress(args.vendor, args.product, revision, args.serial)

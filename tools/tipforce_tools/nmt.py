@@ -39,8 +39,8 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoResponseError for a node that does not say so in time, after the states of those that do.
     """
-    from tipforce.host.connection import Connection
-    from tipforce.host.nmt import NotReachedError, command_and_wait
+    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     common.set_up_logging(args)
     if args.wait is not None and not args.ids:

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
-    from tipforce.host.measurements import Measurements
+    from tipforce.host.configuration.measurements import Measurements
 
 _COLUMNS = ("channel", "node")
 _SHOWN = 5

@@ -66,7 +66,7 @@ def _looks_like_csv(path: str) -> bool:
 
 
 def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
-    from tipforce.host.measurements import read_measurements
+    from tipforce.host.configuration.measurements import read_measurements
     from tipforce_tools.one_node import check_one_node
 
     data = read_measurements(path, loads=False)
@@ -81,7 +81,7 @@ def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
 def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, None]:
     import numpy as np
 
-    from tipforce.host.decode import Decoder
+    from tipforce.host.decoding.decoder import Decoder
     from tipforce.host.logs.candump import read_candump
 
     decoder = Decoder()

@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print a line for each node; 5 when there is none."""
-    from tipforce.host.find import find_nodes
+    from tipforce.host.network.find import find_nodes
 
     common.set_up_logging(args)
     if not 0 <= args.wait < threading.TIMEOUT_MAX:

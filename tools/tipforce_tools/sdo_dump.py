@@ -12,7 +12,7 @@ from tipforce_tools import common
 if TYPE_CHECKING:
     from tipforce.dictionary.rows import Row
     from tipforce.dictionary.types import Value
-    from tipforce.host.sdo import SdoChannel
+    from tipforce.host.network.sdo import SdoChannel
 
 EDS = 0x1021
 _PROFILE_FREE = 0x2000  # below it every CANopen device has the same objects (CiA 301)
@@ -61,7 +61,7 @@ def dump(args: argparse.Namespace) -> int:
 def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     """The entries to ask for: with --gauges those of such a fingertip, otherwise by what the node says that it is."""
     from tipforce.dictionary.rows import rows
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.network.finger import FingertipClient
 
     gauges, below = args.gauges, 0x10000
     if gauges is None:

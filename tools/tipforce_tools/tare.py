@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.host.fingertip import Tare
+    from tipforce.host.network.finger import Tare
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Act on each node and print what it takes off afterwards. Raises NoResponseError and SdoAbortError."""
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.network.finger import FingertipClient
 
     common.set_up_logging(args)
     with common.open_connection(args) as connection:

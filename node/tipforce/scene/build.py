@@ -22,7 +22,7 @@ from tipforce.sensor.structure.layouts import layout
 from tipforce.sources.simulated import SimulatedSource
 
 if TYPE_CHECKING:
-    from tipforce.host.calibration import Calibration
+    from tipforce.host.configuration.calibration import Calibration
 
     Frame = tuple[int, bytes]
 
@@ -149,7 +149,7 @@ def _calibration(
     built.append("calibration")
     if group.calibration == "model":
         return _model_calibration(scene, group, source)
-    from tipforce.host.calibration_file import read_calibration
+    from tipforce.host.configuration.calibration_file import read_calibration
 
     built.append("calibration file")
     found = read_calibration(folder / group.calibration)
@@ -163,7 +163,7 @@ def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: Simulat
     """The inverse of the structure's own strain matrix, with the offsets and the noise that the scene names."""
     import numpy as np
 
-    from tipforce.host.calibration import Calibration
+    from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.layouts import layout_code
     from tipforce.sensor.structure.strain import calibration_matrix

@@ -38,18 +38,24 @@ _FRAME = (
     "tipforce.sensor.structure.gauge_shift",
 )
 _DYNAMICS = ("beam_mass", "eigen", "held", "hold", "model")
-_BUS = ("tipforce.scene.realtime", "tipforce.running.loop", "tipforce.running.ports", "tipforce.host.bus", "can")
+_BUS = (
+    "tipforce.scene.realtime",
+    "tipforce.running.loop",
+    "tipforce.running.ports",
+    "tipforce.host.network.bus",
+    "can",
+)
 _RECORDING = (
-    "tipforce.host", "tipforce.host.frames", "tipforce.socketcan", "tipforce.scene.recording", "tipforce.scene.results",
+    "tipforce.host", "tipforce.host.frames.frame_array", "tipforce.socketcan", "tipforce.scene.recording", "tipforce.scene.results",
     "numpy",
 )  # fmt: skip
 _DECODER = (
-    "tipforce.host.decode", "tipforce.host.decode_columns", "tipforce.dictionary.signals", "tipforce.dictionary.rows",
+    "tipforce.host.decoding.decoder", "tipforce.host.decoding.columns", "tipforce.dictionary.signals", "tipforce.dictionary.rows",
     "tipforce.dictionary.types", "numpy",
 )  # fmt: skip
 _LOG = (
     "tipforce.host.logs", "tipforce.host.logs.candump", "tipforce.host.logs.candump_errors",
-    "tipforce.host.logs.candump_format", "tipforce.host.fd_frame", "tipforce.host.frame_block",
+    "tipforce.host.logs.candump_format", "tipforce.host.frames.fd_frame", "tipforce.host.frames.frame_block",
 )  # fmt: skip
 
 
@@ -167,10 +173,12 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
         "calibration",
         f'nodes.calibration = "{calibrated[0]}"' if calibrated else "",
         'nodes.calibration = "none"',
-        *("tipforce.host", "tipforce.host.calibration", "tipforce.dictionary.types", "numpy"),
+        *("tipforce.host", "tipforce.host.configuration.calibration", "tipforce.dictionary.types", "numpy"),
         *(_STRUCTURE if "model" in calibrated else ()),
     )
-    yield _part("calibration file", f'"{file}"' if file else "", "none is named", "tipforce.host.calibration_file")
+    yield _part(
+        "calibration file", f'"{file}"' if file else "", "none is named", "tipforce.host.configuration.calibration_file"
+    )
     yield _part(
         "filter", f'nodes.filter = "{filtered}"' if filtered else "", "no nodes.filter", "tipforce.fingertip.filters"
     )

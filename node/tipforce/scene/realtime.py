@@ -16,8 +16,8 @@ from typing import Any
 import can
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.bus import open_bus
-from tipforce.host.frames import FrameBuffer
+from tipforce.host.frames.frame_array import FrameBuffer
+from tipforce.host.network.bus import open_bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort, SocketCanPort
 from tipforce.scene import schema

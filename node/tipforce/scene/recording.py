@@ -9,7 +9,7 @@ from types import TracebackType
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, FrameArray, RawFrame, frame_array
+from tipforce.host.frames.frame_array import FRAME, FrameArray, RawFrame, frame_array
 
 BLOCK_FRAMES = 16_384
 

@@ -14,8 +14,8 @@ from tipforce.scene.build import PDO_NAMES, Finger
 from tipforce.scene.loads import UNLOADED, LoadHistory
 
 if TYPE_CHECKING:
-    from tipforce.host.decode import Decoder, Samples
-    from tipforce.host.frames import FrameArray
+    from tipforce.host.decoding.decoder import Decoder, Samples
+    from tipforce.host.frames.frame_array import FrameArray
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -82,7 +82,7 @@ class FingerResult:
 
 def decoder_of(fingers: Sequence[Finger]) -> dict[int, Decoder]:
     """The one decoder of tipforce for each number of gauges, told of the mappings that are not the default ones."""
-    from tipforce.host.decode import Decoder
+    from tipforce.host.decoding.decoder import Decoder
 
     found: dict[int, Decoder] = {}
     for gauges in sorted({finger.gauges for finger in fingers}):

@@ -15,8 +15,8 @@ from tipforce.scene.build import Finger, build
 from tipforce.scene.simulate import simulate, sync_times
 
 if TYPE_CHECKING:
-    from tipforce.host.decode import Samples
-    from tipforce.host.frames import FrameArray
+    from tipforce.host.decoding.decoder import Samples
+    from tipforce.host.frames.frame_array import FrameArray
     from tipforce.scene.expectations import Check
     from tipforce.scene.recording import Recording
     from tipforce.scene.results import Contact, FingerResult

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.decode import Samples
+from tipforce.host.decoding.decoder import Samples
 
 
 def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.host.frames import frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.babbling import WINDOW_S, BabbleWatch
 
 

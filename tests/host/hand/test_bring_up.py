@@ -15,11 +15,11 @@ from host.bus_with_nodes import FaultyBus, beam_calibration, connected, new_chan
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration_file import write_calibration
-from tipforce.host.connection import Connection
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
+from tipforce.host.network.connection import Connection
 from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix

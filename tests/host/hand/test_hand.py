@@ -17,7 +17,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.running import loop

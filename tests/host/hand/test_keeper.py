@@ -7,8 +7,8 @@ import time
 
 import pytest
 
-from tipforce.host.hand import keeper as module
-from tipforce.host.hand.keeper import Keeper
+from tipforce.host.hand import supervision as module
+from tipforce.host.hand.supervision import Keeper
 
 
 def wait_until_idle(keeper: Keeper) -> None:

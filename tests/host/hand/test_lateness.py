@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tipforce.host.frames import frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.collector import Collector
 
 WAIT_MS, WARM_UP, FINGERS = 20, 8, 2

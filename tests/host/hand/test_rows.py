@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.host.frames import frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.rows import Rows
 

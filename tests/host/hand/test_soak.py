@@ -7,8 +7,8 @@ import pytest
 from bench.soak import Soak
 from bench.soak_fingers import stored_fingers
 
-from tipforce.host.faults import Faults
 from tipforce.host.hand.counters import CounterCheck
+from tipforce.host.network.faulty_bus import Faults
 
 
 def test_a_minute_of_trouble_breaks_nothing() -> None:

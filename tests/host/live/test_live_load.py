@@ -7,7 +7,7 @@ import pytest
 from bench import live_costs, live_load
 from bench.live_loopback import contact_frames, running_numbers
 
-from tipforce.host.frames import frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.live import recvmmsg
 
 pytestmark = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")

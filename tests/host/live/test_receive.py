@@ -17,8 +17,8 @@ import pytest
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import SENT
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import SENT
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Filter, Selection
 from tipforce.host.live.receive import SocketReceiver, open_receiver, prepare_socket

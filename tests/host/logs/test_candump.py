@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frames import RawFrame, frame_array
+from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.host.logs.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
 from tipforce.host.logs.candump_errors import error_text
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text

@@ -15,7 +15,7 @@ import pytest
 import zstandard
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.frames import SENT, FrameArray, frame_array
+from tipforce.host.frames.frame_array import SENT, FrameArray, frame_array
 from tipforce.host.logs import lines
 from tipforce.host.logs.reader import LogReader, log_kind, open_log
 

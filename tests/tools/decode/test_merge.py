@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.decode import lost_samples
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.decoder import lost_samples
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce_tools.decode import part, recording
 from tipforce_tools.decode.layouts import Layouts
 from tipforce_tools.decode.merge import SampleMerger

@@ -11,7 +11,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
 from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.decode import part, session

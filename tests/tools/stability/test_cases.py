@@ -12,7 +12,7 @@ from tipforce.device.storage import Storage
 from tipforce.fingertip import calibration, filters
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.channels import Channels
-from tipforce.host import decode, decode_columns
+from tipforce.host.decoding import columns, decoder
 from tipforce.host.logs import candump
 from tipforce.sensor.calibration import fit as fitting
 from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_redundancy
@@ -197,10 +197,10 @@ FAULTS = (
     Fault("calibration.flipped_in_transit", calibration.Calibration, "commit", _without_crc),
     Fault("calibration.flipped_in_store", Storage, "read_blob", _unchecked),
     Fault("fit.plane_of_loads", fitting, "require_seen", _plain_residual),
-    Fault("wire.unknown", decode_columns, "_number", _no_unknown),
+    Fault("wire.unknown", columns, "_number", _no_unknown),
     Fault("wire.integer16_overflow", Channels, "_status", _silently_clamped),
-    Fault("wire.short_pdo", decode.Decoder, "_drop_short", lambda _right: lambda *_arguments: None),
-    Fault("clock.counter_wrap", decode, "unwrap_counter", _wrong_unwrap),
+    Fault("wire.short_pdo", decoder.Decoder, "_drop_short", lambda _right: lambda *_arguments: None),
+    Fault("clock.counter_wrap", decoder, "unwrap_counter", _wrong_unwrap),
     Fault("clock.sync_twice_rate", Fingertip, "_latch", _stale_is_news),
     Fault("clock.live_backwards", Device, "step", _clock_as_given),
     Fault("clock.log_beyond", candump.CandumpParser, "_time", _any_time),

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 from playwright.sync_api import Browser, Page, expect, sync_playwright
 
-from tipforce.host.frames import frame_array
+from tipforce.host.frames.frame_array import frame_array
 from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSING
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.log_source import LogSource

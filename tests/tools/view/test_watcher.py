@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FrameArray, frame_array
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.view.blocks import MISSING
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.log_source import LogSource

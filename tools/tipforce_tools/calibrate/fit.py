@@ -10,8 +10,8 @@ from tipforce.errors import InputError
 from tipforce_tools import common
 
 if TYPE_CHECKING:
-    from tipforce.host.calibration import Calibration
-    from tipforce.host.measurements import Measurements
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce.host.configuration.measurements import Measurements
     from tipforce.sensor.calibration.fit import Fit, Model, Readings
 
 
@@ -63,8 +63,8 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows: no file, 1."""
-    from tipforce.host.calibration_file import fit_record, write_calibration
-    from tipforce.host.measurements import read_measurements
+    from tipforce.host.configuration.calibration_file import fit_record, write_calibration
+    from tipforce.host.configuration.measurements import read_measurements
     from tipforce.sensor.calibration.fit import fit_calibration
     from tipforce.sensor.calibration.rounding import rounded
     from tipforce_tools.calibrate import fit_report
@@ -146,7 +146,7 @@ def readings_of(data: Measurements) -> Readings:
 
 def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Calibration:
     """The calibration that goes into the file and to the node."""
-    from tipforce.host.calibration import Calibration
+    from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
     from tipforce_tools.layout_file import read_layout
 
@@ -174,7 +174,7 @@ def _check_layout(args: argparse.Namespace, data: Measurements) -> None:
 
 
 def _pulls(args: argparse.Namespace, data: Measurements) -> bool:
-    from tipforce.host.measurement_rows import MODES
+    from tipforce.host.configuration.measurement_rows import MODES
 
     if args.sense:
         return bool(args.sense == "pull")

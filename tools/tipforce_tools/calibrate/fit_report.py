@@ -7,8 +7,8 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.calibration import Calibration
-from tipforce.host.measurements import Measurements
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools import common

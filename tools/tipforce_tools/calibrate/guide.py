@@ -11,9 +11,9 @@ from tipforce_tools import common
 from tipforce_tools.calibrate import fit
 
 if TYPE_CHECKING:
-    from tipforce.host.capture import GaugeReader
-    from tipforce.host.connection import Connection
-    from tipforce.host.fingertip import FingertipClient, Identity
+    from tipforce.host.configuration.capture import GaugeReader
+    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.finger import FingertipClient, Identity
     from tipforce_tools.calibrate.guide_plan import Step
 
 DEFAULT_WEIGHTS = "4.4"
@@ -122,8 +122,8 @@ def check_node(connection: Connection, args: argparse.Namespace) -> Found:
     from tipforce.dictionary import objects as od
     from tipforce.dictionary import table
     from tipforce.errors import RefusedError
-    from tipforce.host.capture import GaugeReader
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.configuration.capture import GaugeReader
+    from tipforce.host.network.finger import FingertipClient
 
     name = f"node {common.shown_id(args.node)}"
     client = FingertipClient(connection.sdo(args.node))

@@ -10,9 +10,9 @@ from typing import Literal
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.calibration_file import fit_record, write_calibration
-from tipforce.host.fingertip import FingertipClient
-from tipforce.host.measurements import Measurements, read_measurements
+from tipforce.host.configuration.calibration_file import fit_record, write_calibration
+from tipforce.host.configuration.measurements import Measurements, read_measurements
+from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.calibration.fit import fit_calibration
 from tipforce.sensor.calibration.rounding import matrix_to_digits, rounded, to_digits
 from tipforce.sensor.calibration.statistics import left_inverse

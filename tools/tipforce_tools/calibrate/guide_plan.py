@@ -25,7 +25,7 @@ import msgspec
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.measurement_rows import LARGEST_ANGLE_DEG
+from tipforce.host.configuration.measurement_rows import LARGEST_ANGLE_DEG
 from tipforce.sensor.calibration.identify import FORCES, require_seen
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.dictionary import table
-from tipforce.host.capture import RESOLUTION_MICROSTRAIN, Capture
+from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture
 
 
 class Refusal(NamedTuple):

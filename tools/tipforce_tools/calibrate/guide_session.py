@@ -18,8 +18,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.capture import Capture
-from tipforce.host.measurements import read_measurements
+from tipforce.host.configuration.capture import Capture
+from tipforce.host.configuration.measurements import read_measurements
 from tipforce_tools.calibrate.guide_plan import EXTRA, Step
 
 FloatArray = npt.NDArray[np.float64]

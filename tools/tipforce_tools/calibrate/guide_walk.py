@@ -13,8 +13,8 @@ import numpy as np
 
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, NoResponseError, TipforceError
-from tipforce.host.capture import Capture, GaugeReader
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.configuration.capture import Capture, GaugeReader
+from tipforce.host.network.sdo import SdoChannel
 from tipforce_tools import common
 from tipforce_tools.calibrate.guide_plan import EXTRA, EXTRA_TARE, Step
 from tipforce_tools.calibrate.guide_refusals import Limits, refusals

@@ -25,8 +25,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Apply (0, or RefusedError) or verify (0 equal, 1 different)."""
-    from tipforce.host.calibration_file import read_calibration
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.configuration.calibration_file import read_calibration
+    from tipforce.host.network.finger import FingertipClient
 
     calibration = read_calibration(args.file)
     name = f"node {common.shown_id(args.node)}"

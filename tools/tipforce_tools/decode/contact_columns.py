@@ -9,9 +9,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import read_calibration, read_fit
-from tipforce.host.measurements import Measurements
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.contact import scalar
 from tipforce_tools import estimate_rows
 from tipforce_tools.decode.table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of

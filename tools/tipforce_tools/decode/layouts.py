@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import FRAME
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME
 
 _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
 COUNTER = "counter"
@@ -30,7 +30,7 @@ class Layouts:
     def decoder(self) -> Decoder:
         """A decoder of its own for each bus. Raises InputError for layouts that do not fit together."""
         if self.dbc is not None:
-            from tipforce.host.pdo_layout import dbc_messages
+            from tipforce.host.decoding.pdo_layout import dbc_messages
 
             wanted = None if self.nodes is None else {*self.nodes}
             found = dbc_messages(self.dbc)
@@ -45,23 +45,23 @@ class Layouts:
 
 def with_dcf(layouts: Layouts, files: Iterable[str]) -> Layouts:
     """Take the PDOs of the nodes that DCF files describe. Raises InputError."""
-    from tipforce.host.pdo_layout import dcf_layout
+    from tipforce.host.decoding.pdo_layout import dcf_layout
 
     return _with(layouts, [dcf_layout(path) for path in files])
 
 
 def with_asked(layouts: Layouts, nodes: Sequence[int], options: dict[str, object]) -> Layouts:
     """Ask nodes on a bus over SDO. Raises what a connection raises."""
-    from tipforce.host.bus import open_bus
-    from tipforce.host.connection import Connection
-    from tipforce.host.pdo_layout import node_layout
+    from tipforce.host.decoding.pdo_layout import node_layout
+    from tipforce.host.network.bus import open_bus
+    from tipforce.host.network.connection import Connection
 
     with Connection(open_bus(**options)) as connection:
         return _with(layouts, [node_layout(connection.sdo(node)) for node in nodes])
 
 
 def _with(layouts: Layouts, found: Sequence[object]) -> Layouts:
-    from tipforce.host.pdo_layout import NodeLayout
+    from tipforce.host.decoding.pdo_layout import NodeLayout
 
     nodes = [layout for layout in found if isinstance(layout, NodeLayout)]
     gauges = {layout.gauges for layout in nodes}

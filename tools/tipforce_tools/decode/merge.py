@@ -7,8 +7,8 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decode import Decoder, Key, Samples
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.decoder import Decoder, Key, Samples
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce_tools.decode.layouts import COUNTER, has_signal
 from tipforce_tools.decode.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
 from tipforce_tools.decode.table import (

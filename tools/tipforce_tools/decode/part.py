@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.decode.layouts import Layouts

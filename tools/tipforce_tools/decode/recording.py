@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.decode import unwrap_counter
-from tipforce.host.frames import MAX_CHANNELS, FrameArray
+from tipforce.host.decoding.decoder import unwrap_counter
+from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 from tipforce_tools.decode.merge import SampleMerger
 from tipforce_tools.decode.part import (
     Edge,

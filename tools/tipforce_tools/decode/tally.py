@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decode import Samples, lost_samples
+from tipforce.host.decoding.decoder import Samples, lost_samples
 
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""

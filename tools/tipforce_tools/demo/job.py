@@ -22,10 +22,10 @@ import numpy.typing as npt
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration import Calibration
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import PolledHand
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore

@@ -46,9 +46,9 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     """Open the bus, listen, and say what is there. An unnamed bus is not opened."""
     import can
 
-    from tipforce.host.bus import open_bus
-    from tipforce.host.bus_load import DEFAULT_BIT_RATE, exact_bits
-    from tipforce.host.frames import FrameBuffer
+    from tipforce.host.frames.frame_array import FrameBuffer
+    from tipforce.host.network.bus import open_bus
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
 
     try:
         bus = open_bus(**options)

@@ -7,9 +7,9 @@ from typing import Any, Protocol
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal
-from tipforce.host.decode import Key, Samples
-from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.decoding.decoder import Key, Samples
+from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
 from tipforce_tools import common
 

@@ -12,8 +12,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder, Key, Samples, lost_samples
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.decoding.decoder import Decoder, Key, Samples, lost_samples
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat

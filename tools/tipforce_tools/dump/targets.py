@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.can_filter import Filter, Selection
 
 ANY = "any"

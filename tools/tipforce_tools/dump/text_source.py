@@ -4,7 +4,7 @@ import os
 import select
 from collections.abc import Iterator, Sequence
 
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 
 CHUNK_BYTES = 1 << 18

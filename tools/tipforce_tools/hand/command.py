@@ -101,7 +101,7 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
 
 def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     """Above 80 % of the bit rate, with worst-case stuffing: say so, and what would fit."""
-    from tipforce.host.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
+    from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
     from tipforce_tools.load import budget_lines, what_fits
 
     if not file.hand.sync_hz:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Self
 
 from tipforce.errors import InputError
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce_tools.log.writers import LogWriter, format_suffix, open_writer
 
 

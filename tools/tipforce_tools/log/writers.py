@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, BinaryIO, Protocol
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat
 
 if TYPE_CHECKING:

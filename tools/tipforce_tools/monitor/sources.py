@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Protocol
 import numpy as np
 
 from tipforce.errors import TipforceError
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup

@@ -12,10 +12,10 @@ import numpy.typing as npt
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.dictionary.table import STATUS_BITS
-from tipforce.host.decode import Decoder, Samples
-from tipforce.host.frames import FrameArray
-from tipforce.host.heartbeats import BOOT_UP
-from tipforce.host.sample_counter import SampleCounters
+from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.network.heartbeats import BOOT_UP
 from tipforce_tools.monitor.window import Periods, Window
 
 STALE_NS = 500_000_000

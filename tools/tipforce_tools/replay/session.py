@@ -15,8 +15,8 @@ import numpy as np
 
 from tipforce.device.codes import ERROR_FLAG
 from tipforce.errors import InputError
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.send import NotCarriedError, Sender, open_sender
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce_tools import common

@@ -8,7 +8,7 @@ from itertools import islice
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce_tools.dump.text_source import text_blocks

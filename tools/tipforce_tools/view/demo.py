@@ -16,7 +16,7 @@ import can
 
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.calibration_file import write_calibration
+from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.running import loop

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
-from tipforce.host.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 
 from tipforce.errors import InputError, RefusedError
-from tipforce.host.bus_load import range_of_bits
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.network.bus_load import range_of_bits
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.history import MAX_BYTES, row_bytes
 from tipforce_tools.view.model import Model

@@ -11,12 +11,12 @@ from typing import Any, Protocol
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, RefusedError
-from tipforce.host.bus_load import LoadMeter
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.rows import Rows
 from tipforce.host.live.receiver import InterfaceDownError, Receiver
+from tipforce.host.network.bus_load import LoadMeter
 from tipforce_tools.view.blocks import block_of_rows
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.model import Model
@@ -195,7 +195,7 @@ def joined(rows: Sequence[Rows]) -> Rows:
 
 def tare(connection: Any, node_id: int) -> str:
     """Tare a node and say what it takes off now. Raises NoResponseError and SdoAbortError."""
-    from tipforce.host.fingertip import FingertipClient
+    from tipforce.host.network.finger import FingertipClient
 
     client = FingertipClient(connection.sdo(node_id))
     client.tare()

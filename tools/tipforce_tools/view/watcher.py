@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.rows import SYNC_COB_ID, Rows

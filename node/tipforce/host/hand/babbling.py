@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Event
 
 WINDOW_S = 0.2

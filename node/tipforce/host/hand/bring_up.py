@@ -14,15 +14,15 @@ from functools import partial
 from tipforce.dictionary import names, objects, table
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
-from tipforce.host.configuration import Configuration, apply_configuration, verify_configuration
-from tipforce.host.connection import Connection
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.configuration.configuration_file import Configuration, apply_configuration, verify_configuration
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
-from tipforce.host.heartbeats import BOOT_UP
-from tipforce.host.lss import UNCONFIGURED, LssAddress, LssMaster
-from tipforce.host.nmt import command_and_wait
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.heartbeats import BOOT_UP
+from tipforce.host.network.lss import UNCONFIGURED, LssAddress, LssMaster
+from tipforce.host.network.nmt import command_and_wait
+from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 FIND_S = 0.25  # for the answers of all nodes to one question each

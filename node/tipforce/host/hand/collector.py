@@ -19,8 +19,8 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.counters import CounterCheck
 from tipforce.host.hand.lateness import Answers, BoolArray, IntArray, babbled, seat
 from tipforce.host.hand.rows import SYNC_COB_ID, Rows, Tally

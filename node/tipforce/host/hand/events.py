@@ -13,9 +13,9 @@ from typing import Literal
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.connection import NMT_STATES
-from tipforce.host.frames import FrameArray
-from tipforce.host.heartbeats import BOOT_UP, OPERATIONAL
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.network.connection import NMT_STATES
+from tipforce.host.network.heartbeats import BOOT_UP, OPERATIONAL
 
 Kind = Literal[
     "found", "assigned", "configured", "calibrated", "verified", "started", "failed",

@@ -28,9 +28,9 @@ import msgspec
 
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.calibration import Calibration
-from tipforce.host.calibration_file import read_calibration
-from tipforce.host.configuration import Configuration, read_configuration
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.configuration.configuration_file import Configuration, read_configuration
 from tipforce.toml_table import convert, read_table
 
 MAX_FINGERS = 32

@@ -25,8 +25,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
-from tipforce.host.bus_load import DEFAULT_BIT_RATE, LoadMeter
-from tipforce.host.frames import FRAME
+from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
 from tipforce.host.hand.bring_up import FingerReport, bring_up
 from tipforce.host.hand.collector import Collector
@@ -34,12 +33,13 @@ from tipforce.host.hand.delivery import Delivery
 from tipforce.host.hand.events import Event, Supervisor, waited_s
 from tipforce.host.hand.file import HandFile, read_hand
 from tipforce.host.hand.jitter import Jitter, JitterFigures
-from tipforce.host.hand.keeper import Keeper
 from tipforce.host.hand.link import Link, open_link
-from tipforce.host.hand.mender import LOST, Mender
+from tipforce.host.hand.recovery import LOST, Mender
 from tipforce.host.hand.rows import Rows, Tally
+from tipforce.host.hand.supervision import Keeper
 from tipforce.host.hand.sync_producer import SyncProducer
-from tipforce.host.heartbeats import OPERATIONAL
+from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.host.network.heartbeats import OPERATIONAL
 
 HEARTBEATS_MISSED = 2.5  # periods of silence that make a heartbeat lost
 REOPEN_S = 0.1

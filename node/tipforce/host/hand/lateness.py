@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decode_columns import Column
+from tipforce.host.decoding.columns import Column
 
 MOST_ANSWERS = 4
 """To one SYNC, that lateness and duplicates explain."""

@@ -11,13 +11,13 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.bus import open_bus
-from tipforce.host.connection import Connection
-from tipforce.host.frames import FrameArray, FrameBuffer
+from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
+from tipforce.host.network.bus import open_bus
+from tipforce.host.network.connection import Connection
 
 SERVICE_FILTERS = (
     {"can_id": 0x580, "can_mask": 0x780, "extended": False},

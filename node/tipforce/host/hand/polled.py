@@ -11,9 +11,9 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.connection import Connection
-from tipforce.host.decode import Decoder, Samples
-from tipforce.host.fingertip import FingertipClient
+from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.finger import FingertipClient
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -8,8 +8,8 @@ from collections.abc import Iterator
 import can
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
+from tipforce.host.frames.frame_block import CandumpBlock
 
 _IDENTIFIER_MASK = 0x1FFFFFFF
 

@@ -20,9 +20,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Selection
 from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver
@@ -56,8 +56,8 @@ def open_receiver(
     if options.get("interface") == "socketcan" and recvmmsg.AVAILABLE and options.get("channel") is not None:
         channel = str(options["channel"])
         return SocketReceiver(open_socket(channel, chosen), channel, tick_s=tick_s)
-    from tipforce.host.bus import open_bus
     from tipforce.host.live.receive_python_can import PythonCanReceiver
+    from tipforce.host.network.bus import open_bus
 
     return PythonCanReceiver(open_bus(**options), chosen, str(options.get("channel") or ""))
 

@@ -12,8 +12,8 @@ from contextlib import ExitStack
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import TICK_S, Receiver
 
 _POLL_S = 0.1

@@ -8,9 +8,9 @@ import can
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
-from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
+from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.can_filter import Selection
 from tipforce.host.live.receiver import Receiver
 from tipforce.socketcan import raw_can_id

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import Protocol, Self
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 
 TICK_S = 0.001
 """The least time between two batches: frames that come faster are handed over together, at most this much later."""

@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol, Self
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.fd_frame import FdFrame
+from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.socketcan import CAN_FRAME
 
 _FD_FRAME = struct.Struct("=IBB2x64s")  # struct canfd_frame
@@ -112,7 +112,7 @@ class PythonCanSender:
 
     def __init__(self, options: Mapping[str, Any]) -> None:
         """Raises EnvironmentLackError when it can't be opened."""
-        from tipforce.host.bus import open_bus
+        from tipforce.host.network.bus import open_bus
 
         self._name = str(options.get("channel") or options.get("interface") or "the bus")
         self._bus = open_bus(**options)

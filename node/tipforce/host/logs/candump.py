@@ -17,10 +17,10 @@ import numpy as np
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
-from tipforce.host import fd_frame
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frame_block import CandumpBlock
-from tipforce.host.frames import FRAME, MAX_CHANNELS, SENT, FrameArray
+from tipforce.host.frames import fd_frame
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, SENT, FrameArray
+from tipforce.host.frames.frame_block import CandumpBlock
 
 __all__ = [
     "BLOCK_LINES", "EXPECTED", "BadLine", "BadLineError", "CandumpBlock", "CandumpParser", "read_candump",

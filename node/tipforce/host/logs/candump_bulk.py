@@ -9,8 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frames import SENT, FrameArray
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_array import SENT, FrameArray
 from tipforce.host.logs.candump import BadLineError, CandumpBlock, CandumpParser
 from tipforce.host.logs.candump_rows import Block, Places, take
 from tipforce.host.logs.candump_template import Templates

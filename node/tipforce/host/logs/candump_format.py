@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frame_block import CandumpBlock
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_errors import error_text
 
 TIMESTAMPS = ("", "a", "z", "d", "A")

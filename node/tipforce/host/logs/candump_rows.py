@@ -8,11 +8,11 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, STANDARD_MASK
-from tipforce.host.frames import FRAME, SENT, FrameArray
+from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_template import FRONT, Template
+from tipforce.host.logs.digits import FIRST, Rows, Words, decimal, fill, hexadecimal
 from tipforce.host.logs.lines import Text
-from tipforce.host.logs.swar import FIRST, Rows, Words, decimal, fill, hexadecimal
 
 _RETURN, _SPACE = 13, 32
 _EXTENDED_MASK = 0x1FFFFFFF

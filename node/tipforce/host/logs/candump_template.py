@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tipforce.host.logs.swar import LAST
+from tipforce.host.logs.digits import LAST
 
 FRONT = 8
 """Bytes in front of a line that belong to its row, so that a word can end near the start of the line."""

@@ -12,8 +12,8 @@ import can
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, SENT, FrameArray
-from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes
+from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
 from tipforce.socketcan import raw_can_id
 
 BLOCK_MESSAGES = 8192

@@ -16,7 +16,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.host.logs.notes import UNREADABLE, LogNotes
+from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
 
 BLOCK_BYTES = 1 << 19
 """Small enough that a block and what becomes of it stay in the processor's cache; and the longest line."""

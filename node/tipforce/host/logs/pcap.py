@@ -18,9 +18,9 @@ import numpy as np
 
 from tipforce.device.codes import REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.lines import open_file
-from tipforce.host.logs.notes import FD, UNREADABLE, LogNotes
+from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 BLOCK_FRAMES = 8192

@@ -9,11 +9,11 @@ from types import TracebackType
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.frames import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser
 from tipforce.host.logs.candump_bulk import CandumpBulk
 from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
-from tipforce.host.logs.notes import DROPPED, FD, LogNotes
+from tipforce.host.logs.log_statistics import DROPPED, FD, LogNotes
 
 STDIN = "-"
 MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")

@@ -9,11 +9,11 @@ import struct
 import numpy as np
 
 from tipforce.device.node import Device
-from tipforce.host import decode
-from tipforce.host.frames import frame_array
+from tipforce.host.configuration.measurement_rows import time_faults
+from tipforce.host.decoding import decoder
+from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
-from tipforce.host.measurement_rows import time_faults
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 
@@ -64,9 +64,9 @@ def _counter() -> Observed:
     finger = talk.simulated(load=talk.PUSH)
     counters = [finger.sync().counter for _ in range(1000)]
     kept = [c for k, c in enumerate(counters) if not any(start <= k < start + 8 for start in range(100, 1000, 200))]
-    whole, lost = decode.unwrap_counter(counters), decode.lost_samples(kept)
+    whole, lost = decoder.unwrap_counter(counters), decoder.lost_samples(kept)
     right = np.array_equal(whole, counters[0] + np.arange(1000))
-    span = int(decode.unwrap_counter(kept)[-1]) - counters[0]
+    span = int(decoder.unwrap_counter(kept)[-1]) - counters[0]
     return Observed(right and lost == 40 and span == 999, f"{len(counters)} samples to {whole[-1]}, {lost} lost")
 
 
@@ -74,8 +74,8 @@ def _full_turn() -> Observed:
     said, gaps = [], []
     for lost in (253, 254, 255, 256, 257):
         frames = [(10**6 * k, 0x185, bytes(7) + bytes((k & 0xFF,))) for k in range(600) if not 10 <= k < 10 + lost]
-        found = decode.Decoder().decode(frame_array(frames))[talk.NODE_ID, "Gauges"]
-        said.append(decode.lost_samples(found.columns["counter"]))
+        found = decoder.Decoder().decode(frame_array(frames))[talk.NODE_ID, "Gauges"]
+        said.append(decoder.lost_samples(found.columns["counter"]))
         gaps.append(int(np.diff(found.t_ns).max()) // 10**6 - 1)
     held = said == [253, 254, 0, 0, 1] and gaps == [253, 254, 255, 256, 257]
     return Observed(held, f"lost {gaps} by the times, {said} by the counter")
@@ -172,9 +172,9 @@ def _log_backwards() -> Observed:
     t_ns = np.concatenate((np.arange(500), np.arange(500) - 3600 * 1000)) * 10**6 + 10**18
     counters = np.arange(1000) % 256
     rows = [(int(t), 0x185, bytes(7) + bytes((int(c),))) for t, c in zip(t_ns, counters, strict=True)]
-    found = decode.Decoder().decode(frame_array(rows))[talk.NODE_ID, "Gauges"]
+    found = decoder.Decoder().decode(frame_array(rows))[talk.NODE_ID, "Gauges"]
     held = np.array_equal(found.t_ns, t_ns) and np.array_equal(found.columns["counter"], counters)
-    lost = decode.lost_samples(found.columns["counter"])
+    lost = decoder.lost_samples(found.columns["counter"])
     falls = int((np.diff(found.t_ns) < 0).sum())
     return Observed(
         held and lost == 0 and falls == 1, f"1000 samples in order, {falls} fall of the clock kept, {lost} lost"
@@ -239,7 +239,7 @@ def _twice_rate() -> Observed:
     stale = [bool(one.status & talk.STALE) for one in found]
     hushed = all((one.contact == one.gauges == _HUSHED) == old for one, old in zip(found, stale, strict=True))
     right = all(one.contact[0] == 1000 for one, old in zip(found, stale, strict=True) if not old)
-    counts = decode.unwrap_counter([one.counter for one in found])
+    counts = decoder.unwrap_counter([one.counter for one in found])
     repeats = (np.diff(counts) == 0).tolist() == stale[1:]
     alternate = all(one != other for one, other in itertools.pairwise(stale))
     return Observed(

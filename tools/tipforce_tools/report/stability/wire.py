@@ -11,8 +11,8 @@ import numpy as np
 from tipforce.dictionary.rows import rows
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host import decode
-from tipforce.host.frames import FrameArray, frame_array
+from tipforce.host.decoding import decoder as decode
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.report.stability import talk
 from tipforce_tools.report.stability.case import Case, Observed
 

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from tipforce.dictionary.signals import Message, tpdo_messages
-from tipforce.host.decode import Decoder
-from tipforce.host.frames import FrameArray, frame_array
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.report.study import Effort, Point, Series, Study, timed
 
 NODE_ID, GAUGES, UNKNOWN = 5, 3, -0x8000

@@ -16,8 +16,8 @@ from tipforce.dictionary.eds import dcf_text
 from tipforce.dictionary.rows import Row, rows
 from tipforce.dictionary.types import Value
 from tipforce.errors import SdoAbortError
-from tipforce.host.configuration import NODE_ID_MARK, Configuration
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.configuration.configuration_file import NODE_ID_MARK, Configuration
+from tipforce.host.network.sdo import SdoChannel
 
 _NO_SETTING = table.VIEW | table.NOT_STORED | table.STAGED
 _NOT_THERE = 0x06020000  # SDO abort: object does not exist

@@ -13,13 +13,13 @@ from tipforce.dictionary import table
 from tipforce.dictionary.eds_file import EdsFile, parse
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decode import MAX_COB_ID, Decoder, Key
+from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
     from cantools.database.can import Signal as DbcSignal
 
-    from tipforce.host.sdo import SdoChannel
+    from tipforce.host.network.sdo import SdoChannel
 
 _DISABLED = 1 << 31
 _PRODUCT = 0x54500000

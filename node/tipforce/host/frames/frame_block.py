@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.fd_frame import FdFrame
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_array import FrameArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

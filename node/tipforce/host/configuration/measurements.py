@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.measurement_rows import MODES, Block, Columns, read_block, time_faults
+from tipforce.host.configuration.measurement_rows import MODES, Block, Columns, read_block, time_faults
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]

@@ -7,12 +7,12 @@ from collections.abc import Callable
 
 from tipforce.dictionary import objects
 from tipforce.errors import TipforceError
-from tipforce.host.configuration import verify_configuration
-from tipforce.host.connection import Connection
+from tipforce.host.configuration.configuration_file import verify_configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
-from tipforce.host.heartbeats import OPERATIONAL
+from tipforce.host.network.connection import Connection
+from tipforce.host.network.heartbeats import OPERATIONAL
 
 LOST = 0
 """Among node-ids, stands for whoever has none."""
@@ -55,7 +55,7 @@ class Mender:
         return not verify_configuration(sdo, self._wanted[node_id])
 
     def _find_lost(self) -> bool:
-        from tipforce.host.lss import LssMaster
+        from tipforce.host.network.lss import LssMaster
 
         with LssMaster(self._connection()) as master:
             somebody = master.any_unconfigured()

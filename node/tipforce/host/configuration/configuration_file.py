@@ -13,7 +13,7 @@ from tipforce.dictionary import names, table, types
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.network.sdo import SdoChannel
 from tipforce.toml_table import convert, read_table
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]

@@ -6,8 +6,8 @@ import time
 from collections.abc import Collection
 
 from tipforce.errors import NoResponseError
-from tipforce.host.connection import NMT_STATES, Connection
-from tipforce.host.heartbeats import BOOT_UP, OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from tipforce.host.network.connection import NMT_STATES, Connection
+from tipforce.host.network.heartbeats import BOOT_UP, OPERATIONAL, PRE_OPERATIONAL, STOPPED
 
 _REACHED = {
     "start": (OPERATIONAL,),

@@ -12,8 +12,8 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, RefusedError, SdoAbortError
-from tipforce.host.calibration import Calibration, difference
-from tipforce.host.sdo import SdoChannel
+from tipforce.host.configuration.calibration import Calibration, difference
+from tipforce.host.network.sdo import SdoChannel
 
 T = TypeVar("T", bound=Value)
 

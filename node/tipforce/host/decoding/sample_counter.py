@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decode import Key, Samples, lost_samples, unwrap_counter
+from tipforce.host.decoding.decoder import Key, Samples, lost_samples, unwrap_counter
 
 COUNTER = "counter"
 _LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from types import TracebackType
 
 from tipforce.errors import InputError, NoResponseError, RefusedError
-from tipforce.host.connection import Connection
+from tipforce.host.network.connection import Connection
 
 REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
 UNCONFIGURED = 255  # what a node without a node-id calls its own

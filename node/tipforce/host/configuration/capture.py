@@ -14,9 +14,9 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import mapping_signals, tpdo_messages
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.connection import SYNC_COB_ID, Connection
-from tipforce.host.decode import Decoder, Samples
-from tipforce.host.frames import FrameArray
+from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.network.connection import SYNC_COB_ID, Connection
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]

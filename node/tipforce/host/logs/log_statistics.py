@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frames import MAX_CHANNELS, FrameArray
+from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
 FD, ERROR, REMOTE, DROPPED = "CAN FD frame", "error frame", "remote frame", "frame dropped by candump"
 UNREADABLE = "unreadable"

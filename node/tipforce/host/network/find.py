@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.connection import NMT_STATES, Connection
-from tipforce.host.fingertip import FingertipClient, Identity
+from tipforce.host.network.connection import NMT_STATES, Connection
+from tipforce.host.network.finger import FingertipClient, Identity
 
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 _GAP_S = 0.001  # between requests, so that short transmit queues hold

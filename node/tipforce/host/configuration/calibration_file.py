@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from tipforce.dictionary import table
 from tipforce.errors import InputError
-from tipforce.host.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:

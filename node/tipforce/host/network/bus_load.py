@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.frames import FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 
 DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8

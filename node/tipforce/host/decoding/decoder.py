@@ -10,8 +10,8 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import Message, Signal, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decode_columns import Column, columns_of
-from tipforce.host.frames import FrameArray
+from tipforce.host.decoding.columns import Column, columns_of
+from tipforce.host.frames.frame_array import FrameArray
 
 MAX_COB_ID = 0x7FF
 _NO_SLOT = 0

@@ -12,10 +12,10 @@ import can
 import canopen
 
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
-from tipforce.host.bus import open_bus
-from tipforce.host.frames import FrameArray, FrameBuffer
-from tipforce.host.heartbeats import Heartbeats
-from tipforce.host.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
+from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
+from tipforce.host.network.bus import open_bus
+from tipforce.host.network.heartbeats import Heartbeats
+from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
 
 NMT_COMMANDS = {"start": 1, "stop": 2, "preop": 128, "reset-node": 129, "reset-comm": 130}
 NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}

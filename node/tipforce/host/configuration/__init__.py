@@ -1,0 +1,1 @@
+"""What a node holds: settings, calibration records and files, captures and measurements."""

@@ -1,0 +1,1 @@
+"""PDO data to values in bulk, and where the PDO layouts come from."""

@@ -1,0 +1,1 @@
+"""Frames in bulk: arrays, blocks with interface names, CAN FD frames."""
