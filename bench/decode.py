@@ -137,7 +137,7 @@ def run(method: str, files: Files) -> tuple[int, dict[str, float]]:
     if method in COMMANDS:
         out = files.folder / f"out.{COMMANDS[method] or 'json'}"
         asked = "--json --summary >" if COMMANDS[method] is None else "-o"
-        cpu_s, wall_s = _command_s(f"{sys.executable} -m tipforce_tools.main decode -q {log} {asked} {out}")
+        cpu_s, wall_s = _command_s(f"{sys.executable} -m tipforce_tools.cli.main decode -q {log} {asked} {out}")
         found = {"cpu_s": cpu_s, "wall_s": wall_s, "megabytes": _size(out) / 1e6}
         subprocess.run(["rm", "-rf", str(out)], check=True)
         return frames, found
@@ -204,7 +204,7 @@ def peak_memory(files: Files, frames: int) -> dict[str, float]:
     for name, form in COMMANDS.items():
         out = files.folder / f"long.{form}"
         asked = ["--json", "--summary"] if form is None else ["-o", str(out)]
-        found[name] = tree_peak_mb([sys.executable, "-m", "tipforce_tools.main", "decode", "-q", str(log), *asked])
+        found[name] = tree_peak_mb([sys.executable, "-m", "tipforce_tools.cli.main", "decode", "-q", str(log), *asked])
         out.unlink(missing_ok=True)
     log.unlink()
     return found

@@ -35,10 +35,10 @@ import sys, time
 marks = [("interpreter", time.monotonic_ns())]
 def mark(name):
     marks.append((name, time.monotonic_ns()))
-import tipforce_tools.main
+import tipforce_tools.cli.main
 mark("import main")
 import argparse
-import tipforce_tools.node as node
+import tipforce_tools.node.command as node
 parser = argparse.ArgumentParser()
 mark("import argparse, node command")
 import can.cli
@@ -54,7 +54,7 @@ import numpy
 mark("import numpy")
 import msgspec
 mark("import msgspec")
-import tipforce_tools.layout_file, tipforce.sensor.structure.strain
+import tipforce_tools.cli.layout_file, tipforce.sensor.structure.strain
 mark("import sensor")
 from tipforce.dictionary.eds import eds_text
 mark("import dictionary")
@@ -77,14 +77,14 @@ print(json.dumps(found))
 # The whole command, as it is; only the socket is replaced, by a port that tells when the boot-up frame reaches it.
 NO_BUS_CODE = f"""
 import sys, time
-import tipforce_tools.main, tipforce_tools.node
+import tipforce_tools.cli.main, tipforce_tools.node.command
 class Port:
     def send(self, frames):
         if {BOOT_UP} in [can_id for can_id, _ in frames]:
             print(time.monotonic_ns())
             raise KeyboardInterrupt
-tipforce_tools.node._port = lambda _args: (Port(), "no bus")
-sys.exit(tipforce_tools.main.main(["node", "--node-id", "{NODE_ID}", "-q"]))
+tipforce_tools.node.command._port = lambda _args: (Port(), "no bus")
+sys.exit(tipforce_tools.cli.main.main(["node", "--node-id", "{NODE_ID}", "-q"]))
 """
 
 
@@ -108,7 +108,18 @@ def boot_up_without_bus_ms() -> float:
 
 def boot_up_on_bus_ms(interface: str) -> float:
     """From the start of `tipforce node` to its boot-up frame on a SocketCAN interface."""
-    words = ["-m", "tipforce_tools.main", "node", "--node-id", str(NODE_ID), "-i", "socketcan", "-c", interface, "-q"]
+    words = [
+        "-m",
+        "tipforce_tools.cli.main",
+        "node",
+        "--node-id",
+        str(NODE_ID),
+        "-i",
+        "socketcan",
+        "-c",
+        interface,
+        "-q",
+    ]
     with socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW) as bus:
         bus.bind((interface,))
         bus.settimeout(GIVE_UP_S)
@@ -143,7 +154,7 @@ def measure(runs: int, interface: str) -> dict[str, list[float]]:
     """Each figure's runs in milliseconds. The figures take turns, so that a busy spell does not hit one alone."""
     figures: dict[str, Callable[[], float]] = {
         "python -c pass": lambda: whole_run_ms("-c", "pass"),
-        "tipforce --help": lambda: whole_run_ms("-m", "tipforce_tools.main", "--help"),
+        "tipforce --help": lambda: whole_run_ms("-m", "tipforce_tools.cli.main", "--help"),
         "tipforce node to boot-up, no bus": boot_up_without_bus_ms,
     }
     if has_interface(interface):

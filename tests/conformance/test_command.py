@@ -11,12 +11,12 @@ import pytest
 from tipforce.errors import NoResponseError
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
+from tipforce_tools.cli.main import main
 from tipforce_tools.conformance.case import CheckError, all_cases, matching
 from tipforce_tools.conformance.dut import Dut
 from tipforce_tools.conformance.links import CoreLink, core_node
 from tipforce_tools.conformance.report import clause_key, lines, summary
 from tipforce_tools.conformance.run import FAIL, Result, run_case, run_on
-from tipforce_tools.main import main
 
 CHANNEL = "conformance"
 ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)

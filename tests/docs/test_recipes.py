@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 DOCS = Path(__file__).parents[2] / "docs"
 LOG = """\

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from docs.workflow import commands, read_workflow
-from tipforce_tools.main import COMMANDS
+from tipforce_tools.cli.main import COMMANDS
 
 ROOT = Path(__file__).parents[2]
 OURS = ROOT / ".github" / "workflows" / "ci.yml"

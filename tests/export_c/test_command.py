@@ -13,8 +13,8 @@ from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.lint import lint_eds
 from tipforce.dictionary.table import CONVERTER_24
 from tipforce.host.configuration.configuration_file import read_configuration
+from tipforce_tools.cli.main import main
 from tipforce_tools.export_c.files import c_files
-from tipforce_tools.main import main
 
 Export = Callable[..., tuple[int, str, str]]
 

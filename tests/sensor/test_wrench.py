@@ -263,7 +263,7 @@ def test_errors() -> None:
 def test_a_planar_node_and_host_never_import_it() -> None:
     code = (
         "import sys, tipforce.fingertip.node, tipforce.host.network.finger, tipforce.host.decoding.decoder, tipforce.sensor.contact.estimate, "
-        "tipforce_tools.main, tipforce_tools.node, tipforce_tools.demo.command; "
+        "tipforce_tools.cli.main, tipforce_tools.node.command, tipforce_tools.demo.command; "
         "print(*[m for m in sys.modules if m.endswith(('sensor.wrench', 'sensor.surfaces'))])"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

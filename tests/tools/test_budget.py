@@ -14,7 +14,7 @@ from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.sensor.contact.redundancy import weighted_inverse
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 CAUSES = [
     "gauge noise", "quantisation", "gain", "offset", "temperature, common", "temperature, mismatch",

@@ -14,7 +14,7 @@ import can.cli
 import pytest
 from can.interfaces import BACKENDS
 
-from tipforce_tools import bus_flags
+from tipforce_tools.cli import bus_flags
 
 
 def parsers() -> tuple[argparse.ArgumentParser, argparse.ArgumentParser]:

@@ -16,7 +16,7 @@ from tipforce.host.configuration.calibration_file import read_calibration, read_
 from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 
 def measured(sim: Simulated) -> Measurements:

@@ -18,7 +18,7 @@ from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.rows import rows
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.network.connection import Connection
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 ROOT = Path(__file__).parents[2]
 Tipforce = Callable[..., tuple[int, str, str]]
@@ -223,7 +223,7 @@ def test_sdo_asks_before_something_persists(
     what: str,
 ) -> None:
     """On a bus that counts as real; nobody is there to say yes."""
-    monkeypatch.setattr("tipforce_tools.common.open_connection", lambda _args: pytest.fail("the bus was opened"))
+    monkeypatch.setattr("tipforce_tools.cli.common.open_connection", lambda _args: pytest.fail("the bus was opened"))
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
     assert main(["sdo", "write", "5", name, "0x65766173", "-i", "socketcan", "-c", "can0"]) == 2
     assert what in capsys.readouterr().err

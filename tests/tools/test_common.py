@@ -12,7 +12,7 @@ from typing import Any
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 
 @pytest.mark.parametrize(

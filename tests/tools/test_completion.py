@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 
+from tipforce_tools.cli.main import COMMANDS, main
 from tipforce_tools.completion import command, model
-from tipforce_tools.main import COMMANDS, main
 
 LINES = {" ".join(line.path): line for line in model.command_lines()}
 SCRIPTS = {shell: command.script(shell, tuple(LINES.values())) for shell in command.SHELLS}

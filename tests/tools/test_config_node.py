@@ -13,7 +13,7 @@ from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.host.configuration.settings import default_settings, read_settings
 from tipforce.host.network.connection import Connection
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 Tipforce = Callable[..., tuple[int, str, str]]
 

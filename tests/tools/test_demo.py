@@ -14,8 +14,8 @@ from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
+from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
-from tipforce_tools.main import main
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
-DESIGN = [sys.executable, "-m", "tipforce_tools.main", "design"]
+DESIGN = [sys.executable, "-m", "tipforce_tools.cli.main", "design"]
 NEEDS_MATPLOTLIB = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="figures need the extra `plot`"
 )
@@ -190,7 +190,7 @@ def test_action_help(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_no_numpy_for_help_and_no_matplotlib_without_figures() -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         "try:\n    main(['design', 'table', '--help'])\nexcept SystemExit:\n    pass\n"
         "assert 'numpy' not in sys.modules\n"
         "main(['design', 'table', '1'])\nassert 'matplotlib' not in sys.modules\n"

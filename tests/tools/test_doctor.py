@@ -11,11 +11,11 @@ import pytest
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.bus import configuration_check
 from tipforce_tools.doctor.kernel import can_interfaces, interface_checks
 from tipforce_tools.doctor.software import software_checks
 from tipforce_tools.doctor.vcan import vcan_checks
-from tipforce_tools.main import main
 
 UP = {"ifname": "can0", "flags": ["NOARP", "UP"], "txqlen": 1000}
 

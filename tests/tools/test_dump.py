@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 GOOD = """\
 (1700000000.000000) vcan0 285#2E1129239A110303
@@ -21,7 +21,7 @@ GOOD = """\
 (1700000001.000000) vcan0 20000004#0004000000000000
 (1700000001.000001) vcan0 12345678#AB
 """
-DUMP = [sys.executable, "-m", "tipforce_tools.main", "dump"]
+DUMP = [sys.executable, "-m", "tipforce_tools.cli.main", "dump"]
 
 
 @pytest.fixture
@@ -295,7 +295,7 @@ def test_silence_ends_it() -> None:
 
 def test_help_needs_no_numpy() -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         "try:\n    main(['dump', '--help'])\nexcept SystemExit:\n    pass\n"
         "assert 'numpy' not in sys.modules, 'numpy was imported'\n"
     )
@@ -304,7 +304,7 @@ def test_help_needs_no_numpy() -> None:
 
 def test_text_needs_no_canopen(log: Path) -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         f"main(['dump', '--decode', {str(log)!r}])\n"
         "assert 'canopen' not in sys.modules, 'canopen was imported'\n"
     )

@@ -18,9 +18,9 @@ import pytest
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.live import receive, recvmmsg
 from tipforce.host.live.can_filter import Selection
+from tipforce_tools.cli.listening import open_targets
+from tipforce_tools.cli.main import main
 from tipforce_tools.dump.targets import Target
-from tipforce_tools.live import open_targets
-from tipforce_tools.main import main
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 
@@ -88,7 +88,7 @@ def test_silence_ends_it(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_bus_that_is_not_there() -> None:
     """In a process of its own: where the kernel has CAN, python-can leaves the socket that it could not bind."""
-    words = [sys.executable, "-m", "tipforce_tools.main", "dump", "nocan7"]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "dump", "nocan7"]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode in {2, 9}
     assert done.stderr.startswith("tipforce: interface socketcan, channel nocan7: ")

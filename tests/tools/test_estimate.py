@@ -18,9 +18,9 @@ from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-from tipforce_tools import estimate_rows
-from tipforce_tools.estimate import COLUMNS
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
+from tipforce_tools.estimate import rows as estimate_rows
+from tipforce_tools.estimate.command import COLUMNS
 
 FloatArray = npt.NDArray[np.float64]
 A = strain_matrix(FABRICATED, "I")

@@ -19,8 +19,8 @@ from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.network.finger import FingertipClient
-from tipforce_tools import common
-from tipforce_tools.main import main
+from tipforce_tools.cli import common
+from tipforce_tools.cli.main import main
 from tipforce_tools.view.fingers import Finger
 from tipforce_tools.view.scene_source import is_scene, scene_source
 
@@ -274,7 +274,7 @@ def test_no_word_of_a_table_is_cut_in_eighty_columns(words: str, monkeypatch: py
 def test_a_closed_pipe_is_no_failure_of_a_table() -> None:
     with pytest.raises(BrokenPipeError):
         common.console(ARGS).on_broken_pipe()
-    command = f"{sys.executable} -m tipforce_tools.main demo -q | true"
+    command = f"{sys.executable} -m tipforce_tools.cli.main demo -q | true"
     done = subprocess.run(["bash", "-o", "pipefail", "-c", command], capture_output=True, timeout=60, check=False)
     assert (done.returncode, done.stderr) == (0, b"")
 

@@ -33,7 +33,7 @@ from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
 from tipforce_tools.calibrate.guide_plan import Step
 from tipforce_tools.calibrate.guide_session import Session
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 OFFSETS = (12.0, -8.5, 5.3)
 FEW = ("--grooves", "x30,x60,x150,y45,y90,y135", "--samples", 20, "--drift", "none")

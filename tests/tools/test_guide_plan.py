@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Reading, Source
 from tipforce_tools.calibrate.guide_plan import file_plan, groove_plan
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 RIG = """
 tare_every = 2

@@ -7,8 +7,8 @@ import sys
 
 import pytest
 
+from tipforce_tools.cli.main import COMMANDS
 from tipforce_tools.completion.model import command_lines
-from tipforce_tools.main import COMMANDS
 
 HEAVY = (
     "numpy",
@@ -25,7 +25,7 @@ HEAVY = (
 PATHS = [line.path for line in command_lines()]
 CODE = f"""\
 import contextlib, io, sys
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 for path in {PATHS!r}:
     text = io.StringIO()
     with contextlib.redirect_stdout(text), contextlib.suppress(SystemExit):
@@ -55,7 +55,7 @@ LOG_TOOLS = {"dump", "log", "replay", "decode", "plot", "monitor", "completion"}
 
 @pytest.mark.parametrize("name", sorted(LOG_TOOLS & set(COMMANDS)))
 def test_the_help_of_the_log_tools_has_examples(name: str, capsys: pytest.CaptureFixture[str]) -> None:
-    from tipforce_tools.main import main
+    from tipforce_tools.cli.main import main
 
     with pytest.raises(SystemExit) as caught:
         main([name, "--help"])

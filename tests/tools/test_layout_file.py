@@ -21,9 +21,9 @@ from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools import layout_file
-from tipforce_tools.layout_file import layout_text, read_layout, write_layout
-from tipforce_tools.main import main
+from tipforce_tools.cli import layout_file
+from tipforce_tools.cli.layout_file import layout_text, read_layout, write_layout
+from tipforce_tools.cli.main import main
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 PLACES: tuple[Gauge, ...] = (

@@ -18,9 +18,9 @@ from pathlib import Path
 import can
 import pytest
 
+from tipforce_tools.cli.main import main
 from tipforce_tools.log.recorder import Recorder, default_name
 from tipforce_tools.log.writers import open_writer
-from tipforce_tools.main import main
 from tools.blocks import MIXED, MIXED_LOG, block_of_text
 
 COUNT = 60
@@ -162,7 +162,7 @@ def test_silence_ends_it(tmp_path: Path) -> None:
 
 CHILD = """
 import sys, threading, can
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 def send():
     with can.Bus("x", interface="virtual") as bus:
         number = 0

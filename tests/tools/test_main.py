@@ -21,8 +21,8 @@ from tipforce.errors import (
     SdoAbortError,
     TipforceError,
 )
-from tipforce_tools import main as module
-from tipforce_tools.main import COMMANDS, EXIT_CODES, command_parser, main
+from tipforce_tools.cli import main as module
+from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 
 HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "hypothesis")
 
@@ -34,7 +34,7 @@ def run_python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
 def imported_by(*words: str) -> set[str]:
     """Top-level modules in memory after `tipforce WORDS`."""
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
         "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
@@ -275,7 +275,7 @@ def test_a_missing_action_is_answered_with_a_line_for_each(name: str, capsys: py
 
 def run_into(stdout: int, command: str) -> tuple[int, str]:
     """Exit code and stderr of `tipforce COMMAND` with its output going to a file descriptor."""
-    words = [sys.executable, "-m", "tipforce_tools.main", *command.split()]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", *command.split()]
     done = subprocess.run(words, stdout=stdout, stderr=subprocess.PIPE, text=True, check=False)
     return done.returncode, done.stderr
 

@@ -21,7 +21,7 @@ import pytest
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 from tipforce.host.logs.reader import open_log
-from tipforce_tools.main import COMMANDS, command_parser, main
+from tipforce_tools.cli.main import COMMANDS, command_parser, main
 from tipforce_tools.monitor import display
 from tipforce_tools.monitor.session import Loop
 from tipforce_tools.monitor.sources import LogSource, PipeSource
@@ -371,7 +371,7 @@ def test_nodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_from_stdin(log: Path) -> None:
-    words = [sys.executable, "-m", "tipforce_tools.main", "monitor", "-"]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "monitor", "-"]
     with log.open() as text:
         done = subprocess.run(words, stdin=text, capture_output=True, text=True, check=False, timeout=60)
     assert (done.returncode, done.stderr) == (0, "")

@@ -18,7 +18,7 @@ from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 Tipforce = Callable[..., tuple[int, str, str]]
 

@@ -18,8 +18,8 @@ from tipforce.running import loop
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.layout_file import read_layout
-from tipforce_tools.main import main
+from tipforce_tools.cli.layout_file import read_layout
+from tipforce_tools.cli.main import main
 
 
 @pytest.fixture

@@ -17,9 +17,9 @@ from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.source import Source
 from tipforce.sources import iio_buffer, iio_sysfs
 from tipforce.sources.iio import IioSource
+from tipforce_tools.cli.layout_file import layout_text, read_bridge, read_layout
+from tipforce_tools.cli.main import main
 from tipforce_tools.doctor.iio import iio_checks
-from tipforce_tools.layout_file import layout_text, read_bridge, read_layout
-from tipforce_tools.main import main
 
 POINTS = 'points = ["K_H", "S_H", "U"]\n'
 BRIDGE = f"""{POINTS}[bridge]

@@ -11,8 +11,8 @@ import pytest
 
 from tipforce.sensor.design.figures_of_merit import LoadSet, merit, worst_stress
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
-from tipforce_tools.layout_file import read_layout
-from tipforce_tools.main import main
+from tipforce_tools.cli.layout_file import read_layout
+from tipforce_tools.cli.main import main
 
 QUICK = ("--starts", "2")
 

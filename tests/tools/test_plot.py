@@ -16,7 +16,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 from tipforce_tools.plot.bins import BINS, Bins
 from tipforce_tools.plot.finger import Finger
 from tipforce_tools.plot.lines import broken, wrapped
@@ -365,7 +365,7 @@ def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixtur
 def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     """u_P comes with TPDO4 a few times a second; each P between has the last of them."""
     from tipforce_tools.decode.layouts import Layouts
-    from tipforce_tools.decode.part import Reading
+    from tipforce_tools.decode.log_part import Reading
     from tipforce_tools.decode.recording import Recording
 
     finger: Finger | None = None
@@ -419,7 +419,7 @@ def test_sizes_that_are_none(size: str, one: Path, capsys: pytest.CaptureFixture
 
 def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:
     code = (
-        "import sys; sys.modules['matplotlib'] = None\nfrom tipforce_tools.main import main\n"
+        "import sys; sys.modules['matplotlib'] = None\nfrom tipforce_tools.cli.main import main\n"
         f"sys.exit(main(['plot', {str(one)!r}, '-o', {str(tmp_path / 'x.png')!r}]))"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False, timeout=60)

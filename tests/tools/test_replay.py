@@ -18,8 +18,8 @@ import can
 import pytest
 
 from tipforce.device.codes import ERROR_FLAG
+from tipforce_tools.cli.main import main
 from tipforce_tools.log.writers import open_writer
-from tipforce_tools.main import main
 from tipforce_tools.replay.session import Clock
 from tools.blocks import MIXED, MIXED_LOG, block_of_text
 
@@ -145,7 +145,19 @@ def test_loops_speed_and_gaps(tmp_path: Path) -> None:
 
 def test_stdin_and_bad_lines() -> None:
     text = MIXED_LOG + "rubbish\n" + MIXED_LOG
-    words = [sys.executable, "-m", "tipforce_tools.main", "replay", "-i", "virtual", "-c", "x", "--speed", "inf", "-"]
+    words = [
+        sys.executable,
+        "-m",
+        "tipforce_tools.cli.main",
+        "replay",
+        "-i",
+        "virtual",
+        "-c",
+        "x",
+        "--speed",
+        "inf",
+        "-",
+    ]
     done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0
     assert "18 frames sent" in done.stderr
@@ -158,7 +170,7 @@ def test_stdin_and_bad_lines() -> None:
 
 
 def test_a_signal_ends_an_endless_loop(log: Path) -> None:
-    words = [sys.executable, "-m", "tipforce_tools.main", "replay", "-i", "virtual", "-c", "x", str(log)]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay", "-i", "virtual", "-c", "x", str(log)]
     with subprocess.Popen([*words, "--loop", "inf"], stderr=subprocess.PIPE, text=True) as process:
         time.sleep(1.5)
         os.kill(process.pid, signal.SIGTERM)
@@ -198,7 +210,7 @@ def test_a_file_that_python_can_can_not_read(tmp_path: Path) -> None:
     """In a process of its own: python-can leaves the file open."""
     path = tmp_path / "broken.blf"
     path.write_bytes(b"nothing of the kind" * 10)
-    words = [sys.executable, "-m", "tipforce_tools.main", "replay", "-i", "virtual", "-c", "x", str(path)]
+    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay", "-i", "virtual", "-c", "x", str(path)]
     done = subprocess.run(words, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 2
     assert f"tipforce: {path}: " in done.stderr

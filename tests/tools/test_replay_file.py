@@ -12,7 +12,7 @@ from tipforce.device.node import Device
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.source import Source
 from tipforce.sources.replay import ReplaySource
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 
 def node(layout: str, *words: str) -> int:

@@ -12,7 +12,7 @@ import pytest
 
 from tipforce.scene.parts import identifiers, parts
 from tipforce.scene.schema import read_scene
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies
 from tipforce_tools.report.study import Effort
 from tipforce_tools.scene.cost import import_times, part_costs
@@ -116,7 +116,7 @@ def test_explain_as_json(capsys: pytest.CaptureFixture[str]) -> None:
 )
 def test_a_command_loads_what_it_needs(words: list[str], left_out: set[str]) -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         "try:\n    main(sys.argv[1:])\nexcept SystemExit:\n    pass\n"
         "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )

@@ -15,8 +15,8 @@ from pathlib import Path
 import pytest
 
 from host.bus_with_nodes import new_channel
-from tipforce_tools import service
-from tipforce_tools.main import main
+from tipforce_tools.cli import service
+from tipforce_tools.cli.main import main
 
 UNIT = Path(__file__).parents[2] / "tools/systemd/tipforce-node@.service"
 
@@ -172,10 +172,10 @@ def test_the_unit_starts_a_command_line_that_the_node_takes() -> None:
     assert words[at + 1] == "node"
     import argparse
 
-    from tipforce_tools import node
+    from tipforce_tools.node import command
 
     parser = argparse.ArgumentParser()
-    node.add_arguments(parser)
+    command.add_arguments(parser)
     args = parser.parse_args([word for word in words[at + 2 :] if not word.startswith("$")])
     assert (args.node_id, args.store, args.lock_memory) == (5, "/var/lib/tipforce/node-5.json", True)
     assert lines["LimitRTPRIO"] == str(args.priority)

@@ -34,7 +34,7 @@ _context.set_forkserver_preload(
     [
         "numpy", "can.cli", "can.interfaces.socketcan", "canopen", "tomllib", "importlib.resources.readers",
         "tipforce.host.configuration.calibration_file", "tipforce.host.configuration.configuration_file", "tipforce.host.network.find",
-        "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.load",
+        "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.network.load",
         "tipforce.running.loop", "tipforce.fingertip.node", "tipforce.running.store", "tipforce.dictionary.eds",
         "tipforce.running.ports", "tipforce.sensor.structure.strain",
         *(f"tipforce_tools.{name}" for name in ("main", "bus_flags", "node", "sdo", "scan", "config")),
@@ -180,12 +180,12 @@ class Launch(Protocol):
 
 def tipforce(*words: str) -> list[str]:
     """The command line of `tipforce WORDS`."""
-    return [sys.executable, "-m", "tipforce_tools.main", *words]
+    return [sys.executable, "-m", "tipforce_tools.cli.main", *words]
 
 
 def _run_here(words: Sequence[str], outputs: Sequence[str]) -> None:
     """In the forked process: be `tipforce WORDS`."""
-    from tipforce_tools.main import main
+    from tipforce_tools.cli.main import main
 
     gc.freeze()  # a collection that visits what was imported would copy all of it, which takes half a second
     for fd, path in zip((1, 2), outputs, strict=True):

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
-from tipforce_tools.actions import add_choice
+from tipforce_tools.cli import common
+from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.dictionary.eds import Values

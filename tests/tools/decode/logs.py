@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 
 START_US = 1_700_000_000_000_000
 

@@ -19,9 +19,9 @@ from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce_tools.cli.main import main
 from tipforce_tools.decode.resample import Resampler
 from tipforce_tools.decode.table import Column, Table
-from tipforce_tools.main import main
 from tools.decode.logs import decode, log_lines, number, rows_of, write_log
 
 P = Column("P_N", "P", "real", 3, "N", 0)

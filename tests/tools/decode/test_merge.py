@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 
 from tipforce.host.decoding.decoder import lost_samples
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce_tools.decode import part, recording
+from tipforce_tools.decode import log_part, recording
 from tipforce_tools.decode.layouts import Layouts
+from tipforce_tools.decode.log_part import Edge, End, Item, Notes, Piece, Reading, part_items
 from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.part import Edge, End, Item, Notes, Piece, Reading, part_items
 from tipforce_tools.decode.recording import Recording
 from tipforce_tools.decode.table import Table
 from tools.decode.logs import decode, log_lines, rows_of, write_log
@@ -175,7 +175,7 @@ def test_lost_samples_over_borders(counters: list[int], cuts: list[int]) -> None
 @pytest.fixture
 def small_heads(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts whose start is decided after few frames, so that small logs have a middle."""
-    monkeypatch.setattr(part, "_HEAD_FRAMES", 400)
+    monkeypatch.setattr(log_part, "_HEAD_FRAMES", 400)
 
 
 @pytest.mark.usefixtures("small_heads")

@@ -13,11 +13,11 @@ import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 
+from tipforce_tools.cli.main import main
 from tipforce_tools.decode import writers
-from tipforce_tools.main import main
 from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
 
-DECODE = [sys.executable, "-m", "tipforce_tools.main", "decode"]
+DECODE = [sys.executable, "-m", "tipforce_tools.cli.main", "decode"]
 
 
 @pytest.fixture
@@ -203,7 +203,7 @@ def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
 
 def test_what_is_not_needed_is_not_imported(log: Path) -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\nmain(sys.argv[1:])\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\nmain(sys.argv[1:])\n"
         "print(*sorted({'can', 'canopen', 'cantools', 'pyarrow', 'rich', 'scipy', 'dask', 'mcap', 'asyncio'} "
         "& set(sys.modules)))\n"
     )

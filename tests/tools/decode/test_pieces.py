@@ -14,10 +14,10 @@ from hypothesis import strategies as st
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
 from tipforce.host.logs.reader import LogReader, open_log
-from tipforce_tools.decode import part, session
+from tipforce_tools.cli.main import main
+from tipforce_tools.decode import log_part, session
 from tipforce_tools.decode.layouts import Layouts
-from tipforce_tools.decode.part import Notes, Piece, Reading, Source
-from tipforce_tools.main import main
+from tipforce_tools.decode.log_part import Notes, Piece, Reading, Source
 from tools.decode.logs import decode, log_lines, write_log
 
 PIECE_BYTES = 20_000
@@ -28,7 +28,7 @@ def small_pieces(monkeypatch: pytest.MonkeyPatch) -> None:
     """Logs are cut from 20 kB on, and a piece's start is decided after few frames."""
     monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", PIECE_BYTES)
     monkeypatch.setattr(session, "_PIECE_BYTES", 3 * PIECE_BYTES)
-    monkeypatch.setattr(part, "_HEAD_FRAMES", 100)
+    monkeypatch.setattr(log_part, "_HEAD_FRAMES", 100)
 
 
 @pytest.fixture

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 from tipforce_tools.report import run
 from tipforce_tools.report.stability.case import Case, Observed
 from tipforce_tools.report.study import Effort, Study
@@ -194,7 +194,7 @@ def test_the_real_studies_are_modules_as_the_table_says() -> None:
 
 def test_help_imports_no_numpy_and_text_no_matplotlib() -> None:
     code = (
-        "import sys\nfrom tipforce_tools.main import main\n"
+        "import sys\nfrom tipforce_tools.cli.main import main\n"
         "try:\n    main(['report', '--help'])\nexcept SystemExit:\n    pass\n"
         "assert not {'numpy', 'rich', 'can'} & set(sys.modules)\n"
         "assert main(['report', '--quick', '--only', 'decoders']) == 0\n"

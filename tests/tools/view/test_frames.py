@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools.view.frames import MAX_BINS, Cursor, Playhead, encode
+from tipforce_tools.view.messages import MAX_BINS, Cursor, Playhead, encode
 from tipforce_tools.view.model import Model
 from tools.view.support import MS, START_NS, block, fingers
 

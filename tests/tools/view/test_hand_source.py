@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools.main import main
+from tipforce_tools.cli.main import main
 from tipforce_tools.view import command
 from tipforce_tools.view.demo import PULLS, load_at, simulated_hand
 
@@ -74,7 +74,7 @@ def test_wrong_sources_are_refused(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_the_command_serves_and_ends_quietly() -> None:
     process = subprocess.Popen(
-        [sys.executable, "-m", "tipforce_tools.main", "view", "-i", "virtual", "--port", "0", "--json"],
+        [sys.executable, "-m", "tipforce_tools.cli.main", "view", "-i", "virtual", "--port", "0", "--json"],
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=os.environ,
     )  # fmt: skip
     assert process.stdout is not None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tipforce_tools.actions import add_action, run_action
+from tipforce_tools.cli.actions import add_action, run_action
 
 ACTIONS = {
     "fit": ("tipforce_tools.calibrate.fit", "fit a calibration to readings under known loads"),

@@ -7,7 +7,7 @@ import datetime
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.calibration import Calibration
@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.sensor.calibration.fit import fit_calibration
     from tipforce.sensor.calibration.rounding import rounded
     from tipforce_tools.calibrate import fit_report
-    from tipforce_tools.one_node import check_one_node
+    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     data = read_measurements(args.data, loads=True)
     check_one_node(args.data, data)
@@ -101,7 +101,7 @@ def model_of(args: argparse.Namespace, data: Measurements) -> Model:
 
     from tipforce.sensor.calibration.fit import Model, beam_prior
     from tipforce.sensor.calibration.regressors import tare_groups
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     drift = args.drift
     if drift is None:
@@ -148,7 +148,7 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
     """The calibration that goes into the file and to the node."""
     from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     code = CUSTOM_LAYOUT_CODE
     if args.layout:
@@ -166,7 +166,7 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
 
 
 def _check_layout(args: argparse.Namespace, data: Measurements) -> None:
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     count = len(read_layout(args.layout)[1]) if args.layout else data.strain.shape[1]
     if count != data.strain.shape[1]:

@@ -11,8 +11,8 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
-from tipforce_tools import common
-from tipforce_tools.layout_file import read_layout
+from tipforce_tools.cli import common
+from tipforce_tools.cli.layout_file import read_layout
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import InputError
-from tipforce_tools import common
 from tipforce_tools.calibrate import fit
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader

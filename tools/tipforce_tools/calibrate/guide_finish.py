@@ -16,13 +16,13 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.calibration.fit import fit_calibration
 from tipforce.sensor.calibration.rounding import matrix_to_digits, rounded, to_digits
 from tipforce.sensor.calibration.statistics import left_inverse
-from tipforce_tools import common
 from tipforce_tools.calibrate import fit as fit_command
 from tipforce_tools.calibrate import fit_report
 from tipforce_tools.calibrate.guide_plan import Step
 from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.calibrate.guide_walk import ask
-from tipforce_tools.layout_file import read_layout
+from tipforce_tools.cli import common
+from tipforce_tools.cli.layout_file import read_layout
 
 Answer = Literal["applied", "declined", "redo"]
 

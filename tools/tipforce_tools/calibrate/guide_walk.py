@@ -15,10 +15,10 @@ from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, NoResponseError, TipforceError
 from tipforce.host.configuration.capture import Capture, GaugeReader
 from tipforce.host.network.sdo import SdoChannel
-from tipforce_tools import common
 from tipforce_tools.calibrate.guide_plan import EXTRA, EXTRA_TARE, Step
 from tipforce_tools.calibrate.guide_refusals import Limits, refusals
 from tipforce_tools.calibrate.guide_session import Session
+from tipforce_tools.cli import common
 
 Outcome = Literal["done", "quit", "refused"]
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -3,7 +3,7 @@
 import argparse
 import importlib
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Print the script that lets a shell complete commands, flags, choices, files, CAN interfaces and object names of

@@ -7,9 +7,9 @@ import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
-from tipforce_tools import actions as shared
-from tipforce_tools import common
-from tipforce_tools.main import COMMANDS, command_parser
+from tipforce_tools.cli import actions as shared
+from tipforce_tools.cli import common
+from tipforce_tools.cli.main import COMMANDS, command_parser
 
 FILE, CAN, OBJECT, COMMAND = "file", "can", "object", "command"
 NODE_IDS = tuple(str(number) for number in range(1, 16))

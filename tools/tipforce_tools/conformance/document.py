@@ -56,7 +56,7 @@ def table(vcan: dict[str, str]) -> str:
 
 def command_line(*words: str) -> list[str]:
     """The command `tipforce` of this installation."""
-    return [sys.executable, "-m", "tipforce_tools.main", *words, "-i", "socketcan", "-c", INTERFACE]
+    return [sys.executable, "-m", "tipforce_tools.cli.main", *words, "-i", "socketcan", "-c", INTERFACE]
 
 
 @contextmanager

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from tipforce_tools.conformance.case import CheckError, NotApplicableError
-from tipforce_tools.conformance.frames import Frame, Frames, Link, Wanted, as_bytes
+from tipforce_tools.conformance.raw_frames import Frame, Frames, Link, Wanted, as_bytes
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.device.node import Device
 from tipforce.errors import NoResponseError
-from tipforce_tools.conformance.frames import Frame
+from tipforce_tools.conformance.raw_frames import Frame
 
 if TYPE_CHECKING:
     import can

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tipforce.errors import InputError
 from tipforce_tools.decode.layouts import Layouts, signals_named, with_asked, with_dcf
-from tipforce_tools.decode.part import Reading, When, start_of
+from tipforce_tools.decode.log_part import Reading, When, start_of
 
 STDIN = "-"
 _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame

@@ -2,7 +2,7 @@
 
 import argparse
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Logs to contact: one row for each sample of each node, the PDOs of a sample joined by its counter. Several logs are
@@ -83,8 +83,8 @@ def run(args: argparse.Namespace) -> int:
 
     Raises InputError for what is not usable, EnvironmentLackError for what is not installed or does not answer.
     """
+    from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.decode.session import check, decode
-    from tipforce_tools.main import terminate_as_interrupt
 
     terminate_as_interrupt()
     common.set_up_logging(args)

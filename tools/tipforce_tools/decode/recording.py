@@ -11,8 +11,7 @@ import numpy.typing as npt
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import unwrap_counter
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
-from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.part import (
+from tipforce_tools.decode.log_part import (
     Edge,
     End,
     Item,
@@ -24,6 +23,7 @@ from tipforce_tools.decode.part import (
     StrictError,
     numbered_from,
 )
+from tipforce_tools.decode.merge import SampleMerger
 from tipforce_tools.decode.sample_rows import IntArray
 from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Table
 from tipforce_tools.decode.tally import Tally

@@ -12,15 +12,15 @@ from pathlib import Path
 from tipforce.errors import InputError
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
-from tipforce_tools import common
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.part import Piece, Progress, Reading, StrictError
+from tipforce_tools.decode.log_part import Piece, Progress, Reading, StrictError
 from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.recording import Recording, Told
 from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.decode.writers import format_of, open_writer
-from tipforce_tools.live import counted
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
 _LEAST_PIECE_BYTES = 8_000_000  # less is not worth a piece
@@ -174,7 +174,7 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
 def _check_readable(told: Told) -> None:
     """Raises InputError where there is much and none of it is a frame: then something else was given than logs."""
     if summaries.bad_lines(told) and not any(notes.frames for notes in told.notes):
-        from tipforce_tools.no_frame import MESSAGES, PACKED, PCAP, TEXT, no_frame
+        from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame
 
         raise no_frame(", ".join(notes.source for notes in told.notes), (TEXT, PACKED, MESSAGES, PCAP))
 

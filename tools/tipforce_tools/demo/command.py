@@ -7,7 +7,7 @@ import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.common import add_output_arguments, console, note, print_json, print_table, set_up_logging
+from tipforce_tools.cli.common import add_output_arguments, console, note, print_json, print_table, set_up_logging
 from tipforce_tools.view.command import add_server_arguments
 
 if TYPE_CHECKING:

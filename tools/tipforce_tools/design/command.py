@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tipforce_tools.actions import add_action, run_action
+from tipforce_tools.cli.actions import add_action, run_action
 
 ACTIONS = {
     "table": ("tipforce_tools.design.table", "the paper's tables and figures recomputed, beside what it prints"),

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.sensor.design.assessment import Assessment
@@ -96,8 +96,8 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, print, write; 0, or 1 where the frame does not confirm the best design."""
+    from tipforce_tools.cli.layout_file import write_layout
     from tipforce_tools.design.optimise_output import comment, print_outcome
-    from tipforce_tools.layout_file import write_layout
 
     common.set_up_logging(args)
     if args.output and not Path(args.output).parent.is_dir():

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 from tipforce.sensor.design.assessment import AGREEMENT, Assessment
 from tipforce.sensor.design.figures_of_merit import Merit
 from tipforce.sensor.structure.gauge_positions import gauge_name
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce_tools.design.optimise import Outcome

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, field
 from typing import Any
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 Record = dict[str, Any]
 

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 from tipforce_tools.design.section import Record, Section, print_section
 
 if TYPE_CHECKING:
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the sweep, then draw it; 0."""
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     common.set_up_logging(args)
     geometry, gauges = read_layout(args.layout)

@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 from tipforce_tools.design.section import Section, print_section
 
 NAMES = ("1", "2", "3", "fig6", "fig9", "off-axis")

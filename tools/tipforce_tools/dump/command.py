@@ -2,7 +2,7 @@
 
 import argparse
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Print frames as candump does, to the byte; with --decode, say what the PDOs of fingertips mean. Frames come from buses,
@@ -65,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
 
     Raises InputError for a target that is not usable and EnvironmentLackError for a bus that can't be opened.
     """
+    from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.dump.session import dump
-    from tipforce_tools.main import terminate_as_interrupt
 
     terminate_as_interrupt()
     common.set_up_logging(args)

@@ -11,7 +11,7 @@ from tipforce.host.decoding.decoder import Key, Samples
 from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 COUNTER = "counter"
 _UNITS = {"degree": "deg"}

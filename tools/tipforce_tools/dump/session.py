@@ -17,7 +17,7 @@ from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
-from tipforce_tools import common
+from tipforce_tools.cli import common
 from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 from tipforce_tools.dump.text_source import text_blocks
@@ -125,14 +125,14 @@ def _counted(blocks: Iterable[CandumpBlock], counts: list[int]) -> Iterator[Cand
 def _check_readable(name: str, frames: int, parser: CandumpParser) -> None:
     """Raises InputError where there is text and none of it is a frame."""
     if parser.bad and not frames:
-        from tipforce_tools.no_frame import TEXT, no_frame
+        from tipforce_tools.cli.empty_log import TEXT, no_frame
 
         raise no_frame(name, (TEXT, "other formats: `tipforce decode`"), parser.bad_lines[0])
 
 
 def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) -> None:
-    from tipforce_tools.live import open_targets
-    from tipforce_tools.main import terminate_as_interrupt
+    from tipforce_tools.cli.listening import open_targets
+    from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
     with open_targets(targets, args) as receiver:

@@ -9,8 +9,8 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
-from tipforce_tools.actions import add_choice
+from tipforce_tools.cli import common
+from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
     from tipforce.host.hand.bring_up import FingerReport
@@ -102,7 +102,7 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
 def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
     """Above 80 % of the bit rate, with worst-case stuffing: say so, and what would fit."""
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
-    from tipforce_tools.load import budget_lines, what_fits
+    from tipforce_tools.network.load import budget_lines, what_fits
 
     if not file.hand.sync_hz:
         return
@@ -121,7 +121,7 @@ def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
 
 def _up(args: argparse.Namespace) -> int:
     from tipforce.host.hand.hand import Hand
-    from tipforce_tools.main import terminate_as_interrupt
+    from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
     with Hand.open(args.file, **common.bus_options(args)) as hand:

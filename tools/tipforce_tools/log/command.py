@@ -3,7 +3,7 @@
 import argparse
 import re
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. What was received is in the file then, whatever ended it;

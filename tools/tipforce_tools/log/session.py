@@ -10,11 +10,11 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
-from tipforce_tools import common
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, open_targets
+from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.dump.targets import split_targets
-from tipforce_tools.live import StopSignals, counted, open_targets
 from tipforce_tools.log.recorder import Recorder, default_name
-from tipforce_tools.main import INTERRUPTED
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup

@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Show the nodes that are heard, a row each: samples per second, how regular they are, how old the last is, contact,

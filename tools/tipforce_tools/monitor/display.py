@@ -6,7 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.common import shown_id
+from tipforce_tools.cli.common import shown_id
 from tipforce_tools.monitor.state import QUANTITIES, BusView, NodeView, Reading
 
 if TYPE_CHECKING:

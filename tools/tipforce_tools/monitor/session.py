@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
-from tipforce_tools import common
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, open_targets
+from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.dump.targets import STDIN, Target, split_targets
-from tipforce_tools.live import StopSignals, counted, open_targets
-from tipforce_tools.main import INTERRUPTED
 from tipforce_tools.monitor import display
 from tipforce_tools.monitor.sources import BusSource, LogSource, PipeSource, Source
 from tipforce_tools.monitor.state import Monitor
@@ -50,7 +50,7 @@ def monitor(args: Namespace) -> int:
         loop = Loop(args.once, interval_s, show if screen or (args.json and args.once is None) else None)
         loop.run(watched, source, lambda: stop.stopped or pressed())
         if log is not None and source.ended and log.bad and not watched.frames:
-            from tipforce_tools.no_frame import MESSAGES, PACKED, PCAP, TEXT, no_frame
+            from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame
 
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
         if not screen and not (args.json and args.once is None and loop.shown):

@@ -3,7 +3,7 @@
 import argparse
 import re
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Draw what the fingers of a log felt: P, phi and theta over time with their uncertainty, gauges, and a strip that says

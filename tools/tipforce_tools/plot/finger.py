@@ -7,7 +7,7 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.common import shown_id
+from tipforce_tools.cli.common import shown_id
 from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Column, Table
 from tipforce_tools.plot.traces import Flags, Lost, Trace
 

@@ -9,12 +9,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode.layouts import Layouts
 from tipforce_tools.decode.recording import Recording
 from tipforce_tools.decode.table import Table
-from tipforce_tools.live import counted
 from tipforce_tools.plot import figure
 from tipforce_tools.plot.finger import Fingers
 

@@ -3,7 +3,7 @@
 import argparse
 import math
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 DESCRIPTION = """\
 Send the frames of a log with the time between them that the log has. LOG is candump's text (plain, gzip or zstd; -

@@ -19,9 +19,9 @@ from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.send import NotCarriedError, Sender, open_sender
 from tipforce.host.logs.candump import BadLineError, CandumpParser
-from tipforce_tools import common
-from tipforce_tools.live import StopSignals, counted, resolved_options
-from tipforce_tools.main import INTERRUPTED
+from tipforce_tools.cli import common
+from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
+from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.replay.source import STDIN, log_blocks
 
 _SLICE_S = 0.2  # how long a signal waits at most
@@ -153,7 +153,7 @@ def replay(args: Namespace) -> int:
 def _check_readable(name: str, buses: Buses, parser: CandumpParser) -> None:
     """Raises InputError where there is text and none of it is a frame."""
     if parser.bad and not buses.sent and not buses.left_out:
-        from tipforce_tools.no_frame import MESSAGES, PACKED, TEXT, no_frame
+        from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
 
         raise no_frame(name, (TEXT, PACKED, MESSAGES), parser.bad_lines[0])
 

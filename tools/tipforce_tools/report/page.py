@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce_tools.common import json_line
+from tipforce_tools.cli.common import json_line
 from tipforce_tools.report import plots, text
 from tipforce_tools.report.run import Judged, LeftOut, Report
 from tipforce_tools.report.study import Study

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from tipforce_tools import actions
+from tipforce_tools.cli import actions
 
 ACTIONS = {
     "explain": ("tipforce_tools.scene.explain", "what a scene builds, what it leaves out and why"),

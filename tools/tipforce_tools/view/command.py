@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,7 +93,7 @@ def check_server_arguments(args: argparse.Namespace) -> None:
 
 def serve(args: argparse.Namespace, source: Source) -> int:
     """The page of a source, until Ctrl-C or SIGTERM."""
-    from tipforce_tools.main import terminate_as_interrupt
+    from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.view.guard import Guard, access_token, host_names
     from tipforce_tools.view.server import ViewServer
 
@@ -164,7 +164,7 @@ def _scene(args: argparse.Namespace, path: Path) -> Source:
 def _listen(args: argparse.Namespace, path: Path | None) -> Source:
     from tipforce.host.hand.file import read_hand
     from tipforce.host.live.receive import open_receiver
-    from tipforce_tools.live import resolved_options
+    from tipforce_tools.cli.listening import resolved_options
     from tipforce_tools.view.sources import ListenSource
 
     options = resolved_options(args, named=False)
@@ -227,7 +227,7 @@ def _maker(args: argparse.Namespace) -> Callable[[int], Finger | None]:
 
 
 def _fallback(args: argparse.Namespace) -> tuple[str, Geometry, tuple[Gauge, ...]] | None:
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     layout = getattr(args, "layout", None)
     return (layout, *read_layout(layout)) if layout else None

@@ -17,7 +17,8 @@ from tipforce.errors import InputError, TipforceError
 from tipforce.toml_table import convert
 from tipforce_tools.view.csv import csv_chunks
 from tipforce_tools.view.fingers import drawing
-from tipforce_tools.view.frames import (
+from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS
+from tipforce_tools.view.messages import (
     MAX_BINS,
     Cursor,
     Playhead,
@@ -26,7 +27,6 @@ from tipforce_tools.view.frames import (
     events_message,
     picture_message,
 )
-from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS
 
 if TYPE_CHECKING:
     from tipforce_tools.view.server import PageServer, ViewServer

@@ -11,7 +11,7 @@ import numpy as np
 from tipforce.dictionary import table
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 _INVALID, _TOO_HIGH, _TOO_LOW, _INCOMPATIBLE, _STATE = 0x06090030, 0x06090031, 0x06090032, 0x06040043, 0x08000022
@@ -53,20 +53,20 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def _refused(finger: talk.Talk, record: bytes, code: int) -> bool:
+def _refused(finger: rig.Talk, record: bytes, code: int) -> bool:
     """Staged, refused at commit with a code, and nothing active has changed."""
     before = finger.active()
     return finger.stage(record) == 0 and finger.commit() == code and finger.active() == before
 
 
 def _not_finite() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     shown, count, held = finger.sync(), 0, True
     for index, sub, kind in table.staged(3):
         if kind != "f":
             continue
         for value in (math.nan, math.inf, -math.inf):
-            finger.stage(talk.record())
+            finger.stage(rig.record())
             held &= finger.put("f", index, sub, value) == 0
             held &= finger.put("I", 0x2103, 1, finger.get("I", 0x2103, 2)) == 0
             before = finger.active()
@@ -87,16 +87,16 @@ def _conditioned(kappa: float) -> list[list[float]]:
 def _condition() -> Observed:
     verdicts = []
     for kappa in (10.0, 1e3, 9.9e3, 1.01e4, 1e6):
-        finger = talk.simulated()
-        record = talk.record(C=_conditioned(kappa))
+        finger = rig.simulated()
+        record = rig.record(C=_conditioned(kappa))
         verdicts.append((finger.stage(record) or finger.commit()) == 0)
         if not verdicts[-1] and not _refused(finger, record, _TOO_HIGH):
             return Observed(False, f"condition {kappa:g}: not refused as it should be")
     # Beyond 1e7 REAL32 no longer holds a rotated matrix; a graded one it does, exactly.
     exact = []
     for tiny in (2.0**-20, 2.0**-46, 0.0):
-        finger = talk.simulated()
-        refused = _refused(finger, talk.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), _TOO_HIGH)
+        finger = rig.simulated()
+        refused = _refused(finger, rig.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), _TOO_HIGH)
         exact.append(refused and finger.get("f", 0x2102, 5) == (1.0 / tiny if tiny else math.inf))
     held = verdicts == [True, True, True, False, False] and all(exact)
     return Observed(held, f"10, 1e3, 9.9e3, 1.01e4, 1e6: accepted {verdicts}; 1e6, 7e13, infinity: refused {exact}")
@@ -110,8 +110,8 @@ def _impossible() -> Observed:
         "three of -0.9": (c, -0.9 * c, -0.9 * c, c, -0.9 * c, c),
         "0 with covariance": (0, c, 0, c, 0, c),
     }
-    finger = talk.simulated(load=talk.PUSH)
-    refused = {name: _refused(finger, talk.record(variance=noise), _INVALID) for name, noise in triples.items()}
+    finger = rig.simulated(load=rig.PUSH)
+    refused = {name: _refused(finger, rig.record(variance=noise), _INVALID) for name, noise in triples.items()}
     after, u_P = finger.sync(), finger.get("f", 0x2107, 1)
     held = all(refused.values()) and after.contact[0] == 1000 and u_P > 0.0
     return Observed(
@@ -128,8 +128,8 @@ def _possible() -> Observed:
             records.append(tuple((B @ B.T)[np.triu_indices(3)].tolist()))
     accepted = 0
     for noise in records:
-        finger = talk.simulated()
-        accepted += (finger.stage(talk.record(variance=noise)) or finger.commit()) == 0
+        finger = rig.simulated()
+        accepted += (finger.stage(rig.record(variance=noise)) or finger.commit()) == 0
     return Observed(accepted == len(records), f"{accepted} of {len(records)} accepted, ranks 0 to 3")
 
 
@@ -141,7 +141,7 @@ def _flipped(data: bytes) -> Iterable[bytes]:
 
 
 def _flipped_in_transit() -> Observed:
-    finger, record = talk.simulated(load=talk.PUSH), talk.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
+    finger, record = rig.simulated(load=rig.PUSH), rig.record(tip=(0.015, -60.0, 60.0, 0.05, 0.02, 1))
     before, crc, refused, total = finger.active(), binascii.crc32(record), 0, 0
     for spoilt in _flipped(record):
         total += 1
@@ -152,23 +152,23 @@ def _flipped_in_transit() -> Observed:
     return Observed(held, f"{refused} of {total} refused, active CRC {before[0]:08X}h stays")
 
 
-def _stored() -> talk.Memory:
-    memory = talk.Memory()
-    finger = talk.simulated(memory=memory)
+def _stored() -> rig.Memory:
+    memory = rig.Memory()
+    finger = rig.simulated(memory=memory)
     finger.put("I", 0x1010, _GROUP, table.SIGNATURE_SAVE)
     return memory
 
 
-def _started(memory: talk.Memory) -> talk.Talk:
-    source = SimulatedSource(talk.strain_per_newton())
-    source.load = talk.PUSH
-    return talk.Talk(fingertip_node(talk.NODE_ID, source, save=memory.save, load=memory.load), keep=True)
+def _started(memory: rig.Memory) -> rig.Talk:
+    source = SimulatedSource(rig.strain_per_newton())
+    source.load = rig.PUSH
+    return rig.Talk(fingertip_node(rig.NODE_ID, source, save=memory.save, load=memory.load), keep=True)
 
 
-def _uncalibrated(finger: talk.Talk) -> bool:
+def _uncalibrated(finger: rig.Talk) -> bool:
     codes = finger.emcy()
     found = finger.sync()
-    unknown = not found.status & talk.CALIBRATED and found.contact == (talk.UNKNOWN,) * 3
+    unknown = not found.status & rig.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
     return unknown and codes == [_CALIBRATION_INVALID] and finger.active()[0] == 0
 
 
@@ -193,31 +193,31 @@ def _cut_store() -> Observed:
         caught += _uncalibrated(_started(memory))
     memory.blobs["calibration"] = b""  # what a restore of defaults leaves: no damage
     empty = _started(memory)
-    held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & talk.CALIBRATED
+    held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & rig.CALIBRATED
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")
 
 
 def _huge() -> Observed:
     C = [[3.4e38 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = talk.simulated(load=talk.PUSH, calibration=talk.record(C=C, variance=[3e38, 0, 0, 3e38, 0, 3e38]))
+    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C, variance=[3e38, 0, 0, 3e38, 0, 3e38]))
     found, status, P = finger.sync(), finger.get("B", 0x6150, 7), finger.get("f", 0x6130, 7)
     held = found.contact[0] == 32767 and status == 3 and abs(P / 3.3993e34 - 1.0) < 1e-3
-    held &= found.contact[2] == talk.UNKNOWN and bool(found.status & talk.UNRESOLVED)
+    held &= found.contact[2] == rig.UNKNOWN and bool(found.status & rig.UNRESOLVED)
     held &= finger.get("f", 0x2107, 1) == math.inf
     return Observed(held, f"P {P:.3g} N, 6150h {status:02.0f}h, u_P infinite, status {found.status:02X}h")
 
 
 def _tiny() -> Observed:
     C = [[1e-44 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = talk.simulated(load=talk.PUSH, calibration=talk.record(C=C))
+    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C))
     found, condition = finger.sync(), finger.get("f", 0x2102, 5)
-    held = found.contact == (0, talk.UNKNOWN, talk.UNKNOWN) and condition == 1.0 and not found.status & talk.CONTACT
+    held = found.contact == (0, rig.UNKNOWN, rig.UNKNOWN) and condition == 1.0 and not found.status & rig.CONTACT
     return Observed(held, f"P {found.contact[0]} mN, condition {condition:g}, status {found.status:02X}h")
 
 
 def _tare_huge() -> Observed:
     offsets = [0.0, 0.0, 3000e-6]
-    finger = talk.simulated(calibration=talk.record(offsets=offsets))
+    finger = rig.simulated(calibration=rig.record(offsets=offsets))
     finger.source.offset_microstrain = [1e6 * offset for offset in offsets]
     worst = 0.0
     for P in (1.0, 2.0):
@@ -232,7 +232,7 @@ def _tare_huge() -> Observed:
 
 
 def _tare_saturated() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     held = finger.put("I", 0x6139, 4, table.SIGNATURE_TARA) == 0
     before = [finger.get("f", 0x2111, sub) for sub in (1, 2, 3)]
@@ -249,7 +249,7 @@ def _tare_saturated() -> Observed:
 
 
 def _points_equal() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     before, aborts = finger.sync(), []
     for kind, index in (("f", 0x6122), ("h", 0x7122), ("i", 0x9122)):
         aborts.append(finger.put(kind, index, 1, 0))
@@ -259,7 +259,7 @@ def _points_equal() -> Observed:
 
 
 def _denormal() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     taken = finger.put("f", 0x6122, 1, 1.4e-45) == 0
     found = finger.sync()
     statuses = [finger.get("B", 0x6150, sub) for sub in (1, 7)]
@@ -269,10 +269,10 @@ def _denormal() -> Observed:
 
 
 def _locked() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     before = finger.active()
     finger.put("B", 0x2105, 2, 1)
-    aborts = [finger.put("f", 0x2100, 1, 1.0), finger.stage(talk.record(offsets=[1.0, 0.0, 0.0])), finger.commit(),
+    aborts = [finger.put("f", 0x2100, 1, 1.0), finger.stage(rig.record(offsets=[1.0, 0.0, 0.0])), finger.commit(),
               finger.put("B", 0x2105, 2, 0)]  # fmt: skip
     held = aborts == [_STATE] * 4 and finger.active() == before
     return Observed(held, ", ".join(f"{abort:08X}h" for abort in aborts))

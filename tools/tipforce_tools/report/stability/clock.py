@@ -14,12 +14,12 @@ from tipforce.host.decoding import decoder
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 _TOO_HIGH, _TOO_LOW = 0x06090031, 0x06090032
 _DAY_MS = 86_400_000
-_HUSHED = (talk.UNKNOWN,) * 3
+_HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
@@ -61,7 +61,7 @@ def cases() -> list[Case]:
 
 
 def _counter() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     counters = [finger.sync().counter for _ in range(1000)]
     kept = [c for k, c in enumerate(counters) if not any(start <= k < start + 8 for start in range(100, 1000, 200))]
     whole, lost = decoder.unwrap_counter(counters), decoder.lost_samples(kept)
@@ -74,7 +74,7 @@ def _full_turn() -> Observed:
     said, gaps = [], []
     for lost in (253, 254, 255, 256, 257):
         frames = [(10**6 * k, 0x185, bytes(7) + bytes((k & 0xFF,))) for k in range(600) if not 10 <= k < 10 + lost]
-        found = decoder.Decoder().decode(frame_array(frames))[talk.NODE_ID, "Gauges"]
+        found = decoder.Decoder().decode(frame_array(frames))[rig.NODE_ID, "Gauges"]
         said.append(decoder.lost_samples(found.columns["counter"]))
         gaps.append(int(np.diff(found.t_ns).max()) // 10**6 - 1)
     held = said == [253, 254, 0, 0, 1] and gaps == [253, 254, 255, 256, 257]
@@ -82,7 +82,7 @@ def _full_turn() -> Observed:
 
 
 def _high_resolution() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     finger.put("I", 0x1013, 0, 0xFFFFFFFF)
     seen = []
     for after in (0, 1, 2**32 - 2, 1, 1):
@@ -95,7 +95,7 @@ def _high_resolution() -> Observed:
 def _long_run() -> Observed:
     held, beats = True, []
     for turn in (2**31, 2**32, 2**53):
-        finger = talk.simulated(load=talk.PUSH)
+        finger = rig.simulated(load=rig.PUSH)
         finger.now_us = turn - 50_000
         finger.step()
         finger.put("H", 0x1017, 0, 10)
@@ -105,7 +105,7 @@ def _long_run() -> Observed:
         times = sum(can_id == 0x705 for can_id, _ in finger.others)
         beats.append(times)
         found = finger.sync()
-        held &= times == 10 and found.contact[0] == 1000 and not found.status & talk.STALE
+        held &= times == 10 and found.contact[0] == 1000 and not found.status & rig.STALE
     return Observed(held, f"heartbeats in 100 ms at 10 ms: {beats}")
 
 
@@ -123,7 +123,7 @@ def _time_of_day() -> Observed:
     epoch, off = datetime.datetime(1970, 1, 1), []
     for when in (datetime.datetime(2038, 1, 19, 3, 14, 7), datetime.datetime(2106, 2, 7, 6, 28, 15),
                  datetime.datetime(2163, 6, 6, 23, 59, 59)):  # fmt: skip
-        finger = talk.simulated()
+        finger = rig.simulated()
         finger.step([(0x100, _time(when))])
         finger.now_us += 2_000_000
         finger.step()
@@ -134,7 +134,7 @@ def _time_of_day() -> Observed:
 
 
 def _impossible_time() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     never = _network_ms(finger.device)
     finger.step([(0x100, _time(datetime.datetime(2024, 2, 29, 12)))])
     before = _network_ms(finger.device)
@@ -172,7 +172,7 @@ def _log_backwards() -> Observed:
     t_ns = np.concatenate((np.arange(500), np.arange(500) - 3600 * 1000)) * 10**6 + 10**18
     counters = np.arange(1000) % 256
     rows = [(int(t), 0x185, bytes(7) + bytes((int(c),))) for t, c in zip(t_ns, counters, strict=True)]
-    found = decoder.Decoder().decode(frame_array(rows))[talk.NODE_ID, "Gauges"]
+    found = decoder.Decoder().decode(frame_array(rows))[rig.NODE_ID, "Gauges"]
     held = np.array_equal(found.t_ns, t_ns) and np.array_equal(found.columns["counter"], counters)
     lost = decoder.lost_samples(found.columns["counter"])
     falls = int((np.diff(found.t_ns) < 0).sum())
@@ -191,26 +191,26 @@ def _rows_backwards() -> Observed:
 
 
 def _live_backwards() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.put("H", 0x1017, 0, 100)
     finger.sync()
-    finger.source.load = (2.0, *talk.PUSH[1:])
+    finger.source.load = (2.0, *rig.PUSH[1:])
     finger.now_us += 200_000
     shown = [finger.get("f", 0x6130, 7)]
     finger.now_us -= 10_000_000
-    finger.source.load = (3.0, *talk.PUSH[1:])
+    finger.source.load = (3.0, *rig.PUSH[1:])
     finger.step()
     finger.others.clear()
     due = finger.due_us - finger.now_us
     finger.now_us += 200_000
     shown.append(finger.get("f", 0x6130, 7))
     beats = sum(can_id == 0x705 for can_id, _ in finger.others)
-    finger.source.load = (4.0, *talk.PUSH[1:])
+    finger.source.load = (4.0, *rig.PUSH[1:])
     shown.append(finger.sync().contact[0] * 1e-3)
     for _ in range(1000):
         finger.now_us -= 1
         finger.step()
-    finger.source.load = (5.0, *talk.PUSH[1:])
+    finger.source.load = (5.0, *rig.PUSH[1:])
     shown.append(finger.sync().contact[0] * 1e-3)
     held = [round(P) for P in shown] == [2, 3, 4, 5] and beats >= 1 and 0 < due <= 100_000
     return Observed(
@@ -219,10 +219,10 @@ def _live_backwards() -> Observed:
 
 
 def _slept() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.put("H", 0x1017, 0, 100)
     finger.sync()
-    finger.source.load = (2.0, *talk.PUSH[1:])
+    finger.source.load = (2.0, *rig.PUSH[1:])
     finger.others.clear()
     finger.now_us += 3_600_000_000
     finger.step()
@@ -233,10 +233,10 @@ def _slept() -> Observed:
 
 
 def _twice_rate() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(250) for _ in range(200)]
-    stale = [bool(one.status & talk.STALE) for one in found]
+    stale = [bool(one.status & rig.STALE) for one in found]
     hushed = all((one.contact == one.gauges == _HUSHED) == old for one, old in zip(found, stale, strict=True))
     right = all(one.contact[0] == 1000 for one, old in zip(found, stale, strict=True) if not old)
     counts = decoder.unwrap_counter([one.counter for one in found])
@@ -249,17 +249,17 @@ def _twice_rate() -> Observed:
 
 
 def _burst() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(1000 if k == 0 else 0) for k in range(100)]
-    stale = [bool(one.status & talk.STALE) for one in found]
+    stale = [bool(one.status & rig.STALE) for one in found]
     held = stale == [False] + [True] * 99 and len({one.counter for one in found}) == 1
     held &= all(one.contact == _HUSHED for one in found[1:]) and found[0].contact[0] == 1000
     return Observed(held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all")
 
 
 def _period() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     aborts = [finger.put("I", 0x6114, 1, value) for value in (0, 1, 99, 1_000_001, 2**32 - 1)]
     kept = finger.get("I", 0x6114, 1)
     held = aborts == [_TOO_LOW] * 3 + [_TOO_HIGH] * 2 and kept == 500 and finger.source.period_us == 500
@@ -267,9 +267,9 @@ def _period() -> Observed:
     finger.now_us = 5_000_500
     finger.sync(0)
     found = [finger.sync(100_000) for _ in range(30)]
-    fresh = [k for k, one in enumerate(found) if not one.status & talk.STALE]
+    fresh = [k for k, one in enumerate(found) if not one.status & rig.STALE]
     held &= fresh == [9, 19, 29] and all((one.contact == _HUSHED) == (k not in fresh) for k, one in enumerate(found))
-    faults = sum(bool(one.status & talk.FAULT) for one in found)
+    faults = sum(bool(one.status & rig.FAULT) for one in found)
     return Observed(
         held and faults == 0, f"5 refused; at 1 s {len(fresh)} of 30 SYNCs at 100 ms have news, no fault claimed"
     )

@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.force import force_vector
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 FloatArray = npt.NDArray[np.float64]
@@ -52,9 +52,9 @@ def cases() -> list[Case]:
 
 def _no_load() -> Observed:
     found = estimate.contacts(np.zeros(3), pull=False)
-    node = talk.simulated().sync()
+    node = rig.simulated().sync()
     angles_unknown = bool(np.isnan(found.phi_rad) and np.isnan(found.theta_rad))
-    held = float(found.P_newtons) == 0.0 and angles_unknown and node.contact == (0, talk.UNKNOWN, talk.UNKNOWN)
+    held = float(found.P_newtons) == 0.0 and angles_unknown and node.contact == (0, rig.UNKNOWN, rig.UNKNOWN)
     return Observed(held, f"P = {float(found.P_newtons):g} N, phi {found.phi_rad}, node {node.contact}")
 
 
@@ -154,12 +154,12 @@ def _oblique() -> Observed:
 
 
 def _misses() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     finger.source.forces = lambda _now_us: (0.6, 1.5, -0.8)
     found = finger.sync()
     P, phi, theta = found.contact
     right_phi = round(math.degrees(math.atan2(0.6, -0.8)) * 100)
-    held = bool(found.status & talk.MISSES) and theta == talk.UNKNOWN and (P, phi) == (1250, right_phi)
+    held = bool(found.status & rig.MISSES) and theta == rig.UNKNOWN and (P, phi) == (1250, right_phi)
     return Observed(held, f"status {found.status:02X}h, P {P} mN, phi {phi / 100:g} degrees, theta unknown")
 
 
@@ -180,7 +180,7 @@ def _angle_wrap() -> Observed:
     inside = all(bool(((a > -math.pi) & (a <= math.pi)).all()) for a in (found.phi_rad, found.theta_rad))
     off = max(float(np.abs(np.sin(found.phi_rad[:-2] - phi)).max()),
               float(np.abs(np.sin(found.theta_rad[:-2] - theta)).max()))  # fmt: skip
-    shown = [talk.simulated(load=(1.0, angle, 10.0)).sync().contact[1] for angle in (180.0, 179.9999, -179.9999)]
+    shown = [rig.simulated(load=(1.0, angle, 10.0)).sync().contact[1] for angle in (180.0, 179.9999, -179.9999)]
     held = inside and off <= 1e-14 and shown == [18000] * 3
     return Observed(held, f"inside: {inside}, off by {off:.1e} radian, node shows {shown}")
 

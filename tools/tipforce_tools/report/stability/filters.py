@@ -13,12 +13,12 @@ from tipforce.fingertip import filters
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.front_end import Bridge, FrontEnd
 from tipforce.sources.simulated import SILENT, SimulatedSource
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 _INVALID, _TOO_HIGH, _TOO_LOW = 0x06090030, 0x06090031, 0x06090032
 _MOVING, _REPEATING, _FIRST_ORDER = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
-_HUSHED = (talk.UNKNOWN,) * 3
+_HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
@@ -53,8 +53,8 @@ def cases() -> list[Case]:
     ]  # fmt: skip
 
 
-def _filtered(kind: int, constant: int, **arguments: object) -> talk.SimulatedTalk:
-    finger = talk.simulated(**arguments)  # type: ignore[arg-type]
+def _filtered(kind: int, constant: int, **arguments: object) -> rig.SimulatedTalk:
+    finger = rig.simulated(**arguments)  # type: ignore[arg-type]
     abort = finger.put("H", 0x61A1, 1, constant) or finger.put("B", 0x61A0, 1, kind)
     if abort:
         raise ValueError(f"{abort:08X}h")
@@ -71,14 +71,14 @@ def _constants() -> Observed:
 
 
 def _constant_1() -> Observed:
-    def run(finger: talk.SimulatedTalk) -> list[talk.Sync]:
+    def run(finger: rig.SimulatedTalk) -> list[rig.Sync]:
         found = []
         for k in range(50):
-            finger.source.load = (0.1 * k, *talk.PUSH[1:])
+            finger.source.load = (0.1 * k, *rig.PUSH[1:])
             found.append(finger.sync())
         return found
 
-    plain = run(talk.simulated())
+    plain = run(rig.simulated())
     same = [run(_filtered(kind, 1)) == plain for kind in (_MOVING, _REPEATING, _FIRST_ORDER)]
     return Observed(all(same), f"{sum(same)} of 3 types give the same 50 samples")
 
@@ -121,12 +121,12 @@ def _settles() -> Observed:
 
 
 def _repeating() -> Observed:
-    finger = _filtered(_REPEATING, 65535, load=talk.PUSH)
+    finger = _filtered(_REPEATING, 65535, load=rig.PUSH)
     finger.put("I", 0x6114, 1, 100)
     early = [finger.sync(50_000) for _ in range(130)]
-    hushed = all(one.contact == one.gauges == _HUSHED and one.status & talk.STALE for one in early)
+    hushed = all(one.contact == one.gauges == _HUSHED and one.status & rig.STALE for one in early)
     later = [finger.sync(1000) for _ in range(100)]
-    fresh = [k for k, one in enumerate(later) if not one.status & talk.STALE]
+    fresh = [k for k, one in enumerate(later) if not one.status & rig.STALE]
     seen = later[fresh[0]] if fresh else later[-1]
     held = hushed and len(fresh) == 1 and seen.contact[0] == 1000
     return Observed(
@@ -135,36 +135,36 @@ def _repeating() -> Observed:
 
 
 def _saturated() -> Observed:
-    finger = _filtered(_MOVING, 256, load=talk.PUSH)
+    finger = _filtered(_MOVING, 256, load=rig.PUSH)
     for _ in range(200):
-        finger.sync(talk.PERIOD_US)
+        finger.sync(rig.PERIOD_US)
     finger.source.forces = lambda _now: (40.0, 0.0, -1.0)
-    hit = finger.sync(talk.PERIOD_US)
+    hit = finger.sync(rig.PERIOD_US)
     finger.source.forces = None
-    after = [finger.sync(talk.PERIOD_US) for _ in range(300)]
-    held = bool(hit.status & talk.SATURATED) and hit.contact == _HUSHED
-    wrong = [one.contact[0] for one in after if one.contact[0] not in (1000, talk.UNKNOWN)]
+    after = [finger.sync(rig.PERIOD_US) for _ in range(300)]
+    held = bool(hit.status & rig.SATURATED) and hit.contact == _HUSHED
+    wrong = [one.contact[0] for one in after if one.contact[0] not in (1000, rig.UNKNOWN)]
     return Observed(held and not wrong, f"status {hit.status:02X}h, P of the next 300 samples wrong in {len(wrong)}")
 
 
 def _silence() -> Observed:
-    finger = _filtered(_FIRST_ORDER, 1000, load=talk.PUSH)
+    finger = _filtered(_FIRST_ORDER, 1000, load=rig.PUSH)
     for _ in range(200):
         good = finger.sync()
     finger.break_gauge(SILENT)
     found = [finger.sync() for _ in range(150)]
     held = good.contact[0] == 1000 and all(one.contact == one.gauges == _HUSHED for one in found)
-    held &= all(one.status & talk.STALE for one in found) and bool(found[-1].status & talk.FAULT)
+    held &= all(one.status & rig.STALE for one in found) and bool(found[-1].status & rig.FAULT)
     return Observed(held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h")
 
 
 def _noise() -> Observed:
-    source = SimulatedSource(talk.strain_per_newton(), front_end=FrontEnd(white_noise=1e6, seed=21))
-    finger = talk.Talk(fingertip_node(talk.NODE_ID, source))
-    if finger.stage(talk.record()) or finger.commit():
+    source = SimulatedSource(rig.strain_per_newton(), front_end=FrontEnd(white_noise=1e6, seed=21))
+    finger = rig.Talk(fingertip_node(rig.NODE_ID, source))
+    if finger.stage(rig.record()) or finger.commit():
         return Observed(False, "the calibration was refused")
     found = [finger.sync() for _ in range(400)]
-    flagged = [bool(one.status & talk.SATURATED) for one in found]
+    flagged = [bool(one.status & rig.SATURATED) for one in found]
     held = all(flag == (max(map(abs, one.gauges)) == 32767) for flag, one in zip(flagged, found, strict=True))
     held &= all(one.contact == _HUSHED for one, flag in zip(found, flagged, strict=True) if flag)
     return Observed(held and sum(flagged) > 390, f"{sum(flagged)} of 400 samples flagged")
@@ -198,12 +198,12 @@ def _not_finite() -> Observed:
         for value in (math.nan, math.inf, -math.inf, 1e300, -1e300):
             (count,) = front_end.counts([value], 0)
             ends.append(count in (front_end.count_min, front_end.count_max) and (count > 0) == (not value < 0.0))
-    finger = talk.simulated()
+    finger = rig.simulated()
     seen = []
     for value in (math.nan, math.inf, -math.inf):
         finger.source.forces = lambda _now, value=value: (value, 0.0, -1.0)
         seen.append(finger.sync())
-    held = all(ends) and all(one.contact == _HUSHED and one.status & talk.SATURATED for one in seen)
+    held = all(ends) and all(one.contact == _HUSHED and one.status & rig.SATURATED for one in seen)
     return Observed(
         held, f"{sum(ends)} of {len(ends)} at an end; node: status {[f'{one.status:02X}h' for one in seen]}"
     )
@@ -224,10 +224,10 @@ def _temperature() -> Observed:
         found = FrontEnd(temperature=degC).temperature
         shown = found.reading(0) if found else 0
         inside = abs(degC) < 327.675
-        if (shown == talk.UNKNOWN) == inside or (inside and abs(shown / 100.0 - degC) > 0.0051):
+        if (shown == rig.UNKNOWN) == inside or (inside and abs(shown / 100.0 - degC) > 0.0051):
             wrong.append(degC)
     for value in (math.nan, math.inf):
         found = FrontEnd(temperature=lambda _s, value=value: value).temperature
-        if not found or found.reading(0) != talk.UNKNOWN:
+        if not found or found.reading(0) != rig.UNKNOWN:
             wrong.append(value)
     return Observed(not wrong, f"10 temperatures, wrong: {wrong or 'none'}")

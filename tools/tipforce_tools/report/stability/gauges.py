@@ -15,12 +15,12 @@ from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import simulated
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 _FRONT_END, _SATURATED = 0x5030, 0x5010
 _NOISE = 1e-13  # strain^2: three counts
-_HUSHED = (talk.UNKNOWN,) * 3
+_HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
@@ -68,9 +68,9 @@ class Fixed(Source):
         return Reading(self.counts, 0, 2300)
 
 
-def _noisy(load: talk.Load = talk.PUSH) -> talk.SimulatedTalk:
+def _noisy(load: rig.Load = rig.PUSH) -> rig.SimulatedTalk:
     variance = [_NOISE if i == k else 0.0 for i in range(3) for k in range(i, 3)]
-    finger = talk.simulated(3, load, talk.record(variance=variance), noise_microstrain=0.3)
+    finger = rig.simulated(3, load, rig.record(variance=variance), noise_microstrain=0.3)
     finger.sync()
     return finger
 
@@ -78,23 +78,23 @@ def _noisy(load: talk.Load = talk.PUSH) -> talk.SimulatedTalk:
 def _saturated() -> Observed:
     figures, held = [], True
     for sign, six in ((1, 3), (-1, 5)):
-        finger = talk.simulated()
+        finger = rig.simulated()
         finger.source.forces = lambda _now, sign=sign: (sign * 40.0, 0.1, -0.9)
         found = finger.sync()
         status, codes = finger.get("B", 0x6150, 1), finger.emcy()
         held &= found.contact == _HUSHED and found.gauges == (sign * 32767, 100, -900) and status == six
-        held &= bool(found.status & talk.SATURATED) and codes == [_SATURATED] and finger.get("H", 0x2124) == 1
+        held &= bool(found.status & rig.SATURATED) and codes == [_SATURATED] and finger.get("H", 0x2124) == 1
         figures.append(f"SG1 {found.gauges[0] / 10:g}, 6150h {status:02.0f}h, status {found.status:02X}h")
     return Observed(held, "; ".join(figures))
 
 
 def _open() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     finger.break_gauge(simulated.OPEN, 2)
     found = finger.sync()
     faults, codes = int(finger.get("H", 0x2124)), finger.emcy()
-    held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & talk.FAULT)
+    held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & rig.FAULT)
     held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and _FRONT_END in codes
     return Observed(held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}")
 
@@ -102,51 +102,51 @@ def _open() -> Observed:
 def _stuck() -> Observed:
     finger = _noisy()
     finger.break_gauge(simulated.STUCK, 1)
-    finger.source.load = (2.0, *talk.PUSH[1:])
-    known = [finger.sync(talk.PERIOD_US).contact != _HUSHED for _ in range(60)]
+    finger.source.load = (2.0, *rig.PUSH[1:])
+    known = [finger.sync(rig.PERIOD_US).contact != _HUSHED for _ in range(60)]
     last, faults, codes = finger.sync(), int(finger.get("H", 0x2124)), finger.emcy()
     count = sum(known)
-    held = count < 33 and known == [True] * count + [False] * (60 - count) and bool(last.status & talk.FAULT)
+    held = count < 33 and known == [True] * count + [False] * (60 - count) and bool(last.status & rig.FAULT)
     held &= faults == 1 << table.FAULT_FROZEN and codes == [_FRONT_END]
     return Observed(held, f"shown for {count} readings, then status {last.status:02X}h, 2124h {faults:04X}h")
 
 
 def _stuck_without_noise() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     finger.break_gauge(simulated.STUCK, 1)
-    finger.source.load = (3.0, *talk.PUSH[1:])
+    finger.source.load = (3.0, *rig.PUSH[1:])
     for _ in range(100):
         found = finger.sync()
     F = [finger.get("f", 0x6130, sub) for sub in (4, 5, 6)]
-    off = np.subtract(F, talk.forces(finger.source.load))
-    missed = 1e-6 * (finger.get("f", 0x6130, 1) - 100.0 * talk.forces(finger.source.load)[0])
-    most = np.abs(np.array(talk.matrix())[:, 0] * missed) + 0.5e-3 * math.sqrt(3.0)
+    off = np.subtract(F, rig.forces(finger.source.load))
+    missed = 1e-6 * (finger.get("f", 0x6130, 1) - 100.0 * rig.forces(finger.source.load)[0])
+    most = np.abs(np.array(rig.matrix())[:, 0] * missed) + 0.5e-3 * math.sqrt(3.0)
     held = found.contact != _HUSHED and bool((np.abs(off) <= most).all()) and abs(off[0]) > 0.1
     return Observed(held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N")
 
 
 def _silent() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     finger.break_gauge(simulated.SILENT)
     first = finger.sync()
     for _ in range(120):
         last = finger.sync()
     faults, codes = int(finger.get("H", 0x2124)), finger.emcy()
-    held = bool(first.status & talk.STALE) and first.contact == first.gauges == last.contact == _HUSHED
-    held &= bool(last.status & talk.FAULT) and faults == 1 << table.FAULT_NO_DATA and codes == [_FRONT_END]
+    held = bool(first.status & rig.STALE) and first.contact == first.gauges == last.contact == _HUSHED
+    held &= bool(last.status & rig.FAULT) and faults == 1 << table.FAULT_NO_DATA and codes == [_FRONT_END]
     return Observed(held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h")
 
 
-def _counts(load: talk.Load, n: int, lost: Sequence[int]) -> list[int]:
-    F = talk.forces(load)
-    exact = [1e7 * sum(c * f for c, f in zip(row, F, strict=True)) for row in talk.strain_per_newton(n)]
+def _counts(load: rig.Load, n: int, lost: Sequence[int]) -> list[int]:
+    F = rig.forces(load)
+    exact = [1e7 * sum(c * f for c, f in zip(row, F, strict=True)) for row in rig.strain_per_newton(n)]
     return [32767 if k in lost else round(value) for k, value in enumerate(exact)]
 
 
-def _eight(lost: Sequence[int]) -> tuple[talk.Talk, talk.Sync]:
-    finger = talk.with_source(Fixed(_counts(talk.PUSH, 8, lost)), 8)
+def _eight(lost: Sequence[int]) -> tuple[rig.Talk, rig.Sync]:
+    finger = rig.with_source(Fixed(_counts(rig.PUSH, 8, lost)), 8)
     return finger, finger.sync()
 
 
@@ -155,10 +155,10 @@ def _five_lost() -> Observed:
     for lost in ((0, 1, 2, 3, 4), (0, 3, 4, 5, 7), (1, 2, 3, 6, 7)):
         finger, found = _eight(lost)
         F = [finger.get("f", 0x6130, sub) for sub in (9, 10, 11)]
-        worst = max(worst, float(np.abs(np.subtract(F, talk.forces(talk.PUSH))).max()))
+        worst = max(worst, float(np.abs(np.subtract(F, rig.forces(rig.PUSH))).max()))
         faults = int(finger.get("H", 0x2124))
-        held &= bool(found.status & talk.SATURATED) and faults == sum(1 << k for k in lost)
-        held &= found.contact != _HUSHED and talk.UNKNOWN not in found.contact
+        held &= bool(found.status & rig.SATURATED) and faults == sum(1 << k for k in lost)
+        held &= found.contact != _HUSHED and rig.UNKNOWN not in found.contact
     return Observed(
         held and worst <= 0.6e-3, f"3 sets of 5 lost: F off by at most {1e3 * worst:.2f} mN, one count is 1 mN"
     )
@@ -166,7 +166,7 @@ def _five_lost() -> Observed:
 
 def _no_rank() -> Observed:
     _, found = _eight((1, 2, 3, 4, 5))  # left: SG1 and SG7 see F1, SG8 sees F2
-    return Observed(found.contact == _HUSHED and bool(found.status & talk.SATURATED), f"status {found.status:02X}h")
+    return Observed(found.contact == _HUSHED and bool(found.status & rig.SATURATED), f"status {found.status:02X}h")
 
 
 def _all_lost() -> Observed:
@@ -193,7 +193,7 @@ def _swapped_six() -> Observed:
     C = redundancy.weighted_inverse(A, Sigma)
     model = redundancy.parity(C, Sigma)
     rng = np.random.default_rng(10)
-    F = np.array([talk.forces((1.0, theta + 180.0 + tilt, theta)) for theta in range(15, 180, 15) for tilt in (-20, 5)])
+    F = np.array([rig.forces((1.0, theta + 180.0 + tilt, theta)) for theta in range(15, 180, 15) for tilt in (-20, 5)])
     V = F @ A.T + 3e-7 * rng.standard_normal((len(F), 6))
     harmful = caught = 0
     shares = []
@@ -212,7 +212,7 @@ def _swapped_six() -> Observed:
 def _swapped_three() -> Observed:
     A = strain_matrix(FABRICATED, "III")
     C = calibration_matrix(FABRICATED, "III")
-    F = np.array(talk.forces(talk.PUSH))
+    F = np.array(rig.forces(rig.PUSH))
     V, worst, least = A @ F, 0.0, math.inf
     for order in _pairs(3):
         off = float(np.linalg.norm(C @ V[order] - F))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 from tipforce.errors import InputError
 from tipforce.sensor.contact import estimate, first_order, scalar
 from tipforce.sensor.contact.force import force_vector
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 FloatArray = npt.NDArray[np.float64]
@@ -79,9 +79,9 @@ def _enormous() -> Observed:
 def _node_enormous() -> Observed:
     sigma = 100.0 * 1e-4  # strain: 100 N
     variance = [sigma**2 if i == k else 0.0 for i in range(3) for k in range(i, 3)]
-    finger = talk.simulated(load=talk.PUSH, calibration=talk.record(variance=variance))
+    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(variance=variance))
     found, u_P = finger.sync(), finger.get("f", 0x2107, 1)
-    flagged = bool(found.status & talk.UNRESOLVED) and found.contact[2] == talk.UNKNOWN
+    flagged = bool(found.status & rig.UNRESOLVED) and found.contact[2] == rig.UNKNOWN
     held = flagged and abs(u_P / 100.0 - 1.0) < 1e-5 and finger.get("H", 0x2123) == 65534
     return Observed(held, f"status {found.status:02X}h, u_P {u_P:g} N, 2123h at its end of {65.534} N")
 
@@ -194,7 +194,7 @@ def _missing() -> Observed:
 def _impossible() -> Observed:
     from tipforce.sensor.contact.redundancy import weighted_inverse
 
-    A = np.array(talk.strain_per_newton(4))
+    A = np.array(rig.strain_per_newton(4))
     try:
         weighted_inverse(A, np.diag([1e-14, -1e-14, 1e-14, 1e-14]))
     except InputError as error:

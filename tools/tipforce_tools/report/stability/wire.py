@@ -13,7 +13,7 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding import decoder as decode
 from tipforce.host.frames.frame_array import FrameArray, frame_array
-from tipforce_tools.report.stability import talk
+from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
 _INVALID = 0x06090030
@@ -52,7 +52,7 @@ def cases() -> list[Case]:
 
 
 def _not_finite() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     tried = refused = 0
     for (index, sub), row in rows(3, True).items():
         if row.letter != "f" or row.access != "rw" or index in (0x2100, 0x2101, 0x2102, 0x2106, 0x2110):
@@ -68,7 +68,7 @@ def _not_finite() -> Observed:
 
 
 def _denormal() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     kept = 0
     for power in range(-149, -125):
         data = struct.pack("<f", 2.0**power)
@@ -77,11 +77,11 @@ def _denormal() -> Observed:
 
 
 def _overflow() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     taken = finger.put("f", 0x6124, 1, 3.4e38) == 0
     finger.sync()
     strain, F1 = finger.get("f", 0x6130, 1), finger.get("f", 0x6130, 4)
-    big = talk.simulated(calibration=talk.record(C=[[1e10 if i == k else 0.0 for k in range(3)] for i in range(3)]))
+    big = rig.simulated(calibration=rig.record(C=[[1e10 if i == k else 0.0 for k in range(3)] for i in range(3)]))
     big.put("f", 0x6124, 1, 3.4e38)
     big.sync()
     forms = big.get("f", 0x6130, 4), big.get("h", 0x7130, 4), big.get("i", 0x9130, 4), big.get("B", 0x6150, 4)
@@ -92,7 +92,7 @@ def _overflow() -> Observed:
 
 def _integer16() -> Observed:
     C = [[5e4 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = talk.simulated(calibration=talk.record(C=C))
+    finger = rig.simulated(calibration=rig.record(C=C))
     held, seen = True, []
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
@@ -109,7 +109,7 @@ def _integer16() -> Observed:
 
 def _frames(message_number: int, payloads: list[bytes]) -> tuple[FrameArray, str]:
     message = tpdo_messages(3)[message_number]
-    return frame_array((k, message.cob_id_base + talk.NODE_ID, data) for k, data in enumerate(payloads)), message.name
+    return frame_array((k, message.cob_id_base + rig.NODE_ID, data) for k, data in enumerate(payloads)), message.name
 
 
 def _unknown() -> Observed:
@@ -121,7 +121,7 @@ def _unknown() -> Observed:
             raws = [-32768, -32767, 0, 32767]
             payloads = [((raw & 0xFFFF) << signal.start_bit).to_bytes(8, "little") for raw in raws]
             frames, name = _frames(number, payloads)
-            values = decode.Decoder().decode(frames)[talk.NODE_ID, name].columns[signal.name]
+            values = decode.Decoder().decode(frames)[rig.NODE_ID, name].columns[signal.name]
             checked += 1
             wrong += np.isnan(values).tolist() != [True, False, False, False]
     return Observed(checked >= 9 and wrong == 0, f"{checked} signals, {wrong} wrong")
@@ -129,13 +129,13 @@ def _unknown() -> Observed:
 
 def _real32_pdo() -> Observed:
     decoder = decode.Decoder()
-    decoder.remap(talk.NODE_ID, "Force", 0x385, [(0x6130, 4, 32), (0x2121, 0, 8)])
+    decoder.remap(rig.NODE_ID, "Force", 0x385, [(0x6130, 4, 32), (0x2121, 0, 8)])
     bits = (0x7FC00000, 0x7F800001, 0xFF800001, 0x7F800000, 0xFF800000, 0x00000001, 0x3F800000)
     payloads = [struct.pack("<IB", word, 200 + k) for k, word in enumerate(bits)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         found = decoder.decode(frame_array((k, 0x385, data) for k, data in enumerate(payloads)))
-    columns = found[talk.NODE_ID, "Force"].columns
+    columns = found[rig.NODE_ID, "Force"].columns
     values, counters = columns["F1"].tolist(), columns["counter"].tolist()
     held = all(map(math.isnan, values[:3])) and values[3:] == [math.inf, -math.inf, 2.0**-149, 1.0]
     return Observed(held and counters == list(range(200, 207)), f"{values}")
@@ -148,17 +148,17 @@ def _short() -> Observed:
         payloads = [bytes(length) for length in range(message.length_bytes)]
         frames, name = _frames(number, payloads)
         found = decoder.decode(frames)
-        right += not found and decoder.malformed == {(talk.NODE_ID, name): message.length_bytes}
+        right += not found and decoder.malformed == {(rig.NODE_ID, name): message.length_bytes}
         total += 1
     decoder = decode.Decoder()
-    decoder.remap(talk.NODE_ID, "Contact", 0x285, [(0x7130, 7, 16)])
-    longer = decoder.decode(frame_array([(0, 0x285, b"\xe8\x03" + bytes(6))]))[talk.NODE_ID, "Contact"]
+    decoder.remap(rig.NODE_ID, "Contact", 0x285, [(0x7130, 7, 16)])
+    longer = decoder.decode(frame_array([(0, 0x285, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]
     held = right == total and longer.columns["P"].tolist() == [1.0] and not decoder.malformed
     return Observed(held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N")
 
 
 def _short_rpdo() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.put("I", 0x1400, 1, 0x205)
     finger.sync()
     finger.step([(0x205, b"")])
@@ -171,7 +171,7 @@ def _short_rpdo() -> Observed:
 
 
 def _no_data() -> Observed:
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     finger.put("I", 0x1400, 1, 0x205)
     finger.put("I", 0x1016, 1, 0x600064)
     before, active, identifiers = finger.sync(), finger.active(), [0x000, 0x605, 0x7E5, 0x100, 0x760, 0x205]
@@ -179,12 +179,12 @@ def _no_data() -> Observed:
     answers = finger.step([(can_id, b"") for can_id in identifiers])
     after = finger.sync()
     held = after[:3] == before[:3] and after.counter == before.counter + 1 and finger.active() == active
-    held &= all(can_id == 0x80 + talk.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
+    held &= all(can_id == 0x80 + rig.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
     return Observed(held, f"{len(identifiers)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
 
 
 def _same_cob_id() -> Observed:
-    finger = talk.simulated()
+    finger = rig.simulated()
     for _ in range(3):
         finger.step([(0x185, bytes(8))])
     codes, decoder, said = finger.emcy(), decode.Decoder(), ""
@@ -206,7 +206,7 @@ def _foreign() -> Observed:
 
 def _noise() -> Observed:
     rng = np.random.default_rng(14)
-    finger = talk.simulated(load=talk.PUSH)
+    finger = rig.simulated(load=rig.PUSH)
     active = finger.active()
     ids, lengths = rng.integers(1, 0x800, 20000), rng.integers(0, 9, 20000)
     data = rng.integers(0, 256, (20000, 8), dtype=np.uint8)
@@ -215,7 +215,7 @@ def _noise() -> Observed:
         finger.now_us += 1000
         finger.step(frames[start : start + 100])
     samples = decode.Decoder().decode(frame_array((0, can_id, row) for can_id, row in frames))
-    finger.step([(0x000, talk.OPERATIONAL)])
+    finger.step([(0x000, rig.OPERATIONAL)])
     finger.others.clear()
     found = finger.sync()
     held = finger.active() == active and found.contact[0] == 1000

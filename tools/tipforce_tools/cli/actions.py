@@ -7,7 +7,7 @@ import importlib
 from collections.abc import Mapping
 from typing import NoReturn
 
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 Actions = Mapping[str, tuple[str, str]]
 """name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)."""

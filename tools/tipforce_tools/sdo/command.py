@@ -5,8 +5,8 @@ from __future__ import annotations
 import argparse
 
 from tipforce.errors import InputError
-from tipforce_tools import common
-from tipforce_tools.actions import add_choice
+from tipforce_tools.cli import common
+from tipforce_tools.cli.actions import add_choice
 
 ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all objects that can be read"}
 PERSISTENT = {0x1010: "stores parameters", 0x1011: "restores defaults at the next reset"}
@@ -67,7 +67,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _dump(args: argparse.Namespace) -> int:
-    from tipforce_tools.sdo_dump import dump
+    from tipforce_tools.sdo.dump import dump
 
     if args.words:
         raise InputError(f"sdo dump: reads all objects; for one: tipforce sdo read {args.node} {' '.join(args.words)}")

@@ -52,7 +52,7 @@ from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, layout
 from tipforce.toml_table import convert, read_table
-from tipforce_tools.bridge import BridgeTable, check_bridge
+from tipforce_tools.cli.bridge import BridgeTable, check_bridge
 
 
 class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):

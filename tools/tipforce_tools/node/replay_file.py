@@ -67,7 +67,7 @@ def _looks_like_csv(path: str) -> bool:
 
 def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     from tipforce.host.configuration.measurements import read_measurements
-    from tipforce_tools.one_node import check_one_node
+    from tipforce_tools.cli.one_finger_csv import check_one_node
 
     data = read_measurements(path, loads=False)
     check_one_node(path, data)

@@ -7,7 +7,7 @@ import time
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray

@@ -6,8 +6,8 @@ import argparse
 import threading
 
 from tipforce.errors import InputError
-from tipforce_tools import common
-from tipforce_tools.actions import add_choice
+from tipforce_tools.cli import common
+from tipforce_tools.cli.actions import add_choice
 
 ALL = "all"
 COMMANDS = {

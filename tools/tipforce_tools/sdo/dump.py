@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import InputError, SdoAbortError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.dictionary.rows import Row

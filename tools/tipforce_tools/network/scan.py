@@ -7,7 +7,7 @@ import threading
 from dataclasses import asdict
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

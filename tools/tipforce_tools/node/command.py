@@ -10,7 +10,7 @@ import sys
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -85,7 +85,7 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; 0 then."""
-    from tipforce_tools import service
+    from tipforce_tools.cli import service
 
     common.set_up_logging(args)
     service.mark_levels_for_journal()
@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
 def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> None:
     """Run until a signal ends it, and tell those who wait for it: the manager, the bus, the person."""
     from tipforce.running import loop
-    from tipforce_tools import service
+    from tipforce_tools.cli import service
 
     who = f"node {common.shown_id(args.node_id)}"
     stop, notifier = service.StopSignal(), service.Notifier()
@@ -135,7 +135,7 @@ def _device(args: argparse.Namespace) -> tuple[Device, Source]:
     from tipforce.dictionary.eds import eds_text
     from tipforce.fingertip.node import fingertip_node
     from tipforce.running.store import FileStore
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     geometry, gauges = read_layout(args.layout)
     source = _source(args, geometry, gauges)
@@ -157,14 +157,14 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
     if args.source == "sim":
         return _simulated(args, geometry, gauges)
     if kind == "iio" and rest:
-        from tipforce_tools.layout_file import read_bridge
-        from tipforce_tools.node_source import open_iio
+        from tipforce_tools.cli.layout_file import read_bridge
+        from tipforce_tools.node.source import open_iio
 
         if not 0.0 < args.scan_rate <= 100_000.0:
             raise InputError(f"--scan-rate {args.scan_rate:g}: allowed is above 0 up to 100000 Hz")
         return open_iio(args, len(gauges), read_bridge(args.layout))
     if kind == "replay" and rest:
-        from tipforce_tools.replay_file import open_replay
+        from tipforce_tools.node.replay_file import open_replay
 
         return open_replay(rest, len(gauges), args.speed, args.loop, args.bits)
     raise InputError(f"--source {args.source}: allowed are {KINDS}")

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.bridge import BridgeTable, ChannelScale, converter_of, ends_fit
+from tipforce_tools.cli.bridge import BridgeTable, ChannelScale, converter_of, ends_fit
 
 if TYPE_CHECKING:
     from tipforce.sources.iio import IioSource, Part

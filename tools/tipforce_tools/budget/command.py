@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.scalar import DEGREES
-from tipforce_tools import common
+from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     import numpy as np
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
     causes = _causes(args, calibration)
     found = budget(sensor, loads, causes)
     if args.output:
-        from tipforce_tools.budget_plot import plot
+        from tipforce_tools.budget.plot import plot
 
         plot(found, args.output)
     records = _records(found)
@@ -112,7 +112,7 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
 
     from tipforce.sensor.design.error_budget import Sensor
     from tipforce.sensor.structure.gauge_positions import gauge_matrix, place
-    from tipforce_tools.layout_file import read_layout
+    from tipforce_tools.cli.layout_file import read_layout
 
     names = {1: "I", 2: "II", 3: "III"}
     name = args.layout

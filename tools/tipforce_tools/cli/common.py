@@ -46,7 +46,7 @@ def set_up_logging(args: argparse.Namespace) -> None:
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
     """python-can's own bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
-    from tipforce_tools import bus_flags
+    from tipforce_tools.cli import bus_flags
 
     bus_flags.add_bus_arguments(parser)
 

@@ -17,24 +17,24 @@ from tipforce.errors import (
 )
 
 if TYPE_CHECKING:
-    from tipforce_tools.actions import CommandParser
+    from tipforce_tools.cli.actions import CommandParser
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS = {
     "demo": ("tipforce_tools.demo.command", "the main job with no hardware: calibrate, store, load, decode, compare"),
-    "node": ("tipforce_tools.node", "run one fingertip node on a bus"),
+    "node": ("tipforce_tools.node.command", "run one fingertip node on a bus"),
     "run": ("tipforce_tools.scene.run", "run a scene: a hand of nodes, loads, faults, recording"),
     "scene": ("tipforce_tools.scene.command", "explain what a scene builds, and what it leaves out and why"),
-    "scan": ("tipforce_tools.scan", "list the nodes on the bus"),
-    "sdo": ("tipforce_tools.sdo", "read or write an object of a node, or read them all"),
+    "scan": ("tipforce_tools.network.scan", "list the nodes on the bus"),
+    "sdo": ("tipforce_tools.sdo.command", "read or write an object of a node, or read them all"),
     "hand": ("tipforce_tools.hand.command", "bring a hand of many fingers up from its file, and run it"),
-    "nmt": ("tipforce_tools.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-    "lss": ("tipforce_tools.lss", "find nodes without a node-id, and give node-ids"),
-    "config": ("tipforce_tools.config", "show, apply, compare or save a node's settings (TOML or DCF)"),
+    "nmt": ("tipforce_tools.network.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
+    "lss": ("tipforce_tools.network.lss", "find nodes without a node-id, and give node-ids"),
+    "config": ("tipforce_tools.network.config", "show, apply, compare or save a node's settings (TOML or DCF)"),
     "calibrate": ("tipforce_tools.calibrate.command", "fit a calibration, apply it to a node, verify it"),
-    "tare": ("tipforce_tools.tare", "take the present force as zero, show what is taken off, or end it"),
-    "estimate": ("tipforce_tools.estimate", "gauge readings to contact, with standard uncertainties"),
-    "budget": ("tipforce_tools.budget", "the error budget of P, phi and theta, by cause"),
+    "tare": ("tipforce_tools.network.tare", "take the present force as zero, show what is taken off, or end it"),
+    "estimate": ("tipforce_tools.estimate.command", "gauge readings to contact, with standard uncertainties"),
+    "budget": ("tipforce_tools.budget.command", "the error budget of P, phi and theta, by cause"),
     "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
     "decode": ("tipforce_tools.decode.command", "logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
     "log": ("tipforce_tools.log.command", "record frames to a file that canplayer and Wireshark open"),
@@ -42,7 +42,7 @@ COMMANDS = {
     "plot": ("tipforce_tools.plot.command", "draw the contact, gauges and faults of a log"),
     "monitor": ("tipforce_tools.monitor.command", "a live table of the nodes on a bus or in a log"),
     "view": ("tipforce_tools.view.command", "a web page: the force on each fingertip, live and from a log"),
-    "load": ("tipforce_tools.load", "how full a bus is, and whether a hand on paper fits"),
+    "load": ("tipforce_tools.network.load", "how full a bus is, and whether a hand on paper fits"),
     "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
     "report": ("tipforce_tools.report.command", "error against run time, and what happens in extreme cases"),
     "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
@@ -132,7 +132,7 @@ def command_parser(name: str) -> CommandParser:
     import importlib
     import re
 
-    from tipforce_tools.actions import CommandParser
+    from tipforce_tools.cli.actions import CommandParser
 
     module_name, summary = COMMANDS[name]
     parser = CommandParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")

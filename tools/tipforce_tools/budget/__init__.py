@@ -1,0 +1,1 @@
+"""`tipforce budget`: the error budget."""

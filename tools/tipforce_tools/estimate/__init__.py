@@ -1,0 +1,1 @@
+"""`tipforce estimate`: gauge readings to contact."""

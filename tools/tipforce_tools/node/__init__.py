@@ -1,0 +1,1 @@
+"""`tipforce node`: run one fingertip node."""

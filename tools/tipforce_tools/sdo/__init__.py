@@ -1,0 +1,1 @@
+"""`tipforce sdo`: read and write objects."""
