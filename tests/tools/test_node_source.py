@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from fingertip.iio_tree import Tree
 from host.bus_with_nodes import new_channel
+from sources.iio_tree import Tree
 from tipforce.device.node import Device
 from tipforce.fingertip.application import Fingertip
 from tipforce.fingertip.source import Source

@@ -11,7 +11,7 @@ from cantools.database.can import Database
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
-DBC = Path(__file__).parents[2] / "dbc" / "tipforce.dbc"
+DBC = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
 FRAMES = 10_000
 
 

@@ -331,7 +331,7 @@ def test_a_dcf_goes_to_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
 
 def test_an_eds_sets_nothing(tmp_path: Path) -> None:
     path = tmp_path / "node.eds"
-    path.write_bytes((Path(__file__).parents[2] / "eds" / "tipforce-3.eds").read_bytes())
+    path.write_bytes((Path(__file__).parents[3] / "eds" / "tipforce-3.eds").read_bytes())
     with pytest.raises(InputError, match=r"node\.eds: no object is set"):
         read_configuration(path, NODE)
 

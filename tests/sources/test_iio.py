@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from fingertip.finger import SATURATED, STALE, UNKNOWN, record
-from fingertip.iio_tree import Tree
+from sources.iio_tree import Tree
 from tipforce.device.node import Device
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.fingertip.node import fingertip_node

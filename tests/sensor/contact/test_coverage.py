@@ -12,7 +12,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact.first_order import CURVATURE_LIMIT, curvature, first_order_holds
 from tipforce.sensor.contact.force import force_vector
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_quick_study(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-ROOT = Path(__file__).parents[2]
+ROOT = Path(__file__).parents[3]
 
 
 def test_twenty_calibrations_beside_the_fit_that_knows(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from fingertip.finger import Finger
-from fingertip.store_child import ROWS, record
+from running.store_child import ROWS, record
 from tipforce.fingertip.node import fingertip_node
 from tipforce.running.store import FileStore
 from tipforce.sources.simulated import SimulatedSource

@@ -17,7 +17,7 @@ from tipforce.host.decoding.pdo_layout import dbc_messages, dcf_layout, layout_d
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 
-DBC = Path(__file__).parents[2] / "dbc" / "tipforce.dbc"
+DBC = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
 DEFAULTS = {message.name: message for message in tpdo_messages()}
 FOREIGN = """\
 VERSION ""

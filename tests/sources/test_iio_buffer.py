@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from fingertip.iio_tree import Tree
+from sources.iio_tree import Tree
 from tipforce.errors import EnvironmentLackError
 from tipforce.sources import iio_sysfs
 from tipforce.sources.iio import IioSource
