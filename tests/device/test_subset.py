@@ -11,15 +11,8 @@ import pytest
 import tipforce
 
 ROOT = Path(str(tipforce.__file__)).parent
-# Files, sockets and kernel interfaces of a PC.
-CPYTHON_ONLY = {"store.py", "loop.py", "ports.py", "iio.py", "iio_sysfs.py", "iio_buffer.py", "iio_remote.py"}
-ON_NODE = sorted(ROOT.glob("device/*.py")) + sorted(
-    path for path in ROOT.glob("fingertip/*.py") if path.name not in CPYTHON_ONLY
-)
-SCALAR = [
-    ROOT / "dictionary/table.py",
-    *(ROOT / "sensor" / name for name in ("scalar.py", "scalar_parity.py", "condition.py")),
-]
+ON_NODE = sorted([*ROOT.glob("device/*.py"), *ROOT.glob("fingertip/*.py")])
+SCALAR = [ROOT / "dictionary/table.py", *sorted(ROOT.glob("sensor/contact/scalar*.py"))]
 NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 

@@ -26,7 +26,8 @@ TIMEOUT_S = 600
 def on_node_files() -> tuple[Path, ...]:
     """The files that a node's firmware needs, as they stand: what importing a node loads, and what it loads later."""
     code = (
-        "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.sources.front_end; "
+        "import sys, tipforce.fingertip.node, tipforce.fingertip.filters; "
+        "import tipforce.sources.simulated, tipforce.sources.front_end; "
         "print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)

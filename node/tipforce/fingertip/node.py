@@ -2,7 +2,6 @@
 
 from tipforce.device.lss import UNCONFIGURED
 from tipforce.device.node import Device
-from tipforce.sources.simulated import SimulatedSource, own_simulation_objects
 
 from .application import Fingertip
 from .dictionary import build
@@ -27,14 +26,12 @@ def fingertip_node(
 
     ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
 
-    Objects 2200h and 2201h exist when the source is a simulated one. ``save`` and ``load`` keep parameter groups;
-    without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
+    Objects 2200h and 2201h exist when the source is a simulated one (``source.simulated``). ``save`` and ``load`` keep
+    parameter groups; without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
     """
     if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
-    simulated = isinstance(source, SimulatedSource)
-    device = Device(build(n, node_id, simulated, serial, eds, source.converter), save, load)
+    device = Device(build(n, node_id, source.simulated, serial, eds, source.converter), save, load)
     Fingertip(device, n, source)
-    if isinstance(source, SimulatedSource):
-        own_simulation_objects(device, source)
+    source.attach(device)
     return device

@@ -4,6 +4,7 @@ from collections import namedtuple
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tipforce.device.node import Device
     from tipforce.dictionary.table import Converter
 
 # counts: one integer per gauge; faults: bits of 2124h from 8 up; temperature: 0.01 degC or -0x8000 for unknown.
@@ -18,7 +19,8 @@ class Source:
     converter's ends, is saturated.
 
     ``faults`` are bits of 2124h that hold now although ``read`` gave None. ``watch_us`` is how often a node looks
-    after the source by ``look`` where no SYNC takes samples; 0 for one that cannot fail by itself.
+    after the source by ``look`` where no SYNC takes samples; 0 for one that cannot fail by itself. ``simulated``: the
+    node has the objects 2200h and 2201h.
     """
 
     period_us = 500
@@ -26,6 +28,7 @@ class Source:
     count_max, count_min = 32767, -32768
     faults = 0
     watch_us = 0
+    simulated = False
 
     def read(self, now_us: int) -> "Reading | None":
         """The newest reading at ``now_us``, or None when there was none since the last call.
@@ -45,6 +48,9 @@ class Source:
     def due_us(self, now_us: int) -> int:
         """When the first conversion after ``now_us`` is there; asked for only with a filter (61A0h)."""
         return now_us + self.period_us
+
+    def attach(self, device: "Device") -> None:
+        """Called once, when the node is built: a source with objects of its own handles their access here."""
 
     def close(self) -> None:
         """Release what it holds."""

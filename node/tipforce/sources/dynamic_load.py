@@ -1,7 +1,7 @@
 """The force that the gauges see when the load moves faster than the tip: the structure's modes, step by step.
 
-Plain floats for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` makes the coefficients and holds the
-theory; for a load that is linear during a step the result is exact, whatever the length of the step.
+Plain floats for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` makes the coefficients
+and holds the theory; for a load that is linear during a step the result is exact, whatever the length of the step.
 """
 
 TYPE_CHECKING = False

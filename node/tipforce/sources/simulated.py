@@ -33,6 +33,8 @@ class SimulatedSource(Source):
     (0.01 degC) is what the node shows.
     """
 
+    simulated = True
+
     def __init__(
         self,
         strain_per_newton: "Sequence[Sequence[float]]",
@@ -101,6 +103,26 @@ class SimulatedSource(Source):
         """The end of the sample period that ``now_us`` lies in."""
         return (now_us // self.period_us + 1) * self.period_us
 
+    def attach(self, device: "Device") -> None:
+        """Objects 2200h (fault) and 2201h (load) act on this source; a load history refuses 2201h."""
+
+        def write_fault(sub: int, value: "Value") -> int:
+            fields: "list[Value]" = [device.od.values[0x220000 | k] for k in (1, 2, 3)]
+            fields[sub - 1] = value
+            self.set_fault(int(fields[0]), int(fields[1]), float(fields[2]), device.now_us)
+            return 0
+
+        def write_load(sub: int, value: "Value") -> int:
+            if self.forces is not None:
+                return codes.DEVICE_STATE
+            load = list(self.load)
+            load[sub - 1] = float(value)
+            self.load = (load[0], load[1], load[2])
+            return 0
+
+        device.od.writers[0x2200] = write_fault
+        device.od.writers[0x2201] = write_load
+
     def _microstrain(self, k: int, force: "Forces", now_us: int) -> float:
         c1, c2, c3 = self.rows[k]
         strain = c1 * force[0] + c2 * force[1] + c3 * force[2]
@@ -123,24 +145,3 @@ def _generator(seed: int) -> "Random":
     import random  # only where there is noise
 
     return random.Random(seed)
-
-
-def own_simulation_objects(device: "Device", source: SimulatedSource) -> None:
-    """Objects 2200h (fault) and 2201h (load) of a simulated node act on its source; no load where it has a history."""
-
-    def write_fault(sub: int, value: "Value") -> int:
-        fields: "list[Value]" = [device.od.values[0x220000 | k] for k in (1, 2, 3)]
-        fields[sub - 1] = value
-        source.set_fault(int(fields[0]), int(fields[1]), float(fields[2]), device.now_us)
-        return 0
-
-    def write_load(sub: int, value: "Value") -> int:
-        if source.forces is not None:
-            return codes.DEVICE_STATE
-        load = list(source.load)
-        load[sub - 1] = float(value)
-        source.load = (load[0], load[1], load[2])
-        return 0
-
-    device.od.writers[0x2200] = write_fault
-    device.od.writers[0x2201] = write_load
