@@ -67,12 +67,12 @@ def test_pages_are_built_without_warnings(tmp_path: Path) -> None:
         "tipforce.host",
         "tipforce.host.network.faulty_bus",
         "tipforce.sensor",
-        "tipforce.sensor.surfaces",
+        "tipforce.sensor.structure.strain",
     ]
     assert api_reference.build(tmp_path, chosen) == []
     pages = {str(path.relative_to(tmp_path)) for path in tmp_path.rglob("*.html")}
     assert pages == {"index.html", *(f"{name.replace('.', '/')}.html" for name in chosen)}
-    page = (tmp_path / "tipforce" / "host" / "faults.html").read_text()
+    page = (tmp_path / "tipforce" / "host" / "network" / "faulty_bus.html").read_text()
     assert "Corrupting flips one bit of the data" in page
     assert "FaultyBus" in (tmp_path / "search.js").read_text()
 
