@@ -11,52 +11,14 @@ from dataclasses import dataclass
 from tipforce.scene import schema
 from tipforce.scene.build import node_pdos
 from tipforce.scene.check import SYNCHRONOUS
+from tipforce.scene.imports import loaded_by
 from tipforce.scene.loads import load_of
 from tipforce.scene.simulate import NMT_COB_ID, SYNC_COB_ID
 from tipforce.sensor.structure.layouts import layout
 
-_DEVICE = (
-    "bus_faults", "codes", "crc16", "emcy", "guarding", "heartbeat", "heartbeat_consumer", "lss", "nmt", "node",
-    "object_dictionary", "pdo", "rpdo", "sdo_block", "sdo_server", "storage", "sync", "time_stamp", "tpdo",
-)  # fmt: skip
-_FINGERTIP = (
-    "application", "calibration", "channels", "dictionary", "interrupts", "node", "sample", "simulated", "source",
-)  # fmt: skip
-_SCENE = ("build", "check", "loads", "run", "schema", "simulate", "sources")
-_CORE = (
-    "tipforce", "tipforce.device", "tipforce.dictionary", "tipforce.dictionary.table", "tipforce.errors",
-    "tipforce.fingertip", "tipforce.scene", "tipforce.sensor", "tipforce.sensor.contact.scalar_condition", "tipforce.sensor.structure.layouts",
-    "tipforce.sensor.contact.scalar", "tipforce.toml_table", "msgspec",
-    *(f"tipforce.device.{name}" for name in _DEVICE),
-    *(f"tipforce.fingertip.{name}" for name in _FINGERTIP),
-    *(f"tipforce.scene.{name}" for name in _SCENE),
-)  # fmt: skip
-_STRUCTURE = ("tipforce.sensor.structure.geometry", "tipforce.sensor.structure.strain", "numpy")
-_FRAME = (
-    "tipforce.sensor.structure.plane_frame",
-    "tipforce.sensor.structure.gauge_positions",
-    "tipforce.sensor.structure.gauge_shift",
-)
-_DYNAMICS = ("beam_mass", "eigen", "held", "hold", "model")
-_BUS = (
-    "tipforce.scene.realtime",
-    "tipforce.running.loop",
-    "tipforce.running.ports",
-    "tipforce.host.network.bus",
-    "can",
-)
-_RECORDING = (
-    "tipforce.host", "tipforce.host.frames.frame_array", "tipforce.socketcan", "tipforce.scene.recording", "tipforce.scene.results",
-    "numpy",
-)  # fmt: skip
-_DECODER = (
-    "tipforce.host.decoding.decoder", "tipforce.host.decoding.columns", "tipforce.dictionary.signals", "tipforce.dictionary.rows",
-    "tipforce.dictionary.types", "numpy",
-)  # fmt: skip
-_LOG = (
-    "tipforce.host.logs", "tipforce.host.logs.candump", "tipforce.host.logs.candump_errors",
-    "tipforce.host.logs.candump_format", "tipforce.host.frames.fd_frame", "tipforce.host.frames.frame_block",
-)  # fmt: skip
+# What is imported for a part and is not imported by what is there already; imports.py follows each.
+_STRUCTURE = ("tipforce.sensor.structure.strain",)
+_CALIBRATION = ("tipforce.host.configuration.calibration",)
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,7 +74,7 @@ def computes(group: schema.Nodes) -> tuple[str, str]:
 
 def _part(name: str, why: str | None, without: str, *modules: str) -> Part:
     """Built where there is a reason ``why``; left out, with the reason ``without``, where there is none."""
-    return Part(name, bool(why), why or without, modules)
+    return Part(name, bool(why), why or without, loaded_by(*modules))
 
 
 def _loads(scene: schema.Scene) -> Iterator[Part]:
@@ -133,11 +95,6 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
         "[dynamics]" if swinging else "",
         "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load at once",
         "tipforce.scene.motion",
-        "tipforce.sources.dynamic_load",
-        "tipforce.sources.dynamic_forces",
-        "tipforce.sensor.dynamics",
-        *(f"tipforce.sensor.dynamics.{name}" for name in _DYNAMICS),
-        *(*_FRAME, *_STRUCTURE),
     )
 
 
@@ -168,12 +125,12 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
     file = next((name for name in calibrated if name != "model"), "")
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
-    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", *_CORE)
+    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", "tipforce.scene.run", "tipforce.scene.check")
     yield _part(
         "calibration",
         f'nodes.calibration = "{calibrated[0]}"' if calibrated else "",
         'nodes.calibration = "none"',
-        *("tipforce.host", "tipforce.host.configuration.calibration", "tipforce.dictionary.types", "numpy"),
+        *(_CALIBRATION if calibrated else ()),
         *(_STRUCTURE if "model" in calibrated else ()),
     )
     yield _part(
@@ -192,7 +149,7 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
         "a calibrated layout of more than 3 gauges; at work once one is lost"
         if spare
         else "no calibrated node has more than 3",
-        on_demand=("tipforce.sensor.contact.scalar_redundancy",),
+        on_demand=loaded_by("tipforce.sensor.contact.scalar_redundancy"),
     )
     yield _part("SYNC", f"sync_hz = {scene.sync_hz:g}" if scene.sync_hz else "", "no sync_hz")
     yield _part("faults", f"[[faults]]: {len(scene.faults)}" if scene.faults else "", "no [[faults]]")
@@ -204,13 +161,6 @@ def _slit(scene: schema.Scene) -> Part:
         f"slit.gap_mm = {scene.slit.gap_mm:g}" if scene.slit else "",
         "no [slit]: nobody watches whether it closes",
         "tipforce.scene.slit",
-        *("tipforce.sensor.dynamics", "tipforce.sensor.dynamics.slit", "tipforce.sensor.dynamics.model"),
-        *(
-            "tipforce.sensor.dynamics.beam_mass",
-            "tipforce.sensor.dynamics.eigen",
-            "tipforce.sensor.design.figures_of_merit",
-        ),
-        *(*_FRAME, *_STRUCTURE),
     )
 
 
@@ -219,9 +169,15 @@ def _after(scene: schema.Scene) -> Iterator[Part]:
     out, bus = scene.outputs, scene.bus
     pdos = list(dict.fromkeys(pdo for group in scene.nodes for pdo in group.pdos))
     named = bus.interface or bus.channel or "python-can's configuration" if bus else ""
-    yield _part("bus", f"[bus]: {named}" if bus else "", "no [bus]: simulated time, no bus at all", *_BUS)
-    yield _part("recording", "every frame of a run, for what follows", "", *_RECORDING)
-    yield _part("decoder", f"nodes.pdos: {', '.join(pdos)}" if pdos else "", "no nodes.pdos", *_DECODER)
+    yield _part(
+        "bus", f"[bus]: {named}" if bus else "", "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime"
+    )
+    yield _part(
+        "recording", "every frame of a run, for what follows", "", "tipforce.scene.recording", "tipforce.scene.results"
+    )
+    yield _part(
+        "decoder", f"nodes.pdos: {', '.join(pdos)}" if pdos else "", "no nodes.pdos", "tipforce.host.decoding.decoder"
+    )
     yield _slit(scene)
     yield _part(
         "expectations",
@@ -229,7 +185,13 @@ def _after(scene: schema.Scene) -> Iterator[Part]:
         "no [[expect]]",
         "tipforce.scene.expectations",
     )
-    yield _part("log", f'outputs.log = "{out.log}"' if out.log else "", "no outputs.log: no file", *_LOG)
+    yield _part(
+        "log",
+        f'outputs.log = "{out.log}"' if out.log else "",
+        "no outputs.log: no file",
+        "tipforce.host.logs.candump",
+        "tipforce.host.logs.candump_format",
+    )
     yield _part(
         "table", f'outputs.table = "{out.table}"' if out.table else "", "no outputs.table: no file",
         "tipforce.scene.table_file",
