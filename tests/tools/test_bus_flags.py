@@ -98,7 +98,7 @@ def test_stdout_stays_for_data(capsys: pytest.CaptureFixture[str]) -> None:
 
 LISTED = """\
 import argparse, sys
-from tipforce_tools import bus_flags
+from tipforce_tools.cli import bus_flags
 parser = argparse.ArgumentParser()
 bus_flags.add_bus_arguments(parser)
 assert "can" not in sys.modules

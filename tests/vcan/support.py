@@ -33,12 +33,13 @@ _context = multiprocessing.get_context("forkserver")
 _context.set_forkserver_preload(
     [
         "numpy", "can.cli", "can.interfaces.socketcan", "canopen", "tomllib", "importlib.resources.readers",
-        "tipforce.host.configuration.calibration_file", "tipforce.host.configuration.configuration_file", "tipforce.host.network.find",
-        "tipforce.host.hand.polled", "tipforce.host.hand.hand", "tipforce_tools.hand.command", "tipforce_tools.network.load",
+        "tipforce.host.configuration.calibration_file", "tipforce.host.configuration.configuration_file",
+        "tipforce.host.network.find", "tipforce.host.hand.polled", "tipforce.host.hand.hand",
         "tipforce.running.loop", "tipforce.fingertip.node", "tipforce.running.store", "tipforce.dictionary.eds",
         "tipforce.running.ports", "tipforce.sensor.structure.strain",
-        *(f"tipforce_tools.{name}" for name in ("main", "bus_flags", "node", "sdo", "scan", "config")),
-        *(f"tipforce_tools.{name}" for name in ("service", "layout_file", "calibrate.command", "calibrate.transfer")),
+        *(f"tipforce_tools.cli.{name}" for name in ("main", "bus_flags", "service", "layout_file")),
+        *(f"tipforce_tools.{name}.command" for name in ("hand", "node", "sdo", "calibrate")),
+        *(f"tipforce_tools.network.{name}" for name in ("load", "scan", "config")), "tipforce_tools.calibrate.transfer",
         *(f"tipforce_tools.{name}.{part}" for name in ("dump", "log", "replay") for part in ("command", "session")),
         "tipforce.host.live.receive_group", "tipforce.host.live.send", "tipforce_tools.log.writers",
         *(f"tipforce_tools.view.{name}" for name in ("command", "server", "sources")),

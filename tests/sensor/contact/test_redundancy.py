@@ -311,7 +311,7 @@ def test_scalar_parity_runs_where_only_micropython_does(tmp_path: Path) -> None:
     assert process.returncode == 0, text
     tree = ast.parse(source.read_text(encoding="utf-8"))
     imports = [node for node in ast.walk(tree) if isinstance(node, (ast.Import, ast.ImportFrom))]
-    assert [node.module for node in imports if isinstance(node, ast.ImportFrom)] == ["math", "condition"]
+    assert [node.module for node in imports if isinstance(node, ast.ImportFrom)] == ["math", "scalar_condition"]
     assert {alias.name for alias in imports[0].names} == {"erfc", "exp", "pi", "sqrt"}
     for function in (node for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)):
         for argument in function.args.args:

@@ -124,7 +124,7 @@ _SHOWN = 'print("out", binascii.hexlify(b"".join([struct.pack("<2d", f[0], f[2])
 
 
 def on_micropython(given: Contacts, effort: Effort) -> tuple[Estimate, Timing]:
-    """The node's ``sensor/contact/scalar.py`` on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
+    """The node's scalar estimator on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
     counts = given.counts
     repeats = max(1, 2000 // len(counts))  # its clock has milliseconds, and a sample takes some 30 microseconds
     files = {
