@@ -27,7 +27,8 @@ def fingertip_node(
     ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
 
     Objects 2200h and 2201h exist when the source is a simulated one (``source.simulated``). ``save`` and ``load`` keep
-    parameter groups; without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is not allowed.
+    parameter groups; without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is
+    not allowed.
     """
     if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
