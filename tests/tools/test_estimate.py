@@ -14,12 +14,12 @@ import pytest
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.sensor.calibration.simulation import Faults, simulate
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
-from tipforce_tools.estimate import rows as estimate_rows
 from tipforce_tools.estimate.command import COLUMNS
 
 FloatArray = npt.NDArray[np.float64]

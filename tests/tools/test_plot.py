@@ -364,9 +364,9 @@ def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     """u_P comes with TPDO4 a few times a second; each P between has the last of them."""
-    from tipforce_tools.decode.layouts import Layouts
-    from tipforce_tools.decode.log_part import Reading
-    from tipforce_tools.decode.recording import Recording
+    from tipforce.host.decoding.decoded_pdos import Layouts
+    from tipforce.host.decoding.log_part import Reading
+    from tipforce.host.decoding.recording import Recording
 
     finger: Finger | None = None
     for table in Recording(Reading(Layouts())).tables_of_logs([str(one)]):

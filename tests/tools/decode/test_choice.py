@@ -16,12 +16,12 @@ from hypothesis import strategies as st
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode.resample import Resampler
-from tipforce_tools.decode.table import Column, Table
 from tools.decode.logs import decode, log_lines, number, rows_of, write_log
 
 P = Column("P_N", "P", "real", 3, "N", 0)

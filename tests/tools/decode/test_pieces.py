@@ -11,13 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.host.decoding import log_part
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.log_part import Notes, Piece, Reading, Source
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import BLOCK_BYTES, line_borders
 from tipforce.host.logs.reader import LogReader, open_log
 from tipforce_tools.cli.main import main
-from tipforce_tools.decode import log_part, session
-from tipforce_tools.decode.layouts import Layouts
-from tipforce_tools.decode.log_part import Notes, Piece, Reading, Source
+from tipforce_tools.decode import session
 from tools.decode.logs import decode, log_lines, write_log
 
 PIECE_BYTES = 20_000

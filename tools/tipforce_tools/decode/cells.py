@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.decode.table import Column, Values, is_missing
+from tipforce.host.decoding.sample_table import Column, Values, is_missing
 
 Cells = npt.NDArray[np.uint8]
 """(k, width) characters; 0 is no character."""

@@ -12,8 +12,8 @@ from datetime import datetime
 from pathlib import Path
 
 from tipforce.errors import InputError
-from tipforce_tools.decode.layouts import Layouts, signals_named, with_asked, with_dcf
-from tipforce_tools.decode.log_part import Reading, When, start_of
+from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
+from tipforce.host.decoding.log_part import Reading, When, start_of
 
 STDIN = "-"
 _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame

@@ -8,9 +8,9 @@ from typing import Any
 
 import mcap.writer
 
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce_tools.decode import text_rows
 from tipforce_tools.decode.files import NewFile
-from tipforce_tools.decode.table import NODE_BITS, Column, Table
 
 _TYPES = {"real": "number", "flag": "boolean", "integer": "integer", "word": "string"}
 

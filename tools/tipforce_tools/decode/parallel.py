@@ -13,7 +13,7 @@ from contextlib import suppress
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, TipforceError
-from tipforce_tools.decode.log_part import End, Item, Piece, Progress, Reading, part_items
+from tipforce.host.decoding.log_part import End, Item, Piece, Progress, Reading, part_items
 
 _WAITING_TABLES = 16  # of each log, so that memory stays bounded
 _POLL_S = 0.5

@@ -10,8 +10,8 @@ import numpy as np
 import pyarrow as pa
 import pyarrow.parquet as pq
 
+from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce_tools.decode.files import NewDirectory, NewFile
-from tipforce_tools.decode.table import NO_COUNTER, Column, Table, is_missing
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 

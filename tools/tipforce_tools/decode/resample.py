@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce_tools.decode.table import (
+from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NODE_BITS,
     Column,

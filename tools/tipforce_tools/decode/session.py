@@ -10,16 +10,16 @@ from dataclasses import replace
 from pathlib import Path
 
 from tipforce.errors import InputError
+from tipforce.host.decoding.log_part import Piece, Progress, Reading, StrictError
+from tipforce.host.decoding.recording import Recording, Told
+from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
-from tipforce_tools.decode.log_part import Piece, Progress, Reading, StrictError
 from tipforce_tools.decode.progress import ProgressBar
-from tipforce_tools.decode.recording import Recording, Told
-from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.decode.writers import format_of, open_writer
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
@@ -70,7 +70,7 @@ class _Steps:
         self._contact = None
         computed: dict[str, str] = {}
         if args.calibration:
-            from tipforce_tools.decode import contact_columns
+            from tipforce.host.decoding import contact_columns
 
             calibrations = contact_columns.read_calibrations(args.calibration)
             gauges = contact_columns.gauges_of(calibrations)

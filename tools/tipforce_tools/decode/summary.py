@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.decode.recording import Told
-from tipforce_tools.decode.table import NODE_BITS, Column, Table
+from tipforce.host.decoding.recording import Told
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
 _CONTACT = frozenset({"P", "phi", "theta", "F1", "F2", "F3"})

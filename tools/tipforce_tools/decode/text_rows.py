@@ -7,8 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce_tools.decode import cells
-from tipforce_tools.decode.table import NO_COUNTER, Column, Table, is_missing
 
 TIME, CHANNEL, NODE, COUNTER = "t_s", "channel", "node", "counter"
 _UNITS = {"degree": "deg"}

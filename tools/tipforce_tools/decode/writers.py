@@ -12,9 +12,9 @@ from typing import Any, BinaryIO, Protocol
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.decoding.sample_table import Column, Table
 from tipforce_tools.decode import text_rows
 from tipforce_tools.decode.files import NewFile
-from tipforce_tools.decode.table import Column, Table
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 
 FORMATS = ("text", "csv", "jsonl", "parquet", "mcap")

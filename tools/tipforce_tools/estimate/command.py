@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> int:
     """Write one row for each row: 0; with --strict and bad rows 1."""
     from tipforce.host.configuration.calibration_file import read_calibration, read_fit
     from tipforce.host.configuration.measurements import read_measurements
+    from tipforce.host.decoding.estimates import estimates
     from tipforce_tools.cli.one_finger_csv import check_one_node
-    from tipforce_tools.estimate.rows import estimates
 
     if args.saturation is not None and not args.saturation > 0.0:
         raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain")

@@ -7,8 +7,8 @@ from collections.abc import Collection
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Column, Table
 from tipforce_tools.cli.common import shown_id
-from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Column, Table
 from tipforce_tools.plot.traces import Flags, Lost, Trace
 
 _UNCERTAINTY_OF = {"P": "u_P", "phi": "u_phi", "theta": "u_theta"}

@@ -9,19 +9,19 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce.errors import InputError
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.sample_table import Table
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
-from tipforce_tools.decode.layouts import Layouts
-from tipforce_tools.decode.recording import Recording
-from tipforce_tools.decode.table import Table
 from tipforce_tools.plot import figure
 from tipforce_tools.plot.finger import Fingers
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
-    from tipforce_tools.decode.contact_columns import ContactColumns
+    from tipforce.host.decoding.contact_columns import ContactColumns
 
 FORMATS = (".png", ".svg", ".pdf")
 MOST_FINGERS = 20
@@ -64,7 +64,7 @@ def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset
     layouts = choice.layouts(args)
     if not args.calibration:
         return layouts, None, frozenset()
-    from tipforce_tools.decode import contact_columns
+    from tipforce.host.decoding import contact_columns
 
     calibrations = contact_columns.read_calibrations(args.calibration)
     if not args.gauges and not args.dcf:

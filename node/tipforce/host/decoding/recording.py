@@ -10,8 +10,7 @@ import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import unwrap_counter
-from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
-from tipforce_tools.decode.log_part import (
+from tipforce.host.decoding.log_part import (
     Edge,
     End,
     Item,
@@ -23,10 +22,11 @@ from tipforce_tools.decode.log_part import (
     StrictError,
     numbered_from,
 )
-from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.sample_rows import IntArray
-from tipforce_tools.decode.table import NO_COUNTER, NODE_BITS, Table
-from tipforce_tools.decode.tally import Tally
+from tipforce.host.decoding.sample_merger import SampleMerger
+from tipforce.host.decoding.sample_rows import IntArray
+from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
+from tipforce.host.decoding.tally import Tally
+from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
 
 class Counters:

@@ -12,9 +12,9 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration, read_fit
 from tipforce.host.configuration.measurements import Measurements
+from tipforce.host.decoding import estimates as estimate_rows
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
 from tipforce.sensor.contact import scalar
-from tipforce_tools.decode.table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
-from tipforce_tools.estimate import rows as estimate_rows
 
 NEEDED_FLAGS = ("saturated", "stale", "fault")
 """The node's own word that a gauge reading is none."""

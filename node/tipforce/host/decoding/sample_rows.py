@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.decode.table import NO_COUNTER
+from tipforce.host.decoding.sample_table import NO_COUNTER
 
 IntArray = npt.NDArray[np.intp]
 

@@ -7,11 +7,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.host.decoding.decoded_pdos import COUNTER, has_signal
 from tipforce.host.decoding.decoder import Decoder, Key, Samples
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce_tools.decode.layouts import COUNTER, has_signal
-from tipforce_tools.decode.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
-from tipforce_tools.decode.table import (
+from tipforce.host.decoding.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
+from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NODE_BITS,
     BoolArray,
@@ -22,7 +21,8 @@ from tipforce_tools.decode.table import (
     in_order,
     missing_of,
 )
-from tipforce_tools.decode.tally import Tally
+from tipforce.host.decoding.tally import Tally
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 _LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC
 

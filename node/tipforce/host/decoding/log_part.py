@@ -9,14 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.errors import InputError
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.sample_merger import SampleMerger
+from tipforce.host.decoding.sample_rows import GAP_FRAMES
+from tipforce.host.decoding.sample_table import Table
+from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
-from tipforce_tools.decode.layouts import Layouts
-from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.sample_rows import GAP_FRAMES
-from tipforce_tools.decode.table import Table
-from tipforce_tools.decode.tally import Tally
 
 _HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the part before
 

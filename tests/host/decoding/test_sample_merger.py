@@ -11,14 +11,14 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tipforce.host.decoding import log_part, recording
+from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import lost_samples
+from tipforce.host.decoding.log_part import Edge, End, Item, Notes, Piece, Reading, part_items
+from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.sample_merger import SampleMerger
+from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce_tools.decode import log_part, recording
-from tipforce_tools.decode.layouts import Layouts
-from tipforce_tools.decode.log_part import Edge, End, Item, Notes, Piece, Reading, part_items
-from tipforce_tools.decode.merge import SampleMerger
-from tipforce_tools.decode.recording import Recording
-from tipforce_tools.decode.table import Table
 from tools.decode.logs import decode, log_lines, rows_of, write_log
 
 Row = tuple[object, ...]
