@@ -1,15 +1,116 @@
 """The CANopen stack for fingertip force sensors.
 
-Where to begin, by what one wants to do:
+    import tipforce
 
-- read, calibrate and configure fingers on a bus: `tipforce.host`; a whole hand: `tipforce.host.hand.hand`
-- decode frames and logs: `tipforce.host.decoding.decoder`, `tipforce.host.logs.reader`
-- compute force and contact from strain: `tipforce.sensor.contact.estimate`, `tipforce.sensor.structure.strain`
-- fit a calibration: `tipforce.sensor.calibration.fit`
-- run a fingertip node: `tipforce.fingertip.node`, `tipforce.running.loop`
-- build another CANopen device: `tipforce.device.node`
-- simulate: `tipforce.scene.run`, and faults on a bus: `tipforce.host.network.faulty_bus`
+    with tipforce.open("can0") as bus:              # or a can.Bus or canopen.Network that is open already
+        finger = bus.finger(5)                      # node-id 5
+        contact = finger.read()                     # the next sample
+        print(contact.P_newtons, contact.phi_deg, contact.theta_deg, contact.u_P_newtons, contact.reason)
+        print(finger.sdo["calibration.serial"])     # any object, by its dictionary name
+        for contact in finger.samples():            # `async for` works, too
+            ...
 
-What goes wrong is raised as an error of `tipforce.errors`. Names have units (`force_newtons`, `theta_rad`); shapes are
-written as (n, 3).
+- a whole hand: ``Hand.open("hand.toml")``, then ``for row in hand.rows(): row["thumb"].P_newtons``
+- a log as arrays: ``read_log("run.log")[5].P_newtons``
+- a calibration: ``Calibration.from_microstrain(C, offset, covariance)``, ``Calibration.read("finger.toml")``,
+  ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``
+- fingers for tests of one's own: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
+
+Public is what ``__all__`` names here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
+``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.running`` and ``tipforce.scene``. It follows semantic
+versioning: until 1.0 a minor version may change it, and the changelog says how. All else may change without notice.
+
+Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN stands for unknown. All errors
+that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
 """
+
+from tipforce._lazy import lazy
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.dictionary.table import SOFTWARE_VERSION as __version__  # noqa: N811
+    from tipforce.errors import EnvironmentLackError as EnvironmentLackError
+    from tipforce.errors import InputError as InputError
+    from tipforce.errors import NoNewSampleError as NoNewSampleError
+    from tipforce.errors import NoResponseError as NoResponseError
+    from tipforce.errors import RefusedError as RefusedError
+    from tipforce.errors import SdoAbortError as SdoAbortError
+    from tipforce.errors import TipforceError as TipforceError
+    from tipforce.host.configuration.calibration import Calibration as Calibration
+    from tipforce.host.decoding.contacts import Contact as Contact
+    from tipforce.host.decoding.contacts import Contacts as Contacts
+    from tipforce.host.decoding.contacts import Status as Status
+    from tipforce.host.decoding.estimates import estimate as estimate
+    from tipforce.host.decoding.log import Log as Log
+    from tipforce.host.decoding.log import NodeLog as NodeLog
+    from tipforce.host.decoding.log import read_log as read_log
+    from tipforce.host.hand.hand import Hand as Hand
+    from tipforce.host.hand.hand_row import HandRow as HandRow
+    from tipforce.host.network.connection import Connection as Bus
+    from tipforce.host.network.connection import open_connection as open
+    from tipforce.host.network.finger import Finger as Finger
+    from tipforce.scene.simulated_bus import SimulatedBus as SimulatedBus
+    from tipforce.scene.simulated_bus import simulated_finger as simulated_finger
+    from tipforce.scene.simulated_bus import simulated_hand as simulated_hand
+    from tipforce.sensor.calibration.data import Readings as Readings
+    from tipforce.sensor.calibration.fit import fit_calibration as fit_calibration
+
+_MODULES = {
+    "open": "host.network.connection:open_connection",
+    "Bus": "host.network.connection:Connection",
+    "Finger": "host.network.finger",
+    "Contact": "host.decoding.contacts",
+    "Contacts": "host.decoding.contacts",
+    "Status": "host.decoding.contacts",
+    "Hand": "host.hand.hand",
+    "HandRow": "host.hand.hand_row",
+    "Calibration": "host.configuration.calibration",
+    "estimate": "host.decoding.estimates",
+    "fit_calibration": "sensor.calibration.fit",
+    "Readings": "sensor.calibration.data",
+    "read_log": "host.decoding.log",
+    "Log": "host.decoding.log",
+    "NodeLog": "host.decoding.log",
+    "simulated_finger": "scene.simulated_bus",
+    "simulated_hand": "scene.simulated_bus",
+    "SimulatedBus": "scene.simulated_bus",
+    "TipforceError": "errors",
+    "InputError": "errors",
+    "NoResponseError": "errors",
+    "NoNewSampleError": "errors",
+    "SdoAbortError": "errors",
+    "RefusedError": "errors",
+    "EnvironmentLackError": "errors",
+    "__version__": "dictionary.table:SOFTWARE_VERSION",
+}
+__all__ = [
+    "Bus",
+    "Calibration",
+    "Contact",
+    "Contacts",
+    "EnvironmentLackError",
+    "Finger",
+    "Hand",
+    "HandRow",
+    "InputError",
+    "Log",
+    "NoNewSampleError",
+    "NoResponseError",
+    "NodeLog",
+    "Readings",
+    "RefusedError",
+    "SdoAbortError",
+    "SimulatedBus",
+    "Status",
+    "TipforceError",
+    "__version__",
+    "estimate",
+    "fit_calibration",
+    "open",
+    "read_log",
+    "simulated_finger",
+    "simulated_hand",
+]
+
+if not TYPE_CHECKING:
+    __getattr__, __dir__ = lazy(__name__, _MODULES)

@@ -13,6 +13,10 @@ class NoResponseError(TipforceError):
     """A node did not answer within the time and the number of tries that were set."""
 
 
+class NoNewSampleError(NoResponseError):
+    """A finger gave no new sample in time: it is silent, not started, or asked faster than it measures."""
+
+
 class SdoAbortError(TipforceError):
     """The node answered an SDO request with an abort. ``code`` is the abort code of CiA 301, 7.2.4.3.17."""
 

@@ -24,14 +24,19 @@ TIMEOUT_S = 600
 
 @cache
 def on_node_files() -> tuple[Path, ...]:
-    """The files that a node's firmware needs, as they stand: what importing a node loads, and what it loads later."""
+    """The files that a node's firmware needs, as they stand: what importing a node loads, and what it loads later.
+
+    MicroPython needs no ``__init__.py`` of the packages above: those name what only a PC has (docs/firmware.md).
+    """
     code = (
         "import sys, tipforce.fingertip.node, tipforce.fingertip.filters; "
         "import tipforce.sources.simulated, tipforce.sources.front_end; "
         "print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    return tuple(sorted(Path(name) for name in shown.stdout.split()))
+    found = (Path(name) for name in shown.stdout.split())
+    on_board = ("device", "fingertip")
+    return tuple(sorted(p for p in found if p.name not in ("__init__.py", "_lazy.py") or p.parent.name in on_board))
 
 
 def place(path: Path) -> str:

@@ -61,7 +61,7 @@ class Session:
             f'[bus]\ninterface = "socketcan"\nchannel = "{CHANNEL}"\n'
             f"[hand]\nsync_hz = {SYNC_HZ}\nheartbeat_ms = {HEARTBEAT_MS}\n{fingers}"
         )
-        self.hand = Hand.open(self.path)
+        self.hand = Hand.from_file(self.path)
         self.hand.on_rows(self.rows.append)
 
     def switch_on(self, node_id: int) -> None:

@@ -104,7 +104,7 @@ def until(condition: Callable[[], bool], what: str) -> None:
 
 def latest(hand: Hand) -> np.ndarray:
     """P of the next row."""
-    for rows in hand.rows(WAIT_S):
+    for rows in hand.blocks(WAIT_S):
         return np.asarray(rows.columns["P"][-1])
     raise AssertionError("no row")
 
@@ -117,7 +117,7 @@ def kinds(hand: Hand, node_id: int) -> list[str]:
 def test_every_sync_gives_a_row_with_every_finger(fingers: Fingers) -> None:
     with running(fingers) as hand:
         whole, number = 0, None
-        for rows in hand.rows(WAIT_S):
+        for rows in hand.blocks(WAIT_S):
             assert number in (None, rows.first)
             number = rows.first + len(rows)
             known = rows.columns["P"][~rows.missing.any(axis=1) & ~rows.columns["stale"].any(axis=1)]
@@ -182,7 +182,7 @@ def test_asyncio_and_callbacks(fingers: Fingers) -> None:
 
     async def consume(hand: Hand) -> int:
         count = 0
-        async for rows in hand.rows_async():
+        async for rows in hand.blocks_async():
             count += len(rows)
             if count >= 10:
                 break
@@ -198,7 +198,7 @@ def test_asyncio_and_callbacks(fingers: Fingers) -> None:
 
 def test_a_stopped_hand_sends_nothing_more(fingers: Fingers) -> None:
     with running(fingers) as hand:
-        iterator = hand.rows()
+        iterator = hand.blocks()
         next(iterator)
         hand.stop()
         assert sum(1 for _ in iterator) < 1000

@@ -41,25 +41,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Write one row for each row: 0; with --strict and bad rows 1."""
-    from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+    from tipforce.host.configuration.calibration_file import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
     from tipforce_tools.cli.one_finger_csv import check_one_node
 
     if args.saturation is not None and not args.saturation > 0.0:
         raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain")
-    calibration, fit = read_calibration(args.calibration), read_fit(args.calibration)
+    calibration = read_calibration(args.calibration, with_fit=True)
     data = read_measurements(args.gauges, loads=False)
     check_one_node(args.gauges, data)
     if data.strain.shape[1] != calibration.gauges:
         raise InputError(
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"
         )
-    if fit is None:
+    if calibration.parameter_covariance is None:
         common.note(args, f"{args.calibration} has no [fit] table: uncertainties are of gauge noise alone")
     if data.unloaded.any() and data.t_s is None:
         common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
-    rows = estimates(calibration, None if fit is None else fit.parameter_covariance(), data, args.saturation)
+    rows = estimates(calibration, data, args.saturation)
     with _output(args.output) as stream:
         _write(stream, _merged(rows, data), args.json)
     if data.bad:

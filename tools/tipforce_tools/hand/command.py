@@ -124,7 +124,7 @@ def _up(args: argparse.Namespace) -> int:
     from tipforce_tools.cli.main import terminate_as_interrupt
 
     terminate_as_interrupt()
-    with Hand.open(args.file, **common.bus_options(args)) as hand:
+    with Hand.from_file(args.file, **common.bus_options(args)) as hand:
         hand.on_event(lambda event: _say_event(args, hand, event))
         started_s = time.monotonic()
         reports = hand.bring_up()
@@ -164,7 +164,7 @@ def _rows(args: argparse.Namespace, hand: Hand) -> None:
     hand.start()
     deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
     shown_s = 0.0
-    for rows in hand.rows(args.seconds):
+    for rows in hand.blocks(args.seconds):
         if args.json:
             for row in range(len(rows)):
                 common.print_json(_record(hand, rows, row))

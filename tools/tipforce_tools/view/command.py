@@ -186,7 +186,7 @@ def _listen(args: argparse.Namespace, path: Path | None) -> Source:
 def _hand(args: argparse.Namespace, path: Path) -> Source:
     from tipforce.host.hand.hand import Hand
 
-    return hand_source(args, Hand.open(path, **common.bus_options(args)), path.name)
+    return hand_source(args, Hand.from_file(path, **common.bus_options(args)), path.name)
 
 
 def hand_source(args: argparse.Namespace, hand: Hand, title: str) -> Source:

@@ -6,6 +6,8 @@ import binascii
 import struct
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +15,11 @@ import numpy.typing as npt
 from tipforce.dictionary import table, types
 from tipforce.errors import InputError
 
+if TYPE_CHECKING:
+    from tipforce.sensor.calibration.result import Fit
+
 FloatArray = npt.NDArray[np.float64]
+_LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +45,97 @@ class Calibration:
     contact_off_newtons: float = 0.03
     pull: bool = False
     """Load sense: True where the load pulls at the surface (rope in a groove), False where it pushes (contact)."""
+    parameter_covariance: FloatArray | None = None
+    """Covariance of the fitted strain per newton and offset, (n, 4, n, 4), strain^2: what the calibration itself
+    contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
+
+    def __post_init__(self) -> None:
+        """Arrays of float64, of shapes that belong together. Raises InputError naming the shape and what is allowed."""
+        for name in ("C", "offset_strain", "covariance_strain2"):
+            object.__setattr__(self, name, _array(name, getattr(self, name)))
+        n = self.C.shape[1] if self.C.ndim == 2 else 0
+        if self.C.ndim != 2 or self.C.shape[0] != 3 or not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
+            raise InputError(f"calibration matrix: shape {self.C.shape}, allowed (3, 3) to (3, 8)")
+        if self.offset_strain.shape != (n,):
+            raise InputError(f"calibration offset: shape {self.offset_strain.shape}, allowed is ({n},)")
+        if self.covariance_strain2.shape != (n, n):
+            raise InputError(f"calibration covariance: shape {self.covariance_strain2.shape}, allowed is ({n}, {n})")
+
+    @classmethod
+    def from_microstrain(
+        cls,
+        matrix: npt.ArrayLike,
+        offset: npt.ArrayLike | None = None,
+        covariance: npt.ArrayLike | None = None,
+        *,
+        noise: npt.ArrayLike | None = None,
+        pull: bool = False,
+        **facts: Any,
+    ) -> Calibration:
+        """A calibration from numbers in microstrain: F = matrix (microstrain - offset).
+
+        matrix: (3, n), newtons per microstrain; offset: (n,), microstrain, None for zero; covariance: (n, n),
+        microstrain^2, of the gauges' noise; or noise: its standard deviation, (n,) or one number for all gauges.
+        ``facts``: other fields by name (serial, date, layout_code, tip_radius_m, ...). Raises InputError for what no
+        calibration can be: shapes, numbers that are not finite, a matrix without rank 3, a covariance that is no
+        covariance, or none at all.
+        """
+        C = _array("matrix", matrix) * 1e6
+        n = C.shape[-1] if C.ndim else 0
+        if covariance is None:
+            if noise is None:
+                raise InputError("calibration: give covariance, (n, n) microstrain^2, or noise, microstrain: 1 sigma")
+            deviation = _array("noise", noise)
+            if deviation.shape not in {(), (n,)}:
+                raise InputError(f"calibration noise: shape {deviation.shape}, allowed are one number and ({n},)")
+            covariance = np.diag(np.broadcast_to(deviation**2, n))
+        zero = np.zeros(n) if offset is None else _array("offset", offset) * 1e-6
+        found = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)
+        found.check()
+        return found
+
+    @staticmethod
+    def read(path: str | Path) -> Calibration:
+        """A calibration file (TOML), with the uncertainty of its fit. Raises InputError naming what is allowed."""
+        from tipforce.host.configuration.calibration_file import read_calibration
+
+        return read_calibration(path, with_fit=True)
+
+    @classmethod
+    def from_fit(cls, fit: Fit, *, pull: bool, **facts: Any) -> Calibration:
+        """The calibration that a fit found, with its uncertainty. ``facts`` as in ``from_microstrain``."""
+        facts["parameter_covariance"] = fit.parameter_covariance
+        found = cls(fit.C, fit.offset_strain, fit.noise_covariance_strain2, pull=pull, **facts)
+        found.check()
+        return found
+
+    def write(self, path: str | Path) -> None:
+        """Write a calibration file that reads back to the same record. Raises InputError."""
+        from tipforce.host.configuration.calibration_file import write_calibration
+
+        fit: dict[str, object] | None = None
+        if self.parameter_covariance is not None:
+            side = 4 * self.gauges
+            matrix = (self.parameter_covariance * 1e12).reshape(side, side)
+            fit = {"parameter_covariance_microstrain2": matrix.tolist()}
+        write_calibration(path, self, fit)
+
+    def check(self) -> None:
+        """Raise InputError for a calibration that no sensor can have; the text names the field and what is allowed."""
+        S = self.covariance_strain2
+        for name, values in (("matrix", self.C), ("offset", self.offset_strain), ("covariance", S)):
+            if not np.isfinite(values).all():
+                raise InputError(f"calibration {name}: {values[~np.isfinite(values)][0]} is not finite")
+        singular = np.linalg.svd(self.C, compute_uv=False)
+        if not singular[-1] > singular[0] * _LEAST_RANK:
+            raise InputError(
+                f"calibration matrix: rank below 3 (singular values {', '.join(f'{s:.3g}' for s in singular)} N per "
+                "unit strain): it cannot tell three force components"
+            )
+        if not np.allclose(S, S.T, rtol=1e-9, atol=0.0):
+            raise InputError("calibration covariance: not symmetric")
+        if not (np.diagonal(S) > 0.0).all() or np.linalg.eigvalsh(S)[0] < -1e-9 * np.trace(S):
+            raise InputError("calibration covariance: variances must be above 0, and no correlation over 1")
 
     @property
     def gauges(self) -> int:
@@ -76,6 +173,13 @@ class Calibration:
             if struct.calcsize(_packing(n)) == len(record):
                 return _from_values(n, struct.unpack(_packing(n), record))
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 106")
+
+
+def _array(name: str, values: npt.ArrayLike) -> FloatArray:
+    try:
+        return np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError):
+        raise InputError(f"calibration {name}: {values!r} is no array of numbers") from None
 
 
 def _packing(n: int) -> str:

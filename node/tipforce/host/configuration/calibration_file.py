@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import datetime
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -44,10 +45,10 @@ class FitRecord(msgspec.Struct):
     The crc32 of the file covers the node's record, not this table. Keys that others write into it are let be.
     """
 
-    dof: float
-    residual_covariance_microstrain2: list[list[float]]
+    dof: float | None = None
+    residual_covariance_microstrain2: list[list[float]] | None = None
     """S, (n, n)."""
-    normal_matrix: list[list[float]]
+    normal_matrix: list[list[float]] | None = None
     """N, the sum of G G^T with G = (F, 1), (4, 4) in newtons; (3, 3) for a fit without offset."""
     parameter_covariance_microstrain2: list[list[float]] | None = None
     """(4 n, 4 n): gauge by gauge (A1, A2, A3, offset). Without it S and N give it."""
@@ -70,13 +71,12 @@ class FitRecord(msgspec.Struct):
 
     def parameter_covariance(self) -> FloatArray:
         """Covariance of A and the offsets, (n, 4, n, 4), strain^2: what covariance_of_estimate() takes."""
-        S = np.array(self.residual_covariance_microstrain2) * 1e-12
-        if self.parameter_covariance_microstrain2 is None:
-            from tipforce.sensor.calibration.result import kronecker
+        if self.parameter_covariance_microstrain2 is not None:
+            n = len(self.parameter_covariance_microstrain2) // 4
+            return np.array(self.parameter_covariance_microstrain2).reshape(n, 4, n, 4) * 1e-12
+        from tipforce.sensor.calibration.result import kronecker
 
-            return kronecker(S, self.normal_matrix)
-        n = S.shape[0]
-        return np.array(self.parameter_covariance_microstrain2).reshape(n, 4, n, 4) * 1e-12
+        return kronecker(np.array(self.residual_covariance_microstrain2) * 1e-12, np.array(self.normal_matrix))
 
 
 class _File(msgspec.Struct, forbid_unknown_fields=True):
@@ -107,11 +107,11 @@ _LAYOUT_CODES = {"I": 1, "II": 2, "III": 3, "custom": table.CUSTOM_LAYOUT}
 _SENSES = {"push": False, "pull": True}
 
 
-def read_calibration(path: str | Path) -> Calibration:
+def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
     """A calibration file. Raises InputError naming the place and what is allowed.
 
     A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
-    accept the edit.
+    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
     """
     content = _decoded(path).calibration
     found = _checked(content, path)
@@ -124,7 +124,8 @@ def read_calibration(path: str | Path) -> Calibration:
             f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{crc:08X}; "
             "the file was changed: restore it, or take out the crc32 line to accept the change"
         )
-    return found
+    fit = read_fit(path) if with_fit else None
+    return found if fit is None else replace(found, parameter_covariance=fit.parameter_covariance())
 
 
 def read_fit(path: str | Path) -> FitRecord | None:
@@ -134,6 +135,14 @@ def read_fit(path: str | Path) -> FitRecord | None:
         return None
     record = convert(FitRecord, content.fit, f"calibration {path}: fit", finite=False)
     n = len(content.calibration.offset_microstrain)
+    if record.parameter_covariance_microstrain2 is None and None in (
+        record.residual_covariance_microstrain2,
+        record.normal_matrix,
+    ):
+        raise InputError(
+            f"calibration {path}: fit: parameter_covariance_microstrain2 is missing, or in its place "
+            "residual_covariance_microstrain2 and normal_matrix"
+        )
     shapes = {
         "residual_covariance_microstrain2": (record.residual_covariance_microstrain2, ((n, n),)),
         "normal_matrix": (record.normal_matrix, ((4, 4), (3, 3))),

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration, read_fit
+from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
@@ -32,15 +32,9 @@ FLAGS = {
 _COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Fingertip:
-    calibration: Calibration
-    blocks: npt.NDArray[np.float64]  # (n, 4, n, 4), what the calibration contributes
-
-
-def read_calibrations(texts: Iterable[str]) -> dict[int | None, _Fingertip]:
+def read_calibrations(texts: Iterable[str]) -> dict[int | None, Calibration]:
     """By node-id the calibrations that `5=thumb.toml` names; None for one without a node. Raises InputError."""
-    found: dict[int | None, _Fingertip] = {}
+    found: dict[int | None, Calibration] = {}
     for text in texts:
         node_text, equals, path = text.partition("=")
         node = None
@@ -53,17 +47,14 @@ def read_calibrations(texts: Iterable[str]) -> dict[int | None, _Fingertip]:
                 raise InputError(f"--calibration {text}: write CAL.toml, or NODE=CAL.toml with a node-id from 1 to 127")
         if node in found:
             raise InputError(f"--calibration {text}: {'all nodes have' if node is None else f'node {node} has'} one")
-        name = path if equals else text
-        calibration, fit = read_calibration(name), read_fit(name)
-        n = calibration.gauges
-        found[node] = _Fingertip(calibration, np.zeros((n, 4, n, 4)) if fit is None else fit.parameter_covariance())
+        found[node] = read_calibration(path if equals else text, with_fit=True)
     return found
 
 
 class ContactColumns:
     """Fills the contact of each sample that has all its gauges; nodes without a calibration keep what they sent."""
 
-    def __init__(self, calibrations: Mapping[int | None, _Fingertip], asked: tuple[str, ...] | None) -> None:
+    def __init__(self, calibrations: Mapping[int | None, Calibration], asked: tuple[str, ...] | None) -> None:
         self._calibrations = calibrations
         self._asked = asked
         self._present: dict[int, bool] = {}
@@ -91,11 +82,11 @@ class ContactColumns:
         return replace(table, columns=ordered, values={c.name: values[c.name] for c in ordered}, absent=absent)
 
     def _fill(
-        self, tip: _Fingertip, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
+        self, tip: Calibration, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
     ) -> None:
         for column in _COLUMNS:
             values[column.name][rows] = missing_of(column, len(rows))
-        names = [f"SG{k + 1}_ue" for k in range(tip.calibration.gauges)]
+        names = [f"SG{k + 1}_ue" for k in range(tip.gauges)]
         if not set(names) <= set(table.values):
             return
         strain = np.stack([table.values[name][rows] for name in names], axis=-1) * 1e-6
@@ -107,9 +98,7 @@ class ContactColumns:
         if not len(rows):
             return
         data = Measurements(table.t_ns[rows], strain, None, None, None, None, None, None, None, (), ())
-        found = estimate_rows.estimated(
-            tip.calibration, tip.blocks, data, slice(None), None, np.inf, self._present.get(key, False)
-        )
+        found = estimate_rows.estimated(tip, data, slice(None), None, np.inf, self._present.get(key, False))
         for number, column in enumerate(VALUES):
             values[column.name][rows] = found.values[:, number]
         for name, bit in FLAGS.items():
@@ -131,9 +120,9 @@ def is_computed(name: str) -> str | None:
     return next((column.signal for column in _COLUMNS if name in {column.name, column.signal}), None)
 
 
-def gauges_of(calibrations: Mapping[int | None, _Fingertip]) -> int:
+def gauges_of(calibrations: Mapping[int | None, Calibration]) -> int:
     """The most gauges that a calibration has."""
-    return max(tip.calibration.gauges for tip in calibrations.values())
+    return max(tip.gauges for tip in calibrations.values())
 
 
 def column_names() -> tuple[Column, ...]:

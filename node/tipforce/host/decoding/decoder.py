@@ -104,6 +104,10 @@ class Decoder:
         decoder._messages.update(messages)
         return decoder
 
+    def messages(self) -> dict[Key, tuple[int, Message]]:
+        """By (node-id, message name) the identifier, 0 for none, and the layout."""
+        return dict(self._messages)
+
     def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
         """Take message ``name`` of one node from ``can_id`` (0: from nowhere) with ``mapping`` (index, sub, bits).
 

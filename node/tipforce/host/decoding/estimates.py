@@ -8,12 +8,15 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurement_rows import MODES
 from tipforce.host.configuration.measurements import Measurements
+from tipforce.host.decoding.contacts import Contacts, Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
-from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact import estimate as model
+from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.first_order import first_order_holds
 from tipforce.sensor.contact.force import force_from_strain
 
@@ -65,21 +68,18 @@ def tares_of(data: Measurements) -> Tares | None:
 
 def estimates(
     calibration: Calibration,
-    parameter_covariance: FloatArray | None,
     data: Measurements,
     saturation_microstrain: float | None = None,
 ) -> Iterator[tuple[int, list[float], str]]:
     """Yield (line, [P_N, phi_deg, theta_deg, u_P_N, u_phi_deg, u_theta_deg], status) of each good row, in order.
 
-    parameter_covariance: (n, 4, n, 4), what the calibration contributes to the uncertainty; None for nothing.
+    The uncertainty has the calibration's part where ``calibration.parameter_covariance`` is there.
     NaN is unknown; phi and theta are unknown where the status byte of a node would make them so.
     """
-    n = calibration.gauges
-    blocks = np.zeros((n, 4, n, 4)) if parameter_covariance is None else parameter_covariance
     limit = np.inf if saturation_microstrain is None else saturation_microstrain * 1e-6
     tares, was_present, words = tares_of(data), False, dict[int, str]()
     for start in range(0, len(data.line), CHUNK):
-        found = estimated(calibration, blocks, data, slice(start, start + CHUNK), tares, limit, was_present)
+        found = estimated(calibration, data, slice(start, start + CHUNK), tares, limit, was_present)
         loaded = found.status[(found.status & TARE) == 0]
         was_present = bool(loaded[-1] & scalar.CONTACT_PRESENT) if loaded.size else was_present
         lines = data.line[start : start + CHUNK].tolist()
@@ -89,9 +89,28 @@ def estimates(
             yield line, values, words[status]
 
 
+def estimate(calibration: Calibration, microstrain: npt.ArrayLike, *, was_present: bool = False) -> Contacts:
+    """Contact, standard uncertainties and status of gauge readings, as `tipforce estimate` gives them.
+
+    microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``was_present``: contact before the first.
+    A reading that is not finite makes all unknown. Raises InputError for other shapes.
+    """
+    strain = np.asarray(microstrain, dtype=np.float64) * 1e-6
+    if strain.ndim == 1:
+        strain = strain[np.newaxis]
+    if strain.ndim != 2 or strain.shape[1] != calibration.gauges:
+        n = calibration.gauges
+        raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
+    data = Measurements(np.arange(len(strain)), strain, None, None, None, None, None, None, None, (), ())
+    found = estimated(calibration, data, slice(None), None, np.inf, was_present)
+    status = (found.status & 0xFF | Status.CALIBRATED).astype(np.uint16)
+    status |= np.where(found.status & BEYOND_FIRST_ORDER, np.uint16(Status.BEYOND_FIRST_ORDER), np.uint16(0))
+    P, phi, theta, u_P, u_phi, u_theta = found.values.T
+    return Contacts(P, phi, theta, u_P, u_phi, u_theta, status)
+
+
 def estimated(
     calibration: Calibration,
-    blocks: FloatArray,
     data: Measurements,
     rows: slice,
     tares: Tares | None,
@@ -100,13 +119,15 @@ def estimated(
 ) -> Estimates:
     """Estimates of some rows that follow each other; ``was_present``: contact before the first of them.
 
-    blocks: (n, 4, n, 4), what the calibration contributes; limit: the converter's, strain (inf: none).
+    limit: the converter's, strain (inf: none).
     """
     V = data.strain[rows]
     offset, tare_noise = _offsets(calibration, data, rows, tares)
     F = force_from_strain(calibration.C, V - offset)
-    nothing = np.zeros((calibration.gauges, calibration.gauges))
-    covariance = covariance_of_estimate(calibration.C, nothing, blocks, F, offset_known=tares is not None)
+    covariance = np.zeros((*F.shape, 3))
+    if calibration.parameter_covariance is not None:
+        nothing, blocks = np.zeros_like(calibration.covariance_strain2), calibration.parameter_covariance
+        covariance = covariance_of_estimate(calibration.C, nothing, blocks, F, offset_known=tares is not None)
     covariance += calibration.covariance_F * (1.0 / _weight(data)[rows] + tare_noise)[:, np.newaxis, np.newaxis]
     pull = np.full(len(V), calibration.pull)
     if data.mode is not None:
@@ -116,15 +137,15 @@ def estimated(
     unloaded, saturated = data.unloaded[rows], (np.abs(V) >= limit).any(axis=1)
     counts = ~(unloaded | saturated)
     status = np.where(unloaded, TARE, np.where(saturated, SATURATED, 0))
-    limits = estimate.Limits(
+    limits = model.Limits(
         calibration.contact_on_newtons,
         calibration.contact_off_newtons,
         calibration.theta_min_deg,
         calibration.theta_max_deg,
     )
-    chosen = estimate.Contact(*(getattr(found, name)[counts] for name in estimate.Contact.__slots__))
-    miss = estimate.miss_uncertainties(F[counts], covariance[counts])
-    status[counts] = estimate.status(chosen, u[counts], miss, limits, was_present)
+    chosen = model.Contact(*(getattr(found, name)[counts] for name in model.Contact.__slots__))
+    miss = model.miss_uncertainties(F[counts], covariance[counts])
+    status[counts] = model.status(chosen, u[counts], miss, limits, was_present)
     values = _in_degrees(np.stack((found.P_newtons, found.phi_rad, found.theta_rad), axis=-1), u)
     values[~counts] = np.nan
     known = _known(status)
@@ -140,15 +161,15 @@ def _in_degrees(values: FloatArray, u: FloatArray) -> FloatArray:
     return np.concatenate((values * unit, u * unit), axis=1)
 
 
-def _both_senses(F: FloatArray, covariance: FloatArray, pull: BoolArray) -> tuple[estimate.Contact, FloatArray]:
+def _both_senses(F: FloatArray, covariance: FloatArray, pull: BoolArray) -> tuple[model.Contact, FloatArray]:
     """Contacts and standard uncertainties, each row by its own load sense; what no row needs is not computed."""
     if pull.all() or not pull.any():
         sense = bool(pull.all())
-        return estimate.contacts(F, pull=sense), estimate.standard_uncertainties(F, covariance, pull=sense)
-    senses = [estimate.contacts(F, pull=sense) for sense in (True, False)]
-    fields = ([getattr(found, name) for found in senses] for name in estimate.Contact.__slots__)
-    u = [estimate.standard_uncertainties(F, covariance, pull=sense) for sense in (True, False)]
-    return estimate.Contact(*(np.where(pull, *field) for field in fields)), np.where(pull[:, np.newaxis], *u)
+        return model.contacts(F, pull=sense), model.standard_uncertainties(F, covariance, pull=sense)
+    senses = [model.contacts(F, pull=sense) for sense in (True, False)]
+    fields = ([getattr(found, name) for found in senses] for name in model.Contact.__slots__)
+    u = [model.standard_uncertainties(F, covariance, pull=sense) for sense in (True, False)]
+    return model.Contact(*(np.where(pull, *field) for field in fields)), np.where(pull[:, np.newaxis], *u)
 
 
 def _known(status: npt.NDArray[np.int64]) -> BoolArray:

@@ -21,6 +21,7 @@ layout = "I"
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -121,6 +122,14 @@ def read_hand(path: str | Path) -> HandFile:
         check_hand(found)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
+    return found
+
+
+def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
+    """A hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
+    named = fingers if isinstance(fingers, Mapping) else {f"finger {node_id}": node_id for node_id in fingers}
+    found = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named.items()), hand=plan)
+    check_hand(found)
     return found
 
 

@@ -1,14 +1,11 @@
 """A hand that runs: brought up from its file, read row by row, watched, and mended when a finger reboots.
 
     with Hand.open("hand.toml") as hand:
-        for report in hand.bring_up():
-            print(report)
-        hand.start()
-        for rows in hand.rows():
-            print(rows.columns["P"][-1])
+        for row in hand.rows():
+            print(row["thumb"].P_newtons)
 
-Rows are also there as an asynchronous iterator and by callback. One thread receives; a consumer that is too slow loses
-the oldest rows, and ``overrun`` says how many.
+``blocks`` gives the same as arrays, many rows at a time; both are also there for asyncio, blocks by callback, too. One
+thread receives; a consumer that is too slow loses the oldest rows, and ``overrun`` says how many.
 """
 
 from __future__ import annotations
@@ -16,7 +13,8 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from types import TracebackType
@@ -24,21 +22,24 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, InputError, TipforceError
+from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
 from tipforce.host.hand.bring_up import FingerReport, bring_up
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.delivery import Delivery
 from tipforce.host.hand.events import Event, Supervisor, waited_s
-from tipforce.host.hand.file import HandFile, read_hand
+from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
+from tipforce.host.hand.hand_row import HandRows
 from tipforce.host.hand.jitter import Jitter, JitterFigures
-from tipforce.host.hand.link import Link, open_link
+from tipforce.host.hand.link import Link, SharedLink, open_link
 from tipforce.host.hand.recovery import LOST, Mender
 from tipforce.host.hand.rows import Rows, Tally
 from tipforce.host.hand.supervision import Keeper
 from tipforce.host.hand.sync_producer import SyncProducer
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.host.network.connection import Connection
 from tipforce.host.network.heartbeats import OPERATIONAL
 
 HEARTBEATS_MISSED = 2.5  # periods of silence that make a heartbeat lost
@@ -88,11 +89,43 @@ class Hand:
         self._seen_dropped = 0
 
     @classmethod
-    def open(cls, path: str | Path, **bus: Any) -> Hand:
-        """A hand from its file; ``bus`` (keywords of ``can.Bus``) overrides the file's [bus]."""
-        file = read_hand(path)
-        given = {key: value for key, value in bus.items() if value is not None}
-        return cls(HandFile(finger=file.finger, hand=file.hand, bus=file.bus | given, folder=file.folder))
+    def open(
+        cls,
+        fingers: str | Path | Mapping[str, int] | Sequence[int],
+        *,
+        bus: Connection | None = None,
+        need_all: bool = True,
+        plan: HandPlan | None = None,
+        **bus_options: Any,
+    ) -> Hand:
+        """A hand that runs: every finger is found, configured, calibrated and started, and SYNCs are sent.
+
+        ``fingers``: the path of a hand file; or node-ids by name, ``{"thumb": 1, "index": 2}``; or node-ids. ``bus``:
+        an open one, which stays open; or ``bus_options``, keywords of ``can.Bus``, which override the file's [bus].
+        ``plan``: what else a hand file says, where there is none. Raises RefusedError naming the fingers that failed
+        and why, unless ``need_all`` is False; InputError for a wrong file, EnvironmentLackError for a bus that does not
+        open.
+        """
+        file = read_hand(fingers) if isinstance(fingers, str | Path) else hand_of(fingers, plan or HandPlan())
+        hand = cls.from_file(file, bus=bus, **bus_options)
+        try:
+            failed = [str(report) for report in hand.bring_up() if not report.ok]
+            if failed and need_all:
+                raise RefusedError("; ".join(failed))
+            hand.start()
+        except BaseException:
+            hand.close()
+            raise
+        return hand
+
+    @classmethod
+    def from_file(cls, file: str | Path | HandFile, *, bus: Connection | None = None, **bus_options: Any) -> Hand:
+        """A hand whose bus is open and nothing else: call ``bring_up`` and ``start``. Arguments as in ``open``."""
+        content = file if isinstance(file, HandFile) else read_hand(file)
+        if bus is not None:
+            return cls(content, SharedLink(bus))
+        given = content.bus | {key: value for key, value in bus_options.items() if value is not None}
+        return cls(HandFile(finger=content.finger, hand=content.hand, bus=given, folder=content.folder))
 
     @property
     def connection(self) -> Any:
@@ -117,11 +150,28 @@ class Hand:
         self._thread.start()
         self._start_sync()
 
-    def rows(self, timeout_s: float | None = None) -> Iterator[Rows]:
-        """Rows as they become whole, in blocks, until the hand stops, or nothing comes for ``timeout_s``."""
+    def rows(self, timeout_s: float | None = None) -> HandRows:
+        """Rows as they become whole, each with a Contact by name of finger; for ``for`` and ``async for``.
+
+        They end when the hand stops, or when nothing comes for ``timeout_s`` (None: never; not with ``async for``).
+        """
+        names = tuple(finger.name for finger in self.file.finger)
+        calibrations = [self._calibration(finger) for finger in self.file.finger]
+        return HandRows(self._delivery, self.node_ids, names, calibrations, timeout_s)
+
+    def _calibration(self, finger: FingerPlan) -> Calibration | None:
+        """The calibration that gives the uncertainties: the file's, else the node's own; None where it is not known."""
+        found = self.file.calibration(finger)
+        if found is None:
+            with suppress(TipforceError):  # a finger that does not answer now
+                found = self._link.connection.finger(finger.node_id).calibration()
+        return found
+
+    def blocks(self, timeout_s: float | None = None) -> Iterator[Rows]:
+        """Blocks of rows as arrays, until the hand stops, or nothing comes for ``timeout_s``."""
         return self._delivery.rows(timeout_s)
 
-    def rows_async(self) -> AsyncIterator[Rows]:
+    def blocks_async(self) -> AsyncIterator[Rows]:
         """The same for asyncio."""
         return self._delivery.rows_async()
 
@@ -170,9 +220,9 @@ class Hand:
         self._thread = None
 
     def close(self) -> None:
-        """Stop, and let go of the bus."""
+        """Stop, and close the bus unless it was open before."""
         self.stop()
-        if self._own_link:
+        if self._own_link or isinstance(self._link, SharedLink):
             self._link.close()
 
     def __enter__(self) -> Hand:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping
+from contextlib import suppress
 from typing import Any, Protocol
 
 from tipforce.errors import EnvironmentLackError
@@ -84,8 +85,8 @@ class SocketLink:
 class BusLink:
     """Any other bus of python-can."""
 
-    def __init__(self, options: Mapping[str, Any]) -> None:
-        self.connection = Connection(open_bus(**options))
+    def __init__(self, connection: Connection) -> None:
+        self.connection = connection
         keep_few(self.connection)
         self._frames = FrameBuffer()
         assert self.connection.network.notifier is not None  # a Connection is connected
@@ -117,6 +118,17 @@ class BusLink:
         self.connection.close()
 
 
+class SharedLink(BusLink):
+    """A bus that was open before and stays open."""
+
+    def close(self) -> None:
+        """Stop listening."""
+        notifier = self.connection.network.notifier
+        if notifier is not None:
+            with suppress(ValueError):
+                notifier.remove_listener(self._frames)
+
+
 def keep_few(connection: Connection) -> None:
     """A hand runs for days, and nobody takes what its connection collects: let that stay small."""
     connection.buffer.limit = _KEPT_FRAMES
@@ -124,4 +136,4 @@ def keep_few(connection: Connection) -> None:
 
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
-    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(options)
+    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(Connection(open_bus(**options)))

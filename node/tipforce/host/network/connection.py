@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import math
+import os
+import sys
 import threading
 import time
+from collections.abc import Iterable
 from contextlib import suppress
 from types import TracebackType
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import can
 import canopen
@@ -17,44 +21,113 @@ from tipforce.host.network.bus import open_bus
 from tipforce.host.network.heartbeats import Heartbeats
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
 
+if TYPE_CHECKING:
+    from tipforce.host.network.find import FoundNode
+    from tipforce.host.network.finger import Finger
+
 NMT_COMMANDS = {"start": 1, "stop": 2, "preop": 128, "reset-node": 129, "reset-comm": 130}
 NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
 SYNC_COB_ID = 0x80
+_SYNC_SILENT_S = 1.0
+_LONGEST_SYNC_PERIOD_S = 10.0
 _RECEIVE_CYCLE_S = 0.05  # how long close() waits for the receiver at most; canopen's own is a second
 
 
 class Connection:
-    """One CAN bus: SDO to its nodes, NMT, SYNC, and every frame that was received.
+    """One CAN bus: its fingers, SDO to its nodes, NMT, SYNC, and every frame that was received.
 
-    Use it as a context manager. ``timeout_s`` and ``retries`` hold for every SDO transfer.
+    Use it as a context manager. ``bus`` is python-can's, or a connected ``canopen.Network``. Where ``owned`` is False,
+    and for a network always, ``close`` leaves the bus open and removes only what this object added.
+    ``timeout_s`` and ``retries`` hold for every SDO transfer.
     """
 
-    def __init__(self, bus: can.BusABC, timeout_s: float = DEFAULT_TIMEOUT_S, retries: int = DEFAULT_RETRIES) -> None:
+    def __init__(
+        self,
+        bus: can.BusABC | canopen.Network,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES,
+        *,
+        owned: bool = True,
+    ) -> None:
         self._timeout_s = timeout_s
         self._retries = retries
         self._channels: dict[int, SdoChannel] = {}
+        self._fingers: dict[int, Finger] = {}
         self._lock = threading.Lock()
-        self.network = canopen.Network(bus)
-        self.network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
+        self._foreign_sync_s: tuple[float, float] = (-math.inf, 0.0)
+        self._own_sync_s = -math.inf
         self.buffer = FrameBuffer()
         self.heartbeats = Heartbeats()
-        self.network.listeners += [self.buffer, self.heartbeats]  # type: ignore[list-item]
-        self.network.connect()
+        self._listeners: list[Any] = [self.buffer, self.heartbeats]
+        self._owned = owned
+        self._shared: can.Notifier | None = None
+        """The receiving thread of somebody else, where the bus has one."""
+        self.network = self._attached(bus)
+        self.network.subscribe(SYNC_COB_ID, self._on_sync)
+
+    def _attached(self, bus: can.BusABC | canopen.Network) -> canopen.Network:
+        """A network that receives from ``bus``, by the receiving thread that it has already, if it has one."""
+        if isinstance(bus, canopen.Network):
+            if bus.bus is None or bus.notifier is None:
+                raise InputError("the canopen.Network is not connected: call its connect() first")
+            self._shared = bus.notifier
+        else:
+            network = canopen.Network(bus)
+            running = can.Notifier.find_instances(bus)
+            if not running:
+                network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
+                network.listeners += self._listeners
+                network.connect()
+                return network
+            self._shared = network.notifier = running[0]
+            self._listeners += network.listeners
+            bus = network
+        for listener in self._listeners:
+            self._shared.add_listener(listener)
+        return bus
 
     @classmethod
     def open(
         cls,
-        channel: str | None = None,
+        channel: str | can.BusABC | canopen.Network | None = None,
         interface: str | None = None,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         retries: int = DEFAULT_RETRIES,
         **bus_options: Any,
     ) -> Connection:
-        """Open a bus by python-can's names, its configuration files and environment variables included.
+        """A bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
 
-        Raises EnvironmentLackError when the bus cannot be opened.
+        Names are python-can's, its configuration files and environment variables included; on Linux a channel without
+        an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
+        ``can.Bus``. Raises EnvironmentLackError when the bus cannot be opened.
         """
+        if isinstance(channel, can.BusABC | canopen.Network):
+            return cls(channel, timeout_s, retries, owned=False)
+        if channel is not None and interface is None and sys.platform == "linux" and not _configured_interface():
+            interface = "socketcan"
         return cls(open_bus(channel=channel, interface=interface, **bus_options), timeout_s, retries)
+
+    def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
+        """The finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
+
+        ``passive``: its samples are read without sending anything, by the default PDOs of a node with ``gauges``
+        gauges. Otherwise the node is asked for its PDOs, started where it is pre-operational, and sent SYNCs where
+        nobody else does.
+        """
+        from tipforce.host.network.finger import Finger
+
+        sdo = self.sdo(node_id)
+        with self._lock:
+            found = self._fingers.get(node_id)
+            if found is None or (found.passive, found.default_gauges) != (passive, gauges):
+                found = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
+            return found
+
+    def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
+        """The nodes on the bus. See ``find_nodes``."""
+        from tipforce.host.network.find import find_nodes
+
+        return find_nodes(self, node_ids, wait_s)
 
     def sdo(self, node_id: int) -> SdoChannel:
         """The SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
@@ -73,7 +146,22 @@ class Connection:
 
     def sync(self) -> None:
         """Send one SYNC."""
+        self._own_sync_s = time.monotonic()
         self.send(SYNC_COB_ID, b"")
+
+    def sync_due_s(self, period_s: float) -> float:
+        """When the next SYNC of this object is due (monotonic), at one every ``period_s``; inf: another node sends it.
+
+        Another producer counts as silent after a second, or three of its periods.
+        """
+        heard_s, other_period_s = self._foreign_sync_s
+        if time.monotonic() - heard_s < max(_SYNC_SILENT_S, 3.0 * other_period_s):
+            return math.inf
+        return self._own_sync_s + period_s
+
+    def _on_sync(self, _can_id: int, _data: bytearray, _t_s: float) -> None:
+        now_s = time.monotonic()
+        self._foreign_sync_s = now_s, min(now_s - self._foreign_sync_s[0], _LONGEST_SYNC_PERIOD_S)
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError when the bus refuses it."""
@@ -101,11 +189,28 @@ class Connection:
         return frames
 
     def close(self) -> None:
-        """Stop receiving and release the bus; also one that has failed, whose error was for those who waited."""
-        if self.network.notifier is not None:
-            self.network.notifier.exception = None  # canopen would log it, and raise it when all is released
-        with suppress(can.CanError):
-            self.network.disconnect()
+        """Stop receiving and, where it is owned, release the bus; also one that has failed."""
+        with self._lock:
+            fingers, self._fingers = list(self._fingers.values()), {}
+            channels, self._channels = list(self._channels.values()), {}
+        for finger in fingers:
+            finger.close()
+        for channel in channels:
+            channel.close()
+        with suppress(KeyError, ValueError):
+            self.network.unsubscribe(SYNC_COB_ID, self._on_sync)
+        if self._shared is not None:
+            for listener in self._listeners:
+                with suppress(ValueError):
+                    self._shared.remove_listener(listener)
+        elif self._owned:
+            if self.network.notifier is not None:
+                self.network.notifier.exception = None  # canopen would log it, and raise it when all is released
+            with suppress(can.CanError):
+                self.network.disconnect()
+        elif self.network.notifier is not None:
+            self.network.notifier.stop(1.0)
+            self.network.bus = None
 
     def __enter__(self) -> Connection:
         return self
@@ -114,3 +219,11 @@ class Connection:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _configured_interface() -> str | None:
+    """The interface that python-can's own configuration names."""
+    return can.rc.get("interface") or os.environ.get("CAN_INTERFACE") or can.util.load_file_config().get("interface")
+
+
+open_connection = Connection.open

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+import math
+import threading
+import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
 from tipforce.device import codes
 from tipforce.dictionary import objects as od
@@ -15,7 +18,14 @@ from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.network.sdo import SdoChannel
 
+if TYPE_CHECKING:
+    from tipforce.host.decoding.contacts import Contact
+    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.finger_samples import ContactReader, ContactStream
+
 T = TypeVar("T", bound=Value)
+
+_START_AGAIN_S = 2.0  # a heartbeat with the new state comes within this time
 
 _REFUSALS = {
     0x08000022: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
@@ -167,3 +177,63 @@ class FingertipClient:
             raise RefusedError(
                 f"node {self.node_id}: the active calibration is not what was sent: " + "; ".join(lines[:3])
             )
+
+
+class Finger(FingertipClient):
+    """One finger: its samples, its objects (``sdo``), its calibration. Made by ``Bus.finger``."""
+
+    def __init__(
+        self, connection: Connection, sdo: SdoChannel, *, passive: bool = False, default_gauges: int = 3
+    ) -> None:
+        super().__init__(sdo)
+        self.passive, self.default_gauges = passive, default_gauges
+        self._connection = connection
+        self._lock = threading.Lock()
+        self._reader: ContactReader | None = None
+        self._started_s = -math.inf
+
+    def read(self, timeout_s: float = 1.0) -> Contact:
+        """The newest sample that was not read yet, or the next one, as soon as it comes.
+
+        Where nobody sends SYNCs, one is sent for it. Raises NoNewSampleError where none comes within ``timeout_s`` (0:
+        none is there), NoResponseError and SdoAbortError when the finger does not answer, and InputError for a finger
+        that sends no PDO with its contact, its force or all its gauges.
+        """
+        from tipforce.host.network.finger_samples import DEFAULT_RATE_HZ
+
+        period_s = None if self.passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
+        return self._opened().newest(time.monotonic() + timeout_s, period_s)
+
+    def samples(self, timeout_s: float = 1.0, rate_hz: float = 100.0) -> ContactStream:
+        """Each new sample as it comes, for ``for`` and ``async for``.
+
+        Where nobody sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError where none comes
+        for ``timeout_s``.
+        """
+        from tipforce.host.network.finger_samples import ContactStream
+
+        if not rate_hz > 0.0:
+            raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0")
+        return ContactStream(self._opened(), timeout_s, None if self.passive else 1.0 / rate_hz)
+
+    def close(self) -> None:
+        """Stop listening to its PDOs. ``Bus.close`` does it, too."""
+        with self._lock:
+            if self._reader is not None:
+                self._reader.close()
+            self._reader = None
+
+    def _opened(self) -> ContactReader:
+        from tipforce.host.network.finger_samples import open_reader, passive_reader
+        from tipforce.host.network.heartbeats import OPERATIONAL, STOPPED
+
+        with self._lock:
+            if self._reader is None and self.passive:
+                self._reader = passive_reader(self._connection, self.node_id, self.default_gauges)
+            elif self._reader is None:
+                self._reader = open_reader(self._connection, self.node_id, self.calibration())
+            state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
+            if not self.passive and state not in (OPERATIONAL, STOPPED) and now_s - self._started_s > _START_AGAIN_S:
+                self._started_s = now_s
+                self._connection.nmt("start", self.node_id)
+            return self._reader

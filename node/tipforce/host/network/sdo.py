@@ -8,6 +8,7 @@ from __future__ import annotations
 import struct
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from typing import TypeVar
 
 import can
@@ -15,7 +16,10 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from tipforce.dictionary import objects as od
+from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.names import resolve
 from tipforce.dictionary.types import Value
 from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
@@ -50,7 +54,13 @@ class SdoChannel:
         self._client = SdoClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._client.network = self._network = network
+        self._gauges: int | None = None
         network.subscribe(0x580 + node_id, self._client.on_response)
+
+    def close(self) -> None:
+        """Stop listening to the node's answers."""
+        with suppress(KeyError, ValueError):
+            self._network.unsubscribe(0x580 + self.node_id, self._client.on_response)
 
     @property
     def timeout_s(self) -> float:
@@ -64,6 +74,23 @@ class SdoChannel:
     def write(self, entry: Entry[T], value: T) -> None:
         """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
         self.download(entry.index, entry.sub, entry.encode(value))
+
+    def __getitem__(self, name: str) -> Value:
+        """The value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
+
+        Raises as ``read``, and InputError with the nearest names for one that the dictionary does not have.
+        """
+        return self.read(self._entry(name))
+
+    def __setitem__(self, name: str, value: Value) -> None:
+        """Write the object called ``name``. Raises as ``write``, and as reading it by name."""
+        self.write(self._entry(name), value)
+
+    def _entry(self, name: str) -> Entry[Value]:
+        if self._gauges is None:
+            product = self.read(od.IDENTITY_PRODUCT)
+            self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
+        return resolve(name, self._gauges)
 
     def upload(self, index: int, sub: int) -> bytes:
         """The bytes of an entry (an SDO upload)."""

@@ -1,0 +1,146 @@
+"""A log as arrays: for each node its samples, decoded and joined as `tipforce decode` does it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from os import PathLike, fspath
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.dictionary import table
+from tipforce.errors import InputError
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.contacts import Contacts, Status, contact_values, status_of, uncertainties
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.estimates import estimate
+from tipforce.host.decoding.log_part import Reading
+from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
+
+FloatArray = npt.NDArray[np.float64]
+_NOT_USABLE = np.uint16(Status.SATURATED | Status.STALE | Status.FAULT)
+"""The node's own word that a gauge reading is none."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NodeLog(Contacts):
+    """The samples of one node in a log, in order."""
+
+    node_id: int
+    t_s: FloatArray
+    """(k,) time of reception, seconds of the epoch."""
+    counter: npt.NDArray[np.int64]
+    """(k,) sample counter without wrap, -1 where the PDO has none."""
+    microstrain: FloatArray
+    """(k, n) gauge strain; NaN where unknown or not sent."""
+    F_newtons: FloatArray
+    """(k, 3) F1, F2, F3; NaN where unknown or not sent."""
+    columns: dict[str, npt.NDArray[Any]]
+    """All else that was decoded, by signal name, (k,) each."""
+
+
+class Log(Mapping[int, NodeLog]):
+    """By node-id the samples of a log: ``log[5].P_newtons``.
+
+    ``lost``: by node-id how many samples are missing, by their counters. ``bad_lines``: lines that were no frames.
+    """
+
+    def __init__(self, nodes: Mapping[int, NodeLog], lost: Mapping[int, int], bad_lines: int) -> None:
+        self._nodes, self.lost, self.bad_lines = dict(nodes), dict(lost), bad_lines
+
+    def __getitem__(self, node_id: int) -> NodeLog:
+        """The samples of a node. Raises KeyError, whose text names the nodes that there are."""
+        if node_id not in self._nodes:
+            raise KeyError(f"node {node_id}: the log has {', '.join(map(str, self._nodes)) or 'no node'}")
+        return self._nodes[node_id]
+
+    def __iter__(self) -> Iterator[int]:
+        return iter(self._nodes)
+
+    def __len__(self) -> int:
+        return len(self._nodes)
+
+    def __repr__(self) -> str:
+        found = ", ".join(f"{node}: {len(samples)} samples" for node, samples in self._nodes.items())
+        return f"<Log {found or 'without samples'}>"
+
+
+def read_log(
+    path: str | PathLike[str] | Iterable[str | PathLike[str]],
+    *,
+    calibration: Calibration | Mapping[int, Calibration] | None = None,
+    gauges: int | None = None,
+    channel: str | None = None,
+    strict: bool = False,
+) -> Log:
+    """Decode a log (or several, one after the other) of any format that `tipforce decode` reads.
+
+    ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges where the log has all of them;
+    otherwise it gives the uncertainties of what the node sent. ``gauges``: of the nodes (default: the calibration's,
+    else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
+    Raises InputError for a log that can't be read, one node on two buses, and a calibration with other gauges.
+    """
+    names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
+    given: dict[int | None, Calibration] = {}
+    if isinstance(calibration, Mapping):
+        given.update(calibration.items())
+    elif calibration is not None:
+        given[None] = calibration
+    n = _gauges({one.gauges for one in given.values()} | ({gauges} if gauges else set()))
+    recording = Recording(Reading(Layouts(n), buses=None if channel is None else (channel,), strict=strict))
+    tables = list(recording.tables_of_logs(names))
+    told = recording.told
+    nodes: dict[int, NodeLog] = {}
+    for key in sorted({int(key) for one in tables for key in np.unique(one.key)}):
+        node_id = key & ((1 << NODE_BITS) - 1)
+        if node_id in nodes:
+            found = ", ".join(recording.channels)
+            raise InputError(f"{names[0]}: node {node_id} is on several buses; choose a channel: {found}")
+        of_node = [one.take(np.flatnonzero(one.key == key)) for one in tables]
+        nodes[node_id] = _node_log(node_id, [one for one in of_node if len(one)], n, given)
+    lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
+    return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes))
+
+
+def _gauges(counts: set[int]) -> int:
+    if len(counts) > 1:
+        raise InputError(f"nodes or calibrations of {sorted(counts)} gauges: one log is read with the same number")
+    return counts.pop() if counts else table.MIN_GAUGES
+
+
+def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | None, Calibration]) -> NodeLog:
+    """The samples of one node, which each of ``tables`` has."""
+    of_signal = {column.signal: column for one in tables for column in one.columns}
+    columns = {name: _column(tables, column) for name, column in of_signal.items()}
+    t_ns = np.concatenate([one.t_ns for one in tables])
+    k = len(t_ns)
+    strain = _stacked(columns, [f"SG{gauge + 1}" for gauge in range(n)], k)
+    force = _stacked(columns, ["F1", "F2", "F3"], k)
+    status = status_of(columns, (k,))
+    calibration = given.get(node_id, given.get(None))
+    values = contact_values(columns, strain * 1e-6, status, calibration)
+    u = uncertainties(values[:, np.newaxis], [calibration])[:, 0]
+    if calibration is not None:
+        rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
+        found = estimate(calibration, strain[rows])
+        values[rows] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)
+        u[rows] = np.stack([found.u_P_newtons, found.u_phi_deg, found.u_theta_deg], axis=-1)
+        status[rows] = found.status
+    names = {"P", "phi", "theta", "F1", "F2", "F3", *(f"SG{gauge + 1}" for gauge in range(n))}
+    others = {name: column for name, column in columns.items() if name not in names}
+    counter = np.concatenate([one.counter for one in tables])
+    (P, phi, theta), (u_P, u_phi, u_theta) = values.T, u.T
+    return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_ns * 1e-9, counter, strain, force, others)
+
+
+def _column(tables: list[Table], column: Column) -> npt.NDArray[Any]:
+    parts = [one.values[column.name] if column.name in one.values else missing_of(column, len(one)) for one in tables]
+    return np.concatenate(parts)
+
+
+def _stacked(columns: Mapping[str, npt.NDArray[Any]], names: list[str], k: int) -> FloatArray:
+    missing = np.full(k, np.nan)
+    return np.stack([columns.get(name, missing) for name in names], axis=-1).astype(np.float64)

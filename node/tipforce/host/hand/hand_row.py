@@ -1,0 +1,114 @@
+"""Rows of a hand one by one: what each finger measured at one SYNC, by its name."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.contacts import Contact, Status, contact_values, no_answer, status_of, uncertainties
+from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand.rows import Rows
+
+
+class HandRow(Mapping[str, Contact]):
+    """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``.
+
+    A finger that did not answer is there, too: its ``status`` is NO_ANSWER and its values are NaN.
+    """
+
+    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact]) -> None:
+        self.number = number
+        """Counts rows since the hand was started."""
+        self.t_s = t_s
+        """Time of the SYNC, seconds of the epoch."""
+        self.contacts = tuple(contacts)
+        """In the order of the hand file."""
+        self._by_name = {contact.name: contact for contact in contacts}
+        self._by_id = {contact.node_id: contact for contact in contacts}
+
+    def __getitem__(self, finger: str | int) -> Contact:
+        """The contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
+        found = self._by_id.get(finger) if isinstance(finger, int) else self._by_name.get(finger)
+        if found is None:
+            known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
+            raise KeyError(f"{finger!r}: the hand has {known}")
+        return found
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self.contacts)
+
+    def __str__(self) -> str:
+        return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
+
+
+class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
+    """Rows from the moment on that it is made; see ``Hand.rows``."""
+
+    def __init__(
+        self,
+        delivery: Delivery,
+        node_ids: Sequence[int],
+        names: Sequence[str],
+        calibrations: Sequence[Calibration | None],
+        timeout_s: float | None,
+    ) -> None:
+        self._delivery, self._timeout_s = delivery, timeout_s
+        self._node_ids, self._calibrations = tuple(node_ids), tuple(calibrations)
+        self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
+        self._waiting: deque[HandRow] = deque()
+        self._blocks: Iterator[Rows] | None = delivery.rows(timeout_s)
+        self._blocks_async: AsyncIterator[Rows] | None = None
+
+    def __next__(self) -> HandRow:
+        """The next row. Raises StopIteration when the hand has stopped, and what ended it by itself."""
+        while not self._waiting:
+            if self._blocks is None:
+                raise TypeError("these rows are iterated by async for")
+            self._waiting += self._rows_of(next(self._blocks))
+        return self._waiting.popleft()
+
+    def __aiter__(self) -> HandRows:
+        self._blocks, self._blocks_async = None, self._delivery.rows_async()
+        return self
+
+    async def __anext__(self) -> HandRow:
+        """The next row; the event loop runs meanwhile."""
+        assert self._blocks_async is not None
+        while not self._waiting:
+            self._waiting += self._rows_of(await anext(self._blocks_async))
+        return self._waiting.popleft()
+
+    def _rows_of(self, rows: Rows) -> list[HandRow]:
+        found = []
+        status = status_of(rows.columns, rows.counter.shape) | np.where(rows.missing, np.uint16(Status.NO_ANSWER), 0)
+        gauges = [name for name in rows.columns if name[:2] == "SG" and name[2:].isdigit()]
+        strain = np.stack([rows.columns[name] for name in gauges], axis=-1) if gauges else np.zeros((*status.shape, 0))
+        columns = [{name: values[:, k] for name, values in rows.columns.items()} for k in range(len(self._names))]
+        values = np.stack(
+            [
+                contact_values(columns[k], strain[:, k] * 1e-6, status[:, k].astype(np.uint16), calibration)
+                for k, calibration in enumerate(self._calibrations)
+            ],
+            axis=1,
+        )
+        u = uncertainties(values, self._calibrations)
+        for m, t_ns in enumerate(rows.sync_ns.tolist()):
+            row = []
+            for k, (node_id, name) in enumerate(zip(self._node_ids, self._names, strict=True)):
+                if rows.missing[m, k]:
+                    row.append(no_answer(node_id, t_ns * 1e-9, name))
+                    continue
+                (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
+                flags, microstrain = Status(int(status[m, k])), tuple(strain[m, k].tolist())
+                counter = int(rows.counter[m, k])
+                contact = Contact(node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain)
+                row.append(replace(contact, name=name))
+            found.append(HandRow(rows.first + m, t_ns * 1e-9, row))
+        return found

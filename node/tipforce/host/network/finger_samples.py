@@ -1,0 +1,210 @@
+"""The samples of one finger as they come: PDOs of one SYNC joined, repeats left out, own SYNCs where there are none."""
+
+from __future__ import annotations
+
+import asyncio
+import math
+import threading
+import time
+from collections import deque
+from collections.abc import AsyncIterator, Iterator
+from contextlib import suppress
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from tipforce.dictionary.signals import Message, tpdo_messages
+from tipforce.errors import InputError, NoNewSampleError
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.columns import columns_of
+from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
+from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
+from tipforce.host.network.heartbeats import OPERATIONAL, STOPPED
+
+if TYPE_CHECKING:
+    from tipforce.host.network.connection import Connection
+
+DEFAULT_RATE_HZ = 100.0
+_LISTEN_S = 0.12  # for another producer's SYNC before the first own one
+_FRESH_S = 0.1  # an unread sample that is older counts as old, unless SYNCs come more rarely
+_MOST_WAITING = 10_000
+_STEP_S = 0.2  # the longest wait for a frame: how soon a close() is seen
+_SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
+
+Raw = tuple[float, Message, bytes]  # time of reception, which PDO, its data
+
+
+class ContactReader:
+    """Subscribes to the PDOs of one finger and makes a Contact of each new sample.
+
+    ``calibration`` gives the uncertainties. Raises InputError for a finger whose PDOs carry no contact, no force and
+    not all gauges, each with status and counter.
+    """
+
+    def __init__(
+        self,
+        connection: Connection,
+        node_id: int,
+        gauges: int,
+        pdos: dict[int, Message],
+        calibration: Calibration | None,
+    ) -> None:
+        self._connection, self._node_id, self._gauges = connection, node_id, gauges
+        self._calibration = calibration
+        self._needed = _needed(node_id, gauges, pdos)
+        self._pdos = pdos
+        self._arrived = threading.Condition()
+        self._waiting: deque[Raw] = deque(maxlen=_MOST_WAITING)
+        self._last: dict[str, dict[str, float]] = {}
+        self._received = self._repeated = 0
+        self._last_status = Status(0)
+        self._since_s = time.monotonic()
+        for can_id in pdos:
+            connection.network.subscribe(can_id, self._on_frame)
+
+    def close(self) -> None:
+        """Stop listening."""
+        for can_id in self._pdos:
+            with suppress(KeyError, ValueError):
+                self._connection.network.unsubscribe(can_id, self._on_frame)
+
+    def next(self, deadline_s: float, period_s: float | None) -> Contact:
+        """The next new sample. ``period_s``: of own SYNCs where nobody else sends them; None: send none.
+
+        Raises NoNewSampleError at ``deadline_s`` (monotonic); its text says why.
+        """
+        while True:
+            contact = self._take()
+            if contact is not None:
+                return contact
+            now_s = time.monotonic()
+            if now_s >= deadline_s:
+                raise NoNewSampleError(f"finger {self._node_id}: no new sample{self._why()}")
+            due_s = math.inf
+            if period_s is not None:
+                due_s = max(self._connection.sync_due_s(period_s), self._since_s + _LISTEN_S)
+                if now_s >= due_s:
+                    self._connection.sync()
+                    continue
+            with self._arrived:
+                if not self._waiting:
+                    self._arrived.wait(min(deadline_s, due_s, now_s + _STEP_S) - now_s)
+
+    def newest(self, deadline_s: float, period_s: float | None) -> Contact:
+        """The newest sample that was not given out yet, if it is fresh; else the next one. Raises as ``next``."""
+        found = None
+        while (contact := self._take()) is not None:
+            found = contact
+        if found is not None and time.time() - found.t_s <= _FRESH_S:
+            return found
+        return self.next(deadline_s, period_s)
+
+    def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
+        """Called by the receiving thread."""
+        with self._arrived:
+            self._waiting.append((t_s or time.time(), self._pdos[can_id], bytes(data)))
+            self._arrived.notify_all()
+
+    def _take(self) -> Contact | None:
+        while self._waiting:
+            t_s, message, data = self._waiting.popleft()
+            if len(data) < message.length_bytes:
+                continue
+            words = np.frombuffer(data.ljust(8, b"\0")[:8], dtype="<u8")
+            self._last[message.name] = {name: column[0] for name, column in columns_of(words, message.signals).items()}
+            self._received += 1
+            if message.name == self._needed[-1]:
+                found = self._joined(t_s)
+                if found is not None:
+                    return found
+        return None
+
+    def _joined(self, t_s: float) -> Contact | None:
+        """The sample that is whole with this PDO; None where a PDO of it is missing, or where it is a repeat."""
+        counter = self._last[self._needed[-1]]["counter"]
+        same = [values for values in self._last.values() if values.get("counter") == counter]
+        if any(self._last.get(name, {}).get("counter") != counter for name in self._needed):
+            return None
+        columns = {name: np.array([value]) for values in same for name, value in values.items()}
+        status = status_of(columns, (1,))
+        self._last_status = Status(int(status[0]))
+        if Status.STALE in self._last_status:
+            self._repeated += 1
+            return None
+        names = [f"SG{k + 1}" for k in range(self._gauges)]
+        gauges = np.array([[float(columns[name][0]) if name in columns else math.nan for name in names]])
+        values = contact_values(columns, gauges * 1e-6, status, self._calibration)
+        P, phi, theta = values[0].tolist()
+        u_P, u_phi, u_theta = uncertainties(values[:, np.newaxis], [self._calibration])[0, 0].tolist()
+        microstrain = tuple(gauges[0].tolist()) if set(names) & set(columns) else ()
+        return Contact(
+            self._node_id, t_s, int(counter), P, phi, theta, u_P, u_phi, u_theta, self._last_status, microstrain
+        )
+
+    def _why(self) -> str:
+        if Status.STALE in self._last_status and self._repeated:
+            return (
+                f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}, its converter gives nothing new"
+            )
+        if self._received:
+            return ""
+        state = self._connection.heartbeats.state(self._node_id)
+        if state == STOPPED:
+            return f": it is STOPPED (NMT); start it: bus.nmt('start', {self._node_id})"
+        if state not in (None, OPERATIONAL):
+            return f": it is not operational (NMT); start it: bus.nmt('start', {self._node_id})"
+        identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._pdos)
+        return f": nothing came with identifier {identifiers}; does a SYNC reach it?"
+
+
+class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
+    """New samples of one finger, one after the other: for ``for`` and for ``async for``. It ends only by an error."""
+
+    def __init__(self, reader: ContactReader, timeout_s: float, period_s: float | None) -> None:
+        self._reader, self._timeout_s, self._period_s = reader, timeout_s, period_s
+
+    def __next__(self) -> Contact:
+        """The next sample. Raises NoNewSampleError where none comes in time."""
+        return self._reader.next(time.monotonic() + self._timeout_s, self._period_s)
+
+    def __aiter__(self) -> ContactStream:
+        return self
+
+    async def __anext__(self) -> Contact:
+        """The next sample; the event loop runs meanwhile."""
+        return await asyncio.to_thread(self.__next__)
+
+
+def open_reader(connection: Connection, node_id: int, calibration: Calibration | None) -> ContactReader:
+    """A reader of a node whose PDOs are asked for over SDO. Raises as SdoChannel does, and InputError."""
+    layout = node_layout(connection.sdo(node_id))
+    pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
+    return ContactReader(connection, node_id, layout.gauges, pdos, calibration)
+
+
+def passive_reader(connection: Connection, node_id: int, gauges: int) -> ContactReader:
+    """A reader of the default PDOs of a node with ``gauges`` gauges; nothing is sent."""
+    pdos = {one.cob_id_base + node_id: one for one in tpdo_messages(gauges) if one.cob_id_base}
+    return ContactReader(connection, node_id, gauges, pdos, None)
+
+
+def _needed(node_id: int, gauges: int, pdos: dict[int, Message]) -> list[str]:
+    """The PDOs that make a sample, in the order in which a node sends them: contact, else force, else all gauges."""
+    carried = {message.name: {signal.name for signal in message.signals} for message in pdos.values()}
+    counted = {name: signals for name, signals in carried.items() if {"counter", "calibrated"} <= signals}
+    for wanted in _SETS:
+        for name, signals in counted.items():
+            if set(wanted) <= signals:
+                return [name]
+    missing = {f"SG{k + 1}" for k in range(gauges)}
+    chosen = []
+    for name, signals in counted.items():
+        if signals & missing:
+            chosen.append(name)
+            missing -= signals
+    if chosen and not missing:
+        return chosen
+    raise InputError(
+        f"finger {node_id}: no PDO carries P, phi, theta, or F1, F2, F3, or all gauges, with status and counter; "
+        f"enable TPDO2: bus.finger({node_id}).sdo['tpdo2.cob_id'] = 0x{0x40000280 + node_id:08X}"
+    )

@@ -1,0 +1,186 @@
+"""Simulated fingers on a bus, for tests of one's own: the node's own code, dictionary and loop, run by one thread."""
+
+from __future__ import annotations
+
+import itertools
+import math
+import os
+import threading
+from collections.abc import Mapping, Sequence
+from types import TracebackType
+
+import numpy as np
+
+from tipforce.device.node import Device
+from tipforce.errors import InputError
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.network.bus import open_bus
+from tipforce.host.network.connection import Connection
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import layout_code
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sources.simulated import DRIFT, OPEN, SATURATED, SILENT, STUCK, SimulatedSource
+
+Load = tuple[float, float, float]
+"""P in newtons, phi and theta in degrees."""
+
+NO_LOAD: Load = (0.0, 0.0, 0.0)
+FAULTS = {"none": 0, "stuck": STUCK, "open": OPEN, "saturated": SATURATED, "silent": SILENT, "drift": DRIFT}
+_ROUNDING_MICROSTRAIN = 0.1
+_WAKE_COB_ID = 0x7FF
+_numbers = itertools.count()
+
+
+class SimulatedBus(Connection):
+    """A bus with simulated fingers on it. A context manager that stops them; all else as on any bus.
+
+    ``bus_options`` are the keywords of ``can.Bus`` by which other programs of the process (on a virtual bus) or of the
+    machine (on vcan) reach the same fingers.
+    """
+
+    def __init__(self, devices: Mapping[int, Device], sources: Mapping[int, SimulatedSource], **bus: str) -> None:
+        self.bus_options = bus or {"interface": "virtual", "channel": f"tipforce-{os.getpid()}-{next(_numbers)}"}
+        self._sources = dict(sources)
+        self._stopped = threading.Event()
+        self._failures: list[BaseException] = []
+        super().__init__(open_bus(**self.bus_options))
+        self._nodes_bus = open_bus(**self.bus_options)
+        port = PythonCanPort(self._nodes_bus)
+        self._thread = threading.Thread(target=self._run, args=(list(devices.values()), port), name="simulated fingers")
+        self._thread.start()
+        self.wait_for({0x700 + node_id for node_id in devices}, timeout_s=5.0)
+
+    @property
+    def node_ids(self) -> tuple[int, ...]:
+        """Of the simulated fingers."""
+        return tuple(self._sources)
+
+    def apply_load(self, node_id: int, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
+        """Load a finger from now on. Raises InputError for a node-id that is not simulated here."""
+        self._source(node_id).load = (float(P_newtons), float(phi_deg), float(theta_deg))
+
+    def inject_fault(self, node_id: int, fault: str, gauge: int = 1, magnitude: float = 0.0) -> None:
+        """Let a gauge (from 1) of a finger fail from now on: stuck, open, saturated, silent, drift, or none.
+
+        ``magnitude``: of a drift, microstrain per second. Raises InputError for another fault, gauge or node-id.
+        """
+        source = self._source(node_id)
+        if fault not in FAULTS:
+            raise InputError(f"fault {fault!r}: allowed are {', '.join(FAULTS)}")
+        if not 1 <= gauge <= len(source.rows):
+            raise InputError(f"gauge {gauge}: allowed are 1 to {len(source.rows)}")
+        source.set_fault(FAULTS[fault], gauge, magnitude, loop.now_us())
+
+    def close(self) -> None:
+        """Stop the fingers and close the bus. Raises what ended their loop, if it failed."""
+        if not self._stopped.is_set():
+            self._stopped.set()
+            if self.bus_options.get("interface") == "virtual":
+                self.send(_WAKE_COB_ID, b"")  # no node's identifier: it ends the wait of their loop
+            self._thread.join()
+            super().close()
+            self._nodes_bus.shutdown()
+        if self._failures:
+            raise self._failures[0]
+
+    def __enter__(self) -> SimulatedBus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _run(self, devices: Sequence[Device], port: PythonCanPort) -> None:
+        try:
+            loop.run(devices, port, self._stopped.is_set)
+        except BaseException as error:
+            self._failures.append(error)
+
+    def _source(self, node_id: int) -> SimulatedSource:
+        if node_id not in self._sources:
+            raise InputError(f"node-id {node_id}: simulated are {', '.join(map(str, self._sources))}")
+        return self._sources[node_id]
+
+
+def simulated_finger(
+    node_id: int = 5,
+    load: Load = NO_LOAD,
+    *,
+    layout: str = "I",
+    calibrated: bool = True,
+    pull: bool | None = None,
+    noise_microstrain: float = 0.5,
+    seed: int = 0,
+    **bus: str,
+) -> SimulatedBus:
+    """A finger with a node-id under ``load``: P in newtons, phi and theta in degrees, on a bus of its own.
+
+    ``layout``: I, II, III, or their mirrors. ``calibrated``: by beam theory. ``pull``: the load sense of the
+    calibration, by default the one that ``load`` is of. ``bus``: keywords of ``can.Bus``, by default a bus inside this
+    process. Raises InputError, and EnvironmentLackError for a bus that does not open.
+    """
+    return simulated_hand(
+        [node_id], {node_id: load}, layout=layout, calibrated=calibrated, pull=pull,
+        noise_microstrain=noise_microstrain, seed=seed, **bus,
+    )  # fmt: skip
+
+
+def simulated_hand(
+    node_ids: int | Sequence[int] = 5,
+    loads: Mapping[int, Load] | None = None,
+    *,
+    layout: str = "I",
+    calibrated: bool = True,
+    pull: bool | None = None,
+    noise_microstrain: float = 0.5,
+    seed: int = 0,
+    **bus: str,
+) -> SimulatedBus:
+    """Fingers on one bus: how many, or their node-ids; ``loads`` by node-id. All else as ``simulated_finger``."""
+    chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int) else tuple(node_ids)
+    loads = loads or {}
+    if not chosen or len(set(chosen)) != len(chosen) or not all(1 <= node_id <= 127 for node_id in chosen):
+        raise InputError(f"node-ids {list(chosen)}: allowed are different ones from 1 to 127")
+    if not set(loads) <= set(chosen):
+        raise InputError(f"loads of nodes {sorted(set(loads) - set(chosen))}: the hand has {list(chosen)}")
+    devices: dict[int, Device] = {}
+    sources: dict[int, SimulatedSource] = {}
+    A = strain_matrix(FABRICATED, layout)
+    for node_id in chosen:
+        flash: dict[str, bytes] = {}
+        source = SimulatedSource(A.tolist(), noise_microstrain, seed=seed + node_id)
+        source.load = loads.get(node_id, NO_LOAD)
+        sources[node_id] = source
+
+        def save(group: str, data: bytes, flash: dict[str, bytes] = flash) -> bool:
+            flash[group] = data
+            return True
+
+        devices[node_id] = fingertip_node(node_id, source, len(A), 1000 + node_id, save, flash.get)
+    found = SimulatedBus(devices, sources, **bus)
+    try:
+        for node_id in chosen if calibrated else ():
+            sense = _pulls(sources[node_id].load) if pull is None else pull
+            found.finger(node_id).apply_calibration(beam_calibration(layout, sense, noise_microstrain))
+    except BaseException:
+        found.close()
+        raise
+    return found
+
+
+def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
+    """The calibration of a simulated finger, by beam theory: what perfect weights would give."""
+    C = calibration_matrix(FABRICATED, layout)
+    variance = (noise_microstrain * 1e-6) ** 2 + (_ROUNDING_MICROSTRAIN * 1e-6) ** 2 / 12
+    n = C.shape[1]
+    return Calibration(C, np.zeros(n), np.eye(n) * variance, layout_code=layout_code(layout), pull=pull)
+
+
+def _pulls(load: Load) -> bool:
+    """Whether a load pulls: of the two points where its line cuts the tip, it acts where cos(phi - theta) > 0."""
+    P, phi_deg, theta_deg = load
+    return P != 0.0 and math.cos(math.radians(phi_deg - theta_deg)) > 0.0
