@@ -35,11 +35,13 @@ class Status(enum.IntFlag):
     BEYOND_FIRST_ORDER = 0x200
 
 
-_REASONS = (
+_NO_MEASUREMENT = (
     (Status.NO_ANSWER, "no answer"),
     (Status.STALE, "no new sample"),
     (Status.FAULT, "front-end fault"),
     (Status.SATURATED, "gauge saturated"),
+)
+_DOUBTS = (
     (Status.MISSES_TIP, "line of action misses the tip"),
     (Status.THETA_UNRESOLVED, "theta unresolved"),
     (Status.OUTSIDE_PAD, "theta outside the pad"),
@@ -83,11 +85,11 @@ class Contact:
     @property
     def reason(self) -> str:
         """Why a value is unknown or doubtful, in words; "" where P, phi and theta are known and nothing is flagged."""
-        found = [text for bit, text in _REASONS if bit in self.status]
+        found = [text for bit, text in _NO_MEASUREMENT if bit in self.status]
         if Status.NO_ANSWER not in self.status and Status.CALIBRATED not in self.status:
             found.insert(0, "not calibrated")
-        if not found and not self.present:
-            found.append("no contact")
+        if not found:
+            found = [text for bit, text in _DOUBTS if bit in self.status] if self.present else ["no contact"]
         if not found and math.isnan(self.P_newtons + self.phi_deg + self.theta_deg):
             found.append("unknown to the node")
         return ", ".join(found)

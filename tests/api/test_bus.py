@@ -1,0 +1,235 @@
+"""tipforce.open and fingers: on names, on an open bus, on a canopen.Network that others use; samples as they come."""
+
+from __future__ import annotations
+
+import asyncio
+import itertools
+import math
+import threading
+import time
+from collections.abc import Iterator
+
+import can
+import canopen
+import numpy as np
+import pytest
+
+import tipforce
+from tipforce.dictionary import objects as od
+
+LOAD = (4.4, 90.0, 45.0)
+
+
+@pytest.fixture
+def bus() -> Iterator[tipforce.SimulatedBus]:
+    with tipforce.simulated_finger(5, load=LOAD) as found:
+        yield found
+
+
+def close_to(contact: tipforce.Contact, load: tuple[float, float, float]) -> bool:
+    """Within five standard uncertainties."""
+    found = (contact.P_newtons, contact.phi_deg, contact.theta_deg)
+    u = (contact.u_P_newtons, contact.u_phi_deg, contact.u_theta_deg)
+    return all(abs(a - b) < 5.0 * c for a, b, c in zip(found, load, u, strict=True))
+
+
+def test_a_contact_has_its_values_uncertainties_and_status(bus: tipforce.SimulatedBus) -> None:
+    contact = bus.finger(5).read()
+    assert close_to(contact, LOAD)
+    assert 0.0 < contact.u_P_newtons < 0.02
+    assert contact.ok
+    assert contact.present
+    assert contact.status == tipforce.Status.CONTACT | tipforce.Status.CALIBRATED
+    assert np.allclose(contact.F_newtons, (4.4, 4.4 * math.sin(math.radians(45.0)), 0.0), atol=0.1)
+    assert len(contact.microstrain) == 3
+    assert abs(contact.t_s - time.time()) < 60.0
+    assert "N, phi" in str(contact)
+
+
+def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
+    """Polling as fast as Python can: each sample once, in order, and never NaN for a repeated one."""
+    finger = bus.finger(5)
+    found = [finger.read() for _ in range(20)]
+    steps = {(b.counter - a.counter) % 256 for a, b in itertools.pairwise(found)}
+    assert 0 not in steps
+    assert all(contact.ok for contact in found)
+    with pytest.raises(tipforce.NoNewSampleError, match=r"^finger 5: no new sample"):
+        finger.read(timeout_s=0)
+
+
+def test_samples_follow_the_load_and_end_with_an_error(bus: tipforce.SimulatedBus) -> None:
+    finger = bus.finger(5)
+    stream = finger.samples(timeout_s=0.3, rate_hz=200.0)
+    assert all(contact.ok for contact in itertools.islice(stream, 10))
+    bus.apply_load(5, 1.0, 90.0, 60.0)
+    assert any(close_to(contact, (1.0, 90.0, 60.0)) for contact in itertools.islice(stream, 20))
+    bus.inject_fault(5, "silent")
+    with pytest.raises(tipforce.NoNewSampleError, match="no new sample"):
+        list(itertools.islice(stream, 1000))
+
+
+def test_asyncio_reads_while_other_tasks_run(bus: tipforce.SimulatedBus) -> None:
+    async def read() -> tuple[list[tipforce.Contact], int]:
+        found: list[tipforce.Contact] = []
+        turns = 0
+
+        async def other() -> None:
+            nonlocal turns
+            while len(found) < 5:
+                turns += 1
+                await asyncio.sleep(0)
+
+        task = asyncio.create_task(other())
+        async for contact in bus.finger(5).samples():
+            found.append(contact)
+            if len(found) == 5:
+                break
+        await task
+        return found, turns
+
+    found, turns = asyncio.run(read())
+    assert [contact.ok for contact in found] == [True] * 5
+    assert turns > 5
+
+
+def test_an_object_by_its_name(bus: tipforce.SimulatedBus) -> None:
+    sdo = bus.finger(5).sdo
+    assert sdo["identity.serial"] == sdo["0x1018:04"] == 1005
+    sdo["heartbeat.producer_ms"] = 250
+    assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 250
+    with pytest.raises(tipforce.InputError, match=r"close to it: calibration\.serial"):
+        _ = sdo["calibration.serail"]
+
+
+def test_another_producers_sync_is_used_and_none_is_sent(bus: tipforce.SimulatedBus) -> None:
+    finger = bus.finger(5)
+    with can.Bus(interface="virtual", channel=bus.bus_options["channel"]) as other:
+        stopped = threading.Event()
+
+        def produce() -> None:
+            while not stopped.wait(0.02):
+                other.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+
+        thread = threading.Thread(target=produce)
+        thread.start()
+        try:
+            list(itertools.islice(finger.samples(), 5))
+            while other.recv(0) is not None:
+                pass
+            list(itertools.islice(finger.samples(), 10))
+            heard = {message.arbitration_id for message in iter(lambda: other.recv(0), None)}
+        finally:
+            stopped.set()
+            thread.join()
+    assert 0x285 in heard
+    assert 0x80 not in heard  # what this bus sends it does not hear: any would be ours
+
+
+def test_a_passive_finger_sends_nothing(bus: tipforce.SimulatedBus) -> None:
+    options = bus.bus_options
+    with can.Bus(**options) as ear, tipforce.open(**options) as listener:
+        finger = listener.finger(5, passive=True)
+        with pytest.raises(tipforce.NoNewSampleError, match="nothing came with identifier"):
+            finger.read(timeout_s=0.1)
+        assert ear.recv(0) is None
+        contact = None
+
+        def read() -> None:
+            nonlocal contact
+            contact = finger.read(timeout_s=5.0)
+
+        thread = threading.Thread(target=read)
+        thread.start()
+        while thread.is_alive():
+            bus.nmt("start", 5)
+            bus.sync()
+            thread.join(0.02)
+    assert contact is not None
+    assert math.isclose(contact.P_newtons, 4.4, abs_tol=0.1)
+    assert math.isnan(contact.u_P_newtons)  # no calibration is known
+
+
+def test_a_bus_of_yours_stays_open(bus: tipforce.SimulatedBus) -> None:
+    with can.Bus(**bus.bus_options) as mine:
+        with tipforce.open(mine) as opened:
+            assert opened.finger(5).read().ok
+        assert not can.Notifier.find_instances(mine)
+        mine.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        assert mine.recv(2.0) is not None
+
+
+def test_a_bus_with_a_notifier_of_yours_keeps_it(bus: tipforce.SimulatedBus) -> None:
+    heard: list[int] = []
+    with can.Bus(**bus.bus_options) as mine:
+        notifier = can.Notifier(mine, [lambda message: heard.append(message.arbitration_id)])
+        with tipforce.open(mine) as opened:
+            assert opened.finger(5).read().ok
+        before = len(heard)
+        assert not notifier.stopped
+        assert len(notifier.listeners) == 1
+        mine.send(can.Message(arbitration_id=0x80, is_extended_id=False))
+        for _ in range(200):
+            if len(heard) > before:
+                break
+            time.sleep(0.01)
+        notifier.stop()
+    assert 0x285 in heard[before:]
+
+
+def test_a_canopen_network_in_use_keeps_working(bus: tipforce.SimulatedBus) -> None:
+    network = canopen.Network()
+    network.connect(**bus.bus_options)
+    try:
+        node = canopen.RemoteNode(5, canopen.ObjectDictionary())
+        network.add_node(node)
+        seen: list[int] = []
+        network.subscribe(0x285, lambda can_id, _data, _t: seen.append(can_id))
+        subscribed = {can_id: len(callbacks) for can_id, callbacks in network.subscribers.items()}
+        listeners = len(network.notifier.listeners)
+        with tipforce.open(network) as opened:
+            assert opened.finger(5).read().ok
+            assert node.sdo.upload(0x1018, 4) == (1005).to_bytes(4, "little")
+        assert {can_id: len(callbacks) for can_id, callbacks in network.subscribers.items()} == subscribed
+        assert len(network.notifier.listeners) == listeners
+        assert node.sdo.upload(0x1018, 4) == (1005).to_bytes(4, "little")
+        count = len(seen)
+        network.sync.transmit()
+        for _ in range(200):
+            if len(seen) > count:
+                break
+            time.sleep(0.01)
+        assert len(seen) > count
+    finally:
+        network.disconnect()
+
+
+def test_a_network_that_is_not_connected_is_refused() -> None:
+    with pytest.raises(tipforce.InputError, match=r"connect\(\) first"):
+        tipforce.open(canopen.Network())
+
+
+def test_an_uncalibrated_finger_says_so() -> None:
+    with tipforce.simulated_finger(7, load=LOAD, calibrated=False) as bus:
+        contact = bus.finger(7).read()
+    assert contact.reason == "not calibrated"
+    assert math.isnan(contact.P_newtons)
+    assert not contact.ok
+
+
+def test_a_finger_that_sends_no_contact_says_what_to_enable(bus: tipforce.SimulatedBus) -> None:
+    sdo = bus.finger(5).sdo
+    sdo["tpdo1.cob_id"] = 0xC0000185
+    sdo["tpdo2.cob_id"] = 0xC0000285
+    with pytest.raises(tipforce.InputError, match=r"sdo\['tpdo2.cob_id'\] = 0x40000285"):
+        bus.finger(5).read()
+    sdo["tpdo2.cob_id"] = 0x40000285
+    assert bus.finger(5).read().ok
+
+
+def test_force_or_gauges_alone_give_the_contact(bus: tipforce.SimulatedBus) -> None:
+    finger = bus.finger(5)
+    finger.sdo["tpdo2.cob_id"] = 0xC0000285
+    assert close_to(finger.read(), LOAD)  # from the gauges, by the node's calibration
+    finger.close()
+    finger.sdo["tpdo3.cob_id"] = 0x40000385
+    assert close_to(finger.read(), LOAD)  # from F1, F2, F3
