@@ -179,18 +179,20 @@ def test_a_bus_with_a_notifier_of_yours_keeps_it(bus: tipforce.SimulatedBus) -> 
 def test_a_canopen_network_in_use_keeps_working(bus: tipforce.SimulatedBus) -> None:
     network = canopen.Network()
     network.connect(**bus.bus_options)
+    notifier = network.notifier
+    assert notifier is not None
     try:
         node = canopen.RemoteNode(5, canopen.ObjectDictionary())
         network.add_node(node)
         seen: list[int] = []
         network.subscribe(0x285, lambda can_id, _data, _t: seen.append(can_id))
         subscribed = {can_id: len(callbacks) for can_id, callbacks in network.subscribers.items()}
-        listeners = len(network.notifier.listeners)
+        listeners = len(notifier.listeners)
         with tipforce.open(network) as opened:
             assert opened.finger(5).read().ok
             assert node.sdo.upload(0x1018, 4) == (1005).to_bytes(4, "little")
         assert {can_id: len(callbacks) for can_id, callbacks in network.subscribers.items()} == subscribed
-        assert len(network.notifier.listeners) == listeners
+        assert len(notifier.listeners) == listeners
         assert node.sdo.upload(0x1018, 4) == (1005).to_bytes(4, "little")
         count = len(seen)
         network.sync.transmit()

@@ -8,6 +8,7 @@ import os
 import threading
 from collections.abc import Mapping, Sequence
 from types import TracebackType
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +43,7 @@ class SimulatedBus(Connection):
     """
 
     def __init__(self, devices: Mapping[int, Device], sources: Mapping[int, SimulatedSource], **bus: str) -> None:
-        self.bus_options = bus or {"interface": "virtual", "channel": f"tipforce-{os.getpid()}-{next(_numbers)}"}
+        self.bus_options: dict[str, Any] = bus or {"interface": "virtual", "channel": f"tipforce-{os.getpid()}-{next(_numbers)}"}
         self._sources = dict(sources)
         self._stopped = threading.Event()
         self._failures: list[BaseException] = []
