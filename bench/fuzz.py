@@ -25,7 +25,7 @@ from random import Random
 from bench.fuzz_frames import Frames, Step, good_record
 from bench.fuzz_services import Frame
 
-from tipforce.device import codes, emcy, lss
+from tipforce.device import codes, emcy
 from tipforce.device.sdo_block import MAX_BLOCK
 from tipforce.device.sdo_server import MAX_DOWNLOAD_BYTES
 from tipforce.fingertip.application import Fingertip
@@ -66,7 +66,7 @@ class Rig:
         self.longest_s = 0.0
         self._stored: dict[str, bytes] = {}
         self._store_fails = rng.random() < 0.1
-        node_id = (5, 1, 127, lss.UNCONFIGURED)[int(rng.random() * 4)]
+        node_id = (5, 1, 127, codes.LSS_UNCONFIGURED)[int(rng.random() * 4)]
         eds = bytes(k * 7 & 0xFF for k in range(5000)) if rng.random() < 0.8 else b""
         stores = rng.random() < 0.9
         source = SimulatedSource(STRAIN_PER_NEWTON, 0.1 if rng.random() < 0.5 else 0.0, seed=number)
@@ -106,13 +106,19 @@ class Rig:
         if sent:
             self.sdo_answers = sum(can_id == 0x580 + device.node_id for can_id, _ in sent)
             lengths |= self._tpdo_lengths()
-            own = {0x580 + node_id, 0x580 + device.node_id, lss.ANSWER_ID, emcy_id, device.od.integer(0x1014) & 0x7FF}
+            own = {
+                0x580 + node_id,
+                0x580 + device.node_id,
+                codes.LSS_RESPONSE_COB_ID,
+                emcy_id,
+                device.od.integer(0x1014) & 0x7FF,
+            }
             own |= {0x700 + node_id, 0x700 + device.node_id}
             for frame in sent:
                 # Of several frames one may configure a PDO that the next one triggers and the last one takes away.
                 self._check_frame(frame, own, lengths if len(frames) < 2 else None)
             if state == device.nmt.state == codes.STOPPED and len(frames) < 2:
-                allowed = (0x700 + node_id, lss.ANSWER_ID)
+                allowed = (0x700 + node_id, codes.LSS_RESPONSE_COB_ID)
                 require(all(can_id in allowed for can_id, _ in sent), "only heartbeat and LSS speak in STOPPED")
         speakers = (0x580 + node_id, 0x580 + device.node_id)
         answers = [data for can_id, data in sent if can_id in speakers]

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 
 from bench.fuzz_services import Frame, Services
 
+from tipforce.device import codes
 from tipforce.device.codes import NEVER_US
 from tipforce.device.crc16 import crc16
 from tipforce.device.object_dictionary import SIZES
@@ -254,7 +255,7 @@ class Frames(Services):
         self._write(0x2103, 1, struct.pack("<I", binascii.crc32(record) ^ (self._rng.random() < 0.1)))
         self._write(0x2104, 0, struct.pack("<I", table.SIGNATURE_COMMIT))
         if self._rng.random() < 0.3:
-            self._write(0x1010, self._pick((1, 2, 3, 4)), struct.pack("<I", table.SIGNATURE_SAVE))
+            self._write(0x1010, self._pick((1, 2, 3, 4)), struct.pack("<I", codes.SIGNATURE_SAVE))
 
     def _remap(self) -> None:
         """Change a PDO by the book: invalid, count 0, entries, count, parameters, valid."""

@@ -18,9 +18,9 @@ from typing import Any
 
 from bench.live_loopback import bound_receiver, python_can_bus
 
+from tipforce.device.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
-from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
 from tipforce.host.live.receive import SocketReceiver
 from tipforce.host.network.connection import Connection

@@ -19,10 +19,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from bench.soak_fingers import Finger, stored_fingers
 
+from tipforce.device.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Supervisor
-from tipforce.host.hand.rows import SYNC_COB_ID, Rows
+from tipforce.host.hand.rows import Rows
 from tipforce.host.network.faulty_bus import Babbler, Faults, Injector
 
 PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times

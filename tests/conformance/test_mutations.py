@@ -6,6 +6,7 @@ from typing import Any, TypeAlias
 import pytest
 
 from tipforce.device import codes, lss, pdo, sdo_block
+from tipforce.device.codes import SIGNATURE_SAVE
 from tipforce.device.emcy import Emcy
 from tipforce.device.guarding import NodeGuarding
 from tipforce.device.heartbeat import HeartbeatProducer
@@ -17,7 +18,7 @@ from tipforce.device.pdo import Pdo
 from tipforce.device.rpdo import ReceivePdos
 from tipforce.device.sdo_block import BlockDownload, BlockUpload
 from tipforce.device.sdo_server import SdoServer
-from tipforce.device.storage import SAVE, Storage
+from tipforce.device.storage import Storage
 from tipforce.device.sync import SyncConsumer
 from tipforce.device.tpdo import TransmitPdo
 from tipforce_tools.conformance.case import matching
@@ -106,7 +107,7 @@ FAULTS: dict[str, tuple[str, Injection]] = {
     "EMCY without inhibit time": ("emcy.*", forced(Emcy, "_schedule", "_free_us", 0)),
     "errors never cured": ("emcy.*", replaced(Emcy, "cure", lambda *_: None)),
     "oldest error first": ("emcy.*", replaced(Emcy, "_read_history", oldest_first)),
-    "any signature stores": ("storage.*", arguments(Storage, "_write_store", lambda _, sub, _value: (sub, SAVE))),
+    "any signature stores": ("storage.*", arguments(Storage, "_write_store", lambda _, sub, _v: (sub, SIGNATURE_SAVE))),
     "LSS selects by the vendor": ("lss.*", arguments(LssSlave, "_select", vendor_alone)),
     "LSS takes any node-id": ("lss.*", replaced(lss, "_valid_node_id", lambda _node_id: True)),
 }

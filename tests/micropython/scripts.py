@@ -75,14 +75,14 @@ def calibration() -> list[Recording]:
     talk.get("f", 0x2102, 5)
     assert talk.put("H", 0x1017, 0, 250) == 0
     assert talk.put("f", 0x6133, 7, 0.25) == 0
-    assert talk.put("I", 0x1010, 1, table.SIGNATURE_SAVE) == 0
+    assert talk.put("I", 0x1010, 1, codes.SIGNATURE_SAVE) == 0
     talk.send("000#8105")
     assert talk.upload(0x2140) == record
     second = Talk("calibration, power cycle", store=talk.recorded.stored())
     assert second.upload(0x2140) == record
     assert second.get("H", 0x1017) == 250
-    assert second.put("I", 0x1011, 2, table.SIGNATURE_LOAD) == 0
-    assert second.put("I", 0x1011, 4, table.SIGNATURE_LOAD) == 0
+    assert second.put("I", 0x1011, 2, codes.SIGNATURE_LOAD) == 0
+    assert second.put("I", 0x1011, 4, codes.SIGNATURE_LOAD) == 0
     second.send("000#8105")
     assert second.get("I", 0x2103, 3) == 0
     damaged = {name: content[:-2] + "00" for name, content in talk.recorded.stored().items()}
@@ -266,7 +266,7 @@ def many_gauges() -> list[Recording]:
         talk.load(0.3 + 0.1 * k, -40.0 + 5.0 * k, 30.0 - 3.0 * k)
         talk.sync(2)
         talk.upload(0x9130, 12)
-    assert talk.put("I", 0x1010, 4, table.SIGNATURE_SAVE) == 0
+    assert talk.put("I", 0x1010, 4, codes.SIGNATURE_SAVE) == 0
     return [talk.recording]
 
 
@@ -288,7 +288,7 @@ def filters() -> list[Recording]:
         talk.sleep(90_000)
         talk.sync(1)
         talk.upload(0x6130, 1)
-        assert talk.put("I", 0x1010, 3, table.SIGNATURE_SAVE) == 0
+        assert talk.put("I", 0x1010, 3, codes.SIGNATURE_SAVE) == 0
         second = Talk(f"filter {kind}, {constant}, power cycle", store=talk.recorded.stored())
         assert second.get("B", 0x61A0, 2) == kind
         second.start()

@@ -11,7 +11,7 @@ import pytest
 from bench import endurance
 
 from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
-from tipforce.device.lss import UNCONFIGURED
+from tipforce.device.codes import LSS_UNCONFIGURED
 from tipforce.fingertip.node import fingertip_node
 from tipforce.running import loop, ports
 from tipforce.sources.simulated import SimulatedSource
@@ -54,7 +54,7 @@ def test_the_time_of_day_plays_no_part(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_nodes_that_end_say_that_they_stopped(monkeypatch: pytest.MonkeyPatch) -> None:
     port = Port(monkeypatch)
-    devices = [fingertip_node(node_id, SimulatedSource(ROWS)) for node_id in (5, UNCONFIGURED, 7)]
+    devices = [fingertip_node(node_id, SimulatedSource(ROWS)) for node_id in (5, LSS_UNCONFIGURED, 7)]
     loop.run(devices, port, lambda: port.now_ns > 2 * 10**9)
     port.sent.clear()
     loop.say_stopped(devices, port)

@@ -5,7 +5,7 @@ An error is raised once and cured once; between the two it is active and its bit
 
 import struct
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
 # Error codes (table 26) and the bits that each sets in the error register (table 48) besides bit 0, generic.
 GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04, 0x08, 0x10, 0x20, 0x80
+NO_ERROR = 0x0000
 CAN_OVERRUN, ERROR_PASSIVE, HEARTBEAT_LOST, BUS_OFF_RECOVERED = 0x8110, 0x8120, 0x8130, 0x8140
 COB_ID_COLLISION, PDO_LENGTH, SYNC_LENGTH, RPDO_TIMEOUT = 0x8150, 0x8210, 0x8240, 0x8250
 HISTORY_LENGTH = 8
@@ -31,10 +32,10 @@ class Emcy:
         self._active: "dict[tuple[int, int], int]" = {}
         self.reset(True)
         od = device.od
-        od.readers[0x1001] = lambda _sub: self.register
-        od.readers[0x1003] = self._read_history
-        od.writers[0x1003] = self._write_history
-        od.writers[0x1014] = self._write_cob_id
+        od.readers[communication.ERROR_REGISTER] = lambda _sub: self.register
+        od.readers[communication.ERROR_HISTORY] = self._read_history
+        od.writers[communication.ERROR_HISTORY] = self._write_history
+        od.writers[communication.COB_ID_EMCY] = self._write_cob_id
 
     def reset(self, whole: bool) -> None:
         """Forget what waits, and each active error whose watcher starts anew with this reset.
@@ -84,8 +85,9 @@ class Emcy:
     def expire(self, now_us: int) -> None:
         """Send the next message that waited."""
         if self._waiting and self._may_send():
-            self._device.send(self._device.od.integer(0x1014) & codes.STANDARD_MASK, self._waiting.pop(0))
-            self._free_us = now_us + 100 * self._device.od.integer(0x1015)
+            od = self._device.od
+            self._device.send(od.integer(communication.COB_ID_EMCY) & codes.STANDARD_MASK, self._waiting.pop(0))
+            self._free_us = now_us + 100 * od.integer(communication.EMCY_INHIBIT_TIME)
         self._schedule()
 
     def _queue(self, data: bytes) -> None:
@@ -97,7 +99,7 @@ class Emcy:
         self.due_us = self._free_us if self._waiting and self._may_send() else codes.NEVER_US
 
     def _may_send(self) -> bool:
-        cob_id = self._device.od.integer(0x1014)
+        cob_id = self._device.od.integer(communication.COB_ID_EMCY)
         valid = cob_id & codes.STANDARD_MASK and not cob_id & codes.COB_ID_INVALID
         # While the bus is off a message would be lost: it waits.
         talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
@@ -124,7 +126,7 @@ class Emcy:
         return 0
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
-        old, new = self._device.od.integer(0x1014), int(value)
+        old, new = self._device.od.integer(communication.COB_ID_EMCY), int(value)
         if new & codes.COB_ID_RESERVED:
             return codes.INVALID_VALUE
         if not new & codes.COB_ID_INVALID:
@@ -132,6 +134,6 @@ class Emcy:
             used = not old & codes.COB_ID_INVALID and new & codes.STANDARD_MASK != old & codes.STANDARD_MASK
             if used or codes.restricted(new & codes.STANDARD_MASK):
                 return codes.INVALID_VALUE
-        self._device.od.values[0x101400] = new
+        self._device.od.values[communication.COB_ID_EMCY << 8] = new
         self._schedule()
         return 0

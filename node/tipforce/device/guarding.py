@@ -1,6 +1,6 @@
 """Node guarding and life guarding (CiA 301, 7.2.8.3.2.1): objects 100Ch and 100Dh; heartbeat excludes it."""
 
-from . import codes
+from . import codes, communication
 from .emcy import COMMUNICATION, HEARTBEAT_LOST
 
 TYPE_CHECKING = False
@@ -28,11 +28,11 @@ class NodeGuarding:
     def receive(self, _data: bytes) -> None:
         """A remote frame on 0x700 + node-id."""
         od = self._device.od
-        if od.integer(0x1017):
+        if od.integer(communication.PRODUCER_HEARTBEAT):
             return  # with a heartbeat there is no guarding (7.2.8.3.2.2)
-        self._device.send(0x700 + self._device.node_id, bytes((self._toggle | self._device.nmt.state,)))
+        self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, bytes((self._toggle | self._device.nmt.state,)))
         self._toggle ^= 0x80
-        life_ms = od.integer(0x100C) * od.integer(0x100D)
+        life_ms = od.integer(communication.GUARD_TIME) * od.integer(communication.LIFE_TIME_FACTOR)
         self.due_us = self._device.now_us + 1000 * life_ms if life_ms else codes.NEVER_US
         self._device.emcy.cure(HEARTBEAT_LOST, MASTER)
 
@@ -40,7 +40,9 @@ class NodeGuarding:
         """The life time is over without a remote frame."""
         self.due_us = codes.NEVER_US
         od = self._device.od
-        if od.integer(0x1017) or not od.integer(0x100C) * od.integer(0x100D):
+        if od.integer(communication.PRODUCER_HEARTBEAT) or not od.integer(communication.GUARD_TIME) * od.integer(
+            communication.LIFE_TIME_FACTOR
+        ):
             return  # guarding was switched off since the last remote frame
         self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
         self._device.communication_failed()

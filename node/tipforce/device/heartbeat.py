@@ -1,6 +1,6 @@
 """Heartbeat producer (CiA 301, 7.2.8.3.2.2), object 1017h."""
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -16,16 +16,16 @@ class HeartbeatProducer:
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.due_us = codes.NEVER_US
-        device.od.writers[0x1017] = self._write_period
+        device.od.writers[communication.PRODUCER_HEARTBEAT] = self._write_period
 
     def reset(self) -> None:
         """Start anew from the present 1017h, after a boot-up."""
-        self._restart(self._device.od.integer(0x1017))
+        self._restart(self._device.od.integer(communication.PRODUCER_HEARTBEAT))
 
     def expire(self, now_us: int) -> None:
         """Send one heartbeat; late calls do not shift the ones that follow."""
-        period_us = 1000 * self._device.od.integer(0x1017)
-        self._device.send(0x700 + self._device.node_id, bytes((self._device.nmt.state,)))
+        period_us = 1000 * self._device.od.integer(communication.PRODUCER_HEARTBEAT)
+        self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, bytes((self._device.nmt.state,)))
         self.due_us += period_us
         if self.due_us <= now_us:
             # The process slept over one or more periods: go on from now, without a burst.

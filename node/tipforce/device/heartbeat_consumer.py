@@ -1,6 +1,6 @@
 """Heartbeat consumer (CiA 301, 7.2.8.3.2.2 and 7.5.2.19): object 1016h."""
 
-from . import codes
+from . import codes, communication
 from .emcy import COMMUNICATION, HEARTBEAT_LOST
 from .guarding import MASTER
 
@@ -23,13 +23,13 @@ class HeartbeatConsumer:
         self._deadlines: "dict[int, int]" = {}  # node-id -> when its heartbeat is missing
         self._lost: "list[int]" = []
         self.due_us = codes.NEVER_US
-        device.od.writers[0x1016] = self._write
+        device.od.writers[communication.CONSUMER_HEARTBEAT] = self._write
 
     def reset(self) -> None:
         """Take 1016h as it stands; nobody is watched before a first heartbeat."""
         self._periods = {}
-        for sub in self._device.od.subs(0x1016)[1:]:
-            node_id, period_ms = _split(self._device.od.integer(0x1016, sub))
+        for sub in self._device.od.subs(communication.CONSUMER_HEARTBEAT)[1:]:
+            node_id, period_ms = _split(self._device.od.integer(communication.CONSUMER_HEARTBEAT, sub))
             if node_id and period_ms:
                 self._periods[node_id] = 1000 * period_ms
         self._deadlines = {n: due for n, due in self._deadlines.items() if n in self._periods}
@@ -45,7 +45,7 @@ class HeartbeatConsumer:
 
     def routes(self) -> "list[tuple[int, Callable[[bytes], None]]]":
         """(can_id, handler) of each heartbeat to listen to."""
-        return [(0x700 + node_id, self._route(node_id)) for node_id in self._periods]
+        return [(codes.HEARTBEAT_BASE + node_id, self._route(node_id)) for node_id in self._periods]
 
     def expire(self, now_us: int) -> None:
         """Report each node whose heartbeat is overdue."""
@@ -77,10 +77,14 @@ class HeartbeatConsumer:
         node_id, period_ms = _split(int(value))
         if int(value) >> 24 or node_id > 127:
             return codes.INVALID_VALUE
-        others = [_split(od.integer(0x1016, k)) for k in od.subs(0x1016)[1:] if k != sub]
+        others = [
+            _split(od.integer(communication.CONSUMER_HEARTBEAT, k))
+            for k in od.subs(communication.CONSUMER_HEARTBEAT)[1:]
+            if k != sub
+        ]
         if node_id and period_ms and node_id in [n for n, period in others if period]:
             return codes.INCOMPATIBLE  # two times for one node (7.5.2.19)
-        od.values[0x101600 | sub] = value
+        od.values[communication.CONSUMER_HEARTBEAT << 8 | sub] = value
         self._deadlines.pop(node_id, None)
         self.reset()
         self._device.routes_changed()

@@ -1,17 +1,16 @@
 """NMT slave (CiA 301, 7.2.8): the state, and what a master's command does to it."""
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 _STATE_AFTER = {
-    START: codes.OPERATIONAL,
-    STOP: codes.STOPPED,
-    ENTER_PRE_OPERATIONAL: codes.PRE_OPERATIONAL,
+    codes.NMT_START: codes.OPERATIONAL,
+    codes.NMT_STOP: codes.STOPPED,
+    codes.NMT_ENTER_PRE_OPERATIONAL: codes.PRE_OPERATIONAL,
 }
 SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 
@@ -24,14 +23,15 @@ class Nmt:
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.state = codes.INITIALISING
-        device.od.writers[0x1F80] = self._write_startup
+        device.od.writers[communication.NMT_STARTUP] = self._write_startup
 
     def boot(self) -> None:
         """Send the boot-up message and leave INITIALISING (7.2.8.3.3), as 1F80h says."""
-        self._device.send(0x700 + self._device.node_id, b"\0")
+        self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, b"\0")
         self.enter(codes.PRE_OPERATIONAL)
         od = self._device.od
-        if od.indices(0x1F80, 0x1F80) and not od.integer(0x1F80) & SELF_START_OFF:
+        startup = communication.NMT_STARTUP
+        if od.indices(startup, startup) and not od.integer(startup) & SELF_START_OFF:
             self.enter(codes.OPERATIONAL)
 
     def receive(self, data: bytes) -> None:
@@ -41,9 +41,9 @@ class Nmt:
         command = data[0]
         if command in _STATE_AFTER:
             self.enter(_STATE_AFTER[command])
-        elif command == RESET_NODE:
+        elif command == codes.NMT_RESET_NODE:
             self._device.reset(True)
-        elif command == RESET_COMMUNICATION:
+        elif command == codes.NMT_RESET_COMMUNICATION:
             self._device.reset(False)
 
     def enter(self, state: int) -> None:

@@ -1,6 +1,6 @@
 """A CANopen device as a pure state machine (CiA 301): frames and time in, frames and the next due time out."""
 
-from . import codes, lss
+from . import codes, communication, lss
 from .bus_faults import BusFaults
 from .emcy import Emcy
 from .guarding import NodeGuarding
@@ -144,7 +144,7 @@ class Device:
         """What an SDO client reads, after the application had the chance to bring live values up to date."""
         if self.application is not None and index in self.application.live:
             self.application.refresh(self.now_us)
-        if index == 0x1003 and self.emcy.is_empty(sub):
+        if index == communication.ERROR_HISTORY and self.emcy.is_empty(sub):
             return codes.NO_DATA
         return self.od.upload(index, sub)
 
@@ -174,23 +174,26 @@ class Device:
     def communication_failed(self) -> None:
         """Error behaviour (1029h:1) after a lost heartbeat, life guarding or bus-off; it concerns OPERATIONAL only."""
         if self.nmt.state == codes.OPERATIONAL:
-            behaviour = self.od.integer(0x1029, 1)
+            behaviour = self.od.integer(communication.ERROR_BEHAVIOUR, 1)
             if behaviour != 1:
                 self.nmt.enter(codes.STOPPED if behaviour == 2 else codes.PRE_OPERATIONAL)
 
     def routes_changed(self) -> None:
         """Work out anew which identifiers are listened to in this state (7.3.2.3, table 38)."""
         routes: "dict[int, Callable[[bytes], None]]" = {}
-        if self.node_id != lss.UNCONFIGURED:
+        if self.node_id != codes.LSS_UNCONFIGURED:
             # What only this node may send; a service that listens to the same identifier takes precedence.
-            for can_id in self.tpdos.can_ids() + [0x580 + self.node_id, 0x700 + self.node_id]:
+            for can_id in self.tpdos.can_ids() + [
+                codes.SDO_RESPONSE_BASE + self.node_id,
+                codes.HEARTBEAT_BASE + self.node_id,
+            ]:
                 routes[can_id] = self.bus_faults.collision(can_id)
-            routes[0x700 + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
+            routes[codes.HEARTBEAT_BASE + self.node_id | codes.REMOTE_FLAG] = self.guarding.receive
             for can_id, handler in self.heartbeat_consumer.routes():
                 routes[can_id] = handler
             self._add_state_routes(routes)
-            routes[0x000] = self.nmt.receive
-        routes[lss.REQUEST_ID] = self.lss.receive
+            routes[codes.NMT_COB_ID] = self.nmt.receive
+        routes[codes.LSS_REQUEST_COB_ID] = self.lss.receive
         self._routes = routes
 
     def _add_state_routes(self, routes: "dict[int, Callable[[bytes], None]]") -> None:
@@ -201,7 +204,7 @@ class Device:
             if self.time.can_id is not None:
                 routes[self.time.can_id] = self.time.receive
             routes[self.sync.cob_id] = self.sync.receive
-            routes[0x600 + self.node_id] = self.sdo.receive
+            routes[codes.SDO_REQUEST_BASE + self.node_id] = self.sdo.receive
 
     def _rpdo_route(self, can_id: int) -> "Callable[[bytes], None]":
         return lambda data: self.rpdos.receive(can_id, data)
@@ -220,7 +223,7 @@ class Device:
         self.tpdos.reset()
         if whole and self.application is not None:
             self.application.on_reset(self.now_us)
-        if self.node_id == lss.UNCONFIGURED:
+        if self.node_id == codes.LSS_UNCONFIGURED:
             self.heartbeat.due_us = codes.NEVER_US
             self.routes_changed()
         else:

@@ -11,8 +11,7 @@ if TYPE_CHECKING:
 
     from .object_dictionary import ObjectDictionary, Value
 
-NO_RTR = 0x40000000  # bit 30 of a COB-ID
-_OTHER_BITS = codes.COB_ID_RESERVED & ~NO_RTR
+_OTHER_BITS = codes.COB_ID_RESERVED & ~codes.NO_RTR
 MAX_MAPPED, MAX_BYTES = 8, 8
 _DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: placeholders in an RPDO
 
@@ -110,7 +109,7 @@ class Pdo:
 
     def _check_cob_id(self, cob_id: int) -> int:
         can_id = cob_id & codes.STANDARD_MASK
-        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & NO_RTR):
+        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & codes.NO_RTR):
             return codes.INVALID_VALUE
         if cob_id & codes.COB_ID_INVALID:
             return 0

@@ -1,6 +1,6 @@
 """Receive PDOs (CiA 301, 7.2.2): taken at once, or on the next SYNC for synchronous types."""
 
-from . import codes
+from . import codes, communication
 from .emcy import COMMUNICATION, PDO_LENGTH, RPDO_TIMEOUT
 from .object_dictionary import RPDO, SIZES
 from .pdo import Pdo
@@ -37,8 +37,8 @@ class ReceivePdos:
         self._device = device
         self.due_us = codes.NEVER_US
         self._pdos = [
-            ReceivePdo(device.od, index, index + 0x200, RPDO, self._changed)
-            for index in device.od.indices(0x1400, 0x15FF)
+            ReceivePdo(device.od, index, index + communication.MAPPING, RPDO, self._changed)
+            for index in device.od.indices(communication.RPDO, communication.LAST_RPDO)
         ]
 
     def reset(self) -> None:

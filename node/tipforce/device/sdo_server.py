@@ -89,7 +89,7 @@ class SdoServer:
 
     def answer(self, data: bytes) -> None:
         """Send an answer, filled up to 8 bytes, and wait for the client while a transfer goes on."""
-        self._device.send(0x580 + self._device.node_id, data + bytes(8 - len(data)))
+        self._device.send(codes.SDO_RESPONSE_BASE + self._device.node_id, data + bytes(8 - len(data)))
         if self._transfer != _IDLE:
             self.wait()
 

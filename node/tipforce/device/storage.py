@@ -7,7 +7,7 @@ the caller's affair: ``save(group, data) -> bool`` and ``load(group) -> bytes | 
 import binascii
 import struct
 
-from . import codes
+from . import codes, communication
 from .object_dictionary import check, decode, encode
 
 TYPE_CHECKING = False
@@ -19,7 +19,6 @@ if TYPE_CHECKING:
 
     Group = tuple[str, Callable[[], bytes], Callable[[bytes | None], None]]
 
-SAVE, LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds its own from 4
 _HEAD = "<HBH"
 _RESTORED = b""  # what is kept after a restore: nothing, so the defaults hold after the next reset
@@ -41,10 +40,11 @@ class Storage:
         self._load = load
         self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
         self._groups: "dict[int, Group]" = {}
-        self.add_range(COMMUNICATION, "communication", 0x1000, 0x1FFF)
-        self.add_range(APPLICATION, "application", 0x6000, 0x9FFF)
-        for index, writer in ((0x1010, self._write_store), (0x1011, self._write_restore)):
-            device.od.writers[index] = writer
+        self.add_range(COMMUNICATION, "communication", communication.FIRST, communication.LAST)
+        self.add_range(APPLICATION, "application", communication.FIRST_PROFILE, communication.LAST_PROFILE)
+        device.od.writers[communication.STORE_PARAMETERS] = self._write_store
+        device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
+        for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
             device.od.readers[index] = lambda _sub: 1  # bit 0: stores on command, never by itself
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
@@ -96,12 +96,12 @@ class Storage:
         return data or None
 
     def _write_store(self, sub: int, value: "Value") -> int:
-        if value != SAVE:
+        if value != codes.SIGNATURE_SAVE:
             return codes.NOT_TRANSFERRED
         return self._each(sub, lambda dump: _with_crc(dump()))
 
     def _write_restore(self, sub: int, value: "Value") -> int:
-        if value != LOAD:
+        if value != codes.SIGNATURE_LOAD:
             return codes.NOT_TRANSFERRED
         return self._each(sub, lambda _dump: _RESTORED)
 

@@ -1,6 +1,6 @@
 """SYNC consumer (CiA 301, 7.2.5), objects 1005h, 1007h and 1019h."""
 
-from . import codes
+from . import codes, communication
 from .emcy import COMMUNICATION, SYNC_LENGTH
 
 TYPE_CHECKING = False
@@ -16,19 +16,19 @@ class SyncConsumer:
 
     def __init__(self, device: "Device") -> None:
         self._device = device
-        self.cob_id = 0x80
+        self.cob_id = codes.SYNC_COB_ID
         self.last_us = 0
-        device.od.writers[0x1005] = self._write_cob_id
-        device.od.writers[0x1019] = self._write_overflow
+        device.od.writers[communication.COB_ID_SYNC] = self._write_cob_id
+        device.od.writers[communication.SYNC_OVERFLOW] = self._write_overflow
 
     def reset(self) -> None:
         """Take 1005h as it stands."""
-        self.cob_id = self._device.od.integer(0x1005) & codes.STANDARD_MASK
+        self.cob_id = self._device.od.integer(communication.COB_ID_SYNC) & codes.STANDARD_MASK
 
     def receive(self, data: bytes) -> None:
         """Act on a SYNC frame: no data, or one byte with the counter when 1019h is set; any other is an error."""
         device = self._device
-        if len(data) != (1 if device.od.integer(0x1019) else 0):
+        if len(data) != (1 if device.od.integer(communication.SYNC_OVERFLOW) else 0):
             device.emcy.raise_error(SYNC_LENGTH, COMMUNICATION)
             return
         device.emcy.cure(SYNC_LENGTH)
@@ -41,7 +41,7 @@ class SyncConsumer:
 
     def in_window(self) -> bool:
         """True while synchronous RPDOs count: for 1007h microseconds after a SYNC, always where 1007h is 0."""
-        window_us = self._device.od.integer(0x1007)
+        window_us = self._device.od.integer(communication.SYNC_WINDOW)
         return not window_us or self._device.now_us - self.last_us <= window_us
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:

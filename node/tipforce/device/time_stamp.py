@@ -2,14 +2,13 @@
 
 import struct
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-CONSUME, PRODUCE = 0x80000000, 0x40000000  # bits 31 and 30 of 1012h
 _EPOCH_DAYS = 5113  # from 1970-01-01, where Unix time starts, to 1984-01-01, where TIME_OF_DAY does
 _DAY_MS = 86400000
 
@@ -24,15 +23,16 @@ class TimeConsumer:
         self._unix_ms = -1
         self._received_us = 0
         self._high_us = 0  # what 1013h is ahead of the device's clock
-        device.od.writers[0x1012] = self._write_cob_id
-        device.od.writers[0x1013] = self._write_high_resolution
-        device.od.readers[0x1013] = lambda _sub: (device.now_us + self._high_us) & 0xFFFFFFFF
+        od = device.od
+        od.writers[communication.COB_ID_TIME] = self._write_cob_id
+        od.writers[communication.HIGH_RESOLUTION_TIME] = self._write_high_resolution
+        od.readers[communication.HIGH_RESOLUTION_TIME] = lambda _sub: (device.now_us + self._high_us) & 0xFFFFFFFF
 
     @property
     def can_id(self) -> "int | None":
         """The identifier to listen to, None while consuming is off."""
-        cob_id = self._device.od.integer(0x1012)
-        return cob_id & codes.STANDARD_MASK if cob_id & CONSUME else None
+        cob_id = self._device.od.integer(communication.COB_ID_TIME)
+        return cob_id & codes.STANDARD_MASK if cob_id & codes.TIME_CONSUMER else None
 
     def unix_ms(self) -> "int | None":
         """Network time in milliseconds since 1970, None before the first TIME message."""
@@ -52,9 +52,9 @@ class TimeConsumer:
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
         cob_id = int(value)
-        if cob_id & (PRODUCE | 0x3FFFF800) or codes.restricted(cob_id & codes.STANDARD_MASK):
-            return codes.INVALID_VALUE  # this device produces no TIME; 29-bit identifiers are not offered
-        self._device.od.values[0x101200] = cob_id
+        if cob_id & codes.COB_ID_RESERVED or codes.restricted(cob_id & codes.STANDARD_MASK):
+            return codes.INVALID_VALUE  # bit 30: this device produces no TIME; 29-bit identifiers are not offered
+        self._device.od.values[communication.COB_ID_TIME << 8] = cob_id
         self._device.routes_changed()
         return 0
 

@@ -2,7 +2,7 @@
 
 import struct
 
-from . import codes
+from . import codes, communication
 from .object_dictionary import TPDO, encode
 from .pdo import Pdo
 
@@ -66,8 +66,8 @@ class TransmitPdos:
         self._device = device
         self.due_us = codes.NEVER_US
         self._pdos = [
-            TransmitPdo(device.od, index, index + 0x200, TPDO, self._changed)
-            for index in device.od.indices(0x1800, 0x19FF)
+            TransmitPdo(device.od, index, index + communication.MAPPING, TPDO, self._changed)
+            for index in device.od.indices(communication.TPDO, communication.LAST_TPDO)
         ]
 
     def reset(self) -> None:

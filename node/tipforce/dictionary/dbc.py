@@ -6,6 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from tipforce.device import codes, emcy
 from tipforce.dictionary import signals, table
 from tipforce.errors import InputError
 
@@ -15,27 +16,32 @@ if TYPE_CHECKING:
 
 HOST = "HOST"
 EMCY_CODES = {
-    0x0000: "no error",
-    0x4210: "temperature",
-    0x5010: "gauge saturated",
-    0x5030: "front end",
-    0x6320: "stored calibration invalid",
-    0x8110: "CAN overrun",
-    0x8120: "CAN error passive",
-    0x8130: "heartbeat lost",
-    0x8140: "recovered from bus-off",
-    0x8150: "COB-ID collision",
-    0x8210: "PDO length",
-    0x8240: "SYNC length",
-    0x8250: "RPDO timeout",
+    emcy.NO_ERROR: "no error",
+    table.EMCY_TEMPERATURE: "temperature",
+    table.EMCY_GAUGE_SATURATED: "gauge saturated",
+    table.EMCY_FRONT_END: "front end",
+    table.EMCY_CALIBRATION_INVALID: "stored calibration invalid",
+    emcy.CAN_OVERRUN: "CAN overrun",
+    emcy.ERROR_PASSIVE: "CAN error passive",
+    emcy.HEARTBEAT_LOST: "heartbeat lost",
+    emcy.BUS_OFF_RECOVERED: "recovered from bus-off",
+    emcy.COB_ID_COLLISION: "COB-ID collision",
+    emcy.PDO_LENGTH: "PDO length",
+    emcy.SYNC_LENGTH: "SYNC length",
+    emcy.RPDO_TIMEOUT: "RPDO timeout",
 }
-NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
+NMT_STATES = {
+    codes.INITIALISING: "boot-up",
+    codes.STOPPED: "stopped",
+    codes.OPERATIONAL: "operational",
+    codes.PRE_OPERATIONAL: "pre-operational",
+}
 NMT_COMMANDS = {
-    1: "start",
-    2: "stop",
-    128: "enter pre-operational",
-    129: "reset node",
-    130: "reset communication",
+    codes.NMT_START: "start",
+    codes.NMT_STOP: "stop",
+    codes.NMT_ENTER_PRE_OPERATIONAL: "enter pre-operational",
+    codes.NMT_RESET_NODE: "reset node",
+    codes.NMT_RESET_COMMUNICATION: "reset communication",
 }
 _RPDO_COMMANDS = {
     table.COMMAND_TARE: "tare",
@@ -76,8 +82,8 @@ def _network(ids: list[int]) -> list[Message]:
     command = _signal("command", 0, 8, nodes, 0, 255, "NMT command (CiA 301, 7.2.8.3.1)", choices=NMT_COMMANDS)
     node = _signal("node", 8, 8, nodes, 0, 127, "node-id, 0 for all nodes", choices={0: "all"})
     return [
-        _message(0x000, "NMT", 2, [command, node], HOST, "network management: changes the state of nodes"),
-        _message(0x080, "SYNC", 0, [], HOST, "all PDOs of one SYNC carry the same sample and counter"),
+        _message(codes.NMT_COB_ID, "NMT", 2, [command, node], HOST, "network management: changes the state of nodes"),
+        _message(codes.SYNC_COB_ID, "SYNC", 0, [], HOST, "all PDOs of one SYNC carry the same sample and counter"),
     ]
 
 
@@ -120,7 +126,7 @@ def _emcy(name: str, node_id: int) -> Message:
         _signal(f"manufacturer_{k + 1}", 24 + 8 * k, 8, [HOST], 0, 0xFF, f"byte {k + 1} of 5 that tell more")
         for k in range(5)
     ]
-    return _message(0x080 + node_id, f"{name}_EMCY", 8, parts, name, "emergency: an error came or went")
+    return _message(codes.EMCY_BASE + node_id, f"{name}_EMCY", 8, parts, name, "emergency: an error came or went")
 
 
 def _heartbeat(name: str, node_id: int) -> Message:
@@ -128,7 +134,8 @@ def _heartbeat(name: str, node_id: int) -> Message:
         _signal("state", 0, 7, [HOST], 0, 127, "NMT state (CiA 301, 7.2.8.3.2)", choices=NMT_STATES),
         _signal("toggle", 7, 1, [HOST], 0, 1, "node guarding alternates it, a heartbeat has 0"),
     ]
-    return _message(0x700 + node_id, f"{name}_Heartbeat", 1, parts, name, "heartbeat, boot-up and node guarding")
+    comment = "heartbeat, boot-up and node guarding"
+    return _message(codes.HEARTBEAT_BASE + node_id, f"{name}_Heartbeat", 1, parts, name, comment)
 
 
 def _message(frame_id: int, name: str, length: int, parts: list[Signal], sender: str, comment: str) -> Message:

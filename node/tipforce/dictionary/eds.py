@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import TYPE_CHECKING
 
+from tipforce.device import communication
 from tipforce.dictionary import table, types
 from tipforce.dictionary.rows import Object, Row, objects, rows
 from tipforce.errors import InputError
@@ -19,9 +20,7 @@ CREATION_TIME, CREATION_DATE = "12:00AM", "01-01-2025"  # the form of CiA 306-1,
 CREATED_BY = "tipforce.dictionary.eds"
 BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
 DEFAULT_BIT_RATE_KBIT_S = 1000
-MANDATORY = (0x1000, 0x1001, 0x1018)
 DUMMY_TYPES = 7  # data types 0001h to 0007h: canopen wants all of them named
-FIRST_MANUFACTURER, LAST_MANUFACTURER = 0x2000, 0x5FFF
 
 _REFUSE_WRITE, _REFUSE_READ = 1, 2  # ObjFlags: not to be written on download, not to be read on scan
 
@@ -186,9 +185,9 @@ def _comments(n: int) -> _Lines:
 
 def _object_lists(found: tuple[Object, ...]) -> _Lines:
     indices = [o.index for o in found]
-    manufacturer = [i for i in indices if FIRST_MANUFACTURER <= i <= LAST_MANUFACTURER]
-    mandatory = [i for i in indices if i in MANDATORY]
-    optional = [i for i in indices if i not in MANDATORY and i not in manufacturer]
+    manufacturer = [i for i in indices if communication.FIRST_MANUFACTURER <= i <= communication.LAST_MANUFACTURER]
+    mandatory = [i for i in indices if i in communication.MANDATORY]
+    optional = [i for i in indices if i not in communication.MANDATORY and i not in manufacturer]
     lines: _Lines = []
     for name, listed in (("Mandatory", mandatory), ("Optional", optional), ("Manufacturer", manufacturer)):
         lines += [f"[{name}Objects]", f"SupportedObjects={len(listed)}"]

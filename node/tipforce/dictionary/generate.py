@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
-from tipforce.dictionary.accessors import accessors_text
+from tipforce.dictionary.accessors import accessors_text, indices_text
 from tipforce.dictionary.dbc import dbc_text
 from tipforce.dictionary.eds import eds_text
 from tipforce.dictionary.reference import reference_markdown
@@ -18,6 +18,7 @@ def generated_files() -> dict[str, str]:
         "dbc/tipforce.dbc": dbc_text(),
         "docs/objects.md": reference_markdown(3),
         "node/tipforce/dictionary/objects.py": accessors_text(),
+        "node/tipforce/dictionary/indices.py": indices_text(),
     }
 
 

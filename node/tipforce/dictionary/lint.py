@@ -8,11 +8,11 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from tipforce.device import communication
 from tipforce.dictionary import lint_pdo, types
 from tipforce.dictionary.eds_file import EdsFile, Section, parse
 from tipforce.errors import InputError
 
-MANDATORY = (0x1000, 0x1001, 0x1018)
 MAX_NAME = 241  # characters, CiA 306-1, 4.6.2
 ACCESS = ("ro", "wo", "rw", "const", "rww", "rwr")
 VAR_TYPES, LIST_TYPES, OTHER_TYPES = (0x2, 0x7), (0x8, 0x9), (0x0, 0x5, 0x6)
@@ -87,7 +87,7 @@ def _device_info(eds: EdsFile) -> Iterator[str]:
     for key, value in section.keys.items():
         if key.startswith("baudrate_") and value not in ("0", "1"):
             yield section.complaint(key, "allowed are 0 and 1")
-    product = eds.entry(0x1018, 2)
+    product = eds.entry(communication.IDENTITY, 2)
     if product is not None and product.get("DefaultValue"):
         declared, default = _integer("I", section.get("ProductNumber")), _integer("I", product.get("DefaultValue"))
         if declared != default:
@@ -108,7 +108,7 @@ def _lists(eds: EdsFile) -> Iterator[str]:
             yield f"[{name}]: the keys must count from 1 to {len(numbered)}"
         for key in numbered:
             yield from _listed(eds, section, key, name, listed)
-    for index in MANDATORY:
+    for index in communication.MANDATORY:
         if index not in eds.objects:
             yield f"[{index:04X}]: the object is mandatory (CiA 301) and missing"
     for index, section in eds.objects.items():
@@ -126,7 +126,8 @@ def _listed(eds: EdsFile, section: Section, key: str, name: str, listed: dict[in
     listed[index] = name
     if index not in eds.objects:
         yield section.complaint(key, f"there is no section [{index:04X}]")
-    due = 0 if index in MANDATORY else 2 if 0x2000 <= index <= 0x5FFF else 1
+    own = communication.FIRST_MANUFACTURER <= index <= communication.LAST_MANUFACTURER
+    due = 0 if index in communication.MANDATORY else 2 if own else 1
     if name != _LISTS[due]:
         yield section.complaint(key, f"belongs in [{_LISTS[due]}]")
 
@@ -170,7 +171,7 @@ def _sub_numbers(section: Section, index: int, subs: dict[int, Section]) -> Iter
         yield f"[{section.name}]: sub-index 0 is missing"
         return
     value, highest = _integer("B", count.get("DefaultValue")), max(subs)
-    if index == 0x1003 or lint_pdo.is_mapping(index):
+    if index == communication.ERROR_HISTORY or lint_pdo.is_mapping(index):
         if value is None or value > highest:
             yield count.complaint("DefaultValue", f"allowed are 0 to the highest sub-index {highest}")
     elif value != highest:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from tipforce.device import communication
 from tipforce.dictionary import types
 from tipforce.dictionary.eds_file import EdsFile, Section
 from tipforce.errors import InputError
@@ -11,8 +12,8 @@ from tipforce.errors import InputError
 MAX_BITS = 64
 # direction: (communication, mapping, count in [DeviceInfo], access types that this direction can't carry)
 _DIRECTIONS = (
-    (0x1400, 0x1600, "NrOfRXPDO", ("ro", "const", "rwr")),
-    (0x1800, 0x1A00, "NrOfTXPDO", ("wo", "rww")),
+    (communication.RPDO, communication.RPDO_MAPPING, "NrOfRXPDO", ("ro", "const", "rwr")),
+    (communication.TPDO, communication.TPDO_MAPPING, "NrOfTXPDO", ("wo", "rww")),
 )
 _MOST_PDOS = 512
 
@@ -24,13 +25,13 @@ def is_mapping(index: int) -> bool:
 
 def lint_pdos(eds: EdsFile) -> Iterator[str]:
     """Complaints about the PDO parameters and the default mappings (CiA 301, 7.5.2.33 to 7.5.2.38)."""
-    for communication, mapping, key, refused in _DIRECTIONS:
-        pdos = {i - communication for i in eds.objects if 0 <= i - communication < _MOST_PDOS}
+    for parameters, mapping, key, refused in _DIRECTIONS:
+        pdos = {i - parameters for i in eds.objects if 0 <= i - parameters < _MOST_PDOS}
         mapped = {i - mapping for i in eds.objects if 0 <= i - mapping < _MOST_PDOS}
         for k in sorted(pdos - mapped):
-            yield f"[{communication + k:04X}]: its mapping [{mapping + k:04X}] is missing"
+            yield f"[{parameters + k:04X}]: its mapping [{mapping + k:04X}] is missing"
         for k in sorted(mapped - pdos):
-            yield f"[{mapping + k:04X}]: its communication parameters [{communication + k:04X}] are missing"
+            yield f"[{mapping + k:04X}]: its communication parameters [{parameters + k:04X}] are missing"
         info = eds.sections.get("deviceinfo")
         if info is not None and _number(info.get(key)) != len(pdos):
             yield info.complaint(key, f"there are {len(pdos)} such PDOs")

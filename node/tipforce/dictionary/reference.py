@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from tipforce.dictionary import signals, table, types
+from tipforce.device import communication
+from tipforce.dictionary import indices, signals, table, types
 from tipforce.dictionary.eds import default_text, value_text
 from tipforce.dictionary.rows import Object, Row, objects
 
 _AREAS = (
-    ("Communication area (CiA 301)", 0x1000, 0x1FFF),
-    ("Manufacturer area", 0x2000, 0x5FFF),
-    ("Profile area (CiA 404, analogue input)", 0x6000, 0xFFFF),
+    ("Communication area (CiA 301)", communication.FIRST, communication.LAST),
+    ("Manufacturer area", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER),
+    ("Profile area (CiA 404, analogue input)", communication.FIRST_PROFILE, 0xFFFF),
 )
 _INTRODUCTION = """\
 # Object reference
@@ -115,7 +116,7 @@ def _notes(row: Row) -> str:
 def _status_bits(n: int) -> str:
     status: list[tuple[object, ...]] = [(k, f"`{bit[0]}`", bit[1]) for k, bit in enumerate(table.STATUS_BITS)]
     faults: list[tuple[object, ...]] = [
-        (s.start_bit, f"`{s.name}`", s.description) for s in signals.mapping_signals([(0x2124, 0, 16)], n)
+        (s.start_bit, f"`{s.name}`", s.description) for s in signals.mapping_signals([(indices.FAULTS, 0, 16)], n)
     ]
     head = ("bit", "signal", "meaning")
     return f"## Status byte 2120h\n\n{_table(head, status)}\n\n## Front-end faults 2124h\n\n{_table(head, faults)}"

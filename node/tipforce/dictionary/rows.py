@@ -56,6 +56,13 @@ class Object:
     rows: tuple[Row, ...]
 
 
+def gauges_of(product: int) -> int:
+    """Number of gauges of a node by its product code (1018h:2); 0 for a node that is none of this dictionary."""
+    gauges = product & table.PRODUCT_GAUGES
+    ours = product & ~(table.PRODUCT_SIMULATED | table.PRODUCT_24_BIT) == table.PRODUCT | gauges
+    return gauges if ours and table.MIN_GAUGES <= gauges <= table.MAX_GAUGES else 0
+
+
 @lru_cache(maxsize=32)
 def objects(n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16) -> tuple[Object, ...]:
     """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""

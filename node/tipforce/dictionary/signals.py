@@ -6,17 +6,18 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
-from tipforce.dictionary import table, types
+from tipforce.device import communication
+from tipforce.dictionary import indices, table, types
 from tipforce.dictionary.rows import Row, rows
 from tipforce.errors import InputError
 
 MAX_BITS = 64
-FIRST_OBJECT = 0x1000  # below are the data types: mapped, they are gaps (CiA 301, 7.4.7, dummy mapping)
+FIRST_OBJECT = communication.FIRST  # below are the data types: mapped, they are gaps (CiA 301, 7.4.7, dummy mapping)
 
 _FORCE_SCALE = 0.001  # N; also of 2123h
 _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
-_VIEW_BASES = (0x6000, 0x7000, 0x9000)  # REAL32, INTEGER16 and INTEGER32 forms of one value
-_CHANNEL_STATUS = 0x6150
+_PROCESS_VALUES = (indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32)
+_FIELD_VALUES = (indices.FIELD_VALUE, indices.FIELD_VALUE_INT16, indices.FIELD_VALUE_INT32)
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,9 +122,9 @@ def _mapped_row(index: int, sub: int, bits: int, n: int) -> Row:
 
 
 def _signals_of(row: Row, start: int, n: int) -> list[Signal]:
-    if row.index == 0x2120:
+    if row.index == indices.STATUS:
         return [_flag(row, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
-    if row.index == 0x2124:
+    if row.index == indices.FAULTS:
         gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated") for k in range(n)]
         return gauges + [
             _flag(row, start, k, f"fault_{name}", f"front end: {name.replace('_', ' ')}")
@@ -138,18 +139,18 @@ def _flag(row: Row, start: int, bit: int, name: str, description: str) -> Signal
 
 def _measurement(row: Row, start: int, n: int) -> Signal | None:
     """The quantities that have a unit, a resolution and a value for unknown; None for any other."""
-    if any(row.index == base + 0x130 for base in _VIEW_BASES):
+    if row.index in _PROCESS_VALUES:
         symbol, what, _, digits, _, unit, _, _ = table.channels(n)[row.sub - 1]
         limit = 180.0 if unit == "degree" else None
         return _scaled(row, start, symbol, 10.0**-digits, unit, what, limit)
-    if any(row.index == base + 0x100 for base in _VIEW_BASES):
+    if row.index in _FIELD_VALUES:
         return _scaled(row, start, f"SG{row.sub}_counts", 1.0, "counts", f"field value of gauge {row.sub}")
-    if row.index == 0x2107:
+    if row.index == indices.UNCERTAINTY:
         name, unit = _UNCERTAINTIES[row.sub - 1]
         return _scaled(row, start, name, 1.0, unit, f"standard uncertainty of {name[2:]}")
-    if row.index == 0x2122:
+    if row.index == indices.TEMPERATURE:
         return _scaled(row, start, "temperature", 0.01, "degC", "temperature of the fingertip")
-    if row.index == 0x2123:
+    if row.index == indices.U_P:
         return _scaled(row, start, "u_P", _FORCE_SCALE, "N", "standard uncertainty of P")
     return None
 
@@ -158,7 +159,7 @@ def _scaled(row: Row, start: int, name: str, scale: float, unit: str, what: str,
     kind = types.data_type(row.letter)
     bits = 8 * _size(row)
     if kind.python is float:
-        low, high = (0.0, 3.4e38) if row.index == 0x2107 else (-3.4e38, 3.4e38)
+        low, high = (0.0, 3.4e38) if row.index == indices.UNCERTAINTY else (-3.4e38, 3.4e38)
         scale, unknown, note = 1.0, None, "NaN means unknown"
     elif kind.letter in "hi":
         top = (1 << bits - 1) - 1
@@ -182,7 +183,7 @@ def _plain(row: Row, start: int, n: int) -> Signal:
     """A number that is just that: counters, registers, commands."""
     limits = types.data_type(row.letter).limits or (0, 0)
     name = row.slug.replace(".", "_")
-    if row.index == _CHANNEL_STATUS:
+    if row.index == indices.CHANNEL_STATUS:
         name = f"{table.channels(n)[row.sub - 1][0]}_status"
     elif row.many:
         name = f"{name}_{row.sub}"

@@ -9,6 +9,8 @@ tuples where the entries of one run differ. The type is the letter that ``struct
 "D" a DOMAIN. Sub-index 0 is added by ``objects()`` where an object does not state its own.
 """
 
+from tipforce.device import codes, communication
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
     from typing import Any, TypeAlias
@@ -39,19 +41,22 @@ STAGED = 8  # part of the calibration record, in table order; any REAL32 may be 
 VIEW = 16  # another form of a 6xxxh value: not a value of its own, never stored
 NOT_STORED = 32  # read-write, but a state and not a setting
 
-PDO_DISABLED = 0x80000000  # CiA 301, 7.5.2.35: bit 31, the PDO does not exist
-NO_RTR = 0x40000000  # bit 30
 MAX_MAPPED = 8
+
+# The profile area has one value in three forms: the index of an INTEGER16 or INTEGER32 form is that of the REAL32 form
+# and the difference of these.
+REAL32_FORMS, INT16_FORMS, INT32_FORMS = 0x6000, 0x7000, 0x9000
 
 MICROSTRAIN, NEWTON, DEGREE = 0xFA010100, 0x00210000, 0x00410000  # object 6131h, CiA 303-2
 UNKNOWN_I16, UNKNOWN_I32, UNKNOWN_U16 = -0x8000, -0x80000000, 0xFFFF
 
-SIGNATURE_SAVE, SIGNATURE_LOAD = 0x65766173, 0x64616F6C  # "save", "load"
 SIGNATURE_ZERO, SIGNATURE_TARA = 0x6F72657A, 0x61726174  # "zero", "tara"
 SIGNATURE_COMMIT, SIGNATURE_OPEN = 0x74696D63, 0x6E65706F  # "cmit", "open"
 
 SOFTWARE_VERSION = "0.1.0"
 REVISION = 0x00010000
+# Product code 1018h:2: the sensor, options, and the number of gauges in the last four bits.
+PRODUCT, PRODUCT_SIMULATED, PRODUCT_24_BIT, PRODUCT_GAUGES = 0x54500000, 0x100, 0x200, 0xF
 # Of the gauges: (bits, counts per microstrain). Both have a full scale of 3276.8 microstrain.
 CONVERTER_16, CONVERTER_24 = (16, 10.0), (24, 2560.0)
 MIN_GAUGES, MAX_GAUGES = 3, 8
@@ -70,7 +75,11 @@ STATUS_BITS = (
 )
 # Front-end faults 2124h: bits 0-7 are gauges 1-8.
 FAULT_NO_DATA, FAULT_FROZEN, FAULT_WIRE_BREAK, FAULT_SUPPLY = 8, 9, 10, 11
-FAULT_BITS = ((8, "no_data"), (9, "frozen"), (10, "wire_break"), (11, "supply"))
+FAULT_BITS = (
+    (FAULT_NO_DATA, "no_data"), (FAULT_FROZEN, "frozen"), (FAULT_WIRE_BREAK, "wire_break"), (FAULT_SUPPLY, "supply"),
+)  # fmt: skip
+# EMCY error codes of the application; those of CiA 301 are in tipforce.device.emcy.
+EMCY_TEMPERATURE, EMCY_GAUGE_SATURATED, EMCY_FRONT_END, EMCY_CALIBRATION_INVALID = 0x4210, 0x5010, 0x5030, 0x6320
 COMMAND_TARE, COMMAND_CLEAR_TARE, COMMAND_ZERO = 1, 2, 3
 
 
@@ -98,12 +107,20 @@ def tpdos(n: int) -> "tuple[Pdo, ...]":
 
     The parameter objects 18xxh and 1Axxh and the DBC messages follow from this.
     """
-    status, counter = (0x2120, 0), (0x2121, 0)
+    status, counter, register = (0x2120, 0), (0x2121, 0), (communication.ERROR_REGISTER, 0)
     declared: list[Pdo] = [
-        (1, "Gauges", 0x180, True, 1, 0, _run(0x7130, 1, 3) + (status, counter)),
-        (2, "Contact", 0x280, True, 1, 0, _run(0x7130, n + 4, n + 6) + (status, counter)),
-        (3, "Force", 0x380, False, 1, 0, _run(0x7130, n + 1, n + 3) + (status, counter)),
-        (4, "Health", 0x480, False, 255, 1000, ((0x2122, 0), (0x2123, 0), (0x2124, 0), counter, (0x1001, 0))),
+        (1, "Gauges", codes.TPDO_BASES[0], True, 1, 0, _run(0x7130, 1, 3) + (status, counter)),
+        (2, "Contact", codes.TPDO_BASES[1], True, 1, 0, _run(0x7130, n + 4, n + 6) + (status, counter)),
+        (3, "Force", codes.TPDO_BASES[2], False, 1, 0, _run(0x7130, n + 1, n + 3) + (status, counter)),
+        (
+            4,
+            "Health",
+            codes.TPDO_BASES[3],
+            False,
+            255,
+            1000,
+            ((0x2122, 0), (0x2123, 0), (0x2124, 0), counter, register),
+        ),
     ]
     if n > 3:
         declared.append((5, "Gauges2", 0, False, 1, 0, _run(0x7130, 4, min(n, 6)) + (status, counter)))
@@ -114,12 +131,13 @@ def tpdos(n: int) -> "tuple[Pdo, ...]":
 
 def rpdos() -> "tuple[Pdo, ...]":
     """RPDO declarations, in the form of ``tpdos``."""
-    return ((1, "Command", 0x200, False, 255, 0, ((0x2130, 0),)),)
+    return ((1, "Command", codes.RPDO_BASES[0], False, 255, 0, ((0x2130, 0),)),)
 
 
 def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16) -> int:
     """Object 1018h:2 of a node with ``n`` gauges."""
-    return 0x54500000 | (0x200 if converter[0] > 16 else 0) | (0x100 if simulated else 0) | n
+    options = (PRODUCT_24_BIT if converter[0] > 16 else 0) | (PRODUCT_SIMULATED if simulated else 0)
+    return PRODUCT | options | n
 
 
 def objects(n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16) -> "tuple[Object, ...]":
@@ -135,9 +153,9 @@ def objects(n: int = 3, simulated: bool = False, converter: "Converter" = CONVER
         raise ValueError("number of gauges: %r, allowed %d to %d" % (n, MIN_GAUGES, MAX_GAUGES))
     found = list(_communication(product_code(n, simulated, converter), simulated))
     for pdo in rpdos():
-        found += _pdo_objects("rpdo", 0x1400, 0x1600, pdo)
+        found += _pdo_objects("rpdo", communication.RPDO, pdo)
     for pdo in tpdos(n):
-        found += _pdo_objects("tpdo", 0x1800, 0x1A00, pdo)
+        found += _pdo_objects("tpdo", communication.TPDO, pdo)
     found += _calibration(n)
     found += _live()
     if simulated:
@@ -220,11 +238,11 @@ def _record(index: int, name: str, slug: str, *entries: "tuple[Any, ...]") -> "O
 def _communication(product: int, simulated: bool) -> "tuple[Object, ...]":
     stores = ("all parameters", "communication parameters", "application parameters", "calibration")
     return (
-        _var(0x1000, "Device type", "device_type", U32, "ro", 0, 0x00020194),
-        _var(0x1001, "Error register", "error_register", U8, "ro", TPDO),
-        _var(0x1002, "Manufacturer status register", "manufacturer_status", U32, "ro", TPDO),
+        _var(communication.DEVICE_TYPE, "Device type", "device_type", U32, "ro", 0, 0x00020194),
+        _var(communication.ERROR_REGISTER, "Error register", "error_register", U8, "ro", TPDO),
+        _var(communication.MANUFACTURER_STATUS, "Manufacturer status register", "manufacturer_status", U32, "ro", TPDO),
         (
-            0x1003,
+            communication.ERROR_HISTORY,
             ARRAY,
             "Pre-defined error field",
             "error_history",
@@ -233,68 +251,86 @@ def _communication(product: int, simulated: bool) -> "tuple[Object, ...]":
                 (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
             ),
         ),
-        _var(0x1005, "COB-ID SYNC", "sync.cob_id", U32, "rw", 0, 0x80),
-        _var(0x1007, "Synchronous window length", "sync.window_us", U32, "rw", 0, 0, unit="us"),
-        _var(0x1008, "Manufacturer device name", "device_name", STRING, "const", 0, "tipforce fingertip"),
+        _var(communication.COB_ID_SYNC, "COB-ID SYNC", "sync.cob_id", U32, "rw", 0, codes.SYNC_COB_ID),
+        _var(communication.SYNC_WINDOW, "Synchronous window length", "sync.window_us", U32, "rw", 0, 0, unit="us"),
         _var(
-            0x1009, "Manufacturer hardware version", "hardware_version", STRING, "const", 0,
+            communication.DEVICE_NAME, "Manufacturer device name", "device_name", STRING, "const", 0,
+            "tipforce fingertip",
+        ),
+        _var(
+            communication.HARDWARE_VERSION, "Manufacturer hardware version", "hardware_version", STRING, "const", 0,
             "simulated" if simulated else "1",
         ),
         _var(
-            0x100A, "Manufacturer software version", "software_version", STRING, "const", 0, SOFTWARE_VERSION,
+            communication.SOFTWARE_VERSION, "Manufacturer software version", "software_version", STRING,
+            "const", 0, SOFTWARE_VERSION,
         ),
-        _var(0x100C, "Guard time", "node_guarding.guard_time_ms", U16, "rw", unit="ms"),
-        _var(0x100D, "Life time factor", "node_guarding.life_time_factor", U8, "rw"),
+        _var(communication.GUARD_TIME, "Guard time", "node_guarding.guard_time_ms", U16, "rw", unit="ms"),
+        _var(communication.LIFE_TIME_FACTOR, "Life time factor", "node_guarding.life_time_factor", U8, "rw"),
         _array(
-            0x1010, "Store parameters", "store", 4, tuple("Save " + s for s in stores),
+            communication.STORE_PARAMETERS, "Store parameters", "store", 4, tuple("Save " + s for s in stores),
             U32, "rw", NOT_STORED, 1,
         ),
         _array(
-            0x1011, "Restore default parameters", "restore", 4, tuple("Restore " + s for s in stores),
+            communication.RESTORE_DEFAULTS, "Restore default parameters", "restore", 4,
+            tuple("Restore " + s for s in stores),
             U32, "rw", NOT_STORED, 1,
         ),
-        _var(0x1012, "COB-ID time stamp object", "time.cob_id", U32, "rw", 0, 0x80000100),
         _var(
-            0x1013, "High resolution time stamp", "time.high_resolution_us",
+            communication.COB_ID_TIME, "COB-ID time stamp object", "time.cob_id", U32, "rw", 0,
+            codes.TIME_CONSUMER | codes.TIME_COB_ID,
+        ),
+        _var(
+            communication.HIGH_RESOLUTION_TIME, "High resolution time stamp", "time.high_resolution_us",
             U32, "rw", TPDO | RPDO | NOT_STORED, unit="us",
         ),
-        _var(0x1014, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID, 0x80),
-        _var(0x1015, "Inhibit time EMCY", "emcy.inhibit_100us", U16, "rw", unit="100 us"),
+        _var(communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID, codes.EMCY_BASE),
+        _var(communication.EMCY_INHIBIT_TIME, "Inhibit time EMCY", "emcy.inhibit_100us", U16, "rw", unit="100 us"),
         _array(
-            0x1016, "Consumer heartbeat time", "heartbeat.consumer", 4, "Consumer heartbeat time %d",
+            communication.CONSUMER_HEARTBEAT, "Consumer heartbeat time", "heartbeat.consumer", 4,
+            "Consumer heartbeat time %d",
             U32, "rw",
         ),
-        _var(0x1017, "Producer heartbeat time", "heartbeat.producer_ms", U16, "rw", 0, 1000, unit="ms"),
+        _var(
+            communication.PRODUCER_HEARTBEAT, "Producer heartbeat time", "heartbeat.producer_ms", U16, "rw", 0, 1000,
+            unit="ms",
+        ),
         _record(
-            0x1018, "Identity object", "identity",
+            communication.IDENTITY, "Identity object", "identity",
             (1, "Vendor-ID", "vendor", U32, "ro"),
             (2, "Product code", "product", U32, "ro", 0, product),
             (3, "Revision number", "revision", U32, "ro", 0, REVISION),
             (4, "Serial number", "serial", U32, "ro"),
         ),
-        _var(0x1019, "Synchronous counter overflow value", "sync.counter_overflow", U8, "rw", 0, 0, 0, 240),
+        _var(
+            communication.SYNC_OVERFLOW, "Synchronous counter overflow value", "sync.counter_overflow", U8, "rw",
+            0, 0, 0, 240,
+        ),
         _record(
-            0x1020, "Verify configuration", "verify_configuration",
+            communication.VERIFY_CONFIGURATION, "Verify configuration", "verify_configuration",
             (1, "Configuration date", "date", U32, "rw"),
             (2, "Configuration time", "time", U32, "rw"),
         ),
-        _var(0x1021, "Store EDS", "eds", DOMAIN, "ro"),
-        _var(0x1022, "Store format", "eds_format", U16, "ro"),
-        _array(0x1029, "Error behaviour", "error_behaviour", 1, "Communication error", U8, "rw", 0, 0, 0, 2),
-        _record(
-            0x1200, "SDO server parameter", "sdo_server",
-            (1, "COB-ID client to server", "client_to_server", U32, "ro", ADD_NODE_ID, 0x600),
-            (2, "COB-ID server to client", "server_to_client", U32, "ro", ADD_NODE_ID, 0x580),
+        _var(communication.STORED_EDS, "Store EDS", "eds", DOMAIN, "ro"),
+        _var(communication.EDS_FORMAT, "Store format", "eds_format", U16, "ro"),
+        _array(
+            communication.ERROR_BEHAVIOUR, "Error behaviour", "error_behaviour", 1, "Communication error",
+            U8, "rw", 0, 0, 0, 2,
         ),
-        _var(0x1F80, "NMT startup", "nmt_startup", U32, "rw", 0, 4),
+        _record(
+            communication.SDO_SERVER, "SDO server parameter", "sdo_server",
+            (1, "COB-ID client to server", "client_to_server", U32, "ro", ADD_NODE_ID, codes.SDO_REQUEST_BASE),
+            (2, "COB-ID server to client", "server_to_client", U32, "ro", ADD_NODE_ID, codes.SDO_RESPONSE_BASE),
+        ),
+        _var(communication.NMT_STARTUP, "NMT startup", "nmt_startup", U32, "rw", 0, 4),
     )
 
 
-def _pdo_objects(direction: str, communication: int, mapping: int, pdo: "Pdo") -> "tuple[Object, Object]":
+def _pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object]":
     number, message, base, enabled, transmission, event_ms, mapped = pdo
     slug = "%s%d" % (direction, number)
     title = "%s%d %s" % (direction.upper(), number, message.lower())
-    cob_id = base | (NO_RTR if direction == "tpdo" else 0) | (0 if enabled else PDO_DISABLED)
+    cob_id = base | (codes.NO_RTR if direction == "tpdo" else 0) | (0 if enabled else codes.COB_ID_INVALID)
     entries: list[tuple[Any, ...]] = [
         (1, "COB-ID", "cob_id", U32, "rw", ADD_NODE_ID if base else 0, cob_id),
         (2, "Transmission type", "transmission_type", U8, "rw", 0, transmission),
@@ -307,9 +343,9 @@ def _pdo_objects(direction: str, communication: int, mapping: int, pdo: "Pdo") -
     bits = tuple(index << 16 | sub << 8 | mapped_bits(index) for index, sub in mapped)
     slots = bits + (0,) * (MAX_MAPPED - len(bits))
     return (
-        _record(communication + number - 1, title + " communication", slug, *entries),
+        _record(first + number - 1, title + " communication", slug, *entries),
         (
-            mapping + number - 1,
+            first + communication.MAPPING + number - 1,
             RECORD,
             title + " mapping",
             slug + ".mapping",
@@ -325,7 +361,7 @@ def _pdo_objects(direction: str, communication: int, mapping: int, pdo: "Pdo") -
 
 def mapped_bits(index: int) -> int:
     """Length in bits of an object that the default PDOs map."""
-    return 8 if index in (0x1001, 0x2120, 0x2121) else 16
+    return 8 if index in (communication.ERROR_REGISTER, 0x2120, 0x2121) else 16
 
 
 def _calibration(n: int) -> "tuple[Object, ...]":
@@ -476,11 +512,11 @@ def _profile(n: int, converter: "Converter") -> "list[Object]":
         digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
         found.append(
             _array(
-                0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access, flags,
+                REAL32_FORMS + offset, "AI " + name, slug, count, symbols[:count], REAL32, access, flags,
                 default if isinstance(default, float) else default[:count], unit=unit,
             )
         )
-        for base, kind, suffix in ((0x7000, I16, "int16"), (0x9000, I32, "int32")):
+        for base, kind, suffix in ((INT16_FORMS, I16, "int16"), (INT32_FORMS, I32, "int32")):
             if kind == I16 and unit == "counts" and converter[0] > 16:
                 continue
             found.append(

@@ -1,8 +1,8 @@
 """The fingertip as the application of a CANopen device: latch a sample, answer for the live objects (CiA 404)."""
 
-from tipforce.device import codes, emcy
+from tipforce.device import codes, communication, emcy
 from tipforce.device.node import Application, Device
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
 from .calibration import CALIBRATION_GROUP, Calibration
@@ -24,12 +24,14 @@ NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
 COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, the gauges' own glue and coefficients are not vouched for
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
-
-# EMCY error codes (OBJECTS.md) and their bits in the error register.
-FRONT_END, GAUGE_SATURATED, TEMPERATURE, CALIBRATION_INVALID = 0x5030, 0x5010, 0x4210, 0x6320
-
-_LIVE = (0x1002, 0x2107, 0x2120, 0x2121, 0x2122, 0x2123, 0x2124, 0x6150)
-_LIVE_FORMS = (0x6100, 0x6130, 0x7100, 0x7130, 0x9100, 0x9130)
+_LIVE = (
+    communication.MANUFACTURER_STATUS, indices.UNCERTAINTY, indices.STATUS, indices.COUNTER, indices.TEMPERATURE,
+    indices.U_P, indices.FAULTS, indices.CHANNEL_STATUS,
+)  # fmt: skip
+_LIVE_FORMS = (
+    indices.FIELD_VALUE, indices.FIELD_VALUE_INT16, indices.FIELD_VALUE_INT32,
+    indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32,
+)  # fmt: skip
 
 
 class Fingertip(Application):
@@ -60,20 +62,20 @@ class Fingertip(Application):
 
     def _own_live_objects(self, od: "ObjectDictionary") -> None:
         readers: "tuple[tuple[int, Callable[[int], Value]], ...]" = (
-            (0x1002, lambda _sub: self.sample.status() | self.sample.faults << 16),
-            (0x2107, self._read_uncertainty),
-            (0x2111, self._read_tare),
-            (0x2120, lambda _sub: self.sample.status()),
-            (0x2121, lambda _sub: self.sample.counter),
-            (0x2122, lambda _sub: self._read_temperature()),
-            (0x2123, lambda _sub: self._read_magnitude_uncertainty()),
-            (0x2124, lambda _sub: self.sample.faults),
+            (communication.MANUFACTURER_STATUS, lambda _sub: self.sample.status() | self.sample.faults << 16),
+            (indices.UNCERTAINTY, self._read_uncertainty),
+            (indices.TARE, self._read_tare),
+            (indices.STATUS, lambda _sub: self.sample.status()),
+            (indices.COUNTER, lambda _sub: self.sample.counter),
+            (indices.TEMPERATURE, lambda _sub: self._read_temperature()),
+            (indices.U_P, lambda _sub: self._read_magnitude_uncertainty()),
+            (indices.FAULTS, lambda _sub: self.sample.faults),
         )
         for index, reader in readers:
             od.readers[index] = reader
-        od.writers[0x2104] = self._write_commit
-        od.writers[0x2130] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
-        od.writers[0x6139] = self._write_autotare
+        od.writers[indices.CALIBRATION_COMMIT] = self._write_commit
+        od.writers[indices.COMMAND] = lambda _sub, value: self.command(value)  # type: ignore[arg-type]
+        od.writers[indices.AUTOTARE] = self._write_autotare
 
     # --- the device calls these -----------------------------------------------------------------------------
 
@@ -81,7 +83,7 @@ class Fingertip(Application):
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
         self.channels.one_filter()
-        self.device.od.values[0x213000] = 0
+        self.device.od.values[indices.COMMAND << 8] = 0
         self._tare = NO_TARE
         self._read_us = now_us
         self._equal = [0] * self.n
@@ -89,7 +91,7 @@ class Fingertip(Application):
         self.load_filter()
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
         if "calibration" in self.device.storage.damaged:
-            self.device.emcy.raise_error(CALIBRATION_INVALID, emcy.MANUFACTURER)
+            self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
 
     def on_settings(self) -> None:
         """Find out anew which channels have interrupts to watch for."""
@@ -102,7 +104,8 @@ class Fingertip(Application):
 
     def load_filter(self) -> None:
         """Begin filtering anew as 61A0h and 61A1h say; an average of one conversion is none."""
-        kind, constant = self.device.od.integer(0x61A0, 1), self.device.od.integer(0x61A1, 1)
+        od = self.device.od
+        kind, constant = od.integer(indices.FILTER_TYPE, 1), od.integer(indices.FILTER_CONSTANT, 1)
         self.filtering = None
         if kind and constant > 1:
             from .filters import Filtering  # a node without a filter does without
@@ -135,7 +138,8 @@ class Fingertip(Application):
         filtering = self.filtering
         if filtering is None:
             watching = self._watching()
-            self.due_us = now_us + (self.device.od.integer(0x6114, 1) if watching else self.source.watch_us)
+            period_us = self.device.od.integer(indices.SAMPLE_PERIOD_US, 1) if watching else self.source.watch_us
+            self.due_us = now_us + period_us
             new = True
         else:
             new = self._news(now_us)
@@ -184,7 +188,9 @@ class Fingertip(Application):
     def _report_faults(self, before: int, now: int) -> None:
         """EMCY for each bit of 2124h that came or went: a saturated gauge by its number, the front end by the bit."""
         for bit in range(16):
-            code, detail = (GAUGE_SATURATED, bit + 1) if bit < table.FAULT_NO_DATA else (FRONT_END, bit)
+            code, detail = (
+                (table.EMCY_GAUGE_SATURATED, bit + 1) if bit < table.FAULT_NO_DATA else (table.EMCY_FRONT_END, bit)
+            )
             if now & ~before & 1 << bit:
                 self.device.emcy.raise_error(code, emcy.PROFILE, detail)
             elif before & ~now & 1 << bit:
@@ -194,9 +200,9 @@ class Fingertip(Application):
         if reading is None or reading.temperature == table.UNKNOWN_I16:
             return
         if COLDEST <= reading.temperature <= HOTTEST:
-            self.device.emcy.cure(TEMPERATURE)
+            self.device.emcy.cure(table.EMCY_TEMPERATURE)
         else:
-            self.device.emcy.raise_error(TEMPERATURE, emcy.TEMPERATURE)
+            self.device.emcy.raise_error(table.EMCY_TEMPERATURE, emcy.TEMPERATURE)
 
     def _silent(self, now_us: int) -> bool:
         """The front end has given nothing for longer than a sample period can explain."""

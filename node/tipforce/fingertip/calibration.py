@@ -7,7 +7,7 @@ import binascii
 import struct
 
 from tipforce.device import codes
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.sensor.contact.scalar_condition import condition_number
 
 TYPE_CHECKING = False
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _ROUNDING = 1e-5  # of variances: that of REAL32, with room for a node that works in single precision
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
-_CONDITION_LIMIT, _EXPECTED_CRC = 0x210501, 0x210301
+_CONDITION_LIMIT, _EXPECTED_CRC = indices.CALIBRATION_GUARD << 8 | 1, indices.CALIBRATION_CHECK << 8 | 1
 
 
 def crc32(data: bytes) -> int:
@@ -126,14 +126,14 @@ class Calibration:
         self.packing = "<" + "".join([kind for _index, _sub, kind in fields])
         for index, _sub, _kind in fields:
             od.writers[index] = self._write_staged
-        od.sizes[0x2141] = struct.calcsize(self.packing)
-        od.readers[0x2102] = lambda sub: self._condition() if sub == 5 else od.values[0x210200 | sub]
-        od.readers[0x2103] = self._read_check
-        od.readers[0x2105] = self._read_guard
-        od.readers[0x2140] = lambda _sub: self.active_record()
-        od.readers[0x2141] = lambda _sub: self.staged_record()
-        od.writers[0x2105] = self._write_guard
-        od.writers[0x2141] = self._write_record
+        od.sizes[indices.CALIBRATION_STAGED_RECORD] = struct.calcsize(self.packing)
+        od.readers[indices.CALIBRATION_FACTS] = self._read_facts
+        od.readers[indices.CALIBRATION_CHECK] = self._read_check
+        od.readers[indices.CALIBRATION_GUARD] = self._read_guard
+        od.readers[indices.CALIBRATION_ACTIVE_RECORD] = lambda _sub: self.active_record()
+        od.readers[indices.CALIBRATION_STAGED_RECORD] = lambda _sub: self.staged_record()
+        od.writers[indices.CALIBRATION_GUARD] = self._write_guard
+        od.writers[indices.CALIBRATION_STAGED_RECORD] = self._write_record
 
     def staged_record(self) -> bytes:
         """The staged record as one byte string (2141h)."""
@@ -155,7 +155,7 @@ class Calibration:
         self.active = None
         self._generation = 0
         self._od.values[_EXPECTED_CRC] = 0
-        self._od.values[_CONDITION_LIMIT] = self._od.default(0x2105, 1)
+        self._od.values[_CONDITION_LIMIT] = self._od.default(indices.CALIBRATION_GUARD, 1)
         tail = struct.calcsize(_STORED_TAIL)
         if data is not None and len(data) in (tail, tail + struct.calcsize(self.packing)):
             self._od.values[_CONDITION_LIMIT], self._generation = struct.unpack(_STORED_TAIL, data[:tail])
@@ -174,19 +174,22 @@ class Calibration:
 
     def _condition(self) -> float:
         n = self._n
-        values = self._od.values
-        rows: "list[list[float]]" = [[values[0x210001 + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
+        values, first = self._od.values, indices.CALIBRATION_MATRIX << 8 | 1
+        rows: "list[list[float]]" = [[values[first + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
         return condition_number(rows)
+
+    def _read_facts(self, sub: int) -> "Value":
+        return self._condition() if sub == 5 else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
 
     def _read_check(self, sub: int) -> "Value":
         if sub == 2:
             return crc32(self.staged_record())
         if sub == 3:
             return 0 if self.active is None else crc32(self.active.record)
-        return self._generation if sub == 4 else self._od.values[0x210300 | sub]
+        return self._generation if sub == 4 else self._od.values[indices.CALIBRATION_CHECK << 8 | sub]
 
     def _read_guard(self, sub: int) -> "Value":
-        return int(self._locked) if sub == 2 else self._od.values[0x210500 | sub]
+        return int(self._locked) if sub == 2 else self._od.values[indices.CALIBRATION_GUARD << 8 | sub]
 
     def _write_staged(self, _sub: int, _value: "Value") -> int:
         return codes.DEVICE_STATE if self._locked else 0

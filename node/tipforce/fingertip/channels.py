@@ -4,7 +4,7 @@ from math import sqrt
 
 from tipforce.device import codes
 from tipforce.device.object_dictionary import decode, encode
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
 TYPE_CHECKING = False
@@ -19,9 +19,21 @@ if TYPE_CHECKING:
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
 _HALF_TURN = 18000  # of an angle, in 0.01 degree
-_FORMS = ((0x7000, MAX_I16, table.UNKNOWN_I16), (0x9000, MAX_I32, table.UNKNOWN_I32))
-_SETTINGS = (0x120, 0x121, 0x122, 0x123, 0x124, 0x133, 0x134, 0x135, 0x136, 0x148, 0x149)
-_FIELD_SETTINGS = (0x120, 0x122)  # in counts, so the integer forms have no decimal digits
+# Of the integer forms: from the REAL32 index to that of the form, and its range.
+_FORMS = (
+    (table.INT16_FORMS - table.REAL32_FORMS, MAX_I16, table.UNKNOWN_I16),
+    (table.INT32_FORMS - table.REAL32_FORMS, MAX_I32, table.UNKNOWN_I32),
+)
+_SCALING = (
+    indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD, indices.SCALING_2_PROCESS,
+    indices.PROCESS_OFFSET,
+)  # fmt: skip
+_INTERRUPTS = (
+    indices.INTERRUPT_DELTA, indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS,
+)  # fmt: skip
+_SETTINGS = _SCALING + _INTERRUPTS + (indices.SPAN_START, indices.SPAN_END)
+_FIELD_SETTINGS = (indices.SCALING_1_FIELD, indices.SCALING_2_FIELD)  # in counts: no decimal digits in integer forms
+_FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
 def _real32(value: float) -> float:
@@ -39,29 +51,29 @@ class Channels:
         self._fingertip = fingertip
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
-        od.readers[0x6130] = self.exact
-        od.readers[0x6150] = self._status
-        od.readers[0x6100] = lambda sub: self._counts(sub, scalar.NAN)
-        for base, highest, unknown in _FORMS:
-            self._own_form(base, highest, unknown)
-        for offset in (0x120, 0x121, 0x122, 0x123, 0x124):
-            od.writers[0x6000 + offset] = self._scaling_writer(0x6000 + offset)
-        for index in (0x6133, 0x6134, 0x6135, 0x6136):
+        od.readers[indices.PROCESS_VALUE] = self.exact
+        od.readers[indices.CHANNEL_STATUS] = self._status
+        od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
+        for beyond, highest, unknown in _FORMS:
+            self._own_form(beyond, highest, unknown)
+        for index in _SCALING:
+            od.writers[index] = self._scaling_writer(index)
+        for index in _INTERRUPTS:
             od.writers[index] = self._interrupt_writer(index)
-        od.writers[0x6114] = self._write_period
-        od.writers[0x6125] = self._write_autozero
-        for index in (0x61A0, 0x61A1):
+        od.writers[indices.SAMPLE_PERIOD_US] = self._write_period
+        od.writers[indices.AUTOZERO] = self._write_autozero
+        for index in _FILTER:
             od.writers[index] = self._filter_writer(index)
         self.load()
 
-    def _own_form(self, base: int, highest: int, unknown: int) -> None:
+    def _own_form(self, beyond: int, highest: int, unknown: int) -> None:
         """The integer objects of one form: views of the REAL32 values."""
         readers, writers = self._od.readers, self._od.writers
-        readers[base + 0x100] = lambda sub: self._counts(sub, unknown)
-        readers[base + 0x130] = self._integer_reader(highest, unknown)
-        for offset in _SETTINGS:
-            readers[base + offset] = self._setting_reader(offset, highest)
-            writers[base + offset] = self._setting_writer(offset)
+        readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
+        readers[beyond + indices.PROCESS_VALUE] = self._integer_reader(highest, unknown)
+        for index in _SETTINGS:
+            readers[beyond + index] = self._setting_reader(index, highest)
+            writers[beyond + index] = self._setting_writer(index)
 
     # --- live values ----------------------------------------------------------------------------------------
 
@@ -136,26 +148,27 @@ class Channels:
         """Work the scaling out anew from 6120h-6124h and hand the sample period to the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
-            if values[0x612000 | sub] == values[0x612200 | sub]:
+            if values[indices.SCALING_1_FIELD << 8 | sub] == values[indices.SCALING_2_FIELD << 8 | sub]:
                 # No write leaves two scaling points at one field value, but a store of another making may.
-                for index in range(0x6120, 0x6124):
+                for index in _SCALING[:4]:
                     values[index << 8 | sub] = self._od.default(index, sub)
-            f1, p1, f2, p2, offset = [values[index << 8 | sub] for index in range(0x6120, 0x6125)]
+            f1, p1, f2, p2, offset = [values[index << 8 | sub] for index in _SCALING]
             gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
         self.scaling = gains
-        self._fingertip.source.period_us = values[0x611401]  # type: ignore[assignment]
+        self._fingertip.source.period_us = values[indices.SAMPLE_PERIOD_US << 8 | 1]  # type: ignore[assignment]
 
     def one_filter(self) -> None:
         """No write leaves a filter that is not offered or not that of all gauges, but a store of another making may."""
         values = self._od.values
-        for index in (0x61A0, 0x61A1):
+        for index in _FILTER:
             for sub in range(2, self._n + 1):
                 values[index << 8 | sub] = values[index << 8 | 1]
-        if self._filter_abort(values[0x61A001], values[0x61A101]):  # type: ignore[arg-type]
-            for sub in range(1, self._n + 1):
-                values[0x61A000 | sub] = self._od.default(0x61A0, sub)
-                values[0x61A100 | sub] = self._od.default(0x61A1, sub)
+        kind, constant = [values[index << 8 | 1] for index in _FILTER]
+        if self._filter_abort(kind, constant):  # type: ignore[arg-type]
+            for index in _FILTER:
+                for sub in range(1, self._n + 1):
+                    values[index << 8 | sub] = self._od.default(index, sub)
 
     def noise_counts(self, gauge: int, active: "Active | None") -> float:
         """Standard deviation of a gauge's noise in counts as the calibration states it; 0 when unknown."""
@@ -171,8 +184,9 @@ class Channels:
         offsets: "dict[int, float]" = {}
         for k in gauges:
             gain, bias = self.scaling[k]
-            before: float = self._od.values[0x612401 + k]  # type: ignore[assignment]
-            offsets[0x612401 + k] = offset = _real32(before - (gain * counts[k] + bias))
+            key = indices.PROCESS_OFFSET << 8 | k + 1
+            before: float = self._od.values[key]  # type: ignore[assignment]
+            offsets[key] = offset = _real32(before - (gain * counts[k] + bias))
             if offset - offset != 0.0:
                 return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
         self._od.values.update(offsets)
@@ -183,7 +197,8 @@ class Channels:
         def write(sub: int, value: "Value") -> int:
             before = self._od.values[index << 8 | sub]
             self._od.values[index << 8 | sub] = value
-            if self._od.values[0x612000 | sub] == self._od.values[0x612200 | sub]:
+            field_1, field_2 = [self._od.values[field << 8 | sub] for field in _FIELD_SETTINGS]
+            if field_1 == field_2:
                 # Two scaling points at one field value make no line.
                 self._od.values[index << 8 | sub] = before
                 return codes.INVALID_VALUE
@@ -200,31 +215,31 @@ class Channels:
 
         return write
 
-    def _setting_reader(self, offset: int, highest: int) -> "Callable[[int], Value]":
+    def _setting_reader(self, index: int, highest: int) -> "Callable[[int], Value]":
         def read(sub: int) -> int:
-            value: float = self._od.values[0x6000 + offset << 8 | sub]  # type: ignore[assignment]
-            return self._to_integer(value, self._setting_scale(offset, sub), highest)
+            value: float = self._od.values[index << 8 | sub]  # type: ignore[assignment]
+            return self._to_integer(value, self._setting_scale(index, sub), highest)
 
         return read
 
-    def _setting_writer(self, offset: int) -> "Callable[[int, Value], int]":
+    def _setting_writer(self, index: int) -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
-            real = _real32(float(value) / self._setting_scale(offset, sub))
-            writer = self._od.writers.get(0x6000 + offset)
+            real = _real32(float(value) / self._setting_scale(index, sub))
+            writer = self._od.writers.get(index)
             abort = writer(sub, real) if writer is not None else 0
             if not abort:
-                self._od.values[0x6000 + offset << 8 | sub] = real
+                self._od.values[index << 8 | sub] = real
             return abort
 
         return write
 
-    def _setting_scale(self, offset: int, sub: int) -> float:
-        return 1.0 if offset in _FIELD_SETTINGS else self._per_unit[sub - 1]
+    def _setting_scale(self, index: int, sub: int) -> float:
+        return 1.0 if index in _FIELD_SETTINGS else self._per_unit[sub - 1]
 
     def _write_period(self, _sub: int, value: "Value") -> int:
         # One converter serves all gauges: the period of one channel is that of all.
         for sub in range(1, self._n + 7):
-            self._od.values[0x611400 | sub] = value
+            self._od.values[indices.SAMPLE_PERIOD_US << 8 | sub] = value
         self._fingertip.source.period_us = value  # type: ignore[assignment]
         if self._fingertip.filtering is not None:
             self._fingertip.load_filter()
@@ -233,11 +248,10 @@ class Channels:
     def _filter_writer(self, index: int) -> "Callable[[int, Value], int]":
         def write(_sub: int, value: "Value") -> int:
             # A force from gauges that are filtered differently would be wrong while it changes: one filter for all.
-            kind = value if index == 0x61A0 else self._od.values[0x61A001]
-            constant = value if index == 0x61A1 else self._od.values[0x61A101]
+            kind, constant = [value if index == of else self._od.values[of << 8 | 1] for of in _FILTER]
             abort = self._filter_abort(kind, constant)  # type: ignore[arg-type]
             if abort:
-                return abort if index == 0x61A0 else codes.TOO_HIGH
+                return abort if index == indices.FILTER_TYPE else codes.TOO_HIGH
             for sub in range(1, self._n + 1):
                 self._od.values[index << 8 | sub] = value
             self._fingertip.load_filter()

@@ -1,5 +1,6 @@
 """The table of ``tipforce.dictionary`` as the object dictionary of a running device."""
 
+from tipforce.device import communication
 from tipforce.device import object_dictionary as od_flags
 from tipforce.device.object_dictionary import ObjectDictionary
 from tipforce.dictionary import table
@@ -22,7 +23,7 @@ def build(
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
     for index, _code, _name, _slug, entries in table.objects(n, simulated, converter):
-        if index in (0x1021, 0x1022) and not eds:
+        if index in (communication.STORED_EDS, communication.EDS_FORMAT) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
             core_flags = _flags(flags)
@@ -33,8 +34,9 @@ def build(
                 entry = (kind, access, core_flags, value, low, high)
                 od.add(index, first + k, shared.setdefault(entry, entry))
     if eds:
-        od.readers[0x1021] = lambda _sub: eds
-    od.readers[0x1018] = lambda sub: serial if sub == 4 else od.values[0x101800 | sub]
+        od.readers[communication.STORED_EDS] = lambda _sub: eds
+    first = communication.IDENTITY << 8
+    od.readers[communication.IDENTITY] = lambda sub: serial if sub == 4 else od.values[first | sub]
     return od
 
 

@@ -1,6 +1,6 @@
 """CiA 404 interrupts (6133h to 6136h): which channels changed enough to send an event-driven TPDO."""
 
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -9,7 +9,8 @@ if TYPE_CHECKING:
     from tipforce.device.node import Device
 
 _ON_SYNC_AFTER_EVENT, _EVENT_DRIVEN = 0, 254
-_CHANNEL_VALUES = (0x6130, 0x7130, 0x9130)
+_CHANNEL_VALUES = (indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32)
+_LIMITS = (indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS)
 _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 
 
@@ -58,7 +59,7 @@ class Interrupts:
                     self._device.tpdos.request(number)
 
     def _moved(self, sub: int, value: float) -> bool:
-        delta = self._setting(0x6133, sub)
+        delta = self._setting(indices.INTERRUPT_DELTA, sub)
         last = self._sent.get(sub)
         return delta > 0.0 and last is not None and abs(value - last) >= delta
 
@@ -66,7 +67,7 @@ class Interrupts:
         """Where a value lies; a value inside by less than the hysteresis stays where it was."""
         if value != value:  # noqa: PLR0124 (true for NaN alone)
             return _UNKNOWN
-        lower, upper, hysteresis = [self._setting(index, sub) for index in (0x6134, 0x6135, 0x6136)]
+        lower, upper, hysteresis = [self._setting(index, sub) for index in _LIMITS]
         before = self._zones.get(sub, _INSIDE)
         if value < lower or (before == _BELOW and value < lower + hysteresis):
             return _BELOW
@@ -76,7 +77,7 @@ class Interrupts:
 
     def _configured(self, sub: int) -> bool:
         _symbol, _what, _unit, _digits, _kind, _text, low, high = table.channels(self._n)[sub - 1]
-        delta, lower, upper = [self._setting(index, sub) for index in (0x6133, 0x6134, 0x6135)]
+        delta, (lower, upper, _) = self._setting(indices.INTERRUPT_DELTA, sub), [self._setting(k, sub) for k in _LIMITS]
         return delta > 0.0 or lower > low or upper < high
 
     def _setting(self, index: int, sub: int) -> float:

@@ -1,6 +1,6 @@
 """A fingertip node, put together: dictionary, CANopen device, application, gauge source."""
 
-from tipforce.device.lss import UNCONFIGURED
+from tipforce.device.codes import LSS_UNCONFIGURED
 from tipforce.device.node import Device
 
 from .application import Fingertip
@@ -27,10 +27,10 @@ def fingertip_node(
     ``node_id`` is 1..127, or 255 for a node that waits until LSS gives it one.
 
     Objects 2200h and 2201h exist when the source is a simulated one (``source.simulated``). ``save`` and ``load`` keep
-    parameter groups; without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that is
-    not allowed.
+    parameter groups; without them 1010h and 1011h refuse. Raises ValueError for a node-id or a number of gauges that
+    is not allowed.
     """
-    if not (1 <= node_id <= 127 or node_id == UNCONFIGURED):
+    if not (1 <= node_id <= 127 or node_id == LSS_UNCONFIGURED):
         raise ValueError("node-id: %r, allowed 1 to 127, and 255 for none yet" % node_id)
     device = Device(build(n, node_id, source.simulated, serial, eds, source.converter), save, load)
     Fingertip(device, n, source)

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable, Iterable, Sequence
 from typing import Protocol
 
-from tipforce.device import codes, lss
+from tipforce.device import codes
 from tipforce.device.node import Device
 
 Frame = tuple[int, bytes]
@@ -53,9 +53,9 @@ def say_stopped(devices: Sequence[Device], port: Port) -> None:
     A node that has no node-id yet says nothing.
     """
     for device in devices:
-        if device.node_id != lss.UNCONFIGURED:
+        if device.node_id != codes.LSS_UNCONFIGURED:
             device.nmt.enter(codes.STOPPED)
-            port.send([(0x700 + device.node_id, bytes((codes.STOPPED,)))])
+            port.send([(codes.HEARTBEAT_BASE + device.node_id, bytes((codes.STOPPED,)))])
 
 
 def _step(devices: Sequence[Device], port: Port, frames: list[Frame]) -> int:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
+from tipforce.device import codes
 from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
 from tipforce.socketcan import CAN_FRAME, raw_can_id
 
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _FULL_QUEUE_WAIT_S = 0.05
 _INTERFACE_LOST = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # down, removed, and what a send says after a removal
-_ERROR_FILTER, _ALL_ERRORS = 2, 0x1FFFFFFF  # CAN_RAW_ERR_FILTER and CAN_ERR_MASK of linux/can.h
+_ERROR_FILTER, _ALL_ERRORS = 2, codes.EXTENDED_MASK  # CAN_RAW_ERR_FILTER and CAN_ERR_MASK of linux/can.h
 
 
 class SocketCanPort:

@@ -11,8 +11,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tipforce.device import codes, communication
 from tipforce.device.node import Device
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.scene import schema
@@ -29,8 +30,7 @@ if TYPE_CHECKING:
 PDO_NAMES = {"gauges": "Gauges", "contact": "Contact", "force": "Force", "health": "Health"}
 FAULTS = {"stuck": 1, "open": 2, "saturate": 3, "silent": 4, "drift": 5}  # 2200h:1
 FILTERS = {"moving_average": 1, "repeating_average": 2, "first_order": 100}  # 61A0h
-_NO_RTR, _INVALID = 0x40000000, 0x80000000
-_STATUS = (0x2120, 0)
+_STATUS = (indices.STATUS, 0)
 
 Mapping = tuple[tuple[int, int, int], ...]  # (index, sub, bits)
 
@@ -71,20 +71,20 @@ class Finger:
         """Power on and set up as this finger's own storage would; returns what it sends, its boot-up message."""
         sent, _ = self.device.step(now_us)
         self.clock.start_us = now_us
-        self._write(0x1017, 0, "<H", self.group.heartbeat_ms)
-        self._write(0x6114, 1, "<I", self.group.sample_period_us)
+        self._write(communication.PRODUCER_HEARTBEAT, 0, "<H", self.group.heartbeat_ms)
+        self._write(indices.SAMPLE_PERIOD_US, 1, "<I", self.group.sample_period_us)
         if self.group.filter is not None:
             for gauge in range(1, self.gauges + 1):
-                self._write(0x61A1, gauge, "<H", self.group.filter_constant)
-                self._write(0x61A0, gauge, "<B", FILTERS[self.group.filter])
+                self._write(indices.FILTER_CONSTANT, gauge, "<H", self.group.filter_constant)
+                self._write(indices.FILTER_TYPE, gauge, "<B", FILTERS[self.group.filter])
         if self.calibration is not None:
             record = self.calibration.record()
-            self._download(0x2141, 0, record)
-            self._write(0x2103, 1, "<I", self.calibration.crc32())
-            self._write(0x2104, 0, "<I", table.SIGNATURE_COMMIT)
+            self._download(indices.CALIBRATION_STAGED_RECORD, 0, record)
+            self._write(indices.CALIBRATION_CHECK, 1, "<I", self.calibration.crc32())
+            self._write(indices.CALIBRATION_COMMIT, 0, "<I", table.SIGNATURE_COMMIT)
         for number, _, base, *_ in table.tpdos(self.gauges):
-            cob_id = (base + self.node_id if base else 0) | _NO_RTR
-            self._write(0x1800 + number - 1, 1, "<I", cob_id | _INVALID)
+            cob_id = (base + self.node_id if base else 0) | codes.NO_RTR
+            self._write(communication.TPDO + number - 1, 1, "<I", cob_id | codes.COB_ID_INVALID)
         for pdo in self.pdos:
             self._enable(pdo)
         return sent
@@ -92,12 +92,12 @@ class Finger:
     def _enable(self, pdo: Pdo) -> None:
         """The procedure of CiA 301, 7.5.2.36; the PDO is invalid before."""
         if pdo.remapped:
-            index = 0x1A00 + pdo.number - 1
+            index = communication.TPDO_MAPPING + pdo.number - 1
             self._write(index, 0, "<B", 0)
             for k, (mapped, sub, bits) in enumerate(pdo.mapping, 1):
                 self._write(index, k, "<I", mapped << 16 | sub << 8 | bits)
             self._write(index, 0, "<B", len(pdo.mapping))
-        self._write(0x1800 + pdo.number - 1, 1, "<I", pdo.can_id | _NO_RTR)
+        self._write(communication.TPDO + pdo.number - 1, 1, "<I", pdo.can_id | codes.NO_RTR)
 
     def _write(self, index: int, sub: int, packing: str, value: int) -> None:
         self._download(index, sub, struct.pack(packing, value))

@@ -8,12 +8,12 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 
+from tipforce.device.codes import HEARTBEAT_BASE, NMT_COB_ID, SYNC_COB_ID
 from tipforce.scene import schema
 from tipforce.scene.build import node_pdos
 from tipforce.scene.check import SYNCHRONOUS
 from tipforce.scene.imports import loaded_by
 from tipforce.scene.loads import load_of
-from tipforce.scene.simulate import NMT_COB_ID, SYNC_COB_ID
 from tipforce.sensor.structure.layouts import layout
 
 # What is imported for a part and is not imported by what is there already; imports.py follows each.
@@ -214,7 +214,7 @@ def identifiers(scene: schema.Scene) -> list[Identifier]:
             found.append(Identifier(pdo.can_id, f"node {node_id} {pdo.name}", rate_hz, pdo.length))
         beat = 1e3 / group.heartbeat_ms if group.heartbeat_ms else 0.0
         what = "boot-up, heartbeat" if beat else "boot-up"
-        found.append(Identifier(0x700 + node_id, f"node {node_id} {what}", beat, 1))
+        found.append(Identifier(HEARTBEAT_BASE + node_id, f"node {node_id} {what}", beat, 1))
     return sorted(found, key=lambda one: one.can_id)
 
 

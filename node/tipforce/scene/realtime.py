@@ -15,6 +15,7 @@ from typing import Any
 
 import can
 
+from tipforce.device.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
 from tipforce.host.network.bus import open_bus
@@ -23,7 +24,7 @@ from tipforce.running.ports import PythonCanPort, SocketCanPort
 from tipforce.scene import schema
 from tipforce.scene.build import Finger
 from tipforce.scene.recording import Recording
-from tipforce.scene.simulate import NMT_COB_ID, SYNC_COB_ID, fault_events, sync_times
+from tipforce.scene.simulate import fault_events, sync_times
 
 _SETTLE_S = 0.05  # after the last SYNC, for its PDOs
 

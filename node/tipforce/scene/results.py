@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import EMCY_BASE
 from tipforce.scene import schema
 from tipforce.scene.build import PDO_NAMES, Finger
 from tipforce.scene.loads import UNLOADED, LoadHistory
@@ -136,7 +137,7 @@ def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
 
 def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:
     """(t_s, error code) of each EMCY of a node; a cure ("0000") is left out."""
-    own = frames[frames["can_id"] == 0x80 + node_id]
+    own = frames[frames["can_id"] == EMCY_BASE + node_id]
     codes = own["data"][:, 0].astype(np.uint16) | own["data"][:, 1].astype(np.uint16) << np.uint16(8)
     return [(t / 1e9, f"{code:04X}") for t, code in zip(own["t_ns"].tolist(), codes.tolist(), strict=True) if code]
 

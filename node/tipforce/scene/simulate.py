@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 
+from tipforce.device.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.scene import schema
 from tipforce.scene.build import FAULTS, Finger
 
 Frame = tuple[int, bytes]
 Emit = Callable[[int, int, bytes], None]  # t_us, can_id, data
-
-SYNC_COB_ID, NMT_COB_ID = 0x80, 0x00
 
 
 def sync_times(scene: schema.Scene, duration_s: float) -> list[int]:

@@ -3,7 +3,7 @@
 import math
 
 from tipforce.device import codes
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source, convert
 
 TYPE_CHECKING = False
@@ -107,7 +107,7 @@ class SimulatedSource(Source):
         """Objects 2200h (fault) and 2201h (load) act on this source; a load history refuses 2201h."""
 
         def write_fault(sub: int, value: "Value") -> int:
-            fields: "list[Value]" = [device.od.values[0x220000 | k] for k in (1, 2, 3)]
+            fields: "list[Value]" = [device.od.values[indices.SIMULATED_FAULT << 8 | k] for k in (1, 2, 3)]
             fields[sub - 1] = value
             self.set_fault(int(fields[0]), int(fields[1]), float(fields[2]), device.now_us)
             return 0
@@ -120,8 +120,8 @@ class SimulatedSource(Source):
             self.load = (load[0], load[1], load[2])
             return 0
 
-        device.od.writers[0x2200] = write_fault
-        device.od.writers[0x2201] = write_load
+        device.od.writers[indices.SIMULATED_FAULT] = write_fault
+        device.od.writers[indices.SIMULATED_LOAD] = write_load
 
     def _microstrain(self, k: int, force: "Forces", now_us: int) -> float:
         c1, c2, c3 = self.rows[k]

@@ -19,6 +19,7 @@ import can
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
@@ -166,7 +167,7 @@ def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
         thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
         thread.start()
         try:
-            connection.wait_for({0x700 + device.node_id for device in devices})
+            connection.wait_for({codes.HEARTBEAT_BASE + device.node_id for device in devices})
             yield connection
         finally:
             stopped.set()
@@ -180,7 +181,7 @@ def _calibrate(connection: Connection, node_id: int, calibration: Calibration, s
     client.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
     connection.buffer.clear()
     connection.nmt("reset-node", node_id)
-    connection.wait_for({0x700 + node_id})
+    connection.wait_for({codes.HEARTBEAT_BASE + node_id})
     differences = client.verify_calibration(calibration)
     if differences:
         raise RefusedError(f"node {node_id} lost its calibration in a reset: {differences[0]}")

@@ -8,6 +8,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
+from tipforce.device.codes import EMCY_BASE, ERROR_FLAG, EXTENDED_FLAG, HEARTBEAT_BASE, NODE_ID_MASK, REMOTE_FLAG
 from tipforce.errors import TipforceError
 from tipforce_tools.doctor.check import Check
 
@@ -81,12 +82,13 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
 
 
 def _heard(frames: Any) -> Iterator[Check]:
-    errors = int(((frames["can_id"] & 0x20000000) != 0).sum())
+    errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
     if errors:
         yield Check("traffic", "fail", f"{errors} error frames", "`tipforce dump -e CHANNEL,#FFFFFFFF` says which")
-    standard = frames["can_id"][(frames["can_id"] & 0xE0000000) == 0]
-    beats = sorted({int(i) & 0x7F for i in standard if 0x700 < i <= 0x77F})
-    emergencies = sorted({int(i) & 0x7F for i in standard if 0x80 < i <= 0xFF})
+    flags = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
+    standard = frames["can_id"][(frames["can_id"] & flags) == 0].tolist()
+    beats = sorted({i - HEARTBEAT_BASE for i in standard if 0 < i - HEARTBEAT_BASE <= NODE_ID_MASK})
+    emergencies = sorted({i - EMCY_BASE for i in standard if 0 < i - EMCY_BASE <= NODE_ID_MASK})
     if beats:
         yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` says who they are")
     if emergencies:

@@ -9,13 +9,22 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.device.codes import (
+    EMCY_BASE,
+    ERROR_FLAG,
+    EXTENDED_FLAG,
+    FUNCTION_MASK,
+    HEARTBEAT_BASE,
+    INITIALISING,
+    NODE_ID_MASK,
+    REMOTE_FLAG,
+    SYNC_COB_ID,
+)
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.network.heartbeats import BOOT_UP
 from tipforce_tools.monitor.window import Periods, Window
 
 STALE_NS = 500_000_000
@@ -23,8 +32,6 @@ STALE_NS = 500_000_000
 QUANTITIES = ("P", "phi", "theta")
 FLAGS = tuple(name for name, _ in STATUS_BITS)
 
-_SYNC, _EMCY_BASE, _HEARTBEAT_BASE = 0x080, 0x080, 0x700
-_FUNCTION, _NODE = 0x780, 0x07F
 # Stuff bits are not known without the bits themselves: none at least, one in four at most (ISO 11898-1).
 _LEAST_BITS = np.array([[47 + 8 * n for n in range(9)], [67 + 8 * n for n in range(9)]])
 _WORST_BITS = _LEAST_BITS + np.array([[(33 + 8 * n) // 4 for n in range(9)], [(53 + 8 * n) // 4 for n in range(9)]])
@@ -119,8 +126,8 @@ class BusMonitor:
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
-        self._sync.add(t_ns[data & (can_id == _SYNC)])
-        self._take_services(frames[data & ((can_id & _NODE) != 0)])
+        self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
+        self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
         found = self._decoder.decode(frames)
         self._counters.add(found)
         for (node_id, name), samples in found.items():
@@ -138,14 +145,14 @@ class BusMonitor:
 
     def _take_services(self, frames: FrameArray) -> None:
         """Heartbeats and EMCY, of which there are few."""
-        function = frames["can_id"] & _FUNCTION
-        chosen = frames[((function == _HEARTBEAT_BASE) | (function == _EMCY_BASE)) & (frames["length"] > 0)]
+        function = frames["can_id"] & FUNCTION_MASK
+        chosen = frames[((function == HEARTBEAT_BASE) | (function == EMCY_BASE)) & (frames["length"] > 0)]
         for frame in chosen:
-            node_id = int(frame["can_id"]) & _NODE
+            node_id = int(frame["can_id"]) & NODE_ID_MASK
             if node_id not in self._watched:
                 continue
             node, t_ns = self._nodes.setdefault(node_id, _Node()), int(frame["t_ns"])
-            if int(frame["can_id"]) & _FUNCTION == _HEARTBEAT_BASE:
+            if int(frame["can_id"]) & FUNCTION_MASK == HEARTBEAT_BASE:
                 node.nmt = int(frame["data"][0]) & 0x7F
                 node.heartbeats.add(np.array([t_ns]))
             elif frame["length"] >= 3:
@@ -217,9 +224,9 @@ def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
     last_ns = node.heartbeats.last_ns
     if node.nmt is None or last_ns is None:
         return "", False
-    if node.nmt == BOOT_UP:
+    if node.nmt == INITIALISING:
         later = (node.samples.last_ns or last_ns) > last_ns or now_ns - last_ns > STALE_NS
-        return f"{NMT_STATES[BOOT_UP]}, no heartbeat" if later else NMT_STATES[BOOT_UP], False
+        return f"{NMT_STATES[INITIALISING]}, no heartbeat" if later else NMT_STATES[INITIALISING], False
     periods = node.heartbeats.periods()
     limit_ns = 3e6 * periods.p50_ms if periods else 3e9
     return NMT_STATES.get(node.nmt, f"state {node.nmt}"), now_ns - last_ns > max(limit_ns, STALE_NS)

@@ -6,6 +6,7 @@ import argparse
 import time
 from typing import TYPE_CHECKING
 
+from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, STANDARD_MASK
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
@@ -156,7 +157,7 @@ def _say_live(args: argparse.Namespace, frames: FrameArray, load: float, elapsed
         return
     print(f"load {100 * load:.1f} %, {len(frames) / elapsed_s:.0f} frames/s over {elapsed_s:.1f} s")
     for k in np.argsort(-bits)[:10].tolist():
-        name = f"{int(ids[k]) & 0x1FFFFFFF:08X}" if ids[k] & 0x80000000 else f"{int(ids[k]) & 0x7FF:03X}"
+        name = f"{int(ids[k]) & EXTENDED_MASK:08X}" if ids[k] & EXTENDED_FLAG else f"{int(ids[k]) & STANDARD_MASK:03X}"
         share = 100 * bits[k] / max(float(bits.sum()), 1.0)
         print(f"  {name:>8} {counts[k] / elapsed_s:10.1f} /s {share:6.1f} % of it")
     if len(ids) > 10:

@@ -6,6 +6,7 @@ import argparse
 import threading
 from typing import TYPE_CHECKING
 
+from tipforce.dictionary import table
 from tipforce.errors import InputError, NoResponseError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
@@ -39,7 +40,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", action="store_true", help="assign: the nodes keep it over a power cycle")
     group = parser.add_argument_group("LSS address of one node (1018h)")
     group.add_argument("--serial", type=_u32, metavar="N")
-    group.add_argument("--product", type=_u32, default=0x54500003, metavar="N", help="default 0x%(default)X")
+    product = table.product_code(table.MIN_GAUGES, simulated=False)
+    group.add_argument("--product", type=_u32, default=product, metavar="N", help="default 0x%(default)X")
     group.add_argument("--vendor", type=_u32, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--revision", type=_u32, metavar="N", help="default: this release's")
     parser.add_argument(

@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import argparse
 
+from tipforce.device import communication
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
 ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all objects that can be read"}
-PERSISTENT = {0x1010: "stores parameters", 0x1011: "restores defaults at the next reset"}
+PERSISTENT = {
+    communication.STORE_PARAMETERS: "stores parameters",
+    communication.RESTORE_DEFAULTS: "restores defaults at the next reset",
+}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -6,6 +6,7 @@ import argparse
 from collections.abc import Iterator
 from typing import TYPE_CHECKING, NamedTuple
 
+from tipforce.device import codes, communication
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 
@@ -14,10 +15,10 @@ if TYPE_CHECKING:
     from tipforce.dictionary.types import Value
     from tipforce.host.network.sdo import SdoChannel
 
-EDS = 0x1021
-_PROFILE_FREE = 0x2000  # below it every CANopen device has the same objects (CiA 301)
+EDS = communication.STORED_EDS
+_PROFILE_FREE = communication.FIRST_MANUFACTURER  # below it every CANopen device has the same objects (CiA 301)
 _LAST_DIGIT = 9
-_NOT_THERE = (0x06020000, 0x06090011)  # SDO aborts: no such object, no such sub-index
+_NOT_THERE = (codes.NO_OBJECT, codes.NO_SUB)  # SDO aborts: no such object, no such sub-index
 
 
 class Found(NamedTuple):

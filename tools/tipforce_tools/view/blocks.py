@@ -11,13 +11,18 @@ import numpy.typing as npt
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.decoding.contacts import contact_values, uncertainties
 from tipforce.host.hand.rows import Rows
+from tipforce.sensor.contact import scalar
 from tipforce_tools.view.fingers import Finger
 
 FloatArray = npt.NDArray[np.float64]
 Float32Array = npt.NDArray[np.float32]
 
-CONTACT, CALIBRATED, SATURATED, REPEATED = 1, 2, 4, 8
-THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD, FAULT = 16, 32, 64, 128
+CONTACT, CALIBRATED, SATURATED, REPEATED = (
+    scalar.CONTACT_PRESENT, scalar.CALIBRATED, scalar.SATURATED, scalar.STALE,
+)  # fmt: skip
+THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD, FAULT = (
+    scalar.THETA_UNRESOLVED, scalar.MISSES_TIP, scalar.OUTSIDE_PAD, scalar.FRONT_END_FAULT,
+)  # fmt: skip
 MISSING = 256
 """In ``status``, beside the bits of the status byte (2120h): the finger did not answer."""
 

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tipforce.device.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TPDO_BASES
 from tipforce.errors import InputError, RefusedError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.network.bus_load import range_of_bits
@@ -67,12 +68,13 @@ class LogSource:
         """How many rows there will be at most: SYNCs, or frames of the finger that sent most."""
         from tipforce.host.logs.reader import open_log
 
-        count = np.zeros(0x800, dtype=np.int64)
+        identifiers = STANDARD_MASK + 1
+        count = np.zeros(identifiers, dtype=np.int64)
         with open_log(path, start_ns=limits[0], end_ns=limits[1]) as log:
             for frames in log:
                 ids = frames["can_id"]
-                count += np.bincount(ids[ids < 0x800], minlength=0x800)
-        rows = int(count[0x80]) or int(count[0x181:0x400].max())
+                count += np.bincount(ids[ids < identifiers], minlength=identifiers)
+        rows = int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
         if rows > most:
             raise InputError(
                 f"{path}: {rows} rows of {len(watcher.fingers)} fingers, allowed are {most}; choose a part of it with "

@@ -8,12 +8,13 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Supervisor
-from tipforce.host.hand.rows import SYNC_COB_ID, Rows
+from tipforce.host.hand.rows import Rows
 from tipforce_tools.view.blocks import Block, block_of_rows
 from tipforce_tools.view.fingers import Finger
 
@@ -22,8 +23,7 @@ FloatArray = npt.NDArray[np.float64]
 HEARTBEAT_TIMEOUT_S = 2.5
 ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
-_SERVICE, _NODE = np.uint32(0xFFFFFF80), np.uint32(0x7F)
-_HEARTBEAT, _EMCY = 0x700, 0x080
+_SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
 _UNPACED_FRAMES = 50  # PDOs without one SYNC, after which a PDO itself paces the rows
 
 
@@ -101,7 +101,7 @@ class Watcher:
             self._find_pace(frames)
         changed = False
         for can_id in np.unique(ids).tolist():
-            base, node_id = can_id & ~0x7F, can_id & 0x7F
+            base, node_id = can_id & ~NODE_ID_MASK, can_id & NODE_ID_MASK
             name, length = self._bases.get(base, ("", 0))
             if not name or not node_id or name in self._heard.get(node_id, ()):
                 continue
@@ -138,7 +138,7 @@ class Watcher:
         if not len(frames):
             return self._supervisor.add(frames, now_s)
         service = frames["can_id"] & _SERVICE
-        few = frames[((service == _HEARTBEAT) | (service == _EMCY)) & (frames["can_id"] != SYNC_COB_ID)]
+        few = frames[((service == HEARTBEAT_BASE) | (service == EMCY_BASE)) & (frames["can_id"] != SYNC_COB_ID)]
         events: list[Event] = []
         for k in range(len(few)):
             events += self._supervisor.add(few[k : k + 1], float(few["t_ns"][k]) * 1e-9)
@@ -165,7 +165,7 @@ class Watcher:
         return np.insert(frames, places, syncs)
 
     def _take_health(self, frames: FrameArray) -> None:
-        if (frames["can_id"] & _SERVICE == 0x480).any():
+        if (frames["can_id"] & _SERVICE == TPDO_BASES[3]).any():
             for (node_id, name), samples in self._health.decode(frames, ("u_P",)).items():
                 if name == "Health":
                     self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])

@@ -10,13 +10,14 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import mapping_signals, tpdo_messages
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.network.connection import SYNC_COB_ID, Connection
+from tipforce.host.network.connection import Connection
 
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
@@ -128,7 +129,7 @@ class GaugeReader:
     def _gauge_pdo(self) -> int:
         """The identifier of TPDO1 if it is sent on each SYNC with all gauges, status and counter; else 0."""
         word = self._sdo.read(od.TPDO1_COB_ID)
-        can_id = word & 0x7FF
+        can_id = word & STANDARD_MASK
         on_sync = self._sdo.read(od.TPDO1_TRANSMISSION_TYPE) == 1 and self._plain_sync()
         if word >> 31 or not can_id or not on_sync:
             return 0
@@ -150,7 +151,7 @@ class GaugeReader:
             overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
         except SdoAbortError:
             overflow = 0
-        return self._sdo.read(od.SYNC_COB_ID) & 0x7FF == SYNC_COB_ID and not overflow
+        return self._sdo.read(od.SYNC_COB_ID) & STANDARD_MASK == SYNC_COB_ID and not overflow
 
     def start(self) -> None:
         """Have the node send PDOs: NMT start if it does not, as after a loss of power."""

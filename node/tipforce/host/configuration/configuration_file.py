@@ -9,8 +9,10 @@ from pathlib import Path
 
 import msgspec
 
+from tipforce.device import codes, communication
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.lint_pdo import is_mapping
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.network.sdo import SdoChannel
@@ -22,7 +24,6 @@ Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
 NODE_ID_MARK = "$NODEID"
 """In a value: the node-id that the file is applied to, as in a DCF (CiA 306): "$NODEID+0x40000180"."""
 
-_INVALID = 0x80000000  # COB-ID bit 31
 _NUMBER = r"(0[xX][0-9a-fA-F]+|\d+)"
 _FOLLOWS_NODE_ID = re.compile(rf"(?i:\$NODEID)(?:\s*\+\s*{_NUMBER})?|{_NUMBER}\s*\+\s*(?i:\$NODEID)")
 
@@ -48,10 +49,11 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
             entry.encode(value)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        if entry.sub == 1 and 0x1800 <= entry.index <= 0x19FF and not int(value) & table.NO_RTR:
+        of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
+        if of_tpdo and entry.sub == 1 and not int(value) & codes.NO_RTR:
             raise InputError(
                 f"{path}: {entry.name} ({entry}) is 0x{int(value):X}: a TPDO answers to no RTR, so bit 30 must be "
-                f"set: 0x{int(value) | table.NO_RTR:X}"
+                f"set: 0x{int(value) | codes.NO_RTR:X}"
             )
     if not found:
         raise InputError(f"{path}: no object is set")
@@ -88,7 +90,7 @@ def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Va
     first = names.resolve(f"{name}:1", gauges)
     # By number from here on: after a dotted name a sub-index is decimal, after an index it is hexadecimal.
     entries = [names.resolve(f"0x{first.index:04X}:{k + 1:02X}", gauges) for k in range(len(value))]
-    if not _is_mapping(first.index):
+    if not is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
     words = [_mapped(item, gauges) if isinstance(item, str) else item for item in value]
     return [(names.resolve(f"0x{first.index:04X}:00", gauges), len(words)), *zip(entries, words, strict=True)]
@@ -174,23 +176,21 @@ def _write(sdo: SdoChannel, values: Configuration) -> None:
 
 def _pdos(values: Configuration) -> list[int]:
     """The communication parameter index of each PDO that is touched."""
-    return sorted({index & ~0x200 for index, _ in values if _is_pdo(index)})
+    return sorted({index & ~communication.MAPPING for index, _ in values if _is_pdo(index)})
 
 
-def _pdo_entries(communication: int) -> tuple[Entry[Value], Entry[Value]]:
+def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
     """COB-ID and number of mapped objects. In the largest dictionary: TPDO5 and TPDO6 need more than three gauges."""
-    cob_id = names.resolve(f"0x{communication:04X}:01", table.MAX_GAUGES)
-    return cob_id, names.resolve(f"0x{communication + 0x200:04X}:00", table.MAX_GAUGES)
+    cob_id = names.resolve(f"0x{parameters:04X}:01", table.MAX_GAUGES)
+    return cob_id, names.resolve(f"0x{parameters + communication.MAPPING:04X}:00", table.MAX_GAUGES)
 
 
-def _apply_pdo(
-    sdo: SdoChannel, communication: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]
-) -> None:
-    mapping = communication + 0x200
-    cob_id, count = _pdo_entries(communication)
-    final = wanted[communication, 1][1] if (communication, 1) in wanted else sdo.read(cob_id)
+def _apply_pdo(sdo: SdoChannel, parameters: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]) -> None:
+    mapping = parameters + communication.MAPPING
+    cob_id, count = _pdo_entries(parameters)
+    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else sdo.read(cob_id)
     assert isinstance(final, int)
-    sdo.write(cob_id, final | _INVALID)
+    sdo.write(cob_id, final | codes.COB_ID_INVALID)
     if any(index == mapping for index, _ in wanted):
         length = wanted[mapping, 0][1] if (mapping, 0) in wanted else sdo.read(count)
         sdo.write(count, 0)
@@ -199,7 +199,7 @@ def _apply_pdo(
                 sdo.write(entry, value)
         sdo.write(count, length)
     for (index, sub), (entry, value) in wanted.items():
-        if index == communication and sub != 1:
+        if index == parameters and sub != 1:
             sdo.write(entry, value)
     sdo.write(cob_id, final)
 
@@ -218,9 +218,5 @@ def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[st
     return differences
 
 
-def _is_mapping(index: int) -> bool:
-    return 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF
-
-
 def _is_pdo(index: int) -> bool:
-    return 0x1400 <= index <= 0x1BFF
+    return communication.RPDO <= index <= communication.LAST_TPDO_MAPPING

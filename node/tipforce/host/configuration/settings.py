@@ -11,8 +11,10 @@ from dataclasses import dataclass
 
 import tomli_w
 
+from tipforce.device import codes
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.eds import dcf_text
+from tipforce.dictionary.lint_pdo import is_mapping
 from tipforce.dictionary.rows import Row, rows
 from tipforce.dictionary.types import Value
 from tipforce.errors import SdoAbortError
@@ -20,7 +22,6 @@ from tipforce.host.configuration.configuration_file import NODE_ID_MARK, Configu
 from tipforce.host.network.sdo import SdoChannel
 
 _NO_SETTING = table.VIEW | table.NOT_STORED | table.STAGED
-_NOT_THERE = 0x06020000  # SDO abort: object does not exist
 
 Place = tuple[int, int]
 
@@ -60,7 +61,7 @@ def read_settings(sdo: SdoChannel, gauges: int = 3, advance: Callable[[], None] 
         try:
             found[place] = types.decode(row.letter, sdo.upload(*place))
         except SdoAbortError as error:
-            if error.code != _NOT_THERE:
+            if error.code != codes.NO_OBJECT:
                 raise
         advance()
     return found
@@ -70,7 +71,7 @@ def changed_settings(settings: Mapping[Place, Value], node_id: int, gauges: int 
     """Those that are not at their default; of a remapped PDO its whole mapping."""
     defaults = default_settings(node_id, gauges)
     changed = {place for place, value in settings.items() if not _same(gauges, place, value, defaults[place])}
-    remapped = {index for index, _ in changed if _is_mapping(index)}
+    remapped = {index for index, _ in changed if is_mapping(index)}
     return {
         (index, sub): value
         for (index, sub), value in settings.items()
@@ -100,7 +101,7 @@ def settings_toml(settings: Mapping[Place, Value], node_id: int, gauges: int = 3
     objects: dict[str, object] = {}
     for (index, sub), value in sorted(settings.items()):
         row = known[index, sub]
-        if not _is_mapping(index):
+        if not is_mapping(index):
             objects[row.dotted] = _portable(row, value, node_id)
         elif sub == 0:
             words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
@@ -114,7 +115,7 @@ def settings_dcf(settings: Mapping[Place, Value], node_id: int, gauges: int = 3,
 
 
 def _portable(row: Row, value: Value, node_id: int) -> Value:
-    if row.flags & table.ADD_NODE_ID and isinstance(value, int) and value & 0x7F == node_id:
+    if row.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
         return f"{NODE_ID_MARK}+0x{value - node_id:X}"
     return f"0x{value:X}" if row.slug.endswith("cob_id") and isinstance(value, int) else value
 
@@ -128,7 +129,3 @@ def _same(gauges: int, place: Place, a: Value, b: Value) -> bool:
     """Equal on the wire: a REAL32 default is compared as REAL32."""
     letter = setting_rows(gauges)[place].letter
     return types.encode(letter, a) == types.encode(letter, b)
-
-
-def _is_mapping(index: int) -> bool:
-    return 0x1600 <= index <= 0x17FF or 0x1A00 <= index <= 0x1BFF

@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import STANDARD_MASK
 from tipforce.dictionary.signals import Message, Signal, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.columns import Column, columns_of
 from tipforce.host.frames.frame_array import FrameArray
 
-MAX_COB_ID = 0x7FF
+MAX_COB_ID = STANDARD_MASK
 _NO_SLOT = 0
 _WORD = np.dtype("<u8")
 

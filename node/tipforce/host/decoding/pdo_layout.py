@@ -8,9 +8,11 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tipforce.device.codes import EXTENDED_FLAG
+from tipforce.device import communication
+from tipforce.device.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
 from tipforce.dictionary import table
 from tipforce.dictionary.eds_file import EdsFile, parse
+from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
@@ -21,9 +23,6 @@ if TYPE_CHECKING:
 
     from tipforce.host.network.sdo import SdoChannel
 
-_DISABLED = 1 << 31
-_PRODUCT = 0x54500000
-_IDENTIFIER_MASK = 0x1FFFFFFF
 _OUR_NAME = re.compile(r"TIP(\d+)_(\w+)")
 _UNKNOWN = "unknown"
 
@@ -67,15 +66,16 @@ def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
     if node_id is None and text is None:
         raise InputError(f"{path}: no NodeID in [DeviceComissioning]; give the node-id")
     node = _number(path, "NodeID", text or "", 0) if node_id is None else node_id
-    product = _value(found, path, 0x1018, 2, node)
+    product = _value(found, path, communication.IDENTITY, 2, node)
     gauges = _gauges(product or 0, str(path))
     pdos = {}
     for number, message in enumerate(tpdo_messages(gauges)):
-        cob_id = _value(found, path, 0x1800 + number, 1, node)
+        cob_id = _value(found, path, communication.TPDO + number, 1, node)
         if cob_id is None:
             continue
-        count = _value(found, path, 0x1A00 + number, 0, node) or 0
-        words = [_value(found, path, 0x1A00 + number, sub, node) or 0 for sub in range(1, count + 1)]
+        count = _value(found, path, communication.TPDO_MAPPING + number, 0, node) or 0
+        mapping = communication.TPDO_MAPPING + number
+        words = [_value(found, path, mapping, sub, node) or 0 for sub in range(1, count + 1)]
         pdos[message.name] = _pdo(str(path), cob_id, words)
     return NodeLayout(node, gauges, pdos)
 
@@ -87,11 +87,12 @@ def node_layout(sdo: SdoChannel) -> NodeLayout:
         return int.from_bytes(sdo.upload(index, sub), "little")
 
     place = f"node {sdo.node_id}"
-    gauges = _gauges(number(0x1018, 2), place)
+    gauges = _gauges(number(communication.IDENTITY, 2), place)
     pdos = {}
     for position, message in enumerate(tpdo_messages(gauges)):
-        words = [number(0x1A00 + position, sub) for sub in range(1, number(0x1A00 + position, 0) + 1)]
-        pdos[message.name] = _pdo(place, number(0x1800 + position, 1), words)
+        mapping = communication.TPDO_MAPPING + position
+        words = [number(mapping, sub) for sub in range(1, number(mapping, 0) + 1)]
+        pdos[message.name] = _pdo(place, number(communication.TPDO + position, 1), words)
     return NodeLayout(sdo.node_id, gauges, pdos)
 
 
@@ -123,14 +124,15 @@ def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
 
 
 def _gauges(product: int, place: str) -> int:
-    gauges = product & 0xF
-    if product & 0xFFFFFEF0 != _PRODUCT or not table.MIN_GAUGES <= gauges <= table.MAX_GAUGES:
-        raise InputError(f"{place}: product code 0x{product:08X} is no tipforce node's (0x{_PRODUCT:08X} + gauges)")
+    gauges = gauges_of(product)
+    if not gauges:
+        ours = f"0x{table.PRODUCT:08X} + gauges"
+        raise InputError(f"{place}: product code 0x{product:08X} is no tipforce node's ({ours})")
     return gauges
 
 
 def _pdo(place: str, cob_id: int, words: list[int]) -> tuple[int, tuple[tuple[int, int, int], ...]]:
-    can_id = 0 if cob_id & _DISABLED else cob_id & _IDENTIFIER_MASK
+    can_id = 0 if cob_id & COB_ID_INVALID else cob_id & EXTENDED_MASK
     if can_id > MAX_COB_ID:
         raise InputError(f"{place}: COB-ID 0x{cob_id:08X} of a TPDO: allowed are identifiers to 0x{MAX_COB_ID:X}")
     return can_id, tuple((word >> 16, word >> 8 & 0xFF, word & 0xFF) for word in words)

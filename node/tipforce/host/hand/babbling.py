@@ -10,14 +10,16 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device import codes
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Event
 
 WINDOW_S = 0.2
 TIMES_SYNC = 4.0
-_SYNC, _HIGHEST_ID, _NODE = 0x080, 0x7FF, 0x7F
-_SDO_FIRST, _SDO_LAST, _LSS_FIRST = 0x580, 0x67F, 0x780
+_BEYOND = codes.STANDARD_MASK + 1
+_SDO_LAST = codes.SDO_REQUEST_BASE | codes.NODE_ID_MASK
+_BEYOND_HEARTBEATS = codes.HEARTBEAT_BASE + codes.NODE_ID_MASK + 1  # LSS
 
 
 class BabbleWatch:
@@ -54,9 +56,9 @@ class BabbleWatch:
 
     def _judge(self, seconds: float, now_s: float) -> Iterator[Event]:
         ids = np.concatenate(self._ids) if self._ids else np.zeros(0, dtype=np.uint32)
-        counts = np.bincount(np.minimum(ids, _HIGHEST_ID + 1), minlength=_HIGHEST_ID + 2)[: _HIGHEST_ID + 1]
-        sync_hz = self._sync_hz or counts[_SYNC] / seconds
-        counts[_SDO_FIRST : _SDO_LAST + 1] = counts[_LSS_FIRST:] = 0
+        counts = np.bincount(np.minimum(ids, _BEYOND), minlength=_BEYOND + 1)[:_BEYOND]
+        sync_hz = self._sync_hz or counts[codes.SYNC_COB_ID] / seconds
+        counts[codes.SDO_RESPONSE_BASE : _SDO_LAST + 1] = counts[_BEYOND_HEARTBEATS:] = 0
         limit = TIMES_SYNC * sync_hz * seconds
         over = {int(n) for n in np.flatnonzero(counts > limit)} if sync_hz else set()
         # Half of it ends what has begun: one that babbles at the limit is not told again and again.
@@ -71,4 +73,4 @@ class BabbleWatch:
 
 def _node(can_id: int) -> int:
     """Whose it is by the predefined connection set; 0 for nobody's."""
-    return can_id & _NODE if can_id > _SYNC else 0
+    return can_id & codes.NODE_ID_MASK if can_id > codes.SYNC_COB_ID else 0

@@ -11,6 +11,8 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 
+from tipforce.device import codes, communication
+from tipforce.device.codes import INITIALISING
 from tipforce.dictionary import names, objects, table
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
@@ -19,8 +21,7 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient
-from tipforce.host.network.heartbeats import BOOT_UP
-from tipforce.host.network.lss import UNCONFIGURED, LssAddress, LssMaster
+from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.nmt import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 
@@ -73,9 +74,9 @@ def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
     wanted = dict(hand.configuration(finger))
     gauges = finger.gauges
     for number, message in enumerate(tpdo_messages(gauges), start=1):
-        if message.name in ("Gauges", "Contact", "Force") and (0x1800 + number - 1, 1) not in wanted:
-            off = 0 if message.name in hand.messages else table.PDO_DISABLED
-            cob_id = message.cob_id_base + finger.node_id | table.NO_RTR | off
+        if message.name in ("Gauges", "Contact", "Force") and (communication.TPDO + number - 1, 1) not in wanted:
+            off = 0 if message.name in hand.messages else codes.COB_ID_INVALID
+            cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | off
             wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
             wanted |= _one(f"tpdo{number}.transmission_type", 1, gauges)
     wanted |= _one("heartbeat.producer_ms", hand.hand.heartbeat_ms, gauges)
@@ -134,11 +135,11 @@ def _assign_one(connection: Connection, master: LssMaster, plan: FingerPlan, sto
         master.store()
     since_s = time.monotonic()
     master.release()
-    if former != UNCONFIGURED:
+    if former != codes.LSS_UNCONFIGURED:
         connection.nmt("reset-comm", former)
-    if not connection.heartbeats.wait(plan.node_id, (BOOT_UP,), since_s, BOOT_S):
+    if not connection.heartbeats.wait(plan.node_id, (INITIALISING,), since_s, BOOT_S):
         raise NoResponseError(f"{address} was given node-id {plan.node_id} and did not boot with it in {BOOT_S:g} s")
-    return f"{address}: node-id {plan.node_id}" + (f", it was {former}" if former != UNCONFIGURED else "")
+    return f"{address}: node-id {plan.node_id}" + (f", it was {former}" if former != codes.LSS_UNCONFIGURED else "")
 
 
 def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
@@ -162,10 +163,10 @@ def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnE
     answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
     connection.buffer.clear()
     for node_id in answers:
-        connection.send(0x600 + node_id, _READ_DEVICE_TYPE)
+        connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
     # All of it, although each may have answered: a second node with the same id needs its time too.
     for frame in connection.buffer.take(lambda _can_id: False, started_s + FIND_S):
-        node_id = int(frame["can_id"]) - 0x580
+        node_id = int(frame["can_id"]) - codes.SDO_RESPONSE_BASE
         if node_id in answers:
             answers[node_id] += 1
     for report in reports:

@@ -17,13 +17,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import SYNC_COB_ID
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.counters import CounterCheck
 from tipforce.host.hand.lateness import Answers, BoolArray, IntArray, babbled, seat
-from tipforce.host.hand.rows import SYNC_COB_ID, Rows, Tally
+from tipforce.host.hand.rows import Rows, Tally
 from tipforce.host.hand.sync_gaps import SyncGaps
 
 COUNTER = "counter"

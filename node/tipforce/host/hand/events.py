@@ -12,10 +12,10 @@ from typing import Literal
 
 import numpy as np
 
+from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL
+from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.network.connection import NMT_STATES
-from tipforce.host.network.heartbeats import BOOT_UP, OPERATIONAL
 
 Kind = Literal[
     "found", "assigned", "configured", "calibrated", "verified", "started", "failed",
@@ -27,16 +27,7 @@ UNSET_TIMEOUT_S = 2.5
 """For a node that is not operational: its heartbeat comes once a second unless it was told otherwise (1017h)."""
 
 MOST_WAITED_S = 5.0
-_HEARTBEAT, _EMCY, _NODE = 0x700, 0x080, 0x7F
 _UNKNOWN_STATE = -1
-
-EMCY_TEXTS = {
-    0x0000: "no error any more", 0x4210: "temperature", 0x5010: "gauge saturated", 0x5030: "front end",
-    0x6320: "calibration in storage is invalid", 0x8110: "CAN overrun", 0x8120: "error passive",
-    0x8130: "heartbeat lost", 0x8140: "recovered from bus-off", 0x8150: "COB-ID collision",
-    0x8210: "PDO not processed, too short", 0x8240: "SYNC of unexpected length", 0x8250: "RPDO timeout",
-}  # fmt: skip
-"""By error code (OBJECTS, CiA 301 table 26)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,12 +65,12 @@ class Supervisor:
         """Take received frames, FRAME (n,), and the time; what happened. Call it without frames too."""
         events: list[Event] = []
         if len(frames):
-            services = frames["can_id"] & np.uint32(~_NODE & 0xFFFFFFFF)
-            for frame in frames[(services == _HEARTBEAT) | (services == _EMCY)]:
-                node_id = int(frame["can_id"]) & _NODE
+            services = frames["can_id"] & np.uint32(~NODE_ID_MASK & 0xFFFFFFFF)
+            for frame in frames[(services == HEARTBEAT_BASE) | (services == EMCY_BASE)]:
+                node_id = int(frame["can_id"]) & NODE_ID_MASK
                 if node_id in self.states:
                     data = frame["data"][: frame["length"]].tobytes()
-                    heartbeat = int(frame["can_id"]) & ~_NODE == _HEARTBEAT
+                    heartbeat = int(frame["can_id"]) & ~NODE_ID_MASK == HEARTBEAT_BASE
                     events += self._heartbeat(node_id, data, now_s) if heartbeat else _emcy(node_id, data, now_s)
         for node_id, heard_s in list(self._heard_s.items()):
             # A node that has just booted beats as its defaults say, until it is configured and started.
@@ -103,10 +94,10 @@ class Supervisor:
     def _heartbeat(self, node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
         if len(data) != 1:
             return
-        state, before = data[0] & _NODE, self.states[node_id]
+        state, before = data[0] & NODE_ID_MASK, self.states[node_id]
         self._heard_s[node_id] = now_s
         self.states[node_id] = state
-        if state == BOOT_UP:
+        if state == INITIALISING:
             yield Event(now_s, node_id, "boot_up", "booted", state)
         elif before == _UNKNOWN_STATE:
             yield Event(now_s, node_id, "heartbeat_back", f"heard, {self.state_name(node_id)}", state)
@@ -128,7 +119,7 @@ def _emcy(node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
     if node_id == 0 or len(data) != 8:  # 0x080 is the SYNC
         return
     code, register = struct.unpack_from("<HB", data)
-    text = EMCY_TEXTS.get(code, f"error 0x{code:04X}")
+    text = EMCY_CODES.get(code, f"error 0x{code:04X}")
     if code == 0:
         yield Event(now_s, node_id, "emcy_reset", text)
     else:

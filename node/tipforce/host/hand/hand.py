@@ -22,6 +22,7 @@ from typing import Any
 
 import numpy as np
 
+from tipforce.device.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
@@ -40,7 +41,6 @@ from tipforce.host.hand.supervision import Keeper
 from tipforce.host.hand.sync_producer import SyncProducer
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.host.network.connection import Connection
-from tipforce.host.network.heartbeats import OPERATIONAL
 
 HEARTBEATS_MISSED = 2.5  # periods of silence that make a heartbeat lost
 REOPEN_S = 0.1

@@ -11,9 +11,9 @@ from collections.abc import Mapping
 from contextlib import suppress
 from typing import Any, Protocol
 
+from tipforce.device.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.hand.rows import SYNC_COB_ID
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
@@ -21,8 +21,8 @@ from tipforce.host.network.bus import open_bus
 from tipforce.host.network.connection import Connection
 
 SERVICE_FILTERS = (
-    {"can_id": 0x580, "can_mask": 0x780, "extended": False},
-    {"can_id": 0x700, "can_mask": 0x700, "extended": False},
+    {"can_id": SDO_RESPONSE_BASE, "can_mask": FUNCTION_MASK, "extended": False},
+    {"can_id": HEARTBEAT_BASE, "can_mask": HEARTBEAT_BASE, "extended": False},
 )
 """What a connection beside a receiver has to hear: SDO answers, heartbeats, LSS. PDOs would cost 15 us each twice."""
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
+from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects
 from tipforce.errors import TipforceError
 from tipforce.host.configuration.configuration_file import verify_configuration
@@ -12,7 +13,6 @@ from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_set
 from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.network.connection import Connection
-from tipforce.host.network.heartbeats import OPERATIONAL
 
 LOST = 0
 """Among node-ids, stands for whoever has none."""

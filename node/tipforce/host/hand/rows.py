@@ -8,7 +8,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-SYNC_COB_ID = 0x80
 BoolArray = npt.NDArray[np.bool_]
 
 

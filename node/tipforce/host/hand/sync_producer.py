@@ -10,8 +10,8 @@ from typing import Protocol
 
 import can
 
+from tipforce.device.codes import SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.hand.rows import SYNC_COB_ID
 
 
 class SyncProducer(Protocol):

@@ -7,11 +7,9 @@ from collections.abc import Iterator
 
 import can
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
 from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frames.frame_block import CandumpBlock
-
-_IDENTIFIER_MASK = 0x1FFFFFFF
 
 
 def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool) -> can.Message:
@@ -20,7 +18,7 @@ def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent
     remote = bool(can_id & REMOTE_FLAG) and not error
     return can.Message(
         timestamp=t_ns / 1_000_000_000,
-        arbitration_id=can_id & _IDENTIFIER_MASK,
+        arbitration_id=can_id & EXTENDED_MASK,
         is_extended_id=bool(can_id & EXTENDED_FLAG),
         is_remote_frame=remote,
         is_error_frame=error,
@@ -35,7 +33,7 @@ def fd_message(frame: FdFrame, channel: str) -> can.Message:
     """A CAN FD frame as a message."""
     return can.Message(
         timestamp=frame.t_ns / 1_000_000_000,
-        arbitration_id=frame.can_id & _IDENTIFIER_MASK,
+        arbitration_id=frame.can_id & EXTENDED_MASK,
         is_extended_id=bool(frame.can_id & EXTENDED_FLAG),
         is_error_frame=bool(frame.can_id & ERROR_FLAG),
         is_fd=True,

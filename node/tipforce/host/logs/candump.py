@@ -15,7 +15,7 @@ from itertools import islice
 
 import numpy as np
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
 from tipforce.host.frames import fd_frame
 from tipforce.host.frames.fd_frame import FdFrame
@@ -37,7 +37,6 @@ EXPECTED = {
 """Why a line is bad, and what was expected in its place."""
 
 BLOCK_LINES = 8192
-_MAX_IDENTIFIER = 0x1FFFFFFF
 _LAST_NS = (1 << 63) - 1  # in the year 2262
 _MAX_KEPT = 100
 _SHOWN_CHARACTERS = 80
@@ -255,9 +254,9 @@ def _identifier(text: str) -> int:
         if can_id > STANDARD_MASK:
             raise ValueError("identifier")
         return can_id
-    if can_id & ERROR_FLAG and can_id <= ERROR_FLAG | _MAX_IDENTIFIER:
+    if can_id & ERROR_FLAG and can_id <= ERROR_FLAG | EXTENDED_MASK:
         return can_id
-    if can_id > _MAX_IDENTIFIER:
+    if can_id > EXTENDED_MASK:
         raise ValueError("identifier")
     return can_id | EXTENDED_FLAG
 

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
+from tipforce.device.codes import EXTENDED_MASK
+
 ERROR_CLASSES = (
     "tx-timeout",
     "lost-arbitration",
@@ -63,7 +65,6 @@ LOCATIONS = {
     0x1C: "overload-flag",
 }
 _LAST_LOCATION = 0x1F
-_CLASS_MASK = 0x1FFFFFFF
 
 
 def error_text(can_id: int, data: bytes) -> str:
@@ -72,7 +73,7 @@ def error_text(can_id: int, data: bytes) -> str:
     A class beyond those of candump is named by its number (candump repeats the line before instead).
     """
     data = data.ljust(8, b"\0")
-    error_class = can_id & _CLASS_MASK
+    error_class = can_id & EXTENDED_MASK
     if error_class > 1 << len(ERROR_CLASSES):
         return f"error class 0x{error_class:X} is unknown"
     parts = [name + _details(name, data) for name in _set(error_class, ERROR_CLASSES)]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
 from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.host.frames.frame_block import CandumpBlock
@@ -15,8 +15,7 @@ TIMESTAMPS = ("", "a", "z", "d", "A")
 """None, absolute, from zero, since the frame before, absolute with the local date."""
 
 _EXTRA = ("- -", "B -", "- E", "B E")  # bit rate switch and error state, by the flags of a CAN FD frame
-_ERROR_MASK = ERROR_FLAG | 0x1FFFFFFF
-_IDENTIFIER_MASK = 0x1FFFFFFF
+_ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
 
 
 class CandumpFormat:
@@ -149,7 +148,7 @@ def identifier_text(can_id: int) -> str:
     if can_id & ERROR_FLAG:
         return f"{can_id & _ERROR_MASK:08X}"
     if can_id & EXTENDED_FLAG:
-        return f"{can_id & _IDENTIFIER_MASK:08X}"
+        return f"{can_id & EXTENDED_MASK:08X}"
     return f"{can_id & STANDARD_MASK:03X}"
 
 

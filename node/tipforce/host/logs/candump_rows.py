@@ -7,7 +7,7 @@ import re
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, STANDARD_MASK
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, STANDARD_MASK
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_template import FRONT, Template
@@ -15,7 +15,6 @@ from tipforce.host.logs.digits import FIRST, Rows, Words, decimal, fill, hexadec
 from tipforce.host.logs.lines import Text
 
 _RETURN, _SPACE = 13, 32
-_EXTENDED_MASK = 0x1FFFFFFF
 _SECOND_NS = 1_000_000_000
 _FIRST_92 = 92  # of the ten digits of seconds
 _DATE = re.compile(r"\d{4}-\d\d-\d\d \d\d:\d\d:\d\d", re.ASCII)
@@ -216,5 +215,5 @@ def _can_id(number: npt.NDArray[np.uint32], template: Template) -> tuple[Words, 
     if not template.extended:
         return number.astype(np.uint64), number <= STANDARD_MASK
     error = (number & np.uint32(ERROR_FLAG)) != 0
-    known = number <= np.uint32(ERROR_FLAG | _EXTENDED_MASK)
+    known = number <= np.uint32(ERROR_FLAG | EXTENDED_MASK)
     return np.where(error, number, number | np.uint32(EXTENDED_FLAG)).astype(np.uint64), known

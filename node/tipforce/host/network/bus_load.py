@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
@@ -17,7 +18,6 @@ DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Of the bit rate, with worst-case stuffing: above it the lowest priority may miss its SYNC period now and then."""
 
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
 _AFTER_CRC = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge slot and delimiter, end of frame, intermission: never stuffed
 _CRC_POLYNOMIAL = 0x4599
 
@@ -123,9 +123,9 @@ def range_of_bits(frames: FrameArray) -> tuple[int, int]:
     flags = frames["can_id"] >> 29
     length = np.minimum(frames["length"], 8).astype(np.int64)
     if flags.any():
-        length[(flags & _REMOTE >> 29) != 0] = 0
-        length[(flags & _EXTENDED >> 29) != 0] += 9
-        length = length[(flags & _ERROR >> 29) == 0]
+        length[(flags & REMOTE_FLAG >> 29) != 0] = 0
+        length[(flags & EXTENDED_FLAG >> 29) != 0] += 9
+        length = length[(flags & ERROR_FLAG >> 29) == 0]
     counts = np.bincount(length, minlength=len(_KINDS))
     return int(counts @ _LEAST), int(counts @ _MOST)
 
@@ -159,23 +159,23 @@ def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
     """
     bits, length = _bit_matrix(frames)
     count = length + _AFTER_CRC + _stuff_bits(bits, length)
-    count[(frames["can_id"] & _ERROR) != 0] = 0
+    count[(frames["can_id"] & ERROR_FLAG) != 0] = 0
     return count
 
 
 def _bit_matrix(frames: FrameArray) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
     """Start of frame to the CRC's end as bits (n, 118), and how many of them each frame has (n,)."""
     can_id = frames["can_id"].astype(np.int64)
-    extended, remote = (can_id & _EXTENDED) != 0, (can_id & _REMOTE) != 0
+    extended, remote = (can_id & EXTENDED_FLAG) != 0, (can_id & REMOTE_FLAG) != 0
     data_bytes = np.where(remote, 0, frames["length"]).astype(np.int64)
     n = len(frames)
     bits = np.zeros((n, 118), dtype=np.uint8)
-    control = np.minimum(frames["length"], 8).astype(np.int64)
+    rtr, control = remote.astype(np.int64), np.minimum(frames["length"], 8).astype(np.int64)
     # Standard: SOF, 11 bits, RTR, IDE, r0, DLC. Extended: SOF, 11 bits, SRR, IDE, 18 bits, RTR, r1, r0, DLC.
     header = np.where(
         extended,
-        ((can_id >> 18 & 0x7FF) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | remote.astype(np.int64) << 6 | control),
-        ((can_id & 0x7FF) << 7 | remote.astype(np.int64) << 6 | control),
+        ((can_id >> 18 & STANDARD_MASK) << 27 | 0b11 << 25 | (can_id & 0x3FFFF) << 7 | rtr << 6 | control),
+        ((can_id & STANDARD_MASK) << 7 | rtr << 6 | control),
     )
     start = np.where(extended, 39, 19)
     columns = np.arange(118)

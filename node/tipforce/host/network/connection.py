@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import can
 import canopen
 
+from tipforce.device import codes
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.network.bus import open_bus
@@ -25,9 +26,13 @@ if TYPE_CHECKING:
     from tipforce.host.network.find import FoundNode
     from tipforce.host.network.finger import Finger
 
-NMT_COMMANDS = {"start": 1, "stop": 2, "preop": 128, "reset-node": 129, "reset-comm": 130}
-NMT_STATES = {0: "boot-up", 4: "stopped", 5: "operational", 127: "pre-operational"}
-SYNC_COB_ID = 0x80
+NMT_COMMANDS = {
+    "start": codes.NMT_START,
+    "stop": codes.NMT_STOP,
+    "preop": codes.NMT_ENTER_PRE_OPERATIONAL,
+    "reset-node": codes.NMT_RESET_NODE,
+    "reset-comm": codes.NMT_RESET_COMMUNICATION,
+}
 _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
 _RECEIVE_CYCLE_S = 0.05  # how long close() waits for the receiver at most; canopen's own is a second
@@ -63,7 +68,7 @@ class Connection:
         self._shared: can.Notifier | None = None
         """The receiving thread of somebody else, where the bus has one."""
         self.network = self._attached(bus)
-        self.network.subscribe(SYNC_COB_ID, self._on_sync)
+        self.network.subscribe(codes.SYNC_COB_ID, self._on_sync)
 
     def _attached(self, bus: can.BusABC | canopen.Network) -> canopen.Network:
         """A network that receives from ``bus``, by the receiving thread that it has already, if it has one."""
@@ -142,12 +147,12 @@ class Connection:
         """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0."""
         if command not in NMT_COMMANDS:
             raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
-        self.send(0, bytes((NMT_COMMANDS[command], node_id)))
+        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command], node_id)))
 
     def sync(self) -> None:
         """Send one SYNC."""
         self._own_sync_s = time.monotonic()
-        self.send(SYNC_COB_ID, b"")
+        self.send(codes.SYNC_COB_ID, b"")
 
     def sync_due_s(self, period_s: float) -> float:
         """When the next SYNC of this object is due (monotonic), at one every ``period_s``; inf: another node sends it.
@@ -198,7 +203,7 @@ class Connection:
         for channel in channels:
             channel.close()
         with suppress(KeyError, ValueError):
-            self.network.unsubscribe(SYNC_COB_ID, self._on_sync)
+            self.network.unsubscribe(codes.SYNC_COB_ID, self._on_sync)
         if self._shared is not None:
             for listener in self._listeners:
                 with suppress(ValueError):

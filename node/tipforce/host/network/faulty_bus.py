@@ -19,10 +19,10 @@ from typing import Any
 
 import can
 
+from tipforce.device import codes
 from tipforce.errors import InputError
 
 RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
-_HIGHEST_ID = 0x7FF
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,7 +65,7 @@ class Injector:
     def put(self, frame: RawFrame, now_s: float) -> None:
         """A frame arrives at ``now_s``."""
         faults = self.faults
-        if faults.only and frame[0] & _HIGHEST_ID not in faults.only:
+        if faults.only and frame[0] & codes.STANDARD_MASK not in faults.only:
             self._push(frame, now_s)
             return
         # Every draw is made for every frame: switching one fault on leaves the others where they strike.
@@ -158,7 +158,7 @@ class FaultyBus(can.BusABC):
             if message is not None:
                 number = next(self._numbers) << 32
                 self._messages[number] = message
-                self._injector.put((number | message.arbitration_id & _HIGHEST_ID, bytes(message.data)), now_s)
+                self._injector.put((number | message.arbitration_id & codes.STANDARD_MASK, bytes(message.data)), now_s)
                 self._forget()
             elif deadline_s is not None and time.monotonic() >= deadline_s:
                 return None, False

@@ -6,13 +6,15 @@ import time
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from tipforce.device import codes
 from tipforce.dictionary import objects as od
+from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.network.connection import NMT_STATES, Connection
+from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient, Identity
 
-_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 _GAP_S = 0.001  # between requests, so that short transmit queues hold
 
 
@@ -38,16 +40,17 @@ def find_nodes(connection: Connection, node_ids: Iterable[int], wait_s: float = 
     wanted = set(node_ids)
     connection.buffer.clear()
     for node_id in sorted(wanted):
-        connection.send(0x600 + node_id, _READ_DEVICE_TYPE)
+        connection.send(codes.SDO_REQUEST_BASE + node_id, READ_DEVICE_TYPE)
         time.sleep(_GAP_S)
     time.sleep(wait_s)
     states: dict[int, int] = {}
     answered: set[int] = set()
     for frame in connection.buffer.take_all():
-        service, node_id = int(frame["can_id"]) & ~0x7F, int(frame["can_id"]) & 0x7F
-        if node_id in wanted and service == 0x580:
+        can_id = int(frame["can_id"])
+        service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
+        if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
             answered.add(node_id)
-        elif node_id in wanted and service == 0x700:
+        elif node_id in wanted and service == codes.HEARTBEAT_BASE:
             states[node_id] = int(frame["data"][0]) & 0x7F
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 

@@ -13,6 +13,7 @@ from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
@@ -28,11 +29,11 @@ T = TypeVar("T", bound=Value)
 _START_AGAIN_S = 2.0  # a heartbeat with the new state comes within this time
 
 _REFUSALS = {
-    0x08000022: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
-    0x06040043: "the CRC-32 of what it received is not the expected one; nothing was activated, try again",
-    0x06090030: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over contact-on, "
-    "a noise covariance with a negative variance or a correlation over 1",
-    0x06090031: "the condition number of C is over the limit 2105h:1",
+    codes.DEVICE_STATE: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
+    codes.INCOMPATIBLE: "the CRC-32 of what it received is not the expected one; nothing was activated, try again",
+    codes.INVALID_VALUE: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over "
+    "contact-on, a noise covariance with a negative variance or a correlation over 1",
+    codes.TOO_HIGH: "the condition number of C is over the limit 2105h:1",
 }
 
 
@@ -52,17 +53,17 @@ class Identity:
     @property
     def is_fingertip(self) -> bool:
         """True for a node of this dictionary."""
-        return self.product & 0xFFFFFCF0 == 0x54500000 and table.MIN_GAUGES <= self.gauges <= table.MAX_GAUGES
+        return gauges_of(self.product) > 0
 
     @property
     def gauges(self) -> int:
         """Number of gauges."""
-        return self.product & 0xF
+        return self.product & table.PRODUCT_GAUGES
 
     @property
     def simulated(self) -> bool:
         """True for a node without hardware."""
-        return bool(self.product & 0x100)
+        return bool(self.product & table.PRODUCT_SIMULATED)
 
 
 @dataclass(frozen=True, slots=True)
@@ -140,7 +141,7 @@ class FingertipClient:
         Raises SdoAbortError; where the node has no store that works, the text says what to do.
         """
         try:
-            self.sdo.write(od.STORE[4 if calibration else 1], table.SIGNATURE_SAVE)
+            self.sdo.write(od.STORE[4 if calibration else 1], codes.SIGNATURE_SAVE)
         except SdoAbortError as error:
             if error.code != codes.HARDWARE:
                 raise

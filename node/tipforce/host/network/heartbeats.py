@@ -8,7 +8,7 @@ from collections.abc import Collection
 
 import can
 
-BOOT_UP, STOPPED, OPERATIONAL, PRE_OPERATIONAL = 0, 4, 5, 127
+from tipforce.device.codes import HEARTBEAT_BASE, NODE_ID_MASK
 
 _AFTER_ERROR_S = 0.05
 
@@ -22,12 +22,12 @@ class Heartbeats(can.Listener):
 
     def on_message_received(self, msg: can.Message) -> None:
         """Called by the Notifier's thread."""
-        if not 0x700 < msg.arbitration_id <= 0x77F or len(msg.data) != 1:
+        if not 0 < msg.arbitration_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
             return
         if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
             return
         with self._arrived:
-            self._last[msg.arbitration_id & 0x7F] = time.monotonic(), msg.data[0] & 0x7F
+            self._last[msg.arbitration_id & NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
             self._arrived.notify_all()
 
     def on_error(self, exc: Exception) -> None:

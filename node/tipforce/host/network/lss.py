@@ -12,19 +12,14 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from types import TracebackType
 
+from tipforce.device import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
 from tipforce.host.network.connection import Connection
 
-REQUEST_ID, ANSWER_ID = 0x7E5, 0x7E4
-UNCONFIGURED = 255  # what a node without a node-id calls its own
 DEFAULT_TIMEOUT_S = 0.1
 STORE_TIMEOUT_S = 2.0  # a node answers when its memory is written
 PARTS = ("vendor", "product", "revision", "serial")
 
-_SWITCH_GLOBAL, _NODE_ID, _STORE, _FASTSCAN, _INQUIRE_NODE_ID = 0x04, 0x11, 0x17, 0x51, 0x5E
-_SELECT_VENDOR, _SELECTED, _IDENTIFIED = 0x40, 0x44, 0x4F
-_IDENTIFY_UNCONFIGURED, _UNCONFIGURED = 0x4C, 0x50
-_ANYONE = 0x80
 _STORE_ERRORS = {1: "it has no memory for it", 2: "its memory failed"}
 
 
@@ -49,7 +44,7 @@ class LssMaster:
         self._connection = connection
         self._timeout_s = timeout_s
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
-        connection.network.subscribe(ANSWER_ID, self._on_answer)
+        connection.network.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def __enter__(self) -> LssMaster:
         return self
@@ -58,15 +53,15 @@ class LssMaster:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.release()
-        self._connection.network.unsubscribe(ANSWER_ID, self._on_answer)
+        self._connection.network.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def release(self) -> None:
         """All nodes to the waiting state; one that was given its first node-id boots with it now (CiA 305, 6.3.2)."""
-        self._send(_SWITCH_GLOBAL, b"\x00")
+        self._send(codes.LSS_SWITCH_GLOBAL, b"\x00")
 
     def any_unconfigured(self) -> bool:
         """Whether a node without a node-id answers."""
-        return self._ask(_IDENTIFY_UNCONFIGURED, b"", _UNCONFIGURED) is not None
+        return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
     def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
         """Find one node without a node-id, and leave it in the configuration state; None when there is none.
@@ -74,7 +69,7 @@ class LssMaster:
         ``known`` begins the address, as far as it is known (vendor, product, ...): a question for each part instead
         of one for each bit. A node that has a node-id takes no part (CiA 305, 6.7).
         """
-        if not self._matches(0, _ANYONE, 0, 0):
+        if not self._matches(0, codes.LSS_START_FASTSCAN, 0, 0):
             return None
         parts = [0, 0, 0, 0]
         for sub in range(4):
@@ -92,30 +87,30 @@ class LssMaster:
     def select(self, address: LssAddress) -> bool:
         """Bring the one node with this address to the configuration state, node-id or not; False if none answers."""
         for k, part in enumerate(PARTS[:3]):
-            self._send(_SELECT_VENDOR + k, struct.pack("<I", getattr(address, part)))
-        return self._ask(_SELECT_VENDOR + 3, struct.pack("<I", address.serial), _SELECTED) is not None
+            self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", getattr(address, part)))
+        return self._ask(codes.LSS_SELECT_LAST, struct.pack("<I", address.serial), codes.LSS_SELECTED) is not None
 
     def node_id(self) -> int:
         """The node-id of the selected node; 255 for none. Raises NoResponseError."""
-        return self._required(_INQUIRE_NODE_ID, b"", "its node-id", self._timeout_s)[1]
+        return self._required(codes.LSS_INQUIRE_NODE_ID, b"", "its node-id", self._timeout_s)[1]
 
     def configure_node_id(self, node_id: int) -> None:
         """Give the selected node an id, which holds from its next reset. Raises NoResponseError, RefusedError."""
         if not 1 <= node_id <= 127:
             raise InputError(f"node-id {node_id}: allowed are 1 to 127")
-        answer = self._required(_NODE_ID, bytes((node_id,)), f"node-id {node_id}", self._timeout_s)
+        answer = self._required(codes.LSS_NODE_ID, bytes((node_id,)), f"node-id {node_id}", self._timeout_s)
         if answer[1]:
             raise RefusedError(f"LSS: the node refused node-id {node_id} (error {answer[1]})")
 
     def store(self) -> None:
         """Have the selected node keep node-id and bit rate over a power cycle. Raises NoResponseError, RefusedError."""
-        answer = self._required(_STORE, b"", "storing", STORE_TIMEOUT_S)
+        answer = self._required(codes.LSS_STORE, b"", "storing", STORE_TIMEOUT_S)
         if answer[1]:
             raise RefusedError(f"LSS: the node did not store: {_STORE_ERRORS.get(answer[1], f'error {answer[1]}')}")
 
     def _matches(self, number: int, bit_check: int, sub: int, following: int) -> bool:
         payload = struct.pack("<IBBB", number, bit_check, sub, following)
-        return self._ask(_FASTSCAN, payload, _IDENTIFIED) is not None
+        return self._ask(codes.LSS_FASTSCAN, payload, codes.LSS_IDENTIFIED) is not None
 
     def _required(self, service: int, payload: bytes, what: str, timeout_s: float) -> bytes:
         answer = self._ask(service, payload, service, timeout_s)
@@ -136,7 +131,7 @@ class LssMaster:
             return None
 
     def _send(self, service: int, payload: bytes) -> None:
-        self._connection.send(REQUEST_ID, (bytes((service,)) + payload).ljust(8, b"\0"))
+        self._connection.send(codes.LSS_REQUEST_COB_ID, (bytes((service,)) + payload).ljust(8, b"\0"))
 
     def _on_answer(self, _can_id: int, data: bytearray, _time_s: float) -> None:
         self._answers.put(bytes(data))

@@ -5,17 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Collection
 
+from tipforce.device.codes import INITIALISING, OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.errors import NoResponseError
-from tipforce.host.network.connection import NMT_STATES, Connection
-from tipforce.host.network.heartbeats import BOOT_UP, OPERATIONAL, PRE_OPERATIONAL, STOPPED
+from tipforce.host.network.connection import Connection
 
 _REACHED = {
     "start": (OPERATIONAL,),
     "stop": (STOPPED,),
     "preop": (PRE_OPERATIONAL,),
     # A reset ends with the boot-up message.
-    "reset-node": (BOOT_UP,),
-    "reset-comm": (BOOT_UP,),
+    "reset-node": (INITIALISING,),
+    "reset-comm": (INITIALISING,),
 }
 
 

@@ -16,6 +16,7 @@ import canopen
 from canopen.sdo.client import SdoClient
 from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
+from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
@@ -28,7 +29,6 @@ R = TypeVar("R")
 
 DEFAULT_TIMEOUT_S = 0.5
 DEFAULT_RETRIES = 2
-_UNKNOWN_COMMAND = 0x05040001
 _TIMED_OUT = "No SDO response"
 """How canopen's error for a silent node begins."""
 
@@ -51,16 +51,17 @@ class SdoChannel:
         self.retries = retries
         self._lock = threading.Lock()
         # An empty dictionary: with one, the client would cut answers to the length it expects.
-        self._client = SdoClient(0x600 + node_id, 0x580 + node_id, canopen.ObjectDictionary())
+        request, response = codes.SDO_REQUEST_BASE + node_id, codes.SDO_RESPONSE_BASE + node_id
+        self._client = SdoClient(request, response, canopen.ObjectDictionary())
         self._client.RESPONSE_TIMEOUT = timeout_s
         self._client.network = self._network = network
         self._gauges: int | None = None
-        network.subscribe(0x580 + node_id, self._client.on_response)
+        network.subscribe(response, self._client.on_response)
 
     def close(self) -> None:
         """Stop listening to the node's answers."""
         with suppress(KeyError, ValueError):
-            self._network.unsubscribe(0x580 + self.node_id, self._client.on_response)
+            self._network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._client.on_response)
 
     @property
     def timeout_s(self) -> float:
@@ -121,7 +122,7 @@ class SdoChannel:
     def _exchange(self, request: bytes, expected: bytes) -> None:
         response = self._client.request_response(request)
         if not response.startswith(expected):
-            self._client.abort(_UNKNOWN_COMMAND)
+            self._client.abort(codes.UNKNOWN_COMMAND)
             raise SdoCommunicationError(f"unexpected response {response.hex(' ')}")
 
     def _try(self, transfer: Callable[[], R], what: str) -> R:

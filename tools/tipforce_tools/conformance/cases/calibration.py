@@ -6,6 +6,7 @@ import binascii
 import math
 import struct
 
+from tipforce.device import codes
 from tipforce.dictionary import table
 from tipforce_tools.conformance.case import CheckError, case
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle
@@ -293,11 +294,11 @@ def stored(dut: Dut) -> None:
     data = record(dut, x2102_1=99)
     commit(dut, data)
     generation = dut.integer("I", 0x2103, 4)
-    dut.put("I", 0x1010, 4, table.SIGNATURE_SAVE)
+    dut.put("I", 0x1010, 4, codes.SIGNATURE_SAVE)
     dut.refuses("f", 0x2100, 1, 7.0, 0)
     dut.reset()
     found = dut.read(0x2140), dut.read(0x2141), dut.integer("I", 0x2103, 4)
-    dut.put("I", 0x1011, 4, table.SIGNATURE_LOAD)
+    dut.put("I", 0x1011, 4, codes.SIGNATURE_LOAD)
     dut.reset()
     dut.holds("I", 0x2103, 3, 0)
     if found != (data, data, generation):

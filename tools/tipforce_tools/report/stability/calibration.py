@@ -8,14 +8,14 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from tipforce.dictionary import table
+from tipforce.device import codes, communication
+from tipforce.dictionary import indices, table
 from tipforce.fingertip.node import fingertip_node
+from tipforce.sensor.contact import scalar
 from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_INVALID, _TOO_HIGH, _TOO_LOW, _INCOMPATIBLE, _STATE = 0x06090030, 0x06090031, 0x06090032, 0x06040043, 0x08000022
-_CALIBRATION_INVALID = 0x6320
 _GROUP = 4
 
 
@@ -68,9 +68,9 @@ def _not_finite() -> Observed:
         for value in (math.nan, math.inf, -math.inf):
             finger.stage(rig.record())
             held &= finger.put("f", index, sub, value) == 0
-            held &= finger.put("I", 0x2103, 1, finger.get("I", 0x2103, 2)) == 0
+            held &= finger.put("I", indices.CALIBRATION_CHECK, 1, finger.get("I", indices.CALIBRATION_CHECK, 2)) == 0
             before = finger.active()
-            held &= finger.commit() == _INVALID and finger.active() == before
+            held &= finger.commit() == codes.INVALID_VALUE and finger.active() == before
             count += 1
     after = finger.sync()
     return Observed(held and after[:3] == shown[:3], f"{count} records refused, P stays {after.contact[0]} mN")
@@ -90,14 +90,14 @@ def _condition() -> Observed:
         finger = rig.simulated()
         record = rig.record(C=_conditioned(kappa))
         verdicts.append((finger.stage(record) or finger.commit()) == 0)
-        if not verdicts[-1] and not _refused(finger, record, _TOO_HIGH):
+        if not verdicts[-1] and not _refused(finger, record, codes.TOO_HIGH):
             return Observed(False, f"condition {kappa:g}: not refused as it should be")
     # Beyond 1e7 REAL32 no longer holds a rotated matrix; a graded one it does, exactly.
     exact = []
     for tiny in (2.0**-20, 2.0**-46, 0.0):
         finger = rig.simulated()
-        refused = _refused(finger, rig.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), _TOO_HIGH)
-        exact.append(refused and finger.get("f", 0x2102, 5) == (1.0 / tiny if tiny else math.inf))
+        refused = _refused(finger, rig.record(C=[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4 * tiny]]), codes.TOO_HIGH)
+        exact.append(refused and finger.get("f", indices.CALIBRATION_FACTS, 5) == (1.0 / tiny if tiny else math.inf))
     held = verdicts == [True, True, True, False, False] and all(exact)
     return Observed(held, f"10, 1e3, 9.9e3, 1.01e4, 1e6: accepted {verdicts}; 1e6, 7e13, infinity: refused {exact}")
 
@@ -111,8 +111,9 @@ def _impossible() -> Observed:
         "0 with covariance": (0, c, 0, c, 0, c),
     }
     finger = rig.simulated(load=rig.PUSH)
-    refused = {name: _refused(finger, rig.record(variance=noise), _INVALID) for name, noise in triples.items()}
-    after, u_P = finger.sync(), finger.get("f", 0x2107, 1)
+    records = {name: rig.record(variance=noise) for name, noise in triples.items()}
+    refused = {name: _refused(finger, record, codes.INVALID_VALUE) for name, record in records.items()}
+    after, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
     held = all(refused.values()) and after.contact[0] == 1000 and u_P > 0.0
     return Observed(
         held, f"refused: {', '.join(name for name, yes in refused.items() if yes)}; u_P stays {1e3 * u_P:g} mN"
@@ -147,7 +148,7 @@ def _flipped_in_transit() -> Observed:
         total += 1
         # A load sense that is neither 0 nor 1 is refused at once.
         staged = finger.stage(spoilt, crc)
-        refused += staged == _INVALID or (staged == 0 and finger.commit() == _INCOMPATIBLE)
+        refused += staged == codes.INVALID_VALUE or (staged == 0 and finger.commit() == codes.INCOMPATIBLE)
     held = refused == total == 848 and finger.active() == before
     return Observed(held, f"{refused} of {total} refused, active CRC {before[0]:08X}h stays")
 
@@ -155,7 +156,7 @@ def _flipped_in_transit() -> Observed:
 def _stored() -> rig.Memory:
     memory = rig.Memory()
     finger = rig.simulated(memory=memory)
-    finger.put("I", 0x1010, _GROUP, table.SIGNATURE_SAVE)
+    finger.put("I", communication.STORE_PARAMETERS, _GROUP, codes.SIGNATURE_SAVE)
     return memory
 
 
@@ -168,8 +169,8 @@ def _started(memory: rig.Memory) -> rig.Talk:
 def _uncalibrated(finger: rig.Talk) -> bool:
     codes = finger.emcy()
     found = finger.sync()
-    unknown = not found.status & rig.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
-    return unknown and codes == [_CALIBRATION_INVALID] and finger.active()[0] == 0
+    unknown = not found.status & scalar.CALIBRATED and found.contact == (rig.UNKNOWN,) * 3
+    return unknown and codes == [table.EMCY_CALIBRATION_INVALID] and finger.active()[0] == 0
 
 
 def _flipped_in_store() -> Observed:
@@ -193,25 +194,27 @@ def _cut_store() -> Observed:
         caught += _uncalibrated(_started(memory))
     memory.blobs["calibration"] = b""  # what a restore of defaults leaves: no damage
     empty = _started(memory)
-    held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & rig.CALIBRATED
+    held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & scalar.CALIBRATED
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")
 
 
 def _huge() -> Observed:
     C = [[3.4e38 if i == k else 0.0 for k in range(3)] for i in range(3)]
     finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C, variance=[3e38, 0, 0, 3e38, 0, 3e38]))
-    found, status, P = finger.sync(), finger.get("B", 0x6150, 7), finger.get("f", 0x6130, 7)
+    found, P = finger.sync(), finger.get("f", indices.PROCESS_VALUE, 7)
+    status = finger.get("B", indices.CHANNEL_STATUS, 7)
     held = found.contact[0] == 32767 and status == 3 and abs(P / 3.3993e34 - 1.0) < 1e-3
-    held &= found.contact[2] == rig.UNKNOWN and bool(found.status & rig.UNRESOLVED)
-    held &= finger.get("f", 0x2107, 1) == math.inf
+    held &= found.contact[2] == rig.UNKNOWN and bool(found.status & scalar.THETA_UNRESOLVED)
+    held &= finger.get("f", indices.UNCERTAINTY, 1) == math.inf
     return Observed(held, f"P {P:.3g} N, 6150h {status:02.0f}h, u_P infinite, status {found.status:02X}h")
 
 
 def _tiny() -> Observed:
     C = [[1e-44 if i == k else 0.0 for k in range(3)] for i in range(3)]
     finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C))
-    found, condition = finger.sync(), finger.get("f", 0x2102, 5)
-    held = found.contact == (0, rig.UNKNOWN, rig.UNKNOWN) and condition == 1.0 and not found.status & rig.CONTACT
+    found, condition = finger.sync(), finger.get("f", indices.CALIBRATION_FACTS, 5)
+    held = found.contact == (0, rig.UNKNOWN, rig.UNKNOWN) and condition == 1.0
+    held &= not found.status & scalar.CONTACT_PRESENT
     return Observed(held, f"P {found.contact[0]} mN, condition {condition:g}, status {found.status:02X}h")
 
 
@@ -223,10 +226,10 @@ def _tare_huge() -> Observed:
     for P in (1.0, 2.0):
         finger.source.forces = lambda _now, P=P: (32.0, -32.0, P)
         finger.sync()
-        held = finger.put("I", 0x6139, 4, table.SIGNATURE_TARA) == 0
+        held = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA) == 0
         finger.source.forces = lambda _now, P=P: (31.5003, -31.4996, P - 0.5004)
         finger.sync()
-        F = [finger.get("f", 0x6130, sub) for sub in (4, 5, 6)]
+        F = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (4, 5, 6)]
         worst = max(worst, float(np.abs(np.subtract(F, (-0.4997, 0.5004, -0.5004))).max()))
     return Observed(held and worst <= 1e-3, f"F off by at most {1e3 * worst:.2g} mN after tares of 45 N")
 
@@ -234,36 +237,37 @@ def _tare_huge() -> Observed:
 def _tare_saturated() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     finger.sync()
-    held = finger.put("I", 0x6139, 4, table.SIGNATURE_TARA) == 0
-    before = [finger.get("f", 0x2111, sub) for sub in (1, 2, 3)]
+    held = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA) == 0
+    before = [finger.get("f", indices.TARE, sub) for sub in (1, 2, 3)]
     finger.source.forces = lambda _now: (40.0, 0.0, 0.0)
     finger.sync()
-    saturated = finger.put("I", 0x6139, 4, table.SIGNATURE_TARA)
+    saturated = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA)
     finger.source.forces = None
     finger.sync()
     finger.sync(10)
-    stale = finger.put("I", 0x6139, 4, table.SIGNATURE_TARA)
-    after = [finger.get("f", 0x2111, sub) for sub in (1, 2, 3)]
-    held &= saturated == stale == _STATE and before == after and any(before)
+    stale = finger.put("I", indices.AUTOTARE, 4, table.SIGNATURE_TARA)
+    after = [finger.get("f", indices.TARE, sub) for sub in (1, 2, 3)]
+    held &= saturated == stale == codes.DEVICE_STATE and before == after and any(before)
     return Observed(held, f"saturated {saturated:08X}h, stale {stale:08X}h, tare stays {before[2]:.3f} N along F3")
 
 
 def _points_equal() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     before, aborts = finger.sync(), []
-    for kind, index in (("f", 0x6122), ("h", 0x7122), ("i", 0x9122)):
+    forms = (indices.SCALING_2_FIELD, indices.SCALING_2_FIELD_INT16, indices.SCALING_2_FIELD_INT32)
+    for kind, index in zip("fhi", forms, strict=True):
         aborts.append(finger.put(kind, index, 1, 0))
     after = finger.sync()
-    held = aborts == [_INVALID] * 3 and after[:3] == before[:3]
+    held = aborts == [codes.INVALID_VALUE] * 3 and after[:3] == before[:3]
     return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; SG1 stays {after.gauges[0] / 10:g}")
 
 
 def _denormal() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    taken = finger.put("f", 0x6122, 1, 1.4e-45) == 0
+    taken = finger.put("f", indices.SCALING_2_FIELD, 1, 1.4e-45) == 0
     found = finger.sync()
-    statuses = [finger.get("B", 0x6150, sub) for sub in (1, 7)]
-    values = [finger.get("f", 0x6130, sub) for sub in (1, 7)]
+    statuses = [finger.get("B", indices.CHANNEL_STATUS, sub) for sub in (1, 7)]
+    values = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (1, 7)]
     held = taken and (found.gauges[0], found.contact[0]) == (32767, 32767) and statuses == [3, 3]
     return Observed(held and values == [math.inf] * 2, f"SG1 and P: {values}, 6150h {statuses}")
 
@@ -271,8 +275,8 @@ def _denormal() -> Observed:
 def _locked() -> Observed:
     finger = rig.simulated()
     before = finger.active()
-    finger.put("B", 0x2105, 2, 1)
-    aborts = [finger.put("f", 0x2100, 1, 1.0), finger.stage(rig.record(offsets=[1.0, 0.0, 0.0])), finger.commit(),
-              finger.put("B", 0x2105, 2, 0)]  # fmt: skip
-    held = aborts == [_STATE] * 4 and finger.active() == before
+    finger.put("B", indices.CALIBRATION_GUARD, 2, 1)
+    aborts = [finger.put("f", indices.CALIBRATION_MATRIX, 1, 1.0), finger.stage(rig.record(offsets=[1.0, 0.0, 0.0]))]
+    aborts += [finger.commit(), finger.put("B", indices.CALIBRATION_GUARD, 2, 0)]
+    held = aborts == [codes.DEVICE_STATE] * 4 and finger.active() == before
     return Observed(held, ", ".join(f"{abort:08X}h" for abort in aborts))

@@ -8,16 +8,19 @@ import struct
 
 import numpy as np
 
+from tipforce.device import codes, communication
 from tipforce.device.node import Device
+from tipforce.dictionary import indices
 from tipforce.host.configuration.measurement_rows import time_faults
 from tipforce.host.decoding import decoder
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
+from tipforce.sensor.contact import scalar
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_TOO_HIGH, _TOO_LOW = 0x06090031, 0x06090032
+_GAUGES_COB_ID, _HEARTBEAT_COB_ID = codes.TPDO_BASES[0] + rig.NODE_ID, codes.HEARTBEAT_BASE + rig.NODE_ID
 _DAY_MS = 86_400_000
 _HUSHED = (rig.UNKNOWN,) * 3
 
@@ -73,7 +76,8 @@ def _counter() -> Observed:
 def _full_turn() -> Observed:
     said, gaps = [], []
     for lost in (253, 254, 255, 256, 257):
-        frames = [(10**6 * k, 0x185, bytes(7) + bytes((k & 0xFF,))) for k in range(600) if not 10 <= k < 10 + lost]
+        kept = [k for k in range(600) if not 10 <= k < 10 + lost]
+        frames = [(10**6 * k, _GAUGES_COB_ID, bytes(7) + bytes((k & 0xFF,))) for k in kept]
         found = decoder.Decoder().decode(frame_array(frames))[rig.NODE_ID, "Gauges"]
         said.append(decoder.lost_samples(found.columns["counter"]))
         gaps.append(int(np.diff(found.t_ns).max()) // 10**6 - 1)
@@ -83,12 +87,12 @@ def _full_turn() -> Observed:
 
 def _high_resolution() -> Observed:
     finger = rig.simulated()
-    finger.put("I", 0x1013, 0, 0xFFFFFFFF)
+    finger.put("I", communication.HIGH_RESOLUTION_TIME, 0, 0xFFFFFFFF)
     seen = []
     for after in (0, 1, 2**32 - 2, 1, 1):
         finger.now_us += after
         finger.step()
-        seen.append(int(finger.get("I", 0x1013)))
+        seen.append(int(finger.get("I", communication.HIGH_RESOLUTION_TIME)))
     return Observed(seen == [0xFFFFFFFF, 0, 0xFFFFFFFE, 0xFFFFFFFF, 0], f"{[hex(value) for value in seen]}")
 
 
@@ -98,14 +102,14 @@ def _long_run() -> Observed:
         finger = rig.simulated(load=rig.PUSH)
         finger.now_us = turn - 50_000
         finger.step()
-        finger.put("H", 0x1017, 0, 10)
+        finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 10)
         for _ in range(100):
             finger.now_us += 1000
             finger.step()
-        times = sum(can_id == 0x705 for can_id, _ in finger.others)
+        times = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.others)
         beats.append(times)
         found = finger.sync()
-        held &= times == 10 and found.contact[0] == 1000 and not found.status & rig.STALE
+        held &= times == 10 and found.contact[0] == 1000 and not found.status & scalar.STALE
     return Observed(held, f"heartbeats in 100 ms at 10 ms: {beats}")
 
 
@@ -124,7 +128,7 @@ def _time_of_day() -> Observed:
     for when in (datetime.datetime(2038, 1, 19, 3, 14, 7), datetime.datetime(2106, 2, 7, 6, 28, 15),
                  datetime.datetime(2163, 6, 6, 23, 59, 59)):  # fmt: skip
         finger = rig.simulated()
-        finger.step([(0x100, _time(when))])
+        finger.step([(codes.TIME_COB_ID, _time(when))])
         finger.now_us += 2_000_000
         finger.step()
         right = (when + datetime.timedelta(seconds=2) - epoch) // datetime.timedelta(milliseconds=1)
@@ -136,11 +140,11 @@ def _time_of_day() -> Observed:
 def _impossible_time() -> Observed:
     finger = rig.simulated()
     never = _network_ms(finger.device)
-    finger.step([(0x100, _time(datetime.datetime(2024, 2, 29, 12)))])
+    finger.step([(codes.TIME_COB_ID, _time(datetime.datetime(2024, 2, 29, 12)))])
     before = _network_ms(finger.device)
     for data in (struct.pack("<IH", _DAY_MS, 40), struct.pack("<IH", 0x0FFFFFFF, 40), bytes(5), bytes(7), b""):
         finger.now_us += 1_000_000
-        finger.step([(0x100, data)])
+        finger.step([(codes.TIME_COB_ID, data)])
     after = _network_ms(finger.device)
     return Observed(
         never == -1 and after - before == 5000, f"5 messages passed over; time runs on by {after - before} ms"
@@ -171,7 +175,7 @@ def _log_beyond() -> Observed:
 def _log_backwards() -> Observed:
     t_ns = np.concatenate((np.arange(500), np.arange(500) - 3600 * 1000)) * 10**6 + 10**18
     counters = np.arange(1000) % 256
-    rows = [(int(t), 0x185, bytes(7) + bytes((int(c),))) for t, c in zip(t_ns, counters, strict=True)]
+    rows = [(int(t), _GAUGES_COB_ID, bytes(7) + bytes((int(c),))) for t, c in zip(t_ns, counters, strict=True)]
     found = decoder.Decoder().decode(frame_array(rows))[rig.NODE_ID, "Gauges"]
     held = np.array_equal(found.t_ns, t_ns) and np.array_equal(found.columns["counter"], counters)
     lost = decoder.lost_samples(found.columns["counter"])
@@ -192,19 +196,19 @@ def _rows_backwards() -> Observed:
 
 def _live_backwards() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    finger.put("H", 0x1017, 0, 100)
+    finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
     finger.now_us += 200_000
-    shown = [finger.get("f", 0x6130, 7)]
+    shown = [finger.get("f", indices.PROCESS_VALUE, 7)]
     finger.now_us -= 10_000_000
     finger.source.load = (3.0, *rig.PUSH[1:])
     finger.step()
     finger.others.clear()
     due = finger.due_us - finger.now_us
     finger.now_us += 200_000
-    shown.append(finger.get("f", 0x6130, 7))
-    beats = sum(can_id == 0x705 for can_id, _ in finger.others)
+    shown.append(finger.get("f", indices.PROCESS_VALUE, 7))
+    beats = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.others)
     finger.source.load = (4.0, *rig.PUSH[1:])
     shown.append(finger.sync().contact[0] * 1e-3)
     for _ in range(1000):
@@ -220,15 +224,15 @@ def _live_backwards() -> Observed:
 
 def _slept() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    finger.put("H", 0x1017, 0, 100)
+    finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
     finger.others.clear()
     finger.now_us += 3_600_000_000
     finger.step()
-    sent, P = list(finger.others), finger.get("f", 0x6130, 7)
+    sent, P = list(finger.others), finger.get("f", indices.PROCESS_VALUE, 7)
     again = finger.due_us - finger.now_us
-    held = [can_id for can_id, _ in sent] == [0x705] and abs(P - 2.0) < 1e-3 and 0 < again <= 100_000
+    held = [can_id for can_id, _ in sent] == [_HEARTBEAT_COB_ID] and abs(P - 2.0) < 1e-3 and 0 < again <= 100_000
     return Observed(held, f"{len(sent)} frame sent on waking, P {P:.3f} N, next due in {again / 1000:g} ms")
 
 
@@ -236,7 +240,7 @@ def _twice_rate() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(250) for _ in range(200)]
-    stale = [bool(one.status & rig.STALE) for one in found]
+    stale = [bool(one.status & scalar.STALE) for one in found]
     hushed = all((one.contact == one.gauges == _HUSHED) == old for one, old in zip(found, stale, strict=True))
     right = all(one.contact[0] == 1000 for one, old in zip(found, stale, strict=True) if not old)
     counts = decoder.unwrap_counter([one.counter for one in found])
@@ -252,7 +256,7 @@ def _burst() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     finger.sync()
     found = [finger.sync(1000 if k == 0 else 0) for k in range(100)]
-    stale = [bool(one.status & rig.STALE) for one in found]
+    stale = [bool(one.status & scalar.STALE) for one in found]
     held = stale == [False] + [True] * 99 and len({one.counter for one in found}) == 1
     held &= all(one.contact == _HUSHED for one in found[1:]) and found[0].contact[0] == 1000
     return Observed(held, f"{sum(stale)} of 100 stale, counter {found[0].counter} in all")
@@ -260,16 +264,16 @@ def _burst() -> Observed:
 
 def _period() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    aborts = [finger.put("I", 0x6114, 1, value) for value in (0, 1, 99, 1_000_001, 2**32 - 1)]
-    kept = finger.get("I", 0x6114, 1)
-    held = aborts == [_TOO_LOW] * 3 + [_TOO_HIGH] * 2 and kept == 500 and finger.source.period_us == 500
-    held &= finger.put("I", 0x6114, 1, 1_000_000) == 0
+    aborts = [finger.put("I", indices.SAMPLE_PERIOD_US, 1, value) for value in (0, 1, 99, 1_000_001, 2**32 - 1)]
+    kept = finger.get("I", indices.SAMPLE_PERIOD_US, 1)
+    held = aborts == [codes.TOO_LOW] * 3 + [codes.TOO_HIGH] * 2 and kept == 500 and finger.source.period_us == 500
+    held &= finger.put("I", indices.SAMPLE_PERIOD_US, 1, 1_000_000) == 0
     finger.now_us = 5_000_500
     finger.sync(0)
     found = [finger.sync(100_000) for _ in range(30)]
-    fresh = [k for k, one in enumerate(found) if not one.status & rig.STALE]
+    fresh = [k for k, one in enumerate(found) if not one.status & scalar.STALE]
     held &= fresh == [9, 19, 29] and all((one.contact == _HUSHED) == (k not in fresh) for k, one in enumerate(found))
-    faults = sum(bool(one.status & rig.FAULT) for one in found)
+    faults = sum(bool(one.status & scalar.FRONT_END_FAULT) for one in found)
     return Observed(
         held and faults == 0, f"5 refused; at 1 s {len(fresh)} of 30 SYNCs at 100 ms have news, no fault claimed"
     )

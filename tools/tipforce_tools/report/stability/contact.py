@@ -159,7 +159,7 @@ def _misses() -> Observed:
     found = finger.sync()
     P, phi, theta = found.contact
     right_phi = round(math.degrees(math.atan2(0.6, -0.8)) * 100)
-    held = bool(found.status & rig.MISSES) and theta == rig.UNKNOWN and (P, phi) == (1250, right_phi)
+    held = bool(found.status & scalar.MISSES_TIP) and theta == rig.UNKNOWN and (P, phi) == (1250, right_phi)
     return Observed(held, f"status {found.status:02X}h, P {P} mN, phi {phi / 100:g} degrees, theta unknown")
 
 

@@ -9,14 +9,16 @@ from functools import partial
 
 import numpy as np
 
+from tipforce.device import codes
+from tipforce.dictionary import indices
 from tipforce.fingertip import filters
 from tipforce.fingertip.node import fingertip_node
+from tipforce.sensor.contact import scalar
 from tipforce.sources.front_end import Bridge, FrontEnd
 from tipforce.sources.simulated import SILENT, SimulatedSource
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_INVALID, _TOO_HIGH, _TOO_LOW = 0x06090030, 0x06090031, 0x06090032
 _MOVING, _REPEATING, _FIRST_ORDER = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
 _HUSHED = (rig.UNKNOWN,) * 3
 
@@ -55,7 +57,7 @@ def cases() -> list[Case]:
 
 def _filtered(kind: int, constant: int, **arguments: object) -> rig.SimulatedTalk:
     finger = rig.simulated(**arguments)  # type: ignore[arg-type]
-    abort = finger.put("H", 0x61A1, 1, constant) or finger.put("B", 0x61A0, 1, kind)
+    abort = finger.put("H", indices.FILTER_CONSTANT, 1, constant) or finger.put("B", indices.FILTER_TYPE, 1, kind)
     if abort:
         raise ValueError(f"{abort:08X}h")
     return finger
@@ -63,10 +65,12 @@ def _filtered(kind: int, constant: int, **arguments: object) -> rig.SimulatedTal
 
 def _constants() -> Observed:
     finger = _filtered(_MOVING, 8)
-    aborts = [finger.put("H", 0x61A1, 1, constant) for constant in (0, 257, 65535)]
-    aborts += [finger.put("B", 0x61A0, 1, kind) for kind in (3, 99, 255)]
-    kept = int(finger.get("B", 0x61A0, 1)), int(finger.get("H", 0x61A1, 1))
-    held = aborts == [_TOO_LOW, _TOO_HIGH, _TOO_HIGH, _INVALID, _INVALID, _TOO_HIGH] and kept == (_MOVING, 8)
+    aborts = [finger.put("H", indices.FILTER_CONSTANT, 1, constant) for constant in (0, 257, 65535)]
+    aborts += [finger.put("B", indices.FILTER_TYPE, 1, kind) for kind in (3, 99, 255)]
+    kept = int(finger.get("B", indices.FILTER_TYPE, 1)), int(finger.get("H", indices.FILTER_CONSTANT, 1))
+    expected = [codes.TOO_LOW, codes.TOO_HIGH, codes.TOO_HIGH]
+    expected += [codes.INVALID_VALUE, codes.INVALID_VALUE, codes.TOO_HIGH]
+    held = aborts == expected and kept == (_MOVING, 8)
     return Observed(held, f"{', '.join(f'{abort:08X}h' for abort in aborts)}; type and constant stay {kept}")
 
 
@@ -122,11 +126,11 @@ def _settles() -> Observed:
 
 def _repeating() -> Observed:
     finger = _filtered(_REPEATING, 65535, load=rig.PUSH)
-    finger.put("I", 0x6114, 1, 100)
+    finger.put("I", indices.SAMPLE_PERIOD_US, 1, 100)
     early = [finger.sync(50_000) for _ in range(130)]
-    hushed = all(one.contact == one.gauges == _HUSHED and one.status & rig.STALE for one in early)
+    hushed = all(one.contact == one.gauges == _HUSHED and one.status & scalar.STALE for one in early)
     later = [finger.sync(1000) for _ in range(100)]
-    fresh = [k for k, one in enumerate(later) if not one.status & rig.STALE]
+    fresh = [k for k, one in enumerate(later) if not one.status & scalar.STALE]
     seen = later[fresh[0]] if fresh else later[-1]
     held = hushed and len(fresh) == 1 and seen.contact[0] == 1000
     return Observed(
@@ -142,7 +146,7 @@ def _saturated() -> Observed:
     hit = finger.sync(rig.PERIOD_US)
     finger.source.forces = None
     after = [finger.sync(rig.PERIOD_US) for _ in range(300)]
-    held = bool(hit.status & rig.SATURATED) and hit.contact == _HUSHED
+    held = bool(hit.status & scalar.SATURATED) and hit.contact == _HUSHED
     wrong = [one.contact[0] for one in after if one.contact[0] not in (1000, rig.UNKNOWN)]
     return Observed(held and not wrong, f"status {hit.status:02X}h, P of the next 300 samples wrong in {len(wrong)}")
 
@@ -154,7 +158,7 @@ def _silence() -> Observed:
     finger.break_gauge(SILENT)
     found = [finger.sync() for _ in range(150)]
     held = good.contact[0] == 1000 and all(one.contact == one.gauges == _HUSHED for one in found)
-    held &= all(one.status & rig.STALE for one in found) and bool(found[-1].status & rig.FAULT)
+    held &= all(one.status & scalar.STALE for one in found) and bool(found[-1].status & scalar.FRONT_END_FAULT)
     return Observed(held, f"150 SYNCs unknown, status {found[0].status:02X}h, then {found[-1].status:02X}h")
 
 
@@ -164,7 +168,7 @@ def _noise() -> Observed:
     if finger.stage(rig.record()) or finger.commit():
         return Observed(False, "the calibration was refused")
     found = [finger.sync() for _ in range(400)]
-    flagged = [bool(one.status & rig.SATURATED) for one in found]
+    flagged = [bool(one.status & scalar.SATURATED) for one in found]
     held = all(flag == (max(map(abs, one.gauges)) == 32767) for flag, one in zip(flagged, found, strict=True))
     held &= all(one.contact == _HUSHED for one, flag in zip(found, flagged, strict=True) if flag)
     return Observed(held and sum(flagged) > 390, f"{sum(flagged)} of 400 samples flagged")
@@ -203,7 +207,7 @@ def _not_finite() -> Observed:
     for value in (math.nan, math.inf, -math.inf):
         finger.source.forces = lambda _now, value=value: (value, 0.0, -1.0)
         seen.append(finger.sync())
-    held = all(ends) and all(one.contact == _HUSHED and one.status & rig.SATURATED for one in seen)
+    held = all(ends) and all(one.contact == _HUSHED and one.status & scalar.SATURATED for one in seen)
     return Observed(
         held, f"{sum(ends)} of {len(ends)} at an end; node: status {[f'{one.status:02X}h' for one in seen]}"
     )

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source
-from tipforce.sensor.contact import redundancy
+from tipforce.sensor.contact import redundancy, scalar
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -18,7 +18,6 @@ from tipforce.sources import simulated
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_FRONT_END, _SATURATED = 0x5030, 0x5010
 _NOISE = 1e-13  # strain^2: three counts
 _HUSHED = (rig.UNKNOWN,) * 3
 
@@ -81,9 +80,10 @@ def _saturated() -> Observed:
         finger = rig.simulated()
         finger.source.forces = lambda _now, sign=sign: (sign * 40.0, 0.1, -0.9)
         found = finger.sync()
-        status, codes = finger.get("B", 0x6150, 1), finger.emcy()
+        status, codes = finger.get("B", indices.CHANNEL_STATUS, 1), finger.emcy()
         held &= found.contact == _HUSHED and found.gauges == (sign * 32767, 100, -900) and status == six
-        held &= bool(found.status & rig.SATURATED) and codes == [_SATURATED] and finger.get("H", 0x2124) == 1
+        held &= bool(found.status & scalar.SATURATED) and finger.get("H", indices.FAULTS) == 1
+        held &= codes == [table.EMCY_GAUGE_SATURATED]
         figures.append(f"SG1 {found.gauges[0] / 10:g}, 6150h {status:02.0f}h, status {found.status:02X}h")
     return Observed(held, "; ".join(figures))
 
@@ -93,9 +93,9 @@ def _open() -> Observed:
     finger.sync()
     finger.break_gauge(simulated.OPEN, 2)
     found = finger.sync()
-    faults, codes = int(finger.get("H", 0x2124)), finger.emcy()
-    held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & rig.FAULT)
-    held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and _FRONT_END in codes
+    faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
+    held = found.contact == _HUSHED and found.gauges == _HUSHED and bool(found.status & scalar.FRONT_END_FAULT)
+    held &= bool(faults >> table.FAULT_WIRE_BREAK & 1) and table.EMCY_FRONT_END in codes
     return Observed(held, f"status {found.status:02X}h, 2124h {faults:04X}h, EMCY {_hex(codes)}")
 
 
@@ -104,10 +104,11 @@ def _stuck() -> Observed:
     finger.break_gauge(simulated.STUCK, 1)
     finger.source.load = (2.0, *rig.PUSH[1:])
     known = [finger.sync(rig.PERIOD_US).contact != _HUSHED for _ in range(60)]
-    last, faults, codes = finger.sync(), int(finger.get("H", 0x2124)), finger.emcy()
+    last, faults, codes = finger.sync(), int(finger.get("H", indices.FAULTS)), finger.emcy()
     count = sum(known)
-    held = count < 33 and known == [True] * count + [False] * (60 - count) and bool(last.status & rig.FAULT)
-    held &= faults == 1 << table.FAULT_FROZEN and codes == [_FRONT_END]
+    held = count < 33 and known == [True] * count + [False] * (60 - count)
+    held &= bool(last.status & scalar.FRONT_END_FAULT)
+    held &= faults == 1 << table.FAULT_FROZEN and codes == [table.EMCY_FRONT_END]
     return Observed(held, f"shown for {count} readings, then status {last.status:02X}h, 2124h {faults:04X}h")
 
 
@@ -118,9 +119,9 @@ def _stuck_without_noise() -> Observed:
     finger.source.load = (3.0, *rig.PUSH[1:])
     for _ in range(100):
         found = finger.sync()
-    F = [finger.get("f", 0x6130, sub) for sub in (4, 5, 6)]
+    F = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (4, 5, 6)]
     off = np.subtract(F, rig.forces(finger.source.load))
-    missed = 1e-6 * (finger.get("f", 0x6130, 1) - 100.0 * rig.forces(finger.source.load)[0])
+    missed = 1e-6 * (finger.get("f", indices.PROCESS_VALUE, 1) - 100.0 * rig.forces(finger.source.load)[0])
     most = np.abs(np.array(rig.matrix())[:, 0] * missed) + 0.5e-3 * math.sqrt(3.0)
     held = found.contact != _HUSHED and bool((np.abs(off) <= most).all()) and abs(off[0]) > 0.1
     return Observed(held, f"no flag in 100 readings; F off by {off[0]:+.3f}, {off[1]:+.3f}, {off[2]:+.3f} N")
@@ -133,9 +134,10 @@ def _silent() -> Observed:
     first = finger.sync()
     for _ in range(120):
         last = finger.sync()
-    faults, codes = int(finger.get("H", 0x2124)), finger.emcy()
-    held = bool(first.status & rig.STALE) and first.contact == first.gauges == last.contact == _HUSHED
-    held &= bool(last.status & rig.FAULT) and faults == 1 << table.FAULT_NO_DATA and codes == [_FRONT_END]
+    faults, codes = int(finger.get("H", indices.FAULTS)), finger.emcy()
+    held = bool(first.status & scalar.STALE) and first.contact == first.gauges == last.contact == _HUSHED
+    held &= bool(last.status & scalar.FRONT_END_FAULT) and faults == 1 << table.FAULT_NO_DATA
+    held &= codes == [table.EMCY_FRONT_END]
     return Observed(held, f"status {first.status:02X}h at once, {last.status:02X}h after 121 ms, 2124h {faults:04X}h")
 
 
@@ -154,10 +156,10 @@ def _five_lost() -> Observed:
     worst, held = 0.0, True
     for lost in ((0, 1, 2, 3, 4), (0, 3, 4, 5, 7), (1, 2, 3, 6, 7)):
         finger, found = _eight(lost)
-        F = [finger.get("f", 0x6130, sub) for sub in (9, 10, 11)]
+        F = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (9, 10, 11)]
         worst = max(worst, float(np.abs(np.subtract(F, rig.forces(rig.PUSH))).max()))
-        faults = int(finger.get("H", 0x2124))
-        held &= bool(found.status & rig.SATURATED) and faults == sum(1 << k for k in lost)
+        faults = int(finger.get("H", indices.FAULTS))
+        held &= bool(found.status & scalar.SATURATED) and faults == sum(1 << k for k in lost)
         held &= found.contact != _HUSHED and rig.UNKNOWN not in found.contact
     return Observed(
         held and worst <= 0.6e-3, f"3 sets of 5 lost: F off by at most {1e3 * worst:.2f} mN, one count is 1 mN"
@@ -166,13 +168,13 @@ def _five_lost() -> Observed:
 
 def _no_rank() -> Observed:
     _, found = _eight((1, 2, 3, 4, 5))  # left: SG1 and SG7 see F1, SG8 sees F2
-    return Observed(found.contact == _HUSHED and bool(found.status & rig.SATURATED), f"status {found.status:02X}h")
+    return Observed(found.contact == _HUSHED and bool(found.status & scalar.SATURATED), f"status {found.status:02X}h")
 
 
 def _all_lost() -> Observed:
     finger, found = _eight(range(8))
-    shown = {finger.get("h", 0x7130, sub) for sub in range(1, 9)}
-    held = found.contact == _HUSHED and shown == {32767} and finger.get("H", 0x2124) == 0xFF
+    shown = {finger.get("h", indices.PROCESS_VALUE_INT16, sub) for sub in range(1, 9)}
+    held = found.contact == _HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
     return Observed(held, f"status {found.status:02X}h, gauges at {shown}, 2124h 00FFh")
 
 
@@ -247,11 +249,11 @@ def _drift() -> Observed:
     worst = 0.0
     for second in range(1, 21):
         finger.sync(1_000_000)
-        worst = max(worst, abs(finger.get("f", 0x6130, 6) - 0.01 * second))
-    before = finger.get("f", 0x6130, 6)
-    finger.put("H", 0x2130, 0, table.COMMAND_TARE)
+        worst = max(worst, abs(finger.get("f", indices.PROCESS_VALUE, 6) - 0.01 * second))
+    before = finger.get("f", indices.PROCESS_VALUE, 6)
+    finger.put("H", indices.COMMAND, 0, table.COMMAND_TARE)
     finger.sync()
-    after = finger.get("f", 0x6130, 6)
+    after = finger.get("f", indices.PROCESS_VALUE, 6)
     held = worst <= 0.015 and before > 0.15 and abs(after) < 0.02
     return Observed(
         held, f"F3 follows within {1e3 * worst:.0f} mN (noise 3 mN), {before:.3f} N, after the tare {after:.3f} N"

@@ -11,8 +11,9 @@ import struct
 from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
+from tipforce.device import codes, communication
 from tipforce.device.node import Device
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.fingertip.source import Source
@@ -20,11 +21,11 @@ from tipforce.sources.simulated import SimulatedSource
 
 NODE_ID = 5
 UNKNOWN = table.UNKNOWN_I16
-CONTACT, CALIBRATED, SATURATED, STALE, UNRESOLVED, MISSES, OUTSIDE, FAULT = (1 << bit for bit in range(8))
 PUSH = (1.0, 175.0, 10.0)
 """P, phi, theta: within the friction cone of a push, theta in the middle of the pad."""
 PERIOD_US = 500
-OPERATIONAL = bytes((1, NODE_ID))
+OPERATIONAL = bytes((codes.NMT_START, NODE_ID))
+_PDOS = tuple(base + NODE_ID for base in codes.TPDO_BASES[:2])
 
 Frame = tuple[int, bytes]
 Matrix = Sequence[Sequence[float]]
@@ -96,8 +97,8 @@ class Talk:
         self.due_us = 0
         self.others: list[Frame] = []
         self.step()
-        self.put("H", 0x1017, 0, 0)
-        self.step([(0x000, OPERATIONAL)])
+        self.put("H", communication.PRODUCER_HEARTBEAT, 0, 0)
+        self.step([(codes.NMT_COB_ID, OPERATIONAL)])
         if not keep:
             self.others.clear()
 
@@ -110,26 +111,26 @@ class Talk:
     def sync(self, after_us: int = 1000) -> Sync:
         """A SYNC after some time. Raises InputError where the two PDOs are not there, or of two samples."""
         self.now_us += after_us
-        sent = dict(self.step([(0x80, b"")]))
+        sent = dict(self.step([(codes.SYNC_COB_ID, b"")]))
         try:
-            one, two = (struct.unpack("<hhhBB", sent.pop(base + NODE_ID)) for base in (0x180, 0x280))
+            one, two = (struct.unpack("<hhhBB", sent.pop(can_id)) for can_id in _PDOS)
         except (KeyError, struct.error) as error:
             raise InputError(f"no pair of PDOs on SYNC: {error}") from None
         if one[3:] != two[3:]:
             raise InputError(f"two PDOs of one SYNC differ: {one[3:]}, {two[3:]}")
-        self.others = [frame for frame in self.others if frame[0] not in (0x180 + NODE_ID, 0x280 + NODE_ID)]
+        self.others = [frame for frame in self.others if frame[0] not in _PDOS]
         return Sync(one[:3], two[:3], one[3], one[4])
 
     def emcy(self) -> list[int]:
         """Codes of the EMCY messages sent since the last call."""
-        found = [frame for frame in self.others if frame[0] == 0x80 + NODE_ID]
-        self.others = [frame for frame in self.others if frame[0] != 0x80 + NODE_ID]
+        found = [frame for frame in self.others if frame[0] == codes.EMCY_BASE + NODE_ID]
+        self.others = [frame for frame in self.others if frame[0] != codes.EMCY_BASE + NODE_ID]
         return [struct.unpack_from("<H", data)[0] for _, data in found]
 
     def _request(self, data: bytes) -> bytes:
-        sent = self.step([(0x600 + NODE_ID, data)])
-        answers = [data for can_id, data in sent if can_id == 0x580 + NODE_ID]
-        self.others = [frame for frame in self.others if frame[0] != 0x580 + NODE_ID]
+        sent = self.step([(codes.SDO_REQUEST_BASE + NODE_ID, data)])
+        answers = [data for can_id, data in sent if can_id == codes.SDO_RESPONSE_BASE + NODE_ID]
+        self.others = [frame for frame in self.others if frame[0] != codes.SDO_RESPONSE_BASE + NODE_ID]
         if len(answers) != 1:
             raise InputError(f"{len(answers)} answers to one SDO request")
         return answers[0]
@@ -169,15 +170,17 @@ class Talk:
 
     def stage(self, data: bytes, crc: int | None = None) -> int:
         """Write the staged record and its CRC; 0 or the abort code of the first that is refused."""
-        return self.download(0x2141, 0, data) or self.put("I", 0x2103, 1, binascii.crc32(data) if crc is None else crc)
+        expected = binascii.crc32(data) if crc is None else crc
+        refused = self.download(indices.CALIBRATION_STAGED_RECORD, 0, data)
+        return refused or self.put("I", indices.CALIBRATION_CHECK, 1, expected)
 
     def commit(self) -> int:
         """2104h: 0 or the abort code."""
-        return self.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
+        return self.put("I", indices.CALIBRATION_COMMIT, 0, table.SIGNATURE_COMMIT)
 
     def active(self) -> tuple[int, int]:
         """CRC-32 and generation of the active calibration."""
-        return int(self.get("I", 0x2103, 3)), int(self.get("I", 0x2103, 4))
+        return int(self.get("I", indices.CALIBRATION_CHECK, 3)), int(self.get("I", indices.CALIBRATION_CHECK, 4))
 
 
 class SimulatedTalk(Talk):

@@ -7,6 +7,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.dictionary import indices
 from tipforce.errors import InputError
 from tipforce.sensor.contact import estimate, first_order, scalar
 from tipforce.sensor.contact.force import force_vector
@@ -80,9 +81,9 @@ def _node_enormous() -> Observed:
     sigma = 100.0 * 1e-4  # strain: 100 N
     variance = [sigma**2 if i == k else 0.0 for i in range(3) for k in range(i, 3)]
     finger = rig.simulated(load=rig.PUSH, calibration=rig.record(variance=variance))
-    found, u_P = finger.sync(), finger.get("f", 0x2107, 1)
-    flagged = bool(found.status & rig.UNRESOLVED) and found.contact[2] == rig.UNKNOWN
-    held = flagged and abs(u_P / 100.0 - 1.0) < 1e-5 and finger.get("H", 0x2123) == 65534
+    found, u_P = finger.sync(), finger.get("f", indices.UNCERTAINTY, 1)
+    flagged = bool(found.status & scalar.THETA_UNRESOLVED) and found.contact[2] == rig.UNKNOWN
+    held = flagged and abs(u_P / 100.0 - 1.0) < 1e-5 and finger.get("H", indices.U_P) == 65534
     return Observed(held, f"status {found.status:02X}h, u_P {u_P:g} N, 2123h at its end of {65.534} N")
 
 

@@ -8,6 +8,8 @@ import warnings
 
 import numpy as np
 
+from tipforce.device import codes, communication, emcy
+from tipforce.dictionary import indices
 from tipforce.dictionary.rows import rows
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
@@ -16,9 +18,17 @@ from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_INVALID = 0x06090030
-_COLLISION, _PDO_LENGTH = 0x8150, 0x8210
-_EXTENDED, _REMOTE, _ERROR = 0x80000000, 0x40000000, 0x20000000
+_RPDO_COB_ID = codes.RPDO_BASES[0] + rig.NODE_ID
+_GAUGES_COB_ID, _CONTACT_COB_ID, _FORCE_COB_ID = (base + rig.NODE_ID for base in codes.TPDO_BASES[:3])
+_WATCHED = 0x60  # a node-id
+_IDENTIFIERS = (
+    codes.NMT_COB_ID, codes.SDO_REQUEST_BASE + rig.NODE_ID, codes.LSS_REQUEST_COB_ID, codes.TIME_COB_ID,
+    codes.HEARTBEAT_BASE + _WATCHED, _RPDO_COB_ID,
+)  # fmt: skip
+_STAGED = (
+    indices.CALIBRATION_MATRIX, indices.CALIBRATION_OFFSET, indices.CALIBRATION_FACTS, indices.CALIBRATION_NOISE,
+    indices.CONTACT_SETTINGS,
+)  # fmt: skip
 
 
 def cases() -> list[Case]:
@@ -55,14 +65,14 @@ def _not_finite() -> Observed:
     finger = rig.simulated()
     tried = refused = 0
     for (index, sub), row in rows(3, True).items():
-        if row.letter != "f" or row.access != "rw" or index in (0x2100, 0x2101, 0x2102, 0x2106, 0x2110):
+        if row.letter != "f" or row.access != "rw" or index in _STAGED:
             continue
         before = finger.upload(index, sub)
         for value in (math.nan, math.inf, -math.inf):
             tried += 1
             abort = finger.put("f", index, sub, value)
             refused += abort != 0 and finger.upload(index, sub) == before
-            if abort and abort not in (_INVALID, 0x08000022):
+            if abort and abort not in (codes.INVALID_VALUE, codes.DEVICE_STATE):
                 return Observed(False, f"{index:04X}h:{sub}: {abort:08X}h")
     return Observed(tried == refused and tried > 100, f"{refused} of {tried} writes refused")
 
@@ -72,19 +82,23 @@ def _denormal() -> Observed:
     kept = 0
     for power in range(-149, -125):
         data = struct.pack("<f", 2.0**power)
-        kept += finger.download(0x6133, 1, data) == 0 and finger.upload(0x6133, 1) == data
+        index = indices.INTERRUPT_DELTA
+        kept += finger.download(index, 1, data) == 0 and finger.upload(index, 1) == data
     return Observed(kept == 24, f"{kept} of 24 kept")
 
 
 def _overflow() -> Observed:
     finger = rig.simulated()
-    taken = finger.put("f", 0x6124, 1, 3.4e38) == 0
+    taken = finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
     finger.sync()
-    strain, F1 = finger.get("f", 0x6130, 1), finger.get("f", 0x6130, 4)
+    strain, F1 = finger.get("f", indices.PROCESS_VALUE, 1), finger.get("f", indices.PROCESS_VALUE, 4)
     big = rig.simulated(calibration=rig.record(C=[[1e10 if i == k else 0.0 for k in range(3)] for i in range(3)]))
-    big.put("f", 0x6124, 1, 3.4e38)
+    big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
-    forms = big.get("f", 0x6130, 4), big.get("h", 0x7130, 4), big.get("i", 0x9130, 4), big.get("B", 0x6150, 4)
+    forms = (
+        big.get("f", indices.PROCESS_VALUE, 4), big.get("h", indices.PROCESS_VALUE_INT16, 4),
+        big.get("i", indices.PROCESS_VALUE_INT32, 4), big.get("B", indices.CHANNEL_STATUS, 4),
+    )  # fmt: skip
     held = taken and strain == struct.unpack("<f", struct.pack("<f", 3.4e38))[0] and math.isfinite(F1)
     held &= forms == (math.inf, 32767, 0x7FFFFFFF, 3)
     return Observed(held, f"F1 in the three forms {forms[:3]}, 6150h {forms[3]:02.0f}h")
@@ -97,8 +111,8 @@ def _integer16() -> Observed:
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
         finger.sync()
-        exact, short = finger.get("f", 0x6130, 4), finger.get("h", 0x7130, 4)
-        long, status = finger.get("i", 0x9130, 4), int(finger.get("B", 0x6150, 4))
+        exact, short = finger.get("f", indices.PROCESS_VALUE, 4), finger.get("h", indices.PROCESS_VALUE_INT16, 4)
+        long, status = finger.get("i", indices.PROCESS_VALUE_INT32, 4), int(finger.get("B", indices.CHANNEL_STATUS, 4))
         inside = abs(exact) <= 32.767
         held &= abs(exact - F1) < 5e-3 and abs(long - 1000.0 * exact) <= 0.51
         held &= short == (round(long) if inside else math.copysign(32767, F1))
@@ -129,12 +143,12 @@ def _unknown() -> Observed:
 
 def _real32_pdo() -> Observed:
     decoder = decode.Decoder()
-    decoder.remap(rig.NODE_ID, "Force", 0x385, [(0x6130, 4, 32), (0x2121, 0, 8)])
+    decoder.remap(rig.NODE_ID, "Force", _FORCE_COB_ID, [(indices.PROCESS_VALUE, 4, 32), (indices.COUNTER, 0, 8)])
     bits = (0x7FC00000, 0x7F800001, 0xFF800001, 0x7F800000, 0xFF800000, 0x00000001, 0x3F800000)
     payloads = [struct.pack("<IB", word, 200 + k) for k, word in enumerate(bits)]
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        found = decoder.decode(frame_array((k, 0x385, data) for k, data in enumerate(payloads)))
+        found = decoder.decode(frame_array((k, _FORCE_COB_ID, data) for k, data in enumerate(payloads)))
     columns = found[rig.NODE_ID, "Force"].columns
     values, counters = columns["F1"].tolist(), columns["counter"].tolist()
     held = all(map(math.isnan, values[:3])) and values[3:] == [math.inf, -math.inf, 2.0**-149, 1.0]
@@ -151,54 +165,56 @@ def _short() -> Observed:
         right += not found and decoder.malformed == {(rig.NODE_ID, name): message.length_bytes}
         total += 1
     decoder = decode.Decoder()
-    decoder.remap(rig.NODE_ID, "Contact", 0x285, [(0x7130, 7, 16)])
-    longer = decoder.decode(frame_array([(0, 0x285, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]
+    decoder.remap(rig.NODE_ID, "Contact", _CONTACT_COB_ID, [(indices.PROCESS_VALUE_INT16, 7, 16)])
+    longer = decoder.decode(frame_array([(0, _CONTACT_COB_ID, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]
     held = right == total and longer.columns["P"].tolist() == [1.0] and not decoder.malformed
     return Observed(held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N")
 
 
 def _short_rpdo() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    finger.put("I", 0x1400, 1, 0x205)
+    finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
     finger.sync()
-    finger.step([(0x205, b"")])
-    finger.step([(0x205, b"\x01")])
-    codes, tare = finger.emcy(), finger.get("f", 0x2111, 3)
-    finger.step([(0x205, b"\x01\x00")])
-    cured, after = finger.emcy(), finger.get("f", 0x2111, 3)
-    held = codes == [_PDO_LENGTH] and tare == 0.0 and cured == [0] and abs(after + 0.996) < 1e-3
+    finger.step([(_RPDO_COB_ID, b"")])
+    finger.step([(_RPDO_COB_ID, b"\x01")])
+    codes, tare = finger.emcy(), finger.get("f", indices.TARE, 3)
+    finger.step([(_RPDO_COB_ID, b"\x01\x00")])
+    cured, after = finger.emcy(), finger.get("f", indices.TARE, 3)
+    held = codes == [emcy.PDO_LENGTH] and tare == 0.0 and cured == [0] and abs(after + 0.996) < 1e-3
     return Observed(held, f"EMCY {[f'{code:04X}h' for code in codes]}, tare {tare:g} N, then {after:.3f} N")
 
 
 def _no_data() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
-    finger.put("I", 0x1400, 1, 0x205)
-    finger.put("I", 0x1016, 1, 0x600064)
-    before, active, identifiers = finger.sync(), finger.active(), [0x000, 0x605, 0x7E5, 0x100, 0x760, 0x205]
+    finger.put("I", communication.RPDO, 1, _RPDO_COB_ID)
+    finger.put("I", communication.CONSUMER_HEARTBEAT, 1, _WATCHED << 16 | 100)
+    before, active = finger.sync(), finger.active()
     finger.emcy()
-    answers = finger.step([(can_id, b"") for can_id in identifiers])
+    answers = finger.step([(can_id, b"") for can_id in _IDENTIFIERS])
     after = finger.sync()
     held = after[:3] == before[:3] and after.counter == before.counter + 1 and finger.active() == active
-    held &= all(can_id == 0x80 + rig.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
-    return Observed(held, f"{len(identifiers)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
+    held &= all(can_id == codes.EMCY_BASE + rig.NODE_ID for can_id, _ in answers)  # EMCY of the RPDO's length
+    return Observed(held, f"{len(_IDENTIFIERS)} identifiers, answers: {[hex(can_id) for can_id, _ in answers]}")
 
 
 def _same_cob_id() -> Observed:
     finger = rig.simulated()
     for _ in range(3):
-        finger.step([(0x185, bytes(8))])
+        finger.step([(_GAUGES_COB_ID, bytes(8))])
     codes, decoder, said = finger.emcy(), decode.Decoder(), ""
-    decoder.remap(5, "Contact", 0x123, [(0x7130, 7, 16)])
+    decoder.remap(5, "Contact", 0x123, [(indices.PROCESS_VALUE_INT16, 7, 16)])
     try:
-        decoder.remap(6, "Contact", 0x123, [(0x7130, 7, 16)])
+        decoder.remap(6, "Contact", 0x123, [(indices.PROCESS_VALUE_INT16, 7, 16)])
     except InputError as error:
         said = str(error)
-    return Observed(codes == [_COLLISION] and "node 5's Contact has it" in said, f"EMCY {codes[0]:04X}h; {said}")
+    held = codes == [emcy.COB_ID_COLLISION] and "node 5's Contact has it" in said
+    return Observed(held, f"EMCY {codes[0]:04X}h; {said}")
 
 
 def _foreign() -> Observed:
-    flags = (_EXTENDED, _REMOTE, _ERROR, _EXTENDED | _REMOTE, 0x800, 0x10000)
-    frames = frame_array((k, 0x185 | flag, bytes(range(8))) for k, flag in enumerate(flags))
+    extended, remote = codes.EXTENDED_FLAG, codes.REMOTE_FLAG
+    flags = (extended, remote, codes.ERROR_FLAG, extended | remote, 0x800, 0x10000)
+    frames = frame_array((k, _GAUGES_COB_ID | flag, bytes(range(8))) for k, flag in enumerate(flags))
     decoder = decode.Decoder()
     found = decoder.decode(frames)
     return Observed(not found and not decoder.malformed, f"{len(flags)} kinds of frame, {len(found)} decoded")
@@ -208,14 +224,15 @@ def _noise() -> Observed:
     rng = np.random.default_rng(14)
     finger = rig.simulated(load=rig.PUSH)
     active = finger.active()
-    ids, lengths = rng.integers(1, 0x800, 20000), rng.integers(0, 9, 20000)
+    ids, lengths = rng.integers(1, codes.STANDARD_MASK + 1, 20000), rng.integers(0, 9, 20000)
     data = rng.integers(0, 256, (20000, 8), dtype=np.uint8)
-    frames = [(int(i), bytes(row[:n])) for i, n, row in zip(ids, lengths, data, strict=True) if i != 0x7E5]
+    frames = [(int(i), bytes(row[:n])) for i, n, row in zip(ids, lengths, data, strict=True)]
+    frames = [frame for frame in frames if frame[0] != codes.LSS_REQUEST_COB_ID]
     for start in range(0, len(frames), 100):
         finger.now_us += 1000
         finger.step(frames[start : start + 100])
     samples = decode.Decoder().decode(frame_array((0, can_id, row) for can_id, row in frames))
-    finger.step([(0x000, rig.OPERATIONAL)])
+    finger.step([(codes.NMT_COB_ID, rig.OPERATIONAL)])
     finger.others.clear()
     found = finger.sync()
     held = finger.active() == active and found.contact[0] == 1000
