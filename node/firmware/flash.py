@@ -37,7 +37,7 @@ if TYPE_CHECKING:
 _MAGIC = 0x31504954  # "TIP1"
 _HEAD = "<IIII"
 _HEAD_SIZE = 16
-_LARGEST = 0x100000
+_LARGEST = 1 << 20
 
 
 class FlashStore:
@@ -86,7 +86,7 @@ class FlashStore:
 
 def _newer(sequence: int, than: int) -> bool:
     """Sequence numbers wrap: at most one save lies between the two slots."""
-    return 0 < (sequence - than & 0xFFFFFFFF) < 0x80000000
+    return 0 < (sequence - than & 0xFFFFFFFF) < 1 << 31
 
 
 def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:

@@ -16,8 +16,12 @@ FIRST_OBJECT = communication.FIRST  # below are the data types: mapped, they are
 
 _FORCE_SCALE = 0.001  # N; also of 2123h
 _UNCERTAINTIES = (("u_P", "N"), ("u_phi", "degree"), ("u_theta", "degree"))
-_PROCESS_VALUES = (indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32)
-_FIELD_VALUES = (indices.FIELD_VALUE, indices.FIELD_VALUE_INT16, indices.FIELD_VALUE_INT32)
+_PROCESS_VALUES = (
+    indices.PROCESS_VALUE,
+    indices.PROCESS_VALUE + table.INT16_FORM,
+    indices.PROCESS_VALUE + table.INT32_FORM,
+)
+_FIELD_VALUES = (indices.FIELD_VALUE, indices.FIELD_VALUE + table.INT16_FORM, indices.FIELD_VALUE + table.INT32_FORM)
 
 
 @dataclass(frozen=True, slots=True)

@@ -43,9 +43,9 @@ NOT_STORED = 32  # read-write, but a state and not a setting
 
 MAX_MAPPED = 8
 
-# The profile area has one value in three forms: the index of an INTEGER16 or INTEGER32 form is that of the REAL32 form
-# and the difference of these.
-REAL32_FORMS, INT16_FORMS, INT32_FORMS = 0x6000, 0x7000, 0x9000
+# The profile area has one value in three forms: from the index of the REAL32 form (6xxxh) to the INTEGER16 form (7xxxh)
+# and the INTEGER32 form (9xxxh). The integer forms are views (VIEW).
+INT16_FORM, INT32_FORM = 1 << 12, 3 << 12
 
 MICROSTRAIN, NEWTON, DEGREE = 0xFA010100, 0x00210000, 0x00410000  # object 6131h, CiA 303-2
 UNKNOWN_I16, UNKNOWN_I32, UNKNOWN_U16 = -0x8000, -0x80000000, 0xFFFF
@@ -512,16 +512,16 @@ def _profile(n: int, converter: "Converter") -> "list[Object]":
         digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
         found.append(
             _array(
-                REAL32_FORMS + offset, "AI " + name, slug, count, symbols[:count], REAL32, access, flags,
+                0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access, flags,
                 default if isinstance(default, float) else default[:count], unit=unit,
             )
         )
-        for base, kind, suffix in ((INT16_FORMS, I16, "int16"), (INT32_FORMS, I32, "int32")):
+        for form, kind, suffix in ((INT16_FORM, I16, "int16"), (INT32_FORM, I32, "int32")):
             if kind == I16 and unit == "counts" and converter[0] > 16:
                 continue
             found.append(
                 _array(
-                    base + offset, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
+                    0x6000 + form + offset, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
                     kind, access, flags | VIEW, _scaled(default, digits),
                     unit=unit if unit == "counts" else "resolution of 6132h",
                 )

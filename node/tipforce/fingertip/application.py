@@ -29,8 +29,8 @@ _LIVE = (
     indices.U_P, indices.FAULTS, indices.CHANNEL_STATUS,
 )  # fmt: skip
 _LIVE_FORMS = (
-    indices.FIELD_VALUE, indices.FIELD_VALUE_INT16, indices.FIELD_VALUE_INT32,
-    indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32,
+    indices.FIELD_VALUE, indices.FIELD_VALUE + table.INT16_FORM, indices.FIELD_VALUE + table.INT32_FORM,
+    indices.PROCESS_VALUE, indices.PROCESS_VALUE + table.INT16_FORM, indices.PROCESS_VALUE + table.INT32_FORM,
 )  # fmt: skip
 
 

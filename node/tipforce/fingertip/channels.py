@@ -21,8 +21,8 @@ NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
 _HALF_TURN = 18000  # of an angle, in 0.01 degree
 # Of the integer forms: from the REAL32 index to that of the form, and its range.
 _FORMS = (
-    (table.INT16_FORMS - table.REAL32_FORMS, MAX_I16, table.UNKNOWN_I16),
-    (table.INT32_FORMS - table.REAL32_FORMS, MAX_I32, table.UNKNOWN_I32),
+    (table.INT16_FORM, MAX_I16, table.UNKNOWN_I16),
+    (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32),
 )
 _SCALING = (
     indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD, indices.SCALING_2_PROCESS,

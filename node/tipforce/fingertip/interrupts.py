@@ -9,7 +9,11 @@ if TYPE_CHECKING:
     from tipforce.device.node import Device
 
 _ON_SYNC_AFTER_EVENT, _EVENT_DRIVEN = 0, 254
-_CHANNEL_VALUES = (indices.PROCESS_VALUE, indices.PROCESS_VALUE_INT16, indices.PROCESS_VALUE_INT32)
+_CHANNEL_VALUES = (
+    indices.PROCESS_VALUE,
+    indices.PROCESS_VALUE + table.INT16_FORM,
+    indices.PROCESS_VALUE + table.INT32_FORM,
+)
 _LIMITS = (indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS)
 _INSIDE, _BELOW, _ABOVE, _UNKNOWN = 0, -1, 1, 2
 

@@ -7,7 +7,7 @@ from collections import deque
 from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
-from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.device.node import Device
 from tipforce.errors import NoResponseError
 from tipforce_tools.conformance.raw_frames import Frame
@@ -89,7 +89,7 @@ class BusLink:
 
         extended = bool(can_id & EXTENDED_FLAG)
         message = can.Message(
-            arbitration_id=can_id & (0x1FFFFFFF if extended else 0x7FF),
+            arbitration_id=can_id & (EXTENDED_MASK if extended else STANDARD_MASK),
             data=data,
             is_extended_id=extended,
             is_remote_frame=bool(can_id & REMOTE_FLAG),

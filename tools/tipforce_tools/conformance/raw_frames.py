@@ -7,7 +7,7 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
-from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce_tools.conformance.case import CheckError
 
 ANSWER_MS = 200  # a device that has not answered by then is taken as silent
@@ -44,7 +44,7 @@ class Link(Protocol):
 
 def text(can_id: int, data: bytes) -> str:
     """A frame as candump writes it; R marks a remote frame, eight digits an extended one."""
-    shown = f"{can_id & 0x1FFFFFFF:08X}" if can_id & EXTENDED_FLAG else f"{can_id & 0x7FF:03X}"
+    shown = f"{can_id & EXTENDED_MASK:08X}" if can_id & EXTENDED_FLAG else f"{can_id & STANDARD_MASK:03X}"
     return f"{shown}#R" if can_id & REMOTE_FLAG else f"{shown}#{data.hex().upper()}"
 
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 
-INVERSE_FLAG = 0x20000000
+INVERSE_FLAG = 1 << 29
 """CAN_INV_FILTER of linux/can.h: in a filter's identifier this bit says that the match is to fail."""
 
 

@@ -254,7 +254,11 @@ def _tare_saturated() -> Observed:
 def _points_equal() -> Observed:
     finger = rig.simulated(load=rig.PUSH)
     before, aborts = finger.sync(), []
-    forms = (indices.SCALING_2_FIELD, indices.SCALING_2_FIELD_INT16, indices.SCALING_2_FIELD_INT32)
+    forms = (
+        indices.SCALING_2_FIELD,
+        indices.SCALING_2_FIELD + table.INT16_FORM,
+        indices.SCALING_2_FIELD + table.INT32_FORM,
+    )
     for kind, index in zip("fhi", forms, strict=True):
         aborts.append(finger.put(kind, index, 1, 0))
     after = finger.sync()

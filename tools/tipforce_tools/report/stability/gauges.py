@@ -173,7 +173,7 @@ def _no_rank() -> Observed:
 
 def _all_lost() -> Observed:
     finger, found = _eight(range(8))
-    shown = {finger.get("h", indices.PROCESS_VALUE_INT16, sub) for sub in range(1, 9)}
+    shown = {finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, sub) for sub in range(1, 9)}
     held = found.contact == _HUSHED and shown == {32767} and finger.get("H", indices.FAULTS) == 0xFF
     return Observed(held, f"status {found.status:02X}h, gauges at {shown}, 2124h 00FFh")
 

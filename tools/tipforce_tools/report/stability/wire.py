@@ -9,7 +9,7 @@ import warnings
 import numpy as np
 
 from tipforce.device import codes, communication, emcy
-from tipforce.dictionary import indices
+from tipforce.dictionary import indices, table
 from tipforce.dictionary.rows import rows
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
@@ -18,6 +18,7 @@ from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
+_FREE_COB_ID = codes.TIME_COB_ID + 35  # of no service
 _RPDO_COB_ID = codes.RPDO_BASES[0] + rig.NODE_ID
 _GAUGES_COB_ID, _CONTACT_COB_ID, _FORCE_COB_ID = (base + rig.NODE_ID for base in codes.TPDO_BASES[:3])
 _WATCHED = 0x60  # a node-id
@@ -96,8 +97,8 @@ def _overflow() -> Observed:
     big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
     forms = (
-        big.get("f", indices.PROCESS_VALUE, 4), big.get("h", indices.PROCESS_VALUE_INT16, 4),
-        big.get("i", indices.PROCESS_VALUE_INT32, 4), big.get("B", indices.CHANNEL_STATUS, 4),
+        big.get("f", indices.PROCESS_VALUE, 4), big.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4),
+        big.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4), big.get("B", indices.CHANNEL_STATUS, 4),
     )  # fmt: skip
     held = taken and strain == struct.unpack("<f", struct.pack("<f", 3.4e38))[0] and math.isfinite(F1)
     held &= forms == (math.inf, 32767, 0x7FFFFFFF, 3)
@@ -111,8 +112,14 @@ def _integer16() -> Observed:
     for F1 in (32.766, 33.0, 45.0, -32.766, -33.0, -45.0):
         finger.source.forces = lambda _now, F1=F1: (0.2 * F1, 0.0, -0.2)
         finger.sync()
-        exact, short = finger.get("f", indices.PROCESS_VALUE, 4), finger.get("h", indices.PROCESS_VALUE_INT16, 4)
-        long, status = finger.get("i", indices.PROCESS_VALUE_INT32, 4), int(finger.get("B", indices.CHANNEL_STATUS, 4))
+        exact, short = (
+            finger.get("f", indices.PROCESS_VALUE, 4),
+            finger.get("h", indices.PROCESS_VALUE + table.INT16_FORM, 4),
+        )
+        long, status = (
+            finger.get("i", indices.PROCESS_VALUE + table.INT32_FORM, 4),
+            int(finger.get("B", indices.CHANNEL_STATUS, 4)),
+        )
         inside = abs(exact) <= 32.767
         held &= abs(exact - F1) < 5e-3 and abs(long - 1000.0 * exact) <= 0.51
         held &= short == (round(long) if inside else math.copysign(32767, F1))
@@ -165,7 +172,7 @@ def _short() -> Observed:
         right += not found and decoder.malformed == {(rig.NODE_ID, name): message.length_bytes}
         total += 1
     decoder = decode.Decoder()
-    decoder.remap(rig.NODE_ID, "Contact", _CONTACT_COB_ID, [(indices.PROCESS_VALUE_INT16, 7, 16)])
+    decoder.remap(rig.NODE_ID, "Contact", _CONTACT_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     longer = decoder.decode(frame_array([(0, _CONTACT_COB_ID, b"\xe8\x03" + bytes(6))]))[rig.NODE_ID, "Contact"]
     held = right == total and longer.columns["P"].tolist() == [1.0] and not decoder.malformed
     return Observed(held, f"{right} of {total} messages; 8 bytes for a mapping of 2: P {longer.columns['P'][0]:g} N")
@@ -202,9 +209,9 @@ def _same_cob_id() -> Observed:
     for _ in range(3):
         finger.step([(_GAUGES_COB_ID, bytes(8))])
     codes, decoder, said = finger.emcy(), decode.Decoder(), ""
-    decoder.remap(5, "Contact", 0x123, [(indices.PROCESS_VALUE_INT16, 7, 16)])
+    decoder.remap(5, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     try:
-        decoder.remap(6, "Contact", 0x123, [(indices.PROCESS_VALUE_INT16, 7, 16)])
+        decoder.remap(6, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     except InputError as error:
         said = str(error)
     held = codes == [emcy.COB_ID_COLLISION] and "node 5's Contact has it" in said
