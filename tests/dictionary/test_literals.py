@@ -35,7 +35,7 @@ INDEPENDENT = "tools/tipforce_tools/conformance/"
 
 def _integers(module: object) -> dict[int, str]:
     where = getattr(module, "__name__", "").removeprefix("tipforce.")
-    found = {}
+    found: dict[int, str] = {}
     for name, value in vars(module).items():
         for one in value if isinstance(value, tuple) else (value,):
             if name.isupper() and type(one) is int:
@@ -94,7 +94,8 @@ def complaints(source: str, place: str, allowed: tuple[str, ...] = ()) -> Iterat
 
 @pytest.mark.parametrize("folder", WALKED)
 def test_no_literal_outside_its_declaration(folder: str) -> None:
-    found, files = [], 0
+    found: list[str] = []
+    files = 0
     for path in sorted((ROOT / folder).rglob("*.py")):
         place = path.relative_to(ROOT).as_posix()
         if not place.startswith(INDEPENDENT):
