@@ -60,15 +60,18 @@ def modules_after(statement: str) -> set[str]:
 
 def test_device_core_imports_the_standard_library_alone() -> None:
     loaded = modules_after("import tipforce.device.node")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
+    assert loaded - set(sys.stdlib_module_names) == {"tipforce", "tipforce._lazy"}
 
 
 def test_fingertip_node_imports_no_third_party_package() -> None:
     loaded = modules_after("import tipforce.fingertip.node, tipforce.running.store")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
+    assert loaded - set(sys.stdlib_module_names) == {"tipforce", "tipforce._lazy"}
 
 
 def test_device_core_knows_neither_sensor_nor_application() -> None:
     code = "import sys, tipforce.device.node; print(*[m for m in sys.modules if m.startswith('tipforce')])"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert {module for module in shown.stdout.split() if not module.startswith("tipforce.device")} == {"tipforce"}
+    assert {module for module in shown.stdout.split() if not module.startswith("tipforce.device")} == {
+        "tipforce",
+        "tipforce._lazy",
+    }

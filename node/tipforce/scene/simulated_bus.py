@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from tipforce.device import codes
 from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
@@ -31,7 +32,7 @@ Load = tuple[float, float, float]
 NO_LOAD: Load = (0.0, 0.0, 0.0)
 FAULTS = {"none": 0, "stuck": STUCK, "open": OPEN, "saturated": SATURATED, "silent": SILENT, "drift": DRIFT}
 _ROUNDING_MICROSTRAIN = 0.1
-_WAKE_COB_ID = 0x7FF
+_WAKE_COB_ID = codes.STANDARD_MASK
 _numbers = itertools.count()
 
 
@@ -43,7 +44,10 @@ class SimulatedBus(Connection):
     """
 
     def __init__(self, devices: Mapping[int, Device], sources: Mapping[int, SimulatedSource], **bus: str) -> None:
-        self.bus_options: dict[str, Any] = bus or {"interface": "virtual", "channel": f"tipforce-{os.getpid()}-{next(_numbers)}"}
+        self.bus_options: dict[str, Any] = bus or {
+            "interface": "virtual",
+            "channel": f"tipforce-{os.getpid()}-{next(_numbers)}",
+        }
         self._sources = dict(sources)
         self._stopped = threading.Event()
         self._failures: list[BaseException] = []
@@ -52,7 +56,7 @@ class SimulatedBus(Connection):
         port = PythonCanPort(self._nodes_bus)
         self._thread = threading.Thread(target=self._run, args=(list(devices.values()), port), name="simulated fingers")
         self._thread.start()
-        self.wait_for({0x700 + node_id for node_id in devices}, timeout_s=5.0)
+        self.wait_for({codes.HEARTBEAT_BASE + node_id for node_id in devices}, timeout_s=5.0)
 
     @property
     def node_ids(self) -> tuple[int, ...]:

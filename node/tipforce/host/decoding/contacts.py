@@ -31,8 +31,8 @@ class Status(enum.IntFlag):
     MISSES_TIP = scalar.MISSES_TIP
     OUTSIDE_PAD = scalar.OUTSIDE_PAD
     FAULT = scalar.FRONT_END_FAULT
-    NO_ANSWER = 0x100
-    BEYOND_FIRST_ORDER = 0x200
+    NO_ANSWER = 1 << 8
+    BEYOND_FIRST_ORDER = 1 << 9
 
 
 _NO_MEASUREMENT = (

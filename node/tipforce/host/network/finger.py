@@ -225,8 +225,8 @@ class Finger(FingertipClient):
             self._reader = None
 
     def _opened(self) -> ContactReader:
+        from tipforce.device.codes import OPERATIONAL, STOPPED
         from tipforce.host.network.finger_samples import open_reader, passive_reader
-        from tipforce.host.network.heartbeats import OPERATIONAL, STOPPED
 
         with self._lock:
             if self._reader is None and self.passive:

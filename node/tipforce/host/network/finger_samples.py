@@ -13,13 +13,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tipforce.device import codes
+from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import InputError, NoNewSampleError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import columns_of
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
-from tipforce.host.network.heartbeats import OPERATIONAL, STOPPED
 
 if TYPE_CHECKING:
     from tipforce.host.network.connection import Connection
@@ -204,7 +205,8 @@ def _needed(node_id: int, gauges: int, pdos: dict[int, Message]) -> list[str]:
             missing -= signals
     if chosen and not missing:
         return chosen
+    cob_id = codes.NO_RTR | codes.TPDO_BASES[1] + node_id
     raise InputError(
         f"finger {node_id}: no PDO carries P, phi, theta, or F1, F2, F3, or all gauges, with status and counter; "
-        f"enable TPDO2: bus.finger({node_id}).sdo['tpdo2.cob_id'] = 0x{0x40000280 + node_id:08X}"
+        f"enable TPDO2: bus.finger({node_id}).sdo['tpdo2.cob_id'] = 0x{cob_id:08X}"
     )
