@@ -60,12 +60,12 @@ def modules_after(statement: str) -> set[str]:
 
 def test_device_core_imports_the_standard_library_alone() -> None:
     loaded = modules_after("import tipforce.device.node")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce", "tipforce._lazy"}
+    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
 
 
 def test_fingertip_node_imports_no_third_party_package() -> None:
     loaded = modules_after("import tipforce.fingertip.node, tipforce.running.store")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce", "tipforce._lazy"}
+    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
 
 
 def test_device_core_knows_neither_sensor_nor_application() -> None:
