@@ -10,14 +10,14 @@ import select
 import shutil
 import subprocess
 import time
-from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 
 from tipforce_tools.cli.main import COMMANDS, main
 from tipforce_tools.completion import command
-from tipforce_tools.completion.script import root_parser, script
+from tipforce_tools.completion.script import script
+from tools.command_lines import LINES, PARSERS
 
 SCRIPTS = {shell: script(shell) for shell in command.SHELLS}
 WAIT_S = 60.0
@@ -28,31 +28,6 @@ while IFS= read -r typed; do
     echo "${COMPREPLY[*]}"
 done
 """
-
-
-def command_lines(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, list[str]]]:
-    """Each command line, with its commands or actions; empty where flags and values follow."""
-    for action in parser._actions:
-        if isinstance(action, argparse._SubParsersAction):
-            yield path, list(action.choices)
-            for name, one in action.choices.items():
-                yield from command_lines(one, f"{path} {name}")
-            return
-    yield path, []
-
-
-def parsers(parser: argparse.ArgumentParser, path: str = "tipforce") -> Iterator[tuple[str, argparse.ArgumentParser]]:
-    """Each command line without further commands or actions, with its parser."""
-    subparsers = [action for action in parser._actions if isinstance(action, argparse._SubParsersAction)]
-    if not subparsers:
-        yield path, parser
-    for action in subparsers:
-        for name, one in action.choices.items():
-            yield from parsers(one, f"{path} {name}")
-
-
-LINES = dict(command_lines(root_parser("bash")))
-PARSERS = dict(parsers(root_parser("bash")))
 
 
 def flags(parser: argparse.ArgumentParser) -> list[str]:

@@ -208,6 +208,18 @@ def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch)
             assert page.ask("setup")["title"] == "test hand"
 
 
+def test_a_page_that_breaks_off_is_no_error(caplog: pytest.LogCaptureFixture) -> None:
+    with serving(MovingSource()) as server:
+        with Page(server) as page:
+            page.stream(2)
+            page.socket.socket.shutdown(socket.SHUT_RDWR)
+        deadline_s = time.monotonic() + WAIT_S
+        while server.pages:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+    assert [record.getMessage() for record in caplog.records if record.levelname not in ("DEBUG", "INFO")] == []
+
+
 def test_no_number_of_connections_locks_others_out() -> None:
     with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
         # Some say nothing; pages say what they want, and then take nothing.

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import asyncio
+import contextlib
 import threading
 import time
 from typing import TYPE_CHECKING
+
+from websockets.asyncio.server import ServerConnection
+from websockets.exceptions import ConnectionClosed
 
 from tipforce.errors import TipforceError
 from tipforce_tools.view import requests
 from tipforce_tools.view.csv import csv_chunks
 
 if TYPE_CHECKING:
-    from websockets.asyncio.server import ServerConnection
-
     from tipforce_tools.view.messages import Cursor
     from tipforce_tools.view.sources import Source
 
@@ -37,11 +39,9 @@ class Pulse:
 
     async def wait(self, timeout_s: float) -> None:
         """Until the next beat, or as long as ``timeout_s``."""
-        try:
+        with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 await self._next.wait()
-        except TimeoutError:
-            pass
 
 
 class Page:
@@ -58,7 +58,7 @@ class Page:
 
     async def run(self) -> None:
         """Until the page leaves."""
-        try:
+        with contextlib.suppress(ConnectionClosed):
             async for text in self.socket:
                 request_id = 0
                 try:
@@ -67,8 +67,7 @@ class Page:
                     await self._answer(request)
                 except TipforceError as error:
                     await self._send(requests.refusal(request_id, str(error)))
-        finally:
-            self._end_stream()
+        self._end_stream()
 
     async def _answer(self, request: requests.Request) -> None:
         model = self._source.model
@@ -104,13 +103,14 @@ class Page:
     async def _pictures(self, cursor: Cursor, request_id: int) -> None:
         model, ended = self._source.model, False
         newest, sent_s = -1, 0.0
-        while not ended:
-            await self._pulse.wait(IDLE_S)
-            now_ns = model.span_ns()[1]
-            if now_ns != newest or not model.live or time.monotonic() - sent_s >= IDLE_S:
-                message, ended = cursor.message()
-                newest, sent_s = now_ns, time.monotonic()
-                await self._send(requests.reply(request_id, message))
+        with contextlib.suppress(ConnectionClosed):
+            while not ended:
+                await self._pulse.wait(IDLE_S)
+                now_ns = model.span_ns()[1]
+                if now_ns != newest or not model.live or time.monotonic() - sent_s >= IDLE_S:
+                    message, ended = cursor.message()
+                    newest, sent_s = now_ns, time.monotonic()
+                    await self._send(requests.reply(request_id, message))
 
     async def _csv(self) -> dict[str, int]:
         chunks, count = csv_chunks(self._source.model), 0
@@ -125,13 +125,9 @@ class Page:
 
     async def _send(self, message: bytes, text: bool = True) -> None:
         """Send, and wait until the socket takes it. Drops a page that does not read."""
-        from websockets.exceptions import ConnectionClosed
-
         try:
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await self.socket.send(message, text=text)
         except TimeoutError:
             self.socket.transport.abort()
-        except ConnectionClosed:
-            pass
         self.taken_s = time.monotonic()
