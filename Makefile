@@ -56,7 +56,7 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
-	.venv/bin/tipforce vcan -- $(PYTHON) -m tipforce_tools.conformance.document > docs/conformance.md.new
+	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > docs/conformance.md.new
 	mv docs/conformance.md.new docs/conformance.md
 
 generate: bootstrap-test ## write the committed files that come from the object dictionary

@@ -8,8 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from dictionary import eds_lint_pdo as lint_pdo
 from tipforce.device import communication
-from tipforce.dictionary import lint_pdo, types
+from tipforce.dictionary import types
 from tipforce.dictionary.eds_file import EdsFile, Section, parse
 from tipforce.errors import InputError
 
