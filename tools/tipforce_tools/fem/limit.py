@@ -11,6 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
+from scipy.optimize import brentq
 
 from tipforce.errors import InputError
 
@@ -84,10 +85,4 @@ def corner_exponent(material_angle_rad: float, mode: str) -> float:
     low, high = 0.5, 1.0 - 1e-9
     if mismatch(low) * mismatch(high) > 0.0:
         raise InputError(f"material angle {math.degrees(w):g} degrees: the {mode} mode is not singular there")
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if mismatch(low) * mismatch(middle) <= 0.0:
-            high = middle
-        else:
-            low = middle
-    return 0.5 * (low + high)
+    return float(brentq(mismatch, low, high, xtol=1e-15))

@@ -92,11 +92,6 @@ class Modes:
         """Undamped natural frequencies, (n,), lowest first."""
         return self.omega_rad_s / (2.0 * math.pi)
 
-    @property
-    def displacement_shape(self) -> FloatArray:
-        """(3, n): motion (v, r rotation, u) of the tip relative to the fixture per modal position, m."""
-        return self.load_shape.T / self.omega_rad_s / self.omega_rad_s
-
     def with_damping(self, damping_ratio: float | Sequence[float]) -> Modes:
         """Return the same modes with other damping. Raises InputError for ratios out of range."""
         zeta = _damping(damping_ratio, len(self.omega_rad_s))

@@ -127,17 +127,6 @@ class Frame:
         self._joint = _solve([self._vertical], loads)
         self._tip = _solve(list(self._arms.values()), loads)
 
-    @property
-    def condition_number_scaled(self) -> float:
-        """Condition number (2-norm) of the stiffness matrix (6, 6) as solved: diagonal scaled to 1."""
-        return max(self._joint.highest, self._tip.highest) / min(self._joint.lowest, self._tip.lowest)
-
-    @property
-    def condition_number_unscaled(self) -> float:
-        """The same before the scaling, in metres, newtons and radians: what a plain solver would face."""
-        values = np.concatenate([np.linalg.eigvalsh(part.stiffness) for part in (self._joint, self._tip)])
-        return float(values.max() / values.min()) if values.min() > 0.0 else math.inf
-
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
         """Return the strain per newton of F, shape (n, 3), tension positive.
 
