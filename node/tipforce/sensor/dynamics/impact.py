@@ -1,6 +1,6 @@
 """A body strikes the tip, or the finger a stop: contact force, contact times, and what the gauges see of it.
 
-Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: hertz.py, tolerance stated there.
+Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: hertz.py, which needs scipy.
 Contact begins at time 0 and may open and close again: the tip rings. Nothing is lost in the contact itself.
 """
 
@@ -50,7 +50,8 @@ def impact(
     """Return the course of an impact that begins at 0, structure at rest unless ``start`` says otherwise.
 
     modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
-    a run that needs too many steps, a Hertzian contact with a slit.
+    a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
+    without scipy.
     """
     t = _checked_times(times_s, until_s)
     if striker.exponent != 1.0:
