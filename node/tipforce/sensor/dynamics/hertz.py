@@ -106,7 +106,7 @@ class _Run:
         return rate
 
     def _force(self, X: FloatArray) -> float:
-        return self._stiffness * max(float(self._overlap @ X), 0.0) ** 1.5
+        return self._stiffness * math.pow(max(float(self._overlap @ X), 0.0), 1.5)
 
     def _note_until(self, end_s: float, state_at: Callable[[float], FloatArray]) -> None:
         """Samples up to a time."""
