@@ -20,10 +20,11 @@ from host.bus_with_nodes import (
     finger,
     fresh_sample,
 )
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError
-from tipforce.host.configuration.calibration import Calibration, FloatArray, difference
+from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient

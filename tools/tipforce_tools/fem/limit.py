@@ -10,12 +10,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 from scipy.optimize import brentq
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST_ORDER, MOST_ORDER = 0.3, 3.0
 SAFETY = 1.25

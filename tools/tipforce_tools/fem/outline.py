@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-
-FloatArray = npt.NDArray[np.float64]
 
 NEAR_M = 1e-3
 """The blocks next to a corner of a beam are as long as a gauge, so that gauges end on nodes of the mesh."""

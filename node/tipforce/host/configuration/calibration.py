@@ -12,13 +12,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import table, types
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
 
-FloatArray = npt.NDArray[np.float64]
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
 
 

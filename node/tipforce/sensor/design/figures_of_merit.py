@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.strain import condition_number, noise_gain, stress_coefficients
 
-FloatArray = npt.NDArray[np.float64]
 AnyArray = npt.NDArray[Any]
 """Real, or complex for a complex step."""
 

@@ -11,15 +11,13 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.first_order_hold import State
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.switched import March, Touch
-
-FloatArray = npt.NDArray[np.float64]
 
 RELATIVE_TOLERANCE = 1e-13
 _ABSOLUTE = 1e-16

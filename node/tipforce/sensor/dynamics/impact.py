@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.slit import SlitStop
 from tipforce.sensor.dynamics.switched import March, Touch
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Impact(NamedTuple):

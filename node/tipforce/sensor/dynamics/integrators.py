@@ -13,11 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.model import Modes
 
-FloatArray = npt.NDArray[np.float64]
 Load = Callable[[float], FloatArray]
 """Time in s -> F (3,) in newtons."""
 

@@ -16,15 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
 from tipforce.sensor.dynamics.eigen import jacobi
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
-
-FloatArray = npt.NDArray[np.float64]
 
 STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""

@@ -24,13 +24,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_positions import Gauge, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
-
-FloatArray = npt.NDArray[np.float64]
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
 """E b h^2 times the rotation of a root per moment, where the beam springs from an elastic half plane.

@@ -53,7 +53,9 @@ def scaling(dut: Dut) -> None:
     dut.put("f", 0x6124, 1, 10.0)
     settle(dut)
     field, value = dut.number("f", 0x6100, 1), dut.number("f", 0x6130, 1)
-    check(abs(value - (0.2 * field + 10.0)) <= 0.2 * 50, f"0.2 x {field} + 10", str(value))  # noise between two readings
+    check(
+        abs(value - (0.2 * field + 10.0)) <= 0.2 * 50, f"0.2 x {field} + 10", str(value)
+    )  # noise between two readings
 
 
 @case("CiA 404 61A0h", "filter type {0} is offered, and is that of all gauges", own=True, each=[(1,), (2,), (100,)])

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.plane_frame import FrameModel
     from tipforce_tools.fem.limit import Limit
 
-FloatArray = npt.NDArray[np.float64]
 Matrix = Callable[[], FloatArray]
 
 CASES = ("I", "II", "III")
