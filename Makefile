@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test oldest report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -15,6 +15,9 @@ demo: bootstrap-demo ## the main job with no hardware
 test: lint ## style, types, imports, all tests, and the tests on a real vcan
 	$(PYTHON) -m pytest -n auto --dist=worksteal
 	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
+
+oldest: ## the tests that use canopen, with the oldest one that pyproject.toml allows; a venv of its own
+	@tests/oldest.sh
 
 lint: bootstrap-test ## style, types and imports
 	@$(MAKE) --no-print-directory -j2 --output-sync=target lint-style lint-types lint-imports

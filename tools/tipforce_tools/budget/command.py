@@ -40,7 +40,6 @@ surface normal either way; the table then shows the root mean square and the lar
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce budget`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _EPILOG
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
     parser.add_argument("--layout", metavar="NAME|FILE", help="where the gauges sit: I, II, III or a layout file")

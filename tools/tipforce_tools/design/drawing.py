@@ -16,7 +16,8 @@ from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_shift import nominal_position
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
-from tipforce_tools.design.plots import BLUE, GREEN, GREY, VERMILLION, new_figure
+from tipforce_tools.cli.figures import new_figure
+from tipforce_tools.design.plots import BLUE, GREEN, GREY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
