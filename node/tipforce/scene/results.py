@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tipforce.device.codes import EMCY_BASE
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.device.codes import EMCY_BASE
 from tipforce.scene import schema
 from tipforce.scene.build import PDO_NAMES, Finger
 from tipforce.scene.loads import UNLOADED, LoadHistory

@@ -18,8 +18,8 @@ from pathlib import Path
 import can
 import numpy as np
 
-from tipforce.device import codes
 from tipforce.arrays import FloatArray
+from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node

@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.device.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import mapping_signals, tpdo_messages

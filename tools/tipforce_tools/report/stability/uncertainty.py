@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from tipforce.dictionary import indices
 from tipforce.arrays import FloatArray
+from tipforce.dictionary import indices
 from tipforce.errors import InputError
 from tipforce.sensor.contact import estimate, first_order, scalar
 from tipforce.sensor.contact.force import force_vector
