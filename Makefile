@@ -35,8 +35,8 @@ lint-imports:
 report: bootstrap-test ## error against run time and extreme cases: build/report/index.html, within ten minutes
 	.venv/bin/tipforce report -o build/report
 
-docs: bootstrap-test ## the Python API reference, from the docstrings: build/api/index.html
-	$(PYTHON) -m tipforce_tools.api_reference -o build/api
+docs: bootstrap-test ## the documentation site: build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --strict --quiet
 
 long: bootstrap-test ## the full counts of every long check, and the reports; about two hours
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
