@@ -10,11 +10,15 @@ from pathlib import Path
 from typing import Any
 
 import can
+import numpy as np
 import pytest
 from simulated_hand import beam_calibration, finger, running
 
 from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient
+from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.sensor.calibration.fit import Readings
+from tipforce.sensor.calibration.simulation import simulate
 
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
@@ -64,3 +68,14 @@ def two_fingers() -> Iterator[Names]:
     """Nodes 1 and 2."""
     with fingers_on_default_bus(1, 2):
         yield {}
+
+
+@setup("calibration.md")
+def simulated_calibration() -> Iterator[Names]:
+    """grooves.csv with faults in lines 50 and 61; the true matrix, and the loads of the rows without fault."""
+    sim = simulate("I", np.random.default_rng(4))
+    assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [50, 61]
+    loads = (sim.P_newtons, sim.phi_rad, sim.theta_rad)
+    write_measurements("grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ()))
+    good = ~sim.true_outlier
+    yield {"true_A": sim.true_A, "loads": Readings(sim.strain[good], *(values[good] for values in loads))}
