@@ -2,9 +2,14 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
+import functools
 import itertools
+import math
 import struct
+import threading
+import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -12,13 +17,26 @@ from typing import Any
 import can
 import numpy as np
 import pytest
-from simulated_hand import beam_calibration, finger, running
 
+from docs.runner import Terminal
+from simulated_hand import beam_calibration, finger, running
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.measurements import Measurements, write_measurements
 from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient
-from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import Readings
 from tipforce.sensor.calibration.simulation import simulate
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sources import iio_sysfs
+from tipforce_tools.cli.layout_file import read_bridge
+from tipforce_tools.doctor import iio as doctor_iio
+from tipforce_tools.node.source import open_iio
 
 Names = dict[str, Any]
 Setup = Callable[[], contextlib.AbstractContextManager[Names]]
@@ -51,12 +69,19 @@ def log_of_one_finger() -> Iterator[Names]:
 
 
 @contextlib.contextmanager
+def default_bus() -> Iterator[dict[str, str]]:
+    """A bus inside this process that python-can's configuration names."""
+    bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
+    with pytest.MonkeyPatch.context() as patch:
+        for key, value in bus.items():
+            patch.setitem(can.rc, key, value)
+        yield bus
+
+
+@contextlib.contextmanager
 def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
     """Calibrated simulated fingers under 2 N on a bus of this process, which is python-can's default meanwhile."""
-    bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
-    with pytest.MonkeyPatch.context() as patch, running([finger(n) for n in node_ids], **bus):
-        patch.setitem(can.rc, "interface", bus["interface"])
-        patch.setitem(can.rc, "channel", bus["channel"])
+    with default_bus() as bus, running([finger(n) for n in node_ids], **bus):
         with Connection.open(**bus) as connection:
             for n in node_ids:
                 FingertipClient(connection.sdo(n)).apply_calibration(beam_calibration(), store=False)
@@ -76,6 +101,92 @@ def simulated_calibration() -> Iterator[Names]:
     sim = simulate("I", np.random.default_rng(4))
     assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [50, 61]
     loads = (sim.P_newtons, sim.phi_rad, sim.theta_rad)
-    write_measurements("grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ()))
+    write_measurements(
+        "grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ())
+    )
     good = ~sim.true_outlier
     yield {"true_A": sim.true_A, "loads": Readings(sim.strain[good], *(values[good] for values in loads))}
+
+
+class Bench:
+    """Files that look like a 16-bit converter of Linux Industrial I/O, and a node that reads them."""
+
+    def __init__(self, folder: Path, bus: dict[str, str]) -> None:
+        self.bus = bus
+        self.chip = folder / "devices" / "spi0.0" / "iio:device0"
+        self.devices = folder / "bus"
+        self.devices.mkdir(parents=True)
+        (self.chip / "scan_elements").mkdir(parents=True)
+        (self.devices / "iio:device0").symlink_to(self.chip.absolute())
+        (self.chip / "name").write_text("ad7124-4\n")
+        (self.chip / "in_voltage_scale").write_text("0.0503540\n")
+        for k in range(3):
+            (self.chip / "scan_elements" / f"in_voltage{k}_type").write_text("be:u16/16>>0\n")
+        self.stopped = threading.Event()
+        self.thread = threading.Thread()
+        self.gauges_read([0.0, 0.0, 0.0])
+
+    def gauges_read(self, microstrains: list[float]) -> None:
+        """Set the counts; a value that is read without SYNC is at most 100 ms old."""
+        for k, microstrain in enumerate(microstrains):
+            volts = 1.65 + 1.02 * 250.0 * 1.65e-6 * microstrain  # gain 250, and 2 % more
+            (self.chip / f"in_voltage{k}_raw").write_text(f"{round(volts / 50.354e-6)}\n")
+        time.sleep(0.15)
+
+    def hang(self, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
+        """Put a load on the tip."""
+        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+        F = [P_newtons * math.sin(phi), P_newtons * math.sin(delta), P_newtons * math.cos(phi)]
+        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ F).tolist())
+
+    def start_node(self) -> None:
+        """`tipforce node` with finger.toml, in a thread."""
+        flags = argparse.Namespace(
+            source="iio:spi0.0", layout="finger.toml", capture="poll", scan_rate=1000.0, trigger=None
+        )
+        source = open_iio(flags, 3, read_bridge("finger.toml"), self.devices)
+        store = FileStore(Path("node-5.json").absolute())
+        device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
+        bus = can.Bus(**self.bus)
+        self.stopped = threading.Event()
+        stopped = self.stopped.is_set
+        self.thread = threading.Thread(target=lambda: (loop.run([device], PythonCanPort(bus), stopped), bus.shutdown()))
+        self.thread.start()
+        time.sleep(0.15)
+
+    def stop_node(self) -> None:
+        """End it."""
+        self.stopped.set()
+        self.thread.join()
+
+    def disconnect(self) -> None:
+        """Take the converter away."""
+        self.chip.rename(self.chip.with_name("disconnected"))
+        time.sleep(0.3)
+
+    def connect(self) -> None:
+        """Put it back."""
+        self.chip.with_name("disconnected").rename(self.chip)
+        time.sleep(0.4)
+
+
+@setup("hardware.md")
+def converter_and_node() -> Iterator[Names]:
+    """The converter, its node, and the calibration that perfect weights would give."""
+    with default_bus() as bus, pytest.MonkeyPatch.context() as patch:
+        bench = Bench(Path("kernel"), bus)
+        patch.setattr(iio_sysfs, "ROOT", bench.devices)
+        checks = functools.partial(doctor_iio.iio_checks, bench.devices, Path("kernel"), Path("none"))
+        patch.setattr(doctor_iio, "iio_checks", checks)
+        C = calibration_matrix(FABRICATED, "I")
+        covariance = np.eye(3) * (4e-8) ** 2
+        beam = Calibration(C, np.zeros(3), covariance, serial=1, date=20261121, layout_code=1, pull=True)
+        write_calibration(Path("calibration.toml"), beam)
+        try:
+            yield {
+                "shell": Terminal("-q"),
+                "read_by_gauges": bench.gauges_read,
+                **{name: getattr(bench, name) for name in ("hang", "start_node", "stop_node", "disconnect", "connect")},
+            }
+        finally:
+            bench.stop_node()

@@ -45,10 +45,10 @@ class Terminal:
         if line == "echo $?":
             print(self.code)
         elif words[0] == "tipforce":
-            own, _, rest = line.partition(" | ")
+            own, sign, rest = re.fullmatch(r"(.*?)(?: ([|>]) (.*))?", line).groups()  # type: ignore[union-attr]
             out, err = self._tipforce([*_expanded(shlex.split(own, comments=True)[1:]), *self.flags])
-            if rest:
-                out = self._bash(rest, out)
+            if sign:
+                out = self._bash(rest if sign == "|" else f"cat > {rest}", out)
             print(out + err, end="")
         else:
             print(self._bash(line), end="")
@@ -99,15 +99,17 @@ def examples(page: Path) -> list[doctest.Example]:
 def run_page(page: Path, names: dict[str, Any]) -> doctest.TestResults:
     """Run the examples of a page in the working directory; ``names`` are in its Python."""
     found = examples(page)
-    test = doctest.DocTest(found, {"__name__": "__main__", "Path": Path, "shell": Terminal(), **names}, page.name, str(page), 0, None)
+    test = doctest.DocTest(
+        found, {"__name__": "__main__", "Path": Path, "shell": Terminal(), **names}, page.name, str(page), 0, None
+    )
     return doctest.DocTestRunner(optionflags=FLAGS).run(test)
 
 
 def command_lines(page: Path) -> list[str]:
-    """The ``tipforce`` commands in the sh blocks of a page, and in those without a language, without what a shell adds to them."""
+    """The ``tipforce`` commands in a page's blocks of sh or of no language, without redirections and comments."""
     lines: list[str] = []
     for block in _BLOCK.finditer(page.read_text()):
-        if (block[1] or "").split()[:1] in (["sh"], []):
+        if block[2] and block[1].split()[:1] in (["sh"], []):
             for line in block[2].replace("\\\n", " ").splitlines():
                 for part in re.split(r" [|&>] | ?&$|;", line.split(" # ")[0]):
                     words = part.strip()

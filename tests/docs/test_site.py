@@ -12,7 +12,10 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-LOADED = re.compile(r"""<(?:script|img|iframe|source)[^>]*\bsrc="?(https?:)|<link[^>]*rel="?(?:stylesheet|preconnect)"?[^>]*href="?(https?:)""")
+LOADED = re.compile(
+    r"""<(?:script|img|iframe|source)[^>]*\bsrc="?https?:"""
+    r"""|<link[^>]*rel="?(?:stylesheet|preconnect)"?[^>]*href="?https?:"""
+)
 
 
 @pytest.fixture(scope="module")
@@ -24,7 +27,8 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("site")
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
-        cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"}, capture_output=True, text=True, timeout=150, check=False,
+        cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
+        capture_output=True, text=True, timeout=150, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
     return folder
