@@ -31,9 +31,11 @@ from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import Readings
 from tipforce.sensor.calibration.simulation import simulate
+from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import iio_sysfs
+from tipforce.sources.simulated import SimulatedSource
 from tipforce_tools.cli.layout_file import read_bridge
 from tipforce_tools.doctor import iio as doctor_iio
 from tipforce_tools.node.source import open_iio
@@ -69,7 +71,7 @@ def log_of_one_finger() -> Iterator[Names]:
 
 
 @contextlib.contextmanager
-def default_bus() -> Iterator[dict[str, str]]:
+def default_bus() -> Iterator[dict[str, Any]]:
     """A bus inside this process that python-can's configuration names."""
     bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
     with pytest.MonkeyPatch.context() as patch:
@@ -108,10 +110,16 @@ def simulated_calibration() -> Iterator[Names]:
     yield {"true_A": sim.true_A, "loads": Readings(sim.strain[good], *(values[good] for values in loads))}
 
 
+def beam_record(noise_strain: float, serial: int) -> Calibration:
+    """Gauge case I as beam theory has it."""
+    C, covariance = calibration_matrix(FABRICATED, "I"), np.eye(3) * noise_strain**2
+    return Calibration(C, np.zeros(3), covariance, serial=serial, date=20261121, layout_code=1, pull=True)
+
+
 class Bench:
     """Files that look like a 16-bit converter of Linux Industrial I/O, and a node that reads them."""
 
-    def __init__(self, folder: Path, bus: dict[str, str]) -> None:
+    def __init__(self, folder: Path, bus: dict[str, Any]) -> None:
         self.bus = bus
         self.chip = folder / "devices" / "spi0.0" / "iio:device0"
         self.devices = folder / "bus"
@@ -150,7 +158,12 @@ class Bench:
         bus = can.Bus(**self.bus)
         self.stopped = threading.Event()
         stopped = self.stopped.is_set
-        self.thread = threading.Thread(target=lambda: (loop.run([device], PythonCanPort(bus), stopped), bus.shutdown()))
+
+        def work() -> None:
+            loop.run([device], PythonCanPort(bus), stopped)
+            bus.shutdown()
+
+        self.thread = threading.Thread(target=work)
         self.thread.start()
         time.sleep(0.15)
 
@@ -178,10 +191,7 @@ def converter_and_node() -> Iterator[Names]:
         patch.setattr(iio_sysfs, "ROOT", bench.devices)
         checks = functools.partial(doctor_iio.iio_checks, bench.devices, Path("kernel"), Path("none"))
         patch.setattr(doctor_iio, "iio_checks", checks)
-        C = calibration_matrix(FABRICATED, "I")
-        covariance = np.eye(3) * (4e-8) ** 2
-        beam = Calibration(C, np.zeros(3), covariance, serial=1, date=20261121, layout_code=1, pull=True)
-        write_calibration(Path("calibration.toml"), beam)
+        write_calibration(Path("calibration.toml"), beam_record(4e-8, serial=1))
         try:
             yield {
                 "shell": Terminal("-q"),
@@ -190,3 +200,58 @@ def converter_and_node() -> Iterator[Names]:
             }
         finally:
             bench.stop_node()
+
+
+class ByteByByte:
+    """The node of protocol.md. ``cansend can0 FRAME`` prints the frames that it sends in response."""
+
+    def __init__(self) -> None:
+        self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+        self.source.load = (4.4, 90.0, 45.0)
+        flash: dict[str, bytes] = {}
+        self.device = fingertip_node(
+            5, self.source, save=lambda group, data: not flash.update({group: data}), load=flash.get
+        )
+        self.now_us = 0
+        self.record = beam_record(0.5e-6, serial=7).record()
+
+    def __call__(self, line: str) -> None:
+        """Run one line of the page."""
+        frames = []
+        if line != "# power on":
+            program, channel, frame = line.split()
+            assert (program, channel) == ("cansend", "can0")
+            identifier, digits = frame.split("#")
+            frames = [(int(identifier, 16), bytes.fromhex(digits))]
+            self.now_us += 1000
+        for can_id, data in self.device.step(self.now_us, frames)[0]:
+            print(f"{can_id:03X}#{data.hex().upper()}")
+
+    def send_segments(self, first: int, end: int) -> None:
+        """The segments of the record that the page leaves out; each must be confirmed."""
+        for k in range(first, end):
+            segment = bytes([(k % 2) << 4]) + self.record[7 * k : 7 * k + 7]
+            assert self.device.step(self.now_us, [(0x605, segment)])[0] == [
+                (0x585, bytes([0x20 | (k % 2) << 4] + [0] * 7))
+            ]
+
+
+@setup("protocol.md")
+def node_byte_by_byte() -> Iterator[Names]:
+    """The node, its source, and the record that the page writes."""
+    node = ByteByByte()
+    yield {"shell": node, "source": node.source, "send_segments": node.send_segments}
+
+
+@setup("recipes.md")
+def finger_and_files() -> Iterator[Names]:
+    """Node 5 under 2 N at phi = 90, theta = 45 degrees, and a table of loads with an offset of 12 microstrain."""
+    A, rng = strain_matrix(FABRICATED, "I"), np.random.default_rng(1)
+    directions = ((0, 20), (0, 60), (90, 30), (90, 60), (90, 90), (90, 120), (180, 120), (180, 160))
+    rows = ["SG1,SG2,SG3,P_N,phi_deg,theta_deg"]
+    for P, (phi, theta) in itertools.product((0.0, 2.2, 4.4), directions):
+        V = 1e6 * A @ force_vector(P, math.radians(phi), math.radians(theta)) + 12 + rng.normal(0, 0.5, 3)
+        rows.append(",".join(str(value) for value in (*V.round(2), P, phi, theta)))
+    Path("grooves.csv").write_text("\n".join(rows) + "\n")
+    with fingers_on_default_bus(5):
+        yield {}
