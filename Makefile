@@ -59,8 +59,8 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
-	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > docs/conformance.md.new
-	mv docs/conformance.md.new docs/conformance.md
+	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
+	mv build/conformance.md docs/conformance.md
 
 generate: bootstrap-test ## write the committed files that come from the object dictionary
 	@$(PYTHON) -m tipforce.dictionary.generate

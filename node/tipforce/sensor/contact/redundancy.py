@@ -8,7 +8,7 @@ n - 2 gauges have no rank 3 among themselves, whatever their noise. With four ga
 can be isolated, unless one gauge alone is visible: it then responds to no force at all. A gauge without which the rest
 has no rank 3 is invisible: its fault passes as a force.
 
-scalar_parity.py has the same formulas for one sample on a microcontroller.
+scalar_redundancy.py has the same formulas for one sample on a microcontroller.
 """
 
 from __future__ import annotations

@@ -1,6 +1,6 @@
 """More than three gauges, for a microcontroller: force without a dead gauge, and which gauge contradicts the others.
 
-Needs the math module only and keeps to what MicroPython has; parity.py holds the same for arrays and explains it. What
+Needs the math module only and keeps to what MicroPython has; redundancy.py holds the same for arrays and explains it. What
 a node needs is worked out once, when a calibration becomes active: subsets() for the forces, parity() for the check.
 Matrices are lists of rows, noise is the upper triangle of the gauges' covariance by rows (object 2106h), strain^2.
 """

@@ -1,4 +1,4 @@
-"""Integrators of other kinds, for comparison only: held.py is what everything else uses.
+"""Integrators of other kinds, for comparison only: all other code uses first_order_hold.py.
 
 All take the same problem, load and times, and return the elastic force at the times and what it cost. None knows that
 the system is linear between events; a contact is a force that is 0 while open. What grows without bound is returned as
