@@ -60,6 +60,15 @@ def test_documented_commands_parse(path: Path, monkeypatch: pytest.MonkeyPatch) 
             pytest.fail(f"{path.name}: {line}: {error!r}")
 
 
+@every_document
+def test_no_example_is_outside_a_block(path: Path) -> None:
+    inside = sum(example.source.count("\n") > 0 for example in examples(path) if "shell(" not in example.source)
+    text = path.read_text()
+    outside = re.sub(r"^```.*?^```$", "", text, flags=re.MULTILINE | re.DOTALL)
+    assert ">>> " not in outside
+    assert inside or ">>> " not in text
+
+
 def test_documents_and_their_set_ups_are_found() -> None:
     names = {path.name for path in DOCUMENTS}
     assert names >= {"README.md", "protocol.md", "objects.md"}

@@ -148,7 +148,7 @@ class Calibration:
         return self.C @ self.covariance_strain2 @ self.C.T
 
     def record(self) -> bytes:
-        """The calibration record as the node holds it (docs/objects.md). Raises InputError for what a field cannot hold."""
+        """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
         upper = self.covariance_strain2[np.triu_indices(self.gauges)]
         facts = (self.serial, self.date, self.reference_temperature_degC, self.layout_code)
         pad = (self.tip_radius_m, self.theta_min_deg, self.theta_max_deg)
