@@ -5,13 +5,19 @@ from __future__ import annotations
 import importlib.util
 import os
 import re
+import shutil
 import subprocess
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from playwright.sync_api import Browser, expect, sync_playwright
 
 ROOT = Path(__file__).parents[2]
+CHROMIUM = next(
+    (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
+)
 LOADED = re.compile(
     r"""<(?:script|img|iframe|source)[^>]*\bsrc="?https?:"""
     r"""|<link[^>]*rel="?(?:stylesheet|preconnect)"?[^>]*href="?https?:"""
@@ -53,11 +59,40 @@ def test_pages_load_nothing_from_the_network(site: Path) -> None:
 def test_the_reference_shows_the_public_packages(site: Path) -> None:
     for page, package in (("tipforce", "tipforce"), *((n, f"tipforce.{n}") for n in ("device", "host", "sensor"))):
         text = (site / "reference" / f"{page}.html").read_text()
-        assert f'id="{package}"' in text
+        assert "doc-module" in text
+        assert f'<h1 id="{package.replace(".", "")}"' in text
         assert "Source code in" not in text
 
 
-def test_the_search_finds_terms_of_the_pages(site: Path) -> None:
-    index = (site / "search" / "search_index.js").read_text()
-    for term in ("heartbeat_lost", "theta_unresolved", "condition number"):
-        assert term in index
+@pytest.fixture(scope="module")
+def browser() -> Iterator[Browser]:
+    """One browser for all tests."""
+    assert CHROMIUM, "these tests need Chromium: tools/bootstrap.sh test installs it"
+    with sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+def test_the_search_works_from_the_disk(site: Path, browser: Browser) -> None:
+    page = browser.new_page()
+    wrong: list[str] = []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.goto(f"{(site / 'index.html').as_uri()}")
+    page.locator("label.md-search__icon[for=__search]").first.click(force=True)
+    page.locator("input.md-search__input").press_sequentially("theta_unresolved")
+    expect(page.locator(".md-search-result__item").first).to_contain_text("theta_unresolved", timeout=30_000)
+    assert wrong == []
+    page.close()
+
+
+def test_no_page_is_wider_than_a_phone(site: Path, browser: Browser) -> None:
+    page = browser.new_page(viewport={"width": 390, "height": 844})
+    wide = []
+    for path in sorted(site.rglob("*.html")):
+        page.goto(path.as_uri())
+        width = page.evaluate("document.documentElement.scrollWidth")
+        if width > 390:
+            wide.append(f"{path.relative_to(site)}: {width}")
+    page.close()
+    assert wide == []
