@@ -1,4 +1,4 @@
-"""Simulated fingers on a CAN bus, run by one thread: what stands for the hardware in the recipes and in your own tests.
+"""Simulated fingers on a CAN bus, run by one thread: a substitute for hardware in the recipes and in your own tests.
 
 The bus is any that python-can knows: ``interface="virtual"`` inside one process, ``interface="socketcan",
 channel="vcan0"`` on a Linux kernel with vcan, where every other program sees the same frames.
