@@ -134,7 +134,7 @@ three processes share its cores with other work, and a finger that is not schedu
 
 ## Rows
 
-Values are rows times fingers. Delayed: received after the next SYNC and assigned to their own row by the sample counter.
+Values are rows times fingers. Delayed: received after the next SYNC, assigned to their own row by the sample counter.
 Stale: the finger had no new conversion (one each 500 us; after a delay it responds to several SYNCs at once), so P is
 flagged as unknown. Missing: absent values. Late: samples that came after their row was delivered (each leaves its value
 missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
@@ -148,8 +148,8 @@ SYNC (the kernel's time stamp) to the delivery of the row to the consumer, milli
 JITTER = """
 ## SYNC
 
-Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more than
-half a period late.
+Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more
+than half a period late.
 
 | hand | sent by a | periods | skipped | mean period | p50 | p99 | largest |
 |---|---|---|---|---|---|---|---|

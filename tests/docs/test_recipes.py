@@ -57,9 +57,3 @@ def test_the_hand_test_runs_where_a_user_copies_it(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert "3 passed" in done.stdout
-
-
-def test_every_file_that_the_documents_link_to_is_there() -> None:
-    for document in ("recipes.md", "ci.md"):
-        for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / document).read_text()):
-            assert (DOCS / target).exists(), f"{document}: {target}"
