@@ -18,14 +18,12 @@ import can
 import numpy as np
 import pytest
 
+import tipforce
 from docs.runner import Terminal
-from simulated_hand import beam_calibration, finger, running
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.configuration.measurements import Measurements, write_measurements
-from tipforce.host.network.connection import Connection
-from tipforce.host.network.finger import FingertipClient
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
@@ -83,10 +81,7 @@ def default_bus() -> Iterator[dict[str, Any]]:
 @contextlib.contextmanager
 def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
     """Calibrated simulated fingers under 2 N on a bus of this process, which is python-can's default meanwhile."""
-    with default_bus() as bus, running([finger(n) for n in node_ids], **bus):
-        with Connection.open(**bus) as connection:
-            for n in node_ids:
-                FingertipClient(connection.sdo(n)).apply_calibration(beam_calibration(), store=False)
+    with default_bus() as bus, tipforce.simulated_hand(node_ids, dict.fromkeys(node_ids, (2.0, 90.0, 45.0)), **bus):
         yield
 
 

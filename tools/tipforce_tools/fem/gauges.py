@@ -18,7 +18,7 @@ from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce_tools.fem.outline import Outline
-from tipforce_tools.fem.solve import Solution
+from tipforce_tools.fem.plane_stress import Solution
 
 
 class Face(NamedTuple):

@@ -45,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the scene; 0, or 1 where an expectation did not hold."""
-    from tipforce.scene.parts import bus_load
     from tipforce.scene.run import run_scene
+    from tipforce.scene.scene_parts import bus_load
     from tipforce.scene.schema import read_scene
 
     common.set_up_logging(args)

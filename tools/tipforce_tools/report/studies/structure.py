@@ -193,7 +193,7 @@ def _beam_models() -> dict[str, Matrix]:
 def _fe_matrix(cells: int, grading: float | None) -> tuple[FloatArray, int]:
     from tipforce_tools.fem.gauges import strain_matrix
     from tipforce_tools.fem.mesh import GRADING, Resolution
-    from tipforce_tools.fem.solve import Model, solve
+    from tipforce_tools.fem.plane_stress import Model, solve
 
     solution = solve(Model(resolution=Resolution(cells, GRADING if grading is None else grading)))
     return strain_matrix(solution, GAUGES), solution.unknowns
