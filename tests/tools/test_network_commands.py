@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import threading
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -90,6 +91,44 @@ def test_a_node_that_does_not_say_so_is_named(tipforce: Tipforce) -> None:
     assert "from node 9 (silent)" in err
     code, out, err = tipforce("nmt", "stop", "5,9", "--wait", "0.2", "--json")
     assert (code, json.loads(out)) == (5, {"node_id": 5, "state": "stopped"})
+
+
+def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureFixture[str]) -> None:
+    """The order in which a person pastes two lines does not matter."""
+    channel = new_channel()
+    device = finger(7)
+    codes: list[int] = []
+    words = ["nmt", "start", "7", "--wait", "-i", "virtual", "-c", channel]
+    with Connection.open(channel, "virtual") as listener:
+        thread = threading.Thread(target=lambda: codes.append(main(words)))
+        thread.start()
+        listener.wait_for({0x000}, timeout_s=20.0)  # it has sent the command once, to nobody
+        with running([device], channel):
+            thread.join()
+    assert codes == [0]
+    assert capsys.readouterr().out == "   7 (0x07)  operational\n"
+
+
+# --- read -----------------------------------------------------------------------------------------------------------
+
+
+def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+    connection = bench[0]
+    FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
+    apply_load(connection, 5, 4.4, 90.0, 45.0)
+    code, out, err = tipforce("read", "5")
+    assert (code, err) == (0, "")
+    assert re.fullmatch(
+        r"   5 \(0x05\)  4\.4\d\d N, phi (89|90)\.\d\d deg, theta 4[45]\.\d\d deg  u\(P\) 0\.\d{3} N\n", out
+    )
+    code, out, _ = tipforce("read", "6", "-n", "2", "--json")
+    first, second = map(json.loads, out.splitlines())
+    assert (code, first["node_id"], first["P_newtons"], first["reason"]) == (0, 6, None, "not calibrated")
+    assert first["counter"] != second["counter"]
+    code, out, err = tipforce("read", "9", "--wait", "0.2", "--timeout", "0.05", "--retries", "0")
+    assert (code, out) == (5, "")
+    assert "node 9" in err
+    assert tipforce("read", "5", "--wait", "0")[0] == 2
 
 
 # --- lss ------------------------------------------------------------------------------------------------------------

@@ -122,6 +122,7 @@ class SimulatedSource(Source):
 
         device.od.writers[indices.SIMULATED_FAULT] = write_fault
         device.od.writers[indices.SIMULATED_LOAD] = write_load
+        device.od.readers[indices.SIMULATED_LOAD] = lambda sub: self.load[sub - 1]
 
     def _microstrain(self, k: int, force: "Forces", now_us: int) -> float:
         c1, c2, c3 = self.rows[k]

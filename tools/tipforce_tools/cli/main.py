@@ -26,6 +26,7 @@ COMMANDS = {
     "run": ("tipforce_tools.scene.run", "run a scene: a hand of nodes, loads, faults, recording"),
     "scene": ("tipforce_tools.scene.command", "explain what a scene builds, and what it leaves out and why"),
     "scan": ("tipforce_tools.network.scan", "list the nodes on the bus"),
+    "read": ("tipforce_tools.network.read", "read the contact of fingers, with its uncertainty"),
     "sdo": ("tipforce_tools.sdo.command", "read or write an object of a node, or read them all"),
     "hand": ("tipforce_tools.hand.command", "bring a hand of many fingers up from its file, and run it"),
     "nmt": ("tipforce_tools.network.nmt", "start, stop or reset nodes, and wait for their heartbeats"),

@@ -28,7 +28,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_choice(parser, "command", COMMANDS)
     parser.add_argument("ids", type=_ids, metavar="IDS", help="10, 0x0A, 1,2,5-9 or all")
     parser.add_argument(
-        "--wait", nargs="?", type=float, const=2.0, metavar="S", help="for each heartbeat (%(const)s s unless given)"
+        "--wait",
+        nargs="?",
+        type=float,
+        const=10.0,
+        metavar="S",
+        help="repeat the command until each heartbeat confirms it, for this long (%(const)s s unless given)",
     )
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)

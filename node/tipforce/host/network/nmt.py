@@ -20,6 +20,9 @@ _REACHED = {
 }
 
 
+_AGAIN_S = 0.5
+
+
 class NotReachedError(NoResponseError):
     """Some nodes did not say that they reached the state; ``reached`` has what the others said, by node-id."""
 
@@ -33,21 +36,26 @@ def command_and_wait(
 ) -> dict[int, str]:
     """Send an NMT command to each node and wait until its heartbeat says so; the state that each reported.
 
-    Raises InputError for an unknown command, and NotReachedError naming the nodes that did not say so in time: they
-    are off, or their heartbeat (1017h) is slower or 0.
+    NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
+    boot meanwhile. Raises InputError for an unknown command, and NotReachedError naming the nodes whose heartbeat did
+    not report it in time: they are off, or their heartbeat (1017h) is slower or 0.
     """
     since_s = time.monotonic()
-    for node_id in sorted(node_ids):
-        connection.nmt(command, node_id)
-    wanted, found, missing = _REACHED[command], dict[int, str](), list[str]()
-    for node_id in sorted(node_ids):
-        left_s = max(0.0, since_s + timeout_s - time.monotonic())
-        if connection.heartbeats.wait(node_id, wanted, since_s, left_s):
-            found[node_id] = NMT_STATES[wanted[0]]
-        else:
-            state = connection.heartbeats.state(node_id)
-            said = "silent" if state is None else f"last said {NMT_STATES.get(state, f'state {state}')}"
-            missing.append(f"{node_id} ({said})")
+    wanted, found = _REACHED[command], dict[int, str]()
+    again_s = timeout_s if command.startswith("reset") else _AGAIN_S
+    waiting = sorted(node_ids)
+    while waiting:
+        now_s = time.monotonic()
+        if now_s >= since_s + timeout_s:
+            break
+        for node_id in waiting:
+            connection.nmt(command, node_id)
+        until_s = min(now_s + again_s, since_s + timeout_s)
+        for node_id in waiting:
+            if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
+                found[node_id] = NMT_STATES[wanted[0]]
+        waiting = [node_id for node_id in waiting if node_id not in found]
+    missing = [f"{node_id} ({_last(connection, node_id)})" for node_id in waiting]
     if missing:
         raise NotReachedError(
             f"nmt {command}: no heartbeat that says so within {timeout_s:g} s from node {', '.join(missing)}; "
@@ -55,3 +63,8 @@ def command_and_wait(
             found,
         )
     return found
+
+
+def _last(connection: Connection, node_id: int) -> str:
+    state = connection.heartbeats.state(node_id)
+    return "silent" if state is None else f"last said {NMT_STATES.get(state, f'state {state}')}"
