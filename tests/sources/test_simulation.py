@@ -132,15 +132,15 @@ def test_applied_load_is_written_by_sdo() -> None:
     ("kind", "sub", "value", "code"),
     [("H", 1, 6, 0x06090031), ("B", 2, 0, 0x06090032), ("B", 2, 4, 0x06090031), ("f", 3, math.nan, 0x06090030)],
 )
+def test_simulation_has_limits(kind: str, sub: int, value: float, code: int) -> None:
+    assert finger().put(kind, 0x2200, sub, value) == code
+
+
 def test_the_load_that_the_source_has_is_read_back() -> None:
     """Also one that did not come over SDO: `tipforce node --load`."""
     talk = finger()
     talk.source.load = (4.5, 90.0, 45.0)
     assert [talk.get("f", 0x2201, sub) for sub in (1, 2, 3)] == [4.5, 90.0, 45.0]
-
-
-def test_simulation_has_limits(kind: str, sub: int, value: float, code: int) -> None:
-    assert finger().put(kind, 0x2200, sub, value) == code
 
 
 def test_enormous_load_and_drift_saturate_and_never_raise() -> None:
