@@ -97,6 +97,12 @@ def test_an_object_by_its_name(bus: tipforce.SimulatedBus) -> None:
     assert sdo["identity.serial"] == sdo["0x1018:04"] == 1005
     sdo["heartbeat.producer_ms"] = 250
     assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 250
+    for name in (3, None):
+        with pytest.raises(tipforce.InputError, match="allowed is a name such as"):
+            _ = sdo[name]  # type: ignore[index]
+    for node_id in (0, 128, "5"):
+        with pytest.raises(tipforce.InputError, match="allowed are 1 to 127"):
+            bus.finger(node_id)  # type: ignore[arg-type]
     with pytest.raises(tipforce.InputError, match=r"close to it: calibration\.serial"):
         _ = sdo["calibration.serail"]
 

@@ -106,6 +106,25 @@ def test_a_log_of_gauges_is_estimated_by_the_calibration(tmp_path: Path) -> None
     assert found.microstrain.shape == (2, 3)
 
 
+def test_a_file_without_a_frame_is_no_log(tmp_path: Path) -> None:
+    (tmp_path / "run.log").write_text("these are words\n")
+    with pytest.raises(tipforce.InputError, match=r"run\.log: not one frame in it; is it a log\? line 1"):
+        tipforce.read_log(tmp_path / "run.log")
+
+
+def test_a_simulated_hand_names_what_is_wrong() -> None:
+    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
+        tipforce.simulated_hand(0)
+    with pytest.raises(tipforce.InputError, match="different ones from 1 to 127"):
+        tipforce.simulated_hand([1, 1])
+    with pytest.raises(tipforce.InputError, match=r"loads of nodes \[3\]"):
+        tipforce.simulated_hand(2, {3: (1.0, 90.0, 45.0)})
+    with pytest.raises(tipforce.InputError, match=r"load \(1.0, 90.0\) of node 5"):
+        tipforce.simulated_finger(5, (1.0, 90.0))  # type: ignore[arg-type]
+    with pytest.raises(tipforce.InputError, match="layout 'X' is not known"):
+        tipforce.simulated_finger(5, layout="X")
+
+
 def test_one_node_on_two_buses_needs_a_channel(tmp_path: Path) -> None:
     path = tmp_path / "two.log"
     path.write_text("(1.000000) can0 285#2E1129239A110303\n(1.000000) can1 285#3011282394110303\n")

@@ -152,6 +152,9 @@ def simulated_hand(
         raise InputError(f"node-ids {list(chosen)}: allowed are different ones from 1 to 127")
     if not set(loads) <= set(chosen):
         raise InputError(f"loads of nodes {sorted(set(loads) - set(chosen))}: the hand has {list(chosen)}")
+    for node_id, load in loads.items():
+        if len(load) != 3 or not all(math.isfinite(value) for value in load):
+            raise InputError(f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees)")
     devices: dict[int, Device] = {}
     sources: dict[int, SimulatedSource] = {}
     A = strain_matrix(FABRICATED, layout)

@@ -81,7 +81,8 @@ def read_log(
     ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges where the log has all of them;
     otherwise it gives the uncertainties of what the node sent. ``gauges``: of the nodes (default: the calibration's,
     else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
-    Raises InputError for a log that can't be read, one node on two buses, and a calibration with other gauges.
+    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with other
+    gauges.
     """
     names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
     given: dict[int | None, Calibration] = {}
@@ -93,6 +94,9 @@ def read_log(
     recording = Recording(Reading(Layouts(n), buses=None if channel is None else (channel,), strict=strict))
     tables = list(recording.tables_of_logs(names))
     told = recording.told
+    if not any(notes.frames for notes in told.notes):
+        first = next((notes.first_bad for notes in told.notes if notes.first_bad), "")
+        raise InputError(f"{', '.join(names)}: not one frame in it; is it a log?{' ' + first if first else ''}")
     nodes: dict[int, NodeLog] = {}
     for key in sorted({int(key) for one in tables for key in np.unique(one.key)}):
         node_id = key & ((1 << NODE_BITS) - 1)

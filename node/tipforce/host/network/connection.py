@@ -136,8 +136,8 @@ class Connection:
 
     def sdo(self, node_id: int) -> SdoChannel:
         """The SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
-        if not 1 <= node_id <= 127:
-            raise InputError(f"node-id {node_id}: allowed are 1 to 127")
+        if not isinstance(node_id, int) or not 1 <= node_id <= 127:
+            raise InputError(f"node-id {node_id!r}: allowed are 1 to 127")
         with self._lock:
             if node_id not in self._channels:
                 self._channels[node_id] = SdoChannel(self.network, node_id, self._timeout_s, self._retries)

@@ -22,7 +22,7 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import resolve
 from tipforce.dictionary.types import Value
-from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
+from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
@@ -88,6 +88,8 @@ class SdoChannel:
         self.write(self._entry(name), value)
 
     def _entry(self, name: str) -> Entry[Value]:
+        if not isinstance(name, str):
+            raise InputError(f"object {name!r}: allowed is a name such as 'calibration.serial', or '0x2102:01'")
         if self._gauges is None:
             product = self.read(od.IDENTITY_PRODUCT)
             self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
