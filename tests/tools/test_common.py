@@ -139,13 +139,13 @@ def test_on_a_real_bus_a_person_is_asked(
     else:
         with pytest.raises(InputError, match="not done"):
             common.confirm(args, "this persists")
-    assert capsys.readouterr() == ("", "this persists. Go on? [y/N] ")
+    assert capsys.readouterr() == ("", "this persists. Continue? [y/N] ")
 
 
 @pytest.mark.parametrize("words", ["-i socketcan -c can0", ""])
 def test_without_a_person_the_answer_is_no(words: str, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys, "stdin", io.StringIO("y\n"))
-    with pytest.raises(InputError, match=r"this persists; nobody is there to ask: add --yes to do it"):
+    with pytest.raises(InputError, match=r"this persists; stdin is not a terminal: add --yes to confirm"):
         common.confirm(bus_arguments(*words.split()), "this persists")
 
 

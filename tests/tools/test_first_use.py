@@ -87,7 +87,7 @@ def test_a_file_that_is_no_log_is_refused(not_a_log: Path, tmp_path: Path, capsy
     for words in ([], ["-o", str(out)], ["--summary"], ["--json"]):
         assert main(["decode", str(not_a_log), *words]) == 2
         told = capsys.readouterr().err
-        assert f"{not_a_log}: not one frame in it; is it a log?" in told
+        assert f"{not_a_log}: no frames in it; is it a log?" in told
         assert "line 1: 'these are'" in told
     assert not out.exists()
 
@@ -102,8 +102,8 @@ def test_a_file_that_is_no_log_is_refused_by_all(
     assert main([command, str(not_a_log), *flags, *(["-c", "no-log"] if command == "replay" else [])]) == 2
     out, err = capsys.readouterr()
     assert out == ""
-    assert err.startswith(f"tipforce: {not_a_log}: not one frame in it; is it a log? line 1: 'these are': ")
-    assert "known are candump's text" in err
+    assert err.startswith(f"tipforce: {not_a_log}: no frames in it; is it a log? line 1: 'these are': ")
+    assert "known formats: candump text" in err
     assert err.count("line 1") == 1
 
 
@@ -282,13 +282,13 @@ def test_a_closed_pipe_is_no_failure_of_a_table() -> None:
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        ("load --nodes x --rate 100", "--nodes: 'x': allowed are whole numbers from 1 on"),
-        ("log vcan0 -n 0", "-n: '0': allowed are whole numbers from 1 on"),
+        ("load --nodes x --rate 100", "--nodes: 'x': allowed are whole numbers from 1"),
+        ("log vcan0 -n 0", "-n: '0': allowed are whole numbers from 1"),
         ("log vcan0 --seconds -1", "--seconds: '-1': allowed are seconds, more than 0"),
-        ("dump vcan0 -T 1.5", "-T: '1.5': allowed are whole numbers from 1 on"),
+        ("dump vcan0 -T 1.5", "-T: '1.5': allowed are whole numbers from 1"),
         ("replay run.log --speed nan", "--speed: 'nan': allowed are numbers over 0, and inf"),
         ("replay run.log --max-gap soon", "--max-gap: 'soon': allowed are seconds from 0 on"),
-        ("replay run.log --loop 0", "--loop: '0': allowed are whole numbers from 1 on"),
+        ("replay run.log --loop 0", "--loop: '0': allowed are whole numbers from 1"),
     ],
 )
 def test_a_wrong_number_is_told_with_what_is_allowed(words: str, told: str, capsys: pytest.CaptureFixture[str]) -> None:

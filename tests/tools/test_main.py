@@ -69,8 +69,8 @@ def test_version(flag: str, capsys: pytest.CaptureFixture[str]) -> None:
     [
         ("scna", "did you mean scan or scene?"),
         ("calibrat", "did you mean calibrate?"),
-        ("DEMO!", "there are: demo, node, run"),
-        ("--json", "there are: demo, node, run"),
+        ("DEMO!", "commands: demo, node, run"),
+        ("--json", "commands: demo, node, run"),
     ],
 )
 def test_an_unknown_command(word: str, hint: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -1,4 +1,4 @@
-"""`tipforce export eds|dbc|dcf|c`: files for other tools and for C firmware, from the one table of objects."""
+"""`tipforce export eds|dbc|dcf|c`: files for other tools and for C firmware, from the object dictionary."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ if TYPE_CHECKING:
 
 
 FORMATS = {
-    "eds": "the node's objects, for configuration tools",
-    "dbc": "the PDOs of nodes, for log and bus tools",
-    "dcf": "an EDS with the settings of one node",
-    "c": "dictionary and estimator for firmware, a folder of C99",
+    "eds": "objects of a node, for configuration tools",
+    "dbc": "PDOs of the nodes, for log and bus tools",
+    "dcf": "EDS with the settings of one node",
+    "c": "C99 sources of the dictionary and the estimator, in one folder",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce export`."""
+    """Add the flags of `tipforce export`."""
     parser.epilog = "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/"
     add_choice(parser, "format", FORMATS)
-    parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c: a folder, which is needed")
-    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 8 (default %(default)s)")
+    parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c: a folder, required")
+    parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
     )
-    parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, which is needed")
+    parser.add_argument("--node-id", type=common.node_id, metavar="ID", help="dcf: 1 to 127, required")
     parser.add_argument(
         "--settings",
         metavar="FILE",
-        help="dcf: TOML or DCF with what is not at its default, as `config apply` reads it",
+        help="dcf: TOML or DCF with the settings that are not at their default, as for `config apply`",
     )
-    parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default 16)")
-    parser.add_argument("--simulated", action="store_true", help="eds, dcf: of a simulated node, with 2200h and 2201h")
+    parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
+    parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write the file or files; 0."""
+    """Write the file or files; return 0."""
     from tipforce.dictionary import table
 
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
@@ -72,12 +72,12 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
     if args.format == "eds":
         return eds_text(args.gauges, args.simulated, converter)
     if args.node_id is None:
-        raise InputError("--node-id: a DCF is that of one node; for example --node-id 5")
+        raise InputError("--node-id: a DCF belongs to one node; add it, for example --node-id 5")
     return dcf_text(args.gauges, args.node_id, _values(args), args.simulated, converter=converter)
 
 
 def _values(args: argparse.Namespace) -> Values:
-    """What the settings file says; without one the DCF has no ParameterValue: all defaults hold."""
+    """Return the values of the settings file; without one the DCF has no ParameterValue: all defaults apply."""
     if not args.settings:
         return {}
     from tipforce.host.configuration.configuration_file import read_configuration

@@ -173,7 +173,7 @@ def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:
     plots.save(report.studies[0], tmp_path / "one.svg")
     assert (tmp_path / "one.png").read_bytes().startswith(b"\x89PNG")
     assert "<svg" in (tmp_path / "one.svg").read_text(encoding="utf-8")
-    with pytest.raises(InputError, match=r"allowed are the endings"):
+    with pytest.raises(InputError, match=r"allowed are the suffixes"):
         plots.save(report.studies[0], tmp_path / "one.pdf")
 
 

@@ -1,1 +1,1 @@
-"""What all commands share: entry point, arguments, bus flags, output."""
+"""Shared by all commands: entry point, arguments, bus flags, output."""

@@ -1,4 +1,4 @@
-"""Commands of several actions: `design table`, whose actions have a module and flags each, and `sdo read`."""
+"""Commands with actions: `design table`, each action a module with its own flags, and `sdo read`."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ Actions = Mapping[str, tuple[str, str]]
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser of one command line; where the action is missing it tells which there are."""
+    """A parser of one command line; its error for a missing action lists the actions."""
 
     told: Mapping[str, str] = {}
     """action -> one line of help."""
     told_dest = "action"
 
     def __init__(self, prog: str, description: str) -> None:
-        # Descriptions and epilogs keep their lines: examples and tables are in them.
+        # Descriptions and epilogs keep their line breaks: they contain examples and tables.
         super().__init__(prog, description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
 
     def error(self, message: str) -> NoReturn:
@@ -29,20 +29,20 @@ class CommandParser(argparse.ArgumentParser):
         required = message.partition("the following arguments are required: ")[2].lower()
         if self.told and required.split(", ")[0] == self.told_dest:
             usage = f"usage: {self.prog} {self.told_dest.upper()} ...\n{self.prog}: error: which {self.told_dest}?"
-            self.exit(2, f"{usage}\n{lines(self.told)}\n\n`{self.prog} --help` tells more.\n")
+            self.exit(2, f"{usage}\n{lines(self.told)}\n\n`{self.prog} --help` lists the options.\n")
         super().error(message)
 
 
 def lines(told: Mapping[str, str]) -> str:
-    """A line for each action, as it stands in help."""
+    """Return the help text of the actions, one line each."""
     width = max(map(len, told))
     return "\n".join(f"  {name:{width}}  {text}" for name, text in told.items())
 
 
 def add_choice(parser: argparse.ArgumentParser, dest: str, told: Mapping[str, str]) -> None:
-    """The first positional word of a command whose flags hold for all: one of ``told``, each with a line of help.
+    """Add the first positional word of a command with common flags: one of ``told``, each with a line of help.
 
-    What the epilog holds comes behind these lines.
+    The epilog follows these lines.
     """
     parser.epilog = f"{dest}s:\n{lines(told)}\n\n{parser.epilog or ''}"
     parser.add_argument(dest, choices=tuple(told))
@@ -51,17 +51,17 @@ def add_choice(parser: argparse.ArgumentParser, dest: str, told: Mapping[str, st
 
 
 def add_action(parser: argparse.ArgumentParser, command: str, actions: Actions) -> None:
-    """The action; its own flags are for its own parser: the bus flags alone cost a fifth of a second."""
+    """Add the action. Its flags belong to its own parser: the bus flags alone take a fifth of a second to build."""
     told = {name: summary for name, (_, summary) in actions.items()}
     if isinstance(parser, CommandParser):
         parser.told = told
-    parser.epilog = f"actions:\n{lines(told)}\n\n`tipforce {command} ACTION --help` tells each one's options."
+    parser.epilog = f"actions:\n{lines(told)}\n\n`tipforce {command} ACTION --help` lists the options of an action."
     parser.add_argument("action", choices=actions, metavar="ACTION", help=", ".join(actions))
     parser.add_argument("words", nargs=argparse.REMAINDER, metavar="...", help="options of the action")
 
 
 def run_action(args: argparse.Namespace, command: str, actions: Actions) -> int:
-    """Run the action; its exit code."""
+    """Run the action and return its exit code."""
     parser = action_parser(command, args.action, actions)
     module = importlib.import_module(actions[args.action][0])
     parsed = parser.parse_intermixed_args(args.words, argparse.Namespace(action=args.action))
@@ -70,7 +70,7 @@ def run_action(args: argparse.Namespace, command: str, actions: Actions) -> int:
 
 
 def action_parser(command: str, action: str, actions: Actions) -> CommandParser:
-    """The parser of the words behind `tipforce COMMAND ACTION`."""
+    """Return the parser of the words after `tipforce COMMAND ACTION`."""
     module_name, summary = actions[action]
     description = summary[0].upper() + summary[1:] + "."
     parser = CommandParser(prog=f"tipforce {command} {action}", description=description)

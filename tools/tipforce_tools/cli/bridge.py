@@ -1,4 +1,4 @@
-"""The [bridge] table of a layout file, and the scaling 6120h to 6123h that follows from it and a converter's scale.
+"""The [bridge] table of a layout file, and the scaling 6120h to 6123h computed from it and a converter's scale.
 
 (raw + offset) * scale is the voltage at the converter in millivolts (Linux, sysfs-bus-iio). The bridge gives
 gauge factor * arms * excitation volts per unit strain (``tipforce.sources.front_end.Bridge``), times the gain of an
@@ -29,38 +29,38 @@ class BridgeTable(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True
     gauge_factor: float = 2.0
     excitation_volts: float = 3.3
     gain: float | list[float] = 1.0
-    """Of an amplifier between bridge and converter, one for all or one a gauge; negative where inputs are swapped."""
+    """Gain of an amplifier between bridge and converter, one for all or one per gauge; negative: inputs swapped."""
     zero_volts: float = 0.0
-    """At the converter with no strain: where an amplifier's output rests."""
+    """Voltage at the converter with no strain: the amplifier's zero output."""
     volts_per_count: float | None = None
-    """Only where the converter states no scale."""
+    """Used only if the converter states no scale."""
     count_range: tuple[int, int] | None = None
-    """The converter's lowest and highest count, where the driver does not state them."""
+    """The converter's lowest and highest count, if the driver does not state them."""
     supply: str | None = None
-    """DEVICE/CHANNEL that measures the excitation, watched against ``excitation_volts``."""
+    """DEVICE/CHANNEL that measures the excitation, compared with ``excitation_volts``."""
     supply_divider: float = 1.0
-    """Excitation over what that channel sees."""
+    """Excitation divided by the voltage at that channel."""
     supply_tolerance: float = 0.05
-    """Of the excitation, relative."""
+    """Relative tolerance of the excitation."""
 
 
 class ChannelScale(NamedTuple):
-    """What one channel says of itself."""
+    """What the driver states about one channel."""
 
     millivolts_per_count: float | None
     offset_counts: float
     why: str
-    """Why there is no scale, in words; empty if there is one."""
+    """The reason for a missing scale; empty if there is a scale."""
 
 
 def check_bridge(table: BridgeTable) -> None:
-    """Raises InputError for a number that is not allowed, naming it."""
+    """Raises InputError that names a number outside the allowed range."""
     for name in ("gauge_factor", "excitation_volts", "supply_divider", "supply_tolerance"):
         _finite(name, getattr(table, name), positive=True)
     _finite("zero_volts", table.zero_volts)
     for gain in table.gain if isinstance(table.gain, list) else [table.gain]:
         if _finite("gain", gain) == 0.0:
-            raise InputError("[bridge] gain = 0: allowed is any other number")
+            raise InputError("[bridge] gain = 0: allowed are numbers other than 0")
     if table.volts_per_count is not None:
         _finite("volts_per_count", table.volts_per_count, positive=True)
     if table.count_range is not None and table.count_range[0] >= table.count_range[1]:
@@ -68,9 +68,9 @@ def check_bridge(table: BridgeTable) -> None:
 
 
 def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Sequence[str], bits: int) -> Converter:
-    """The converter that the dictionary follows, scaling points of each gauge included.
+    """Return the converter for the dictionary, with the scaling points of each gauge.
 
-    Raises InputError where a channel has no scale and the table states none.
+    Raises InputError if a channel has no scale and the table states none.
     """
     from tipforce.sources.front_end import Bridge
 
@@ -89,7 +89,7 @@ def converter_of(table: BridgeTable, channels: Sequence[ChannelScale], names: Se
 
 
 def ends_fit(ends: tuple[int, int]) -> int:
-    """How many bits a signed integer needs for a converter's range: 16, or more."""
+    """Return the bits that a signed integer needs for a converter's range: 16 or more."""
     bits = 16
     while not -(1 << bits - 1) <= ends[0] <= ends[1] < 1 << bits - 1:
         bits += 1

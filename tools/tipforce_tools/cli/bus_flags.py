@@ -1,8 +1,8 @@
-"""python-can's bus flags without importing python-can, which costs a fifth of a second at each `--help`.
+"""python-can's bus flags without importing python-can, which adds a fifth of a second to each `--help`.
 
-The flags take what those of ``can.cli.add_bus_arguments`` take (the tests compare them); what takes more than a
-conversion is parsed by python-can's own code, which is imported then. The words of the help are ours: python-can's
-fill two screens, three times with the names of all interfaces, at every command that speaks to a bus.
+The flags accept the same values as those of ``can.cli.add_bus_arguments`` (the tests compare them). Values that need
+more than a conversion are parsed by python-can, imported at that point. The help texts are shorter than python-can's,
+which fill two screens for every command that uses a bus.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ BUILT_IN_INTERFACES = (
     "pcan", "robotell", "seeedstudio", "serial", "slcan", "socketcan", "socketcand", "systec", "udp_multicast",
     "usb2can", "vector", "virtual",
 )  # fmt: skip
-"""What python-can 4.6 brings along; plug-ins add theirs."""
+"""Interfaces included in python-can 4.6; plug-ins add more."""
 
 _PLUGIN_GROUP = b"[can.interface]"  # in a distribution's entry_points.txt
 
 
 class Interfaces:
-    """The choices of -i: python-can is asked only for a name that it does not bring along itself."""
+    """The choices of -i: python-can is imported only for a name that it does not include."""
 
     def __init__(self) -> None:
         self._names: tuple[str, ...] | None = None
@@ -46,19 +46,19 @@ def _valid_interfaces() -> tuple[str, ...]:
 
 
 def _some_plugin() -> bool:
-    """Whether any installed distribution declares an interface for python-can."""
+    """Return whether an installed distribution declares an interface for python-can."""
     for folder in sys.path:
         for file in Path(folder or ".").glob("*-info/entry_points.txt"):
             try:
                 if _PLUGIN_GROUP in file.read_bytes():
                     return True
-            except OSError:  # unreadable: then python-can can't read it either
+            except OSError:  # unreadable for python-can, too
                 continue
     return False
 
 
 class _PythonCanAction(argparse.Action):
-    """Parses as the action of the same name in can.cli; what that prints goes to stderr, because stdout is for data."""
+    """Parse as the action of the same name in can.cli; its output goes to stderr, because stdout is for data."""
 
     def __call__(
         self,
@@ -77,27 +77,27 @@ class _PythonCanAction(argparse.Action):
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """-i -c -b --fd --data-bitrate --timing --bus-kwargs; what is not given stays unset, as with python-can."""
+    """Add -i -c -b --fd --data-bitrate --timing --bus-kwargs; flags not given stay unset, as with python-can."""
     group = parser.add_argument_group(
-        "bus arguments", "as python-can has them; else from CAN_INTERFACE, CAN_CHANNEL, CAN_BITRATE, or ~/.canrc"
+        "bus arguments", "those of python-can; defaults from CAN_INTERFACE, CAN_CHANNEL, CAN_BITRATE, or ~/.canrc"
     )
     unset = argparse.SUPPRESS
-    group.add_argument("-c", "--channel", default=unset, metavar="CHANNEL", help="as can0, vcan0, /dev/ttyACM0")
+    group.add_argument("-c", "--channel", default=unset, metavar="CHANNEL", help="can0, vcan0, /dev/ttyACM0, ...")
     group.add_argument(
         "-i", "--interface", default=unset, choices=Interfaces(), metavar="INTERFACE",
-        help="as socketcan; one of %(choices)s",
+        help="one of %(choices)s",
     )  # fmt: skip
     group.add_argument(
         "-b", "--bitrate", type=int, default=unset, metavar="BIT/S",
-        help="where the interface sets it; that of SocketCAN is set by `ip link`",
+        help="if the interface sets it; for SocketCAN use `ip link`",
     )  # fmt: skip
     group.add_argument("--fd", default=unset, action="store_true", help="CAN FD")
-    group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the data phase of CAN FD")
+    group.add_argument("--data-bitrate", type=int, default=unset, metavar="BIT/S", help="of the CAN FD data phase")
     group.add_argument(
         "--timing", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=N",
-        help="instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
+        help="bit timing instead of a bit rate: f_clock=8_000_000 tseg1=5 tseg2=2 sjw=2 brp=2 nof_samples=1",
     )  # fmt: skip
     group.add_argument(
         "--bus-kwargs", action=_PythonCanAction, nargs=argparse.ONE_OR_MORE, default=unset, metavar="NAME=VALUE",
-        help="what else the interface takes, as app_name=MyCanApp serial=1234",
+        help="further options of the interface, for example app_name=MyCanApp serial=1234",
     )  # fmt: skip

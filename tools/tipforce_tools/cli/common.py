@@ -1,4 +1,4 @@
-"""What the subcommands share: flags that hold everywhere, node-ids, buses, and how records are printed."""
+"""Shared by the commands: common flags, node-ids, buses, and the printing of records."""
 
 from __future__ import annotations
 
@@ -22,47 +22,47 @@ if TYPE_CHECKING:
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
-    """`--json`, `-q`, `-v`, `--color`."""
+    """Add `--json`, `-q`, `-v`, `--color`."""
     group = parser.add_argument_group("output")
-    group.add_argument("--json", action="store_true", help="JSON lines on stdout")
-    group.add_argument("-q", "--quiet", action="store_true", help="errors only on stderr")
-    group.add_argument("-v", "--verbose", action="store_true", help="more on stderr")
+    group.add_argument("--json", action="store_true", help="print JSON lines on stdout")
+    group.add_argument("-q", "--quiet", action="store_true", help="print only errors on stderr")
+    group.add_argument("-v", "--verbose", action="store_true", help="print more on stderr")
     group.add_argument(
-        "--color", choices=("auto", "always", "never"), default="auto", help="default: auto, NO_COLOR is honoured"
+        "--color", choices=("auto", "always", "never"), default="auto", help="default: auto, which follows NO_COLOR"
     )
 
 
 def set_up_logging(args: argparse.Namespace) -> None:
-    """Warnings of tipforce to stderr, all with -v, errors only with -q; the libraries' own only with -v."""
+    """Log warnings of tipforce to stderr: all messages with -v, only errors with -q; of libraries only with -v."""
     import logging
 
     level = logging.ERROR if args.quiet else logging.DEBUG if args.verbose else logging.WARNING
     logging.basicConfig(stream=sys.stderr, level=level, format="%(levelname)s %(name)s: %(message)s")
     if not args.verbose:
-        # canopen logs each abort as an error although it also raises it; python-can warns of what open_bus reports.
+        # canopen logs each abort as an error and also raises it; python-can warns of errors that open_bus reports.
         logging.getLogger("canopen").setLevel(logging.CRITICAL)
         logging.getLogger("can").setLevel(logging.CRITICAL)
 
 
 def add_bus_arguments(parser: argparse.ArgumentParser) -> None:
-    """python-can's own bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
+    """Add python-can's bus flags: -i -c -b --fd --data-bitrate --timing --bus-kwargs."""
     from tipforce_tools.cli import bus_flags
 
     bus_flags.add_bus_arguments(parser)
 
 
 def add_sdo_arguments(parser: argparse.ArgumentParser) -> None:
-    """Bus flags, and the time-out and retries of SDO transfers."""
+    """Add the bus flags, and the timeout and retries of SDO transfers."""
     add_bus_arguments(parser)
     group = parser.add_argument_group("SDO")
     group.add_argument(
-        "--timeout", type=float, default=0.5, metavar="S", help="wait for an answer (default %(default)s s)"
+        "--timeout", type=float, default=0.5, metavar="S", help="timeout of a response (default %(default)s s)"
     )
-    group.add_argument("--retries", type=int, default=2, metavar="N", help="further tries (default %(default)s)")
+    group.add_argument("--retries", type=int, default=2, metavar="N", help="after a timeout (default %(default)s)")
 
 
 def bus_options(args: argparse.Namespace) -> dict[str, Any]:
-    """What the bus flags said, as keywords of ``can.Bus``."""
+    """Return the bus flags given, as keywords of ``can.Bus``."""
     names = ("interface", "channel", "bitrate", "fd", "data_bitrate", "timing", "can_filters")
     options = {name: getattr(args, name) for name in names if hasattr(args, name)}
     options.update(getattr(args, "bus_kwargs", {}))
@@ -70,14 +70,14 @@ def bus_options(args: argparse.Namespace) -> dict[str, Any]:
 
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
-    """The bus that the flags, python-can's configuration files and the environment name."""
+    """Open the bus named by the flags, python-can's configuration files and the environment."""
     from tipforce.host.network.bus import open_bus as open_bus_by_options
 
     return open_bus_by_options(**bus_options(args))
 
 
 def open_connection(args: argparse.Namespace) -> Connection:
-    """A host connection on that bus."""
+    """Return a host connection on that bus."""
     import threading
 
     from tipforce.host.network.connection import Connection
@@ -90,7 +90,7 @@ def open_connection(args: argparse.Namespace) -> Connection:
 
 
 def number(text: str) -> float:
-    """A number of a flag that has limits of its own: NaN, which no limit allows, for what is none."""
+    """Return the number of a flag whose limits are checked later; NaN, which fails every limit, if it is not one."""
     try:
         return float(text)
     except ValueError:
@@ -98,18 +98,18 @@ def number(text: str) -> float:
 
 
 def count(text: str) -> int:
-    """How many of something, for argparse: a whole number from 1 on."""
+    """Parse a count for argparse: a whole number of at least 1."""
     try:
         found = int(text)
     except ValueError:
         found = 0
     if found < 1:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 1 on")
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 1")
     return found
 
 
 def seconds(text: str) -> float:
-    """A time, for argparse: more than 0."""
+    """Parse a time in seconds for argparse: more than 0."""
     found = number(text)
     if not 0 < found < math.inf:
         raise argparse.ArgumentTypeError(f"{text!r}: allowed are seconds, more than 0")
@@ -117,7 +117,7 @@ def seconds(text: str) -> float:
 
 
 def node_id(text: str) -> int:
-    """A node-id as `10` or `0x0A`, for argparse."""
+    """Parse a node-id, `10` or `0x0A`, for argparse."""
     try:
         number = int(text, 0)
     except ValueError:
@@ -128,7 +128,7 @@ def node_id(text: str) -> int:
 
 
 def node_ids(text: str) -> list[int]:
-    """A set of node-ids as `1,2,5-9`, for argparse; sorted, each once."""
+    """Parse a set of node-ids, `1,2,5-9`, for argparse; sorted, without duplicates."""
     found: set[int] = set()
     for part in text.split(","):
         ends = re.fullmatch(r"\s*(\w+)\s*(?:-\s*(\w+)\s*)?", part)
@@ -143,17 +143,17 @@ def node_ids(text: str) -> list[int]:
 
 
 def shown_id(number: int) -> str:
-    """A node-id as people read it: `10 (0x0A)`."""
+    """Return a node-id in the form `10 (0x0A)`."""
     return f"{number} (0x{number:02X})"
 
 
 def print_json(record: dict[str, Any]) -> None:
-    """One JSON line; NaN and infinity become null, because JSON has none."""
+    """Print one JSON line; NaN and infinity become null, because JSON has neither."""
     print(json_line(record))
 
 
 def json_line(record: dict[str, Any]) -> str:
-    """What print_json() prints, without the line's end."""
+    """Return the line of print_json() without the newline."""
     import json
 
     return json.dumps(_plain(record))
@@ -168,14 +168,14 @@ def _plain(value: Any) -> Any:
 
 
 def note(args: argparse.Namespace, text: str) -> None:
-    """A line for the person at the terminal, on stderr; silent with -q."""
+    """Print a line on stderr; nothing with -q."""
     if not args.quiet:
         print(text, file=sys.stderr)
 
 
 @contextmanager
 def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callable[[], None]]:
-    """A bar on stderr if that is a terminal, nothing elsewhere and with -q; call it after each of ``total`` steps."""
+    """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps."""
     if args.quiet or not sys.stderr.isatty():
         yield lambda: None
         return
@@ -187,26 +187,26 @@ def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callab
 
 
 def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
-    """A rich console that follows --color and NO_COLOR; into a pipe tables keep a fixed width."""
+    """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
     from rich.console import Console
 
     class QuietConsole(Console):
-        def on_broken_pipe(self) -> None:  # rich's own ends with exit code 1; `| head` is no failure
+        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
             raise BrokenPipeError
 
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
     width = None if (sys.stderr if stderr else sys.stdout).isatty() else 120
     always = True if args.color == "always" else None
-    # Without a colour system there are no bold letters, either: what is plain is text and nothing else.
+    # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
     return QuietConsole(stderr=stderr, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
 def print_table(args: argparse.Namespace, table: Table) -> None:
-    """A table on stdout. Where the terminal is too narrow it loses its lines, and words wrap; a number never does.
+    """Print a table on stdout. In a narrow terminal it has no borders and words wrap; numbers do not.
 
-    A number that is cut (`4.…`) says nothing, and one that wraps stands beside the label of another. A word that is
-    longer than its column goes on in the next line: names are there to be copied.
+    A truncated number (`4.…`) is useless, and a wrapped one appears beside the label of another. A word longer than
+    its column continues on the next line, so that names can be copied.
     """
     screen = console(args)
     unbounded = screen.options.update(width=1000)
@@ -216,27 +216,27 @@ def print_table(args: argparse.Namespace, table: Table) -> None:
             column.overflow = "fold"
             if column.justify == "right":
                 column.no_wrap, column.header = True, str(column.header).replace(" ", "\n")
-        # What does not fit even so is for the terminal to wrap.
+        # The terminal wraps a table that is still too wide.
         screen.width = max(screen.width, screen.measure(table, options=unbounded).minimum)
     screen.print(table)
 
 
 def add_confirm_argument(parser: argparse.ArgumentParser) -> None:
     """`--yes`."""
-    parser.add_argument("-y", "--yes", action="store_true", help="do not ask before something persists")
+    parser.add_argument("-y", "--yes", action="store_true", help="do not ask before persistent changes")
 
 
 def confirm(args: argparse.Namespace, what: str) -> None:
-    """Ask before something persists on a real bus; virtual buses and --yes do not ask.
+    """Ask before a persistent change on a real bus; not on virtual buses, nor with --yes.
 
-    Raises InputError when the answer is no, or when there is nobody to ask.
+    Raises InputError when the answer is no, or stdin is not a terminal.
     """
     options = bus_options(args)
     virtual = options.get("interface") in ("virtual", "udp_multicast") or "vcan" in str(options.get("channel", ""))
     if args.yes or virtual:
         return
     if not sys.stdin.isatty():
-        raise InputError(f"{what}; nobody is there to ask: add --yes to do it")
-    print(f"{what}. Go on? [y/N] ", end="", file=sys.stderr, flush=True)
+        raise InputError(f"{what}; stdin is not a terminal: add --yes to confirm")
+    print(f"{what}. Continue? [y/N] ", end="", file=sys.stderr, flush=True)
     if sys.stdin.readline().strip().lower() not in ("y", "yes"):
         raise InputError("not done")

@@ -1,4 +1,4 @@
-"""matplotlib set up for small files that are the same for the same numbers, and how they are written."""
+"""matplotlib set up for small, reproducible files, and the writing of figures."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _PLAIN = {"axes.grid": True, "axes.axisbelow": True, "axes.spines.top": False, "
 
 @contextmanager
 def plotting(style: Mapping[str, Any], extra: str = "plot") -> Iterator[None]:
-    """Draw in a style of matplotlib's settings. Raises EnvironmentLackError, which names ``extra``, without it."""
+    """Apply a style of matplotlib settings. Raises EnvironmentLackError, which names ``extra``, without matplotlib."""
     try:
         import matplotlib
     except ImportError:
@@ -30,16 +30,16 @@ def plotting(style: Mapping[str, Any], extra: str = "plot") -> Iterator[None]:
 
 
 def new_figure(width_inch: float, height_inch: float) -> Figure:
-    """A figure that no window toolkit sees."""
+    """Return a figure that is not attached to a window toolkit."""
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_inch, height_inch))
 
 
 def save(figure: Figure, path: Path, **options: Any) -> None:
-    """Write the figure without a date. Raises InputError for an unknown ending or a path that cannot be written."""
+    """Write the figure without a date. Raises InputError for an unknown suffix or a path that cannot be written."""
     if path.suffix not in (".svg", ".png"):
-        raise InputError(f"figure {path}: allowed are the endings .svg and .png")
+        raise InputError(f"figure {path}: allowed are the suffixes .svg and .png")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}

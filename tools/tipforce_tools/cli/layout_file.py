@@ -1,10 +1,10 @@
-"""A gauge layout as the command line names it: I, II, III (their mirrors I', II', III'), or a TOML file.
+"""Gauge layouts of the command line: I, II, III (their mirrors I', II', III'), or a TOML file.
 
-The file lists the gauges, SG1 first, and the body where it is not the paper's::
+The file lists the gauges, SG1 first, and the dimensions of the body if they differ from the paper's::
 
     points = ["K_H", "S_H", "U"]        # points of Table 1
 
-or gauges anywhere along the beams, or both mixed::
+or gauges at any position along the beams, or both::
 
     points = [
         { beam = "H", side = "left", position_mm = 1.08 },
@@ -25,16 +25,16 @@ or gauges anywhere along the beams, or both mixed::
 points: three to eight. beam: "H", the horizontal one, or "V", the vertical one. side: on H the arm at negative
 ("left") or positive x ("right"), on V the face there. position_mm: the middle of the gauge, counted along the beam
 from the joint: on H from the middle of the body up to a, on V from the lower side of the horizontal beam up to d.
-face: on H "lower" (towards the fixture, where nothing else is said) or "upper" (in the slit). gauge_length_mm tells
-the maker what the design was made for; it changes no number, because strain is linear along a beam. [geometry] is
-all or nothing: all seven, in metres and Pa. A [bridge] table says how the gauges are wired to a real converter
-(``bridge.BridgeTable``); only `tipforce node --source iio:...` reads it::
+face: on H "lower" (towards the fixture, the default) or "upper" (in the slit). gauge_length_mm documents the gauge
+of the design; it changes no number, because strain is linear along a beam. [geometry] needs all seven keys, in
+metres and Pa. A [bridge] table states the wiring of the gauges to a real converter (``bridge.BridgeTable``); only
+`tipforce node --source iio:...` reads it::
 
     [bridge]
     kind = "full"            # or "quarter", "half"
     gauge_factor = 2.1
     excitation_volts = 3.3
-    gain = 100.0             # of an amplifier before the converter; a list gives one a gauge
+    gain = 100.0             # of an amplifier before the converter; a list: one per gauge
     zero_volts = 1.65        # at the converter with no strain
 """
 
@@ -63,7 +63,7 @@ class _Place(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
 
 
 class _Body(msgspec.Struct):
-    """[geometry]. Keys that it does not know are let be."""
+    """[geometry]. Unknown keys are ignored."""
 
     a_m: float
     d_m: float
@@ -82,7 +82,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True, omit_defaults=True):
 
 
 def read_bridge(name_or_path: str) -> BridgeTable | None:
-    """The [bridge] table of a layout file; None for a layout by name and for a file without one.
+    """Return the [bridge] table of a layout file; None for a layout by name and for a file without one.
 
     Raises InputError naming the place and what is allowed.
     """
@@ -99,7 +99,7 @@ def read_bridge(name_or_path: str) -> BridgeTable | None:
 
 
 def read_layout(name_or_path: str) -> tuple[Geometry, tuple[Gauge, ...]]:
-    """(geometry, gauges) for gauge_matrix(): points of Table 1 by name, others as GaugePosition.
+    """Return (geometry, gauges) for gauge_matrix(): points of Table 1 by name, others as GaugePosition.
 
     Raises InputError naming the place and what is allowed.
     """
@@ -126,13 +126,13 @@ def _content(name_or_path: str) -> _File:
             f"layout {name_or_path!r}: neither one of {', '.join(LAYOUTS)} nor a file; "
             'a layout file has a line like points = ["K_H", "S_H", "U"]'
         ) from None
-    return convert(_File, content, place, finite=False)  # what is not finite is told with what is allowed
+    return convert(_File, content, place, finite=False)  # the checks below name non-finite numbers and what is allowed
 
 
 def layout_text(
     geometry: Geometry, gauges: Sequence[Gauge], gauge_length_m: float | None = None, comment: str = ""
 ) -> str:
-    """The text of a layout file that reads back to these gauges; comment becomes its first lines.
+    """Return the text of a layout file that reads back to these gauges; ``comment`` becomes its first lines.
 
     Raises InputError for gauges that are not usable.
     """
@@ -159,7 +159,7 @@ def write_layout(
     gauge_length_m: float | None = None,
     comment: str = "",
 ) -> None:
-    """Write layout_text() to a file. Raises InputError where it cannot be written."""
+    """Write layout_text() to a file. Raises InputError if it cannot be written."""
     text = layout_text(geometry, gauges, gauge_length_m, comment)
     try:
         Path(path).write_text(text, encoding="utf-8")
@@ -180,5 +180,5 @@ def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, 
 
 def _position(point: _Place) -> GaugePosition:
     if point.beam == "V" and point.face is not None:
-        raise InputError(f"face = {point.face!r} on beam V: allowed on beam H only; on V the side says it")
+        raise InputError(f"face = {point.face!r} on beam V: allowed on beam H only; on V the side determines the face")
     return GaugePosition(point.beam, point.side, point.position_mm / 1e3, point.face or "lower")

@@ -1,4 +1,4 @@
-"""The buses of a command line, listened to: what `dump` and `log` share."""
+"""Listeners on the buses of a command line, shared by `dump` and `log`."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | None = None) -> ReceiverGroup:
-    """Listen to ``targets``, each on its channel; with none of them, to the bus that the flags name.
+    """Listen to ``targets``, each on its channel; without targets, to the bus that the flags name.
 
-    ``tick_s`` is the least time between two batches (None: that of a live display).
+    ``tick_s`` is the minimum time between two batches (None: that of a live display).
 
-    Raises EnvironmentLackError when a bus can't be opened; the others are closed then.
+    Raises EnvironmentLackError if a bus cannot be opened, after closing the others.
     """
     from tipforce.host.live.can_filter import Selection
     from tipforce.host.live.receive import open_receiver
@@ -44,10 +44,10 @@ def open_targets(targets: Sequence[Target], args: Namespace, *, tick_s: float | 
 
 
 def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:
-    """The flags' bus options with what python-can's files and environment add.
+    """Return the bus options of the flags, completed from python-can's files and environment.
 
-    A channel that is ``named`` on the command line is a SocketCAN interface, where nothing says otherwise, so that
-    `dump vcan0` works as `candump vcan0` does.
+    A channel ``named`` on the command line is a SocketCAN interface by default, so that `dump vcan0` works as
+    `candump vcan0` does.
     """
     import can
 
@@ -65,14 +65,14 @@ def resolved_options(args: Namespace, *, named: bool) -> dict[str, Any]:
 
 
 def counted(number: int, what: str) -> str:
-    """`1 frame`, `2 frames`."""
+    """Return `1 frame`, `2 frames`."""
     return f"{number} {what}" if number == 1 else f"{number} {what}s"
 
 
 class StopSignals:
-    """Notes SIGINT and SIGTERM instead of raising, so that nothing that was received is lost. A context manager.
+    """A context manager that records SIGINT and SIGTERM instead of raising, so that no received frame is lost.
 
-    The second signal raises KeyboardInterrupt: something hangs.
+    The second signal raises KeyboardInterrupt, in case the command hangs.
     """
 
     def __init__(self) -> None:
@@ -81,7 +81,7 @@ class StopSignals:
 
     def __enter__(self) -> Self:
         for number in (signal.SIGINT, signal.SIGTERM):
-            with suppress(ValueError):  # not the main thread: signals go there
+            with suppress(ValueError):  # not the main thread, which alone receives signals
                 self._before[number] = signal.signal(number, self._stop)
         return self
 

@@ -1,4 +1,4 @@
-"""The command `tipforce`: finds the subcommand, loads only that one, and turns errors into messages and exit codes."""
+"""Entry point of `tipforce`: import the chosen command only, turn errors into messages and exit codes."""
 
 from __future__ import annotations
 
@@ -21,36 +21,36 @@ if TYPE_CHECKING:
 
 # name -> (module with add_arguments(parser) and run(args) -> exit code, one line of help)
 COMMANDS = {
-    "demo": ("tipforce_tools.demo.command", "the main job with no hardware: calibrate, store, load, decode, compare"),
-    "node": ("tipforce_tools.node.command", "run one fingertip node on a bus"),
-    "run": ("tipforce_tools.scene.run", "run a scene: a hand of nodes, loads, faults, recording"),
-    "scene": ("tipforce_tools.scene.command", "explain what a scene builds, and what it leaves out and why"),
+    "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
+    "node": ("tipforce_tools.node.command", "run one fingertip node on a CAN bus"),
+    "run": ("tipforce_tools.scene.run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
+    "scene": ("tipforce_tools.scene.command", "explain what a scene builds, what it leaves out, and why"),
     "scan": ("tipforce_tools.network.scan", "list the nodes on the bus"),
     "read": ("tipforce_tools.network.read", "read the contact of fingers, with its uncertainty"),
-    "sdo": ("tipforce_tools.sdo.command", "read or write an object of a node, or read them all"),
-    "hand": ("tipforce_tools.hand.command", "bring a hand of many fingers up from its file, and run it"),
+    "sdo": ("tipforce_tools.sdo.command", "read or write one object of a node, or read all objects"),
+    "hand": ("tipforce_tools.hand.command", "commission and run a hand defined in a TOML file"),
     "nmt": ("tipforce_tools.network.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
-    "lss": ("tipforce_tools.network.lss", "find nodes without a node-id, and give node-ids"),
-    "config": ("tipforce_tools.network.config", "show, apply, compare or save a node's settings (TOML or DCF)"),
-    "calibrate": ("tipforce_tools.calibrate.command", "fit a calibration, apply it to a node, verify it"),
-    "tare": ("tipforce_tools.network.tare", "take the present force as zero, show what is taken off, or end it"),
-    "estimate": ("tipforce_tools.estimate.command", "gauge readings to contact, with standard uncertainties"),
-    "budget": ("tipforce_tools.budget.command", "the error budget of P, phi and theta, by cause"),
-    "dump": ("tipforce_tools.dump.command", "show frames as candump does, with --decode also their contact values"),
-    "decode": ("tipforce_tools.decode.command", "logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
-    "log": ("tipforce_tools.log.command", "record frames to a file that canplayer and Wireshark open"),
-    "replay": ("tipforce_tools.replay.command", "send the frames of a log again, in their own time"),
-    "plot": ("tipforce_tools.plot.command", "draw the contact, gauges and faults of a log"),
-    "monitor": ("tipforce_tools.monitor.command", "a live table of the nodes on a bus or in a log"),
-    "view": ("tipforce_tools.view.command", "a web page: the force on each fingertip, live and from a log"),
-    "load": ("tipforce_tools.network.load", "how full a bus is, and whether a hand on paper fits"),
-    "design": ("tipforce_tools.design.command", "the structure: the paper's tables, sweeps, better structures"),
-    "report": ("tipforce_tools.report.command", "error against run time, and what happens in extreme cases"),
-    "conformance": ("tipforce_tools.conformance.command", "check a CANopen device by the clauses of the standard"),
+    "lss": ("tipforce_tools.network.lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+    "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
+    "calibrate": ("tipforce_tools.calibrate.command", "fit a calibration, write it to a node, verify it"),
+    "tare": ("tipforce_tools.network.tare", "set the present force as zero, show the tare, or clear it"),
+    "estimate": ("tipforce_tools.estimate.command", "compute contact from gauge readings, with standard uncertainties"),
+    "budget": ("tipforce_tools.budget.command", "compute the error budget of P, phi and theta by cause"),
+    "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
+    "decode": ("tipforce_tools.decode.command", "convert logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
+    "log": ("tipforce_tools.log.command", "record frames to a file that canplayer and Wireshark read"),
+    "replay": ("tipforce_tools.replay.command", "send the frames of a log with their recorded timing"),
+    "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
+    "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
+    "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip, live or from a log"),
+    "load": ("tipforce_tools.network.load", "measure the load of a bus, or compute that of a planned hand"),
+    "design": ("tipforce_tools.design.command", "recompute the paper's tables, sweep and optimise the structure"),
+    "report": ("tipforce_tools.report.command", "measure error against run time, and check extreme cases"),
+    "conformance": ("tipforce_tools.conformance.command", "test a CANopen device against the CiA standards, by clause"),
     "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the object dictionary"),
-    "completion": ("tipforce_tools.completion.command", "the shell's TAB completion of all commands"),
-    "doctor": ("tipforce_tools.doctor.command", "what stands between this machine and a working bus, with next steps"),
-    "vcan": ("tipforce_tools.vcan.command", "run a command on a kernel that has vcan"),
+    "completion": ("tipforce_tools.completion.command", "print a shell's TAB completion script for all commands"),
+    "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus, with next steps"),
+    "vcan": ("tipforce_tools.vcan.command", "run a command where vcan interfaces exist"),
 }
 
 EXIT_CODES: dict[type[TipforceError], int] = {
@@ -69,14 +69,14 @@ The CANopen stack for fingertip force sensors.
 commands:
 {commands}
 
-`tipforce COMMAND --help` tells each command's options. Data goes to stdout, everything else to stderr.
-exit codes: 0 ok, 1 the check that was asked for failed, 2 usage, 5 no response, 9 permission, 11 SDO abort,
-12 the device refused, 130 interrupted
+`tipforce COMMAND --help` lists the options of a command. Data goes to stdout, everything else to stderr.
+exit codes: 0 ok, 1 a check failed, 2 usage, 5 no response, 9 permission, 11 SDO abort, 12 the device refused,
+130 interrupted
 """
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command line; returns the exit code. No traceback for anything that a user can cause."""
+    """Run one command line and return the exit code. Errors that a user can cause print no traceback."""
     words = list(sys.argv[1:] if argv is None else argv)
     try:
         code = _answer(words)
@@ -87,10 +87,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return INTERRUPTED
     except BrokenPipeError:
-        # The reader (head, less) has seen enough. Python would complain again when it flushes stdout at exit.
+        # The reader (head, less) closed the pipe. Python would report it again when it flushes stdout at exit.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 0
-    except OSError as error:  # a full disk behind stdout, a file that vanished
+    except OSError as error:  # stdout on a full disk, a file that was removed
         return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
 
 
@@ -108,7 +108,7 @@ def _answer(words: list[str]) -> int:
     try:
         return _run(words[0], words[1:])
     except SystemExit:
-        sys.stdout.flush()  # of argparse's help: a reader that left is noticed here, not when Python ends
+        sys.stdout.flush()  # argparse's help: detect a closed pipe here, not when Python exits
         raise
 
 
@@ -117,19 +117,19 @@ def _run(name: str, words: list[str]) -> int:
         import difflib
 
         near = difflib.get_close_matches(name, COMMANDS, 3)
-        hint = f"did you mean {' or '.join(near)}?" if near else f"there are: {', '.join(COMMANDS)}"
+        hint = f"did you mean {' or '.join(near)}?" if near else f"commands: {', '.join(COMMANDS)}"
         return _failed(f"{name!r} is not a command; {hint}", 2)
     import importlib
 
     parser = command_parser(name)
-    # Flags may stand between the positional words, but not inside another program's command line.
+    # Flags may come between the positional words, but not inside another program's command line.
     passes_on = any(action.nargs == "..." for action in parser._actions)  # argparse.REMAINDER
     args = parser.parse_args(words) if passes_on else parser.parse_intermixed_args(words)
     return int(importlib.import_module(COMMANDS[name][0]).run(args))
 
 
 def command_parser(name: str) -> CommandParser:
-    """The parser of the command line of COMMANDS' ``name``."""
+    """Return the parser of the command ``name`` of COMMANDS."""
     import importlib
     import re
 
@@ -137,7 +137,7 @@ def command_parser(name: str) -> CommandParser:
 
     module_name, summary = COMMANDS[name]
     parser = CommandParser(prog=f"tipforce {name}", description=summary[0].upper() + summary[1:] + ".")
-    # argparse itself takes -1.5e-3 and -1,0,0 for flags that it does not know.
+    # argparse's own pattern takes -1.5e-3 and -1,0,0 for unknown flags.
     parser._negative_number_matcher = re.compile(r"-\.?\d")
     importlib.import_module(module_name).add_arguments(parser)
     return parser
@@ -148,7 +148,7 @@ def _exit_code(error: TipforceError) -> int:
     while cause is not None:
         if isinstance(cause, PermissionError):
             return PERMISSION
-        cause = cause.__cause__ or cause.__context__  # "from None" hides the context from print, not from here
+        cause = cause.__cause__ or cause.__context__  # "from None" hides the context in print only
     return next((code for kind, code in EXIT_CODES.items() if isinstance(error, kind)), 1)
 
 

@@ -1,4 +1,4 @@
-"""A CSV file of gauge readings is of one fingertip: what `tipforce decode` wrote of several nodes is not."""
+"""Check that a CSV file of gauge readings, such as `tipforce decode` writes, is of one fingertip."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _SHOWN = 5
 
 
 def check_one_node(path: str | Path, data: Measurements) -> None:
-    """Raises InputError where the columns of a decoded log tell more than one node (or node and channel)."""
+    """Raises InputError if the columns of a decoded log name more than one node (or node and channel)."""
     if not any(name in data.ignored_columns for name in _COLUMNS):
         return
     with Path(path).open(encoding="utf-8-sig", newline="") as stream:
@@ -28,7 +28,7 @@ def check_one_node(path: str | Path, data: Measurements) -> None:
     if len(nodes) > 1:
         shown = ", ".join(nodes[:_SHOWN]) + (", ..." if len(nodes) > _SHOWN else "")
         raise InputError(
-            f"{path}: readings of {len(nodes)} nodes ({shown}), and a calibration is of one; write a file for each: "
-            f"`tipforce decode LOG --nodes {nodes[0].split(' ')[-1]} --signals SG1,SG2,SG3 -o FILE.csv`, or let "
-            "`tipforce decode LOG --calibration NODE=CAL.toml` (once for each node) estimate"
+            f"{path}: readings of {len(nodes)} nodes ({shown}), but a calibration is of one; write one file per node: "
+            f"`tipforce decode LOG --nodes {nodes[0].split(' ')[-1]} --signals SG1,SG2,SG3 -o FILE.csv`, or "
+            "estimate with `tipforce decode LOG --calibration NODE=CAL.toml` (repeat the option for each node)"
         )

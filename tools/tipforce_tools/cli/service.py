@@ -1,4 +1,4 @@
-"""What a command needs that runs for months: real-time scheduling, locked memory, systemd's notices, journal levels."""
+"""Support for long-running services: real-time scheduling, locked memory, sd_notify, journal levels."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _SYSLOG = {logging.DEBUG: 7, logging.INFO: 6, logging.WARNING: 4, logging.ERROR:
 
 
 def set_priority(priority: int) -> None:
-    """Schedule this process SCHED_FIFO with ``priority`` (1 to 99), before every ordinary process.
+    """Schedule this process SCHED_FIFO with ``priority`` (1 to 99), ahead of every ordinary process.
 
-    Raises InputError for another number, EnvironmentLackError where the system has it not or does not allow it.
+    Raises InputError for another number, EnvironmentLackError if the system lacks or does not permit SCHED_FIFO.
     """
     if not 1 <= priority <= 99:
         raise InputError(f"--priority {priority}: allowed are 1 to 99 (above 50 it runs before interrupt threads)")
@@ -31,32 +31,32 @@ def set_priority(priority: int) -> None:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
     except PermissionError as error:
         raise EnvironmentLackError(
-            f"--priority {priority}: not permitted; run as root, or let the unit say LimitRTPRIO={priority}, "
-            f"or put `USER - rtprio {priority}` into /etc/security/limits.conf and log in again"
+            f"--priority {priority}: not permitted; run as root, or set LimitRTPRIO={priority} in the unit, "
+            f"or add `USER - rtprio {priority}` to /etc/security/limits.conf and log in again"
         ) from error
     except OSError as error:
         raise EnvironmentLackError(f"--priority {priority}: {error.strerror}") from error
 
 
 def lock_memory() -> None:
-    """Keep all pages of this process in memory, those to come too. Raises EnvironmentLackError."""
+    """Lock all present and future pages of this process in memory. Raises EnvironmentLackError."""
     call = getattr(ctypes.CDLL(None, use_errno=True), "mlockall", None)
     if call is None:
         raise EnvironmentLackError("--lock-memory: this system has no mlockall; leave the flag out")
     if call(_MCL_CURRENT | _MCL_FUTURE) != 0:
         number = ctypes.get_errno()
-        error = OSError(number, os.strerror(number))  # a PermissionError where that is the reason
+        error = OSError(number, os.strerror(number))  # becomes a PermissionError for EPERM
         reason = "not permitted" if isinstance(error, PermissionError) else os.strerror(number)
         raise EnvironmentLackError(
-            f"--lock-memory: {reason}; run as root, or let the unit say LimitMEMLOCK=infinity, "
-            "or put `USER - memlock unlimited` into /etc/security/limits.conf and log in again"
+            f"--lock-memory: {reason}; run as root, or set LimitMEMLOCK=infinity in the unit, "
+            "or add `USER - memlock unlimited` to /etc/security/limits.conf and log in again"
         ) from (error if isinstance(error, PermissionError) else PermissionError(number, reason))
 
 
 class Notifier:
-    """systemd's notices (sd_notify) over the socket that NOTIFY_SOCKET names; does nothing where there is none.
+    """Send systemd notifications (sd_notify) to the socket in NOTIFY_SOCKET; does nothing without that variable.
 
-    ``alive`` sends the watchdog's notice at half of WATCHDOG_USEC and may be called as often as one likes.
+    ``alive`` sends the watchdog notification at half of WATCHDOG_USEC and may be called at any rate.
     """
 
     def __init__(self, clock_us: Callable[[], int] = lambda: time.monotonic_ns() // 1000) -> None:
@@ -71,33 +71,33 @@ class Notifier:
 
     @staticmethod
     def _watchdog_us() -> int:
-        """0 without a watchdog, and where it watches another process."""
+        """0 without a watchdog, or if it supervises another process."""
         if os.environ.get("WATCHDOG_PID", str(os.getpid())) != str(os.getpid()):
             return 0
         text = os.environ.get("WATCHDOG_USEC", "")
         return int(text) if text.isdecimal() else 0
 
     def send(self, *lines: str) -> None:
-        """Send lines such as READY=1. A manager that does not read loses them; the node goes on."""
+        """Send lines such as READY=1. Does not wait: a manager that does not read loses them."""
         if self._socket is not None:
             with contextlib.suppress(OSError):
                 self._socket.sendto("\n".join(lines).encode(), self._address)
 
     def alive(self) -> None:
-        """WATCHDOG=1, if it is time."""
+        """Send WATCHDOG=1 if it is due."""
         if self._period_us and self._clock_us() >= self._next_us:
             self._next_us = self._clock_us() + self._period_us
             self.send("WATCHDOG=1")
 
     def close(self) -> None:
-        """Release the socket."""
+        """Close the socket."""
         if self._socket is not None:
             self._socket.close()
             self._socket = None
 
 
 class StopSignal:
-    """True once SIGTERM or SIGINT came, so that a loop ends between two steps and never inside a write.
+    """True after SIGTERM or SIGINT, so that a loop ends between two steps and never inside a write.
 
     A second SIGINT interrupts at once.
     """
@@ -112,17 +112,17 @@ class StopSignal:
         self.came = True
 
     def __call__(self) -> bool:
-        """Has one come?"""
+        """Return whether a signal has arrived."""
         return self.came
 
     def restore(self) -> None:
-        """Give the signals back."""
+        """Restore the previous signal handlers."""
         for number, handler in self._before.items():
             signal.signal(number, handler)
 
 
 class _JournalFormatter(logging.Formatter):
-    """``<4>message``: the journal takes the number for the level (sd-daemon), and stamps the time itself."""
+    """Format ``<4>message``: the journal reads the number as the level (sd-daemon) and adds the time."""
 
     def format(self, record: logging.LogRecord) -> str:
         level = _SYSLOG.get(record.levelno, 6)
@@ -130,7 +130,7 @@ class _JournalFormatter(logging.Formatter):
 
 
 def mark_levels_for_journal() -> None:
-    """Where stderr is systemd's journal (JOURNAL_STREAM), log with its levels."""
+    """Log with the journal's levels if stderr is the systemd journal (JOURNAL_STREAM)."""
     device, _, inode = os.environ.get("JOURNAL_STREAM", "").partition(":")
     try:
         status = os.fstat(2)
