@@ -59,7 +59,7 @@ def test_pattern_chooses_by_name_and_by_clause() -> None:
 @pytest.mark.parametrize(
     ("words", "said"),
     [
-        (["--node-id", "5", "--case", "nosuch"], "no case is named so"),
+        (["--node-id", "5", "--case", "nosuch"], "matches no case"),
         (["--node-id", "5", "--tolerance", "-1"], "--tolerance -1"),
     ],
 )
@@ -113,7 +113,7 @@ def test_a_device_that_dies_ends_the_run() -> None:
     with pytest.MonkeyPatch.context() as monkey:
         run = run_on(Dut(link, 5), [killer, template], persistent=False)
         assert next(run).verdict == FAIL
-        with pytest.raises(NoResponseError, match="does not boot any more after the case test"):
+        with pytest.raises(NoResponseError, match="no longer boots after the case test"):
             next(run)
 
 

@@ -81,7 +81,7 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
 def test_scan_of_an_empty_bus_is_5(tipforce: Tipforce) -> None:
     code, out, err = tipforce("scan", "--wait", "0.01", "--nodes", "50-60")
     assert (code, out) == (5, "")
-    assert "no node answered: is the bus powered and terminated, is the bit rate right?" in err
+    assert "no node responded: is the bus powered and terminated, is the bit rate right?" in err
     assert tipforce("scan", "--wait", "0", "--nodes", "50", "-q") == (5, "", "")
 
 
@@ -145,9 +145,9 @@ def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        ("read 5 0x1017 0 u16 5", "'0x1017 0 u16 5' is too much; write NAME, or INDEX SUB [TYPE]"),
-        ("read 5 x 0 u16", "'x' '0' is no INDEX SUB; write 0x1017 0, or one NAME"),
-        ("read 5 0x1017 y", "'0x1017' 'y' is no INDEX SUB"),
+        ("read 5 0x1017 0 u16 5", "'0x1017 0 u16 5': too many words; expected NAME, or INDEX SUB [TYPE]"),
+        ("read 5 x 0 u16", "'x' '0' is not INDEX SUB; write 0x1017 0, or one NAME"),
+        ("read 5 0x1017 y", "'0x1017' 'y' is not INDEX SUB"),
         ("read 5 0x10000 0 u8", "index 0x10000 sub 0: allowed are 0 to 0xFFFF and 0 to 0xFF"),
         ("read 5 0x1000 256 u8", "sub 256: allowed are"),
         ("read 5 -1 0 u8", "index -1 sub 0: allowed are"),
@@ -156,7 +156,7 @@ def test_sdo_write_then_read(tipforce: Tipforce, words: str, value: str, shown: 
         ("read 5 heartbeat", "no object is called 'heartbeat'"),
         ("read 5 calibration.matrix:10", "with 3 gauges SUB is 1-9"),
         ("read 5 calibration.matrix:10 --gauges 9", "9"),
-        ("write 5 heartbeat.producer_ms", "write NAME VALUE, or INDEX SUB TYPE VALUE"),
+        ("write 5 heartbeat.producer_ms", "expected NAME VALUE, or INDEX SUB TYPE VALUE"),
         ("write 5 heartbeat.producer_ms 70000", "70000 does not fit UNSIGNED16: allowed are 0 to 65535"),
         ("write 5 heartbeat.producer_ms soon", "'soon' is not UNSIGNED16: write a number as 10 or 0x0A"),
         ("write 5 0x2141 0 xx", "'xx' is not DOMAIN: write hex bytes"),
@@ -212,7 +212,7 @@ def test_sdo_dump_of_a_node_that_has_less(tipforce: Tipforce) -> None:
     assert tipforce("sdo", "dump", 5, "0x1017", 0)[::2] == (
         2, "tipforce: sdo dump: reads all objects; for one: tipforce sdo read 5 0x1017 0\n",
     )  # fmt: skip
-    assert "which object?" in tipforce("sdo", "read", 5)[2]
+    assert "object missing" in tipforce("sdo", "read", 5)[2]
 
 
 @pytest.mark.parametrize(("name", "what"), [("store:1", "stores parameters"), ("restore:4", "restores defaults")])

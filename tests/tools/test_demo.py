@@ -64,7 +64,7 @@ def test_the_table_for_people(capsys: pytest.CaptureFixture[str]) -> None:
     assert out.count(" ok ") == LOADS
     assert "OUT" not in out
     assert "114 loads of 4.4 N on 3 nodes: RMS error P 0.00" in out
-    assert "errors outside their bound: 0; host's own estimate differs from the node's: 0\nPASS in " in out
+    assert "errors outside their bound: 0; host estimates that differ from the node's: 0\nPASS in " in out
     assert err.count("after a reset the stored calibration is active") == 6
 
 

@@ -82,7 +82,7 @@ def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Connection, st
     bench[0].wait_for({0x705, 0x706})
     code, _, err = tipforce("nmt", "start", "all", "--wait")
     assert code == 2
-    assert "Name the node-ids" in err
+    assert "needs node-ids" in err
 
 
 def test_a_node_that_does_not_say_so_is_named(tipforce: Tipforce) -> None:
@@ -157,7 +157,7 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Connecti
     assert stored.endswith(bytes((2, 0)))
     code, _, err = tipforce("lss", "assign", "4", "--lss-timeout", "0.05")
     assert code == 5
-    assert "already configured" in err
+    assert "Configured nodes take no part" in err
 
 
 def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
@@ -165,7 +165,7 @@ def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connec
     code, out, err = tipforce("lss", "assign", "9", *words)
     assert code == 0
     assert out.endswith("serial 1005: node-id 9 (0x09)\n")
-    assert "it was 5 (0x05)" in err
+    assert "node-id 5 (0x05) remains active" in err
     assert tipforce("nmt", "reset-comm", "5")[0] == 0
     bench[0].wait_for({0x709})
     assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
@@ -174,11 +174,11 @@ def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connec
 def test_lss_says_what_is_wrong(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
     del bench
     for words, code, text in (
-        (("store",), 2, "which node?"),
-        (("assign",), 2, "which node-ids?"),
-        (("assign", "1,2", "--serial", "3"), 2, "one node gets one node-id"),
-        (("assign", "1", "--serial", "99", "--lss-timeout", "0.02"), 5, "serial 99 answered"),
-        (("scan", "--lss-timeout", "0.02"), 5, "no node without a node-id"),
+        (("store",), 2, "add --serial N"),
+        (("assign",), 2, "IDS missing"),
+        (("assign", "1,2", "--serial", "3"), 2, "allowed is one node-id, 2 given"),
+        (("assign", "1", "--serial", "99", "--lss-timeout", "0.02"), 5, "serial 99 responded"),
+        (("scan", "--lss-timeout", "0.02"), 5, "no unconfigured node responded"),
         (("scan", "--lss-timeout", "0"), 2, "allowed is a time over 0 s"),
         (("store", "--serial", "1005", "--product", "0x54500103"), 12, "no memory"),
     ):
@@ -229,7 +229,7 @@ def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Connection, str
     code, out, err = tipforce("load", "--seconds", "0.5", "--json")
     records = [json.loads(line) for line in out.splitlines()]
     assert code == 0
-    assert "taken for 1000000 bit/s" in err
+    assert "assumed bit rate: 1000000 bit/s" in err
     heartbeats = {r["can_id"]: r["per_second"] for r in records[:-1]}
     assert heartbeats == {0x705: pytest.approx(50, rel=0.3), 0x706: pytest.approx(50, rel=0.3)}
     assert records[-1]["load"] == pytest.approx(sum(r["bits_per_second"] for r in records[:-1]) / 1e6)

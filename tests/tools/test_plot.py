@@ -414,7 +414,7 @@ def test_what_can_not_be_drawn(
 def test_sizes_that_are_none(size: str, one: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit):
         main(["plot", str(one), "-o", "x.png", "--size", size])
-    assert "write 16x10cm, 160x100mm or 7x4in" in capsys.readouterr().err
+    assert "allowed are 16x10cm, 160x100mm or 7x4in" in capsys.readouterr().err
 
 
 def test_without_matplotlib_it_says_what_to_install(one: Path, tmp_path: Path) -> None:

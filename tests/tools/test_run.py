@@ -74,7 +74,7 @@ def test_a_bus_that_cannot_carry_it_is_told(capsys: pytest.CaptureFixture[str], 
     text = (SCENES / "static.toml").read_text().replace("sync_hz", "bit_rate = 50000\nsync_hz")
     (tmp_path / "scene.toml").write_text(text)
     assert main(["run", str(tmp_path / "scene.toml")]) == 0
-    assert "no bus of 50000 bit/s carries this: 316 % load" in capsys.readouterr().err
+    assert "too much for a bus of 50000 bit/s: 316 % load" in capsys.readouterr().err
     assert main(["scene", "explain", str(tmp_path / "scene.toml")]) == 0
     assert "(it does not fit)" in capsys.readouterr().out
 

@@ -149,10 +149,10 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--interfaces", "vcan0,", "--", "true"], "'' is no interface name"),
-        (["--interfaces", "../x", "--", "true"], "is no interface name"),
-        (["--interfaces", "vcan0;reboot", "--", "true"], "is no interface name"),
-        (["--interfaces", "a234567890123456", "--", "true"], "is no interface name"),
+        (["--interfaces", "vcan0,", "--", "true"], "'': allowed are a letter"),
+        (["--interfaces", "../x", "--", "true"], "allowed are a letter"),
+        (["--interfaces", "vcan0;reboot", "--", "true"], "allowed are a letter"),
+        (["--interfaces", "a234567890123456", "--", "true"], "allowed are a letter"),
         (["--interfaces", "v,v", "--", "true"], "each once"),
         (["--memory", "lots", "--", "true"], "--memory lots: expected a number with K, M or G"),
         (["--memory", "2", "--", "true"], "expected a number with K, M or G"),
@@ -204,7 +204,7 @@ def test_no_command_is_a_shell_on_a_terminal(
         (
             [],
             False,
-            "User-mode Linux, with vcan0, vcan1; you are root; files that you write vanish on exit (--rw keeps",
+            "User-mode Linux, with vcan0, vcan1; you are root; files that you write are lost on exit (--rw keeps",
         ),
         (["--rw"], False, "--rw: files that you write are kept"),
         ([], True, "this kernel, with vcan0, vcan1; `exit` ends the shell"),

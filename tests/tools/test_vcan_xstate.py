@@ -34,7 +34,7 @@ def test_without_a_compiler_one_line_says_so_and_the_rest_goes_on(
     assert xstate.preloading(tmp_path) == {}
     said = capsys.readouterr().err
     assert said.count("\n") == 1
-    assert "`apt-get install -y gcc libc6-dev` (as root); this processor does without" in said
+    assert "`apt-get install -y gcc libc6-dev` (as root); this processor does not need it" in said
 
 
 @pytest.mark.usefixtures("no_compiler")

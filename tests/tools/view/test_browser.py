@@ -106,13 +106,13 @@ def test_faults_are_shown_and_nothing_stale_as_live(shown: Shown) -> None:
     expect(shown.page.locator("#events li").first).to_contain_text("0x5030", timeout=WAIT_MS)
     shown.source.status[1] = MISSING
     shown.word(2, "stale since")
-    shown.word(2, "no answer")
+    shown.word(2, "no response")
     shown.word(1, "live")
     shown.source.status[1] = GOOD
     shown.word(2, "live")
     shown.source.stopped = True
     shown.word(1, "stale since")
-    shown.word(3, "no answer")
+    shown.word(3, "no response")
 
 
 def test_a_server_that_falls_silent_is_not_live(shown: Shown) -> None:
@@ -168,7 +168,7 @@ def test_tare_asks_first(shown: Shown) -> None:
     page.get_by_role("button", name="Cancel").click()
     assert shown.source.tared == []
     page.locator(".tare").first.click()
-    expect(page.locator("#confirm")).to_contain_text("Nothing may touch")
+    expect(page.locator("#confirm")).to_contain_text("Unload the fingertip")
     page.get_by_role("button", name="Tare now").click()
     expect(page.locator("#note")).to_contain_text("f1: tared", timeout=WAIT_MS)
     assert shown.source.tared == [1]

@@ -36,7 +36,7 @@ def test_reading(headers: dict[str, str], expected: int) -> None:
 def test_writing_needs_permission_and_an_origin() -> None:
     guard = Guard(port=8404, allow_writes=True)
     assert guard.read_only(ORIGIN) == ""
-    assert guard.read_only(HOST) == "a page that changes something needs an Origin"
+    assert guard.read_only(HOST) == "a page that writes needs an Origin"
     assert Guard(port=8404).read_only(ORIGIN) == "read-only: start it with --allow-writes"
 
 

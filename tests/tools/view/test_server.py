@@ -84,7 +84,7 @@ def test_tare_only_where_it_is_allowed() -> None:
         assert page.ask("setup")["no_tare"] == read_only
     with serving(source, allow_writes=True) as server:
         with Page(server, origin=None) as page:
-            assert page.ask("tare", node_id=1) == "a page that changes something needs an Origin"
+            assert page.ask("tare", node_id=1) == "a page that writes needs an Origin"
         assert source.tared == []
         with Page(server) as page:
             assert page.ask("setup")["no_tare"] == ""

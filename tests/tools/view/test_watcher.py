@@ -127,5 +127,5 @@ def test_a_part_of_a_log(log: Path) -> None:
 
 def test_a_log_without_fingers_is_refused(tmp_path: Path) -> None:
     path = written(tmp_path / "motor.log", frame_array([(START_NS, 0x701, b"\5")]))
-    with pytest.raises(InputError, match="no fingertip's PDO"):
+    with pytest.raises(InputError, match="no PDO of a fingertip"):
         LogSource(path, Finger)

@@ -1,4 +1,4 @@
-"""`tipforce budget`: the error budget of P, phi, theta by cause, as table, JSON lines and plot."""
+"""`tipforce budget`: the error budget of P, phi, theta by cause, as a table, JSON lines and a plot."""
 
 from __future__ import annotations
 
@@ -20,34 +20,34 @@ _FLAGS = (
     ("--resolution", "UE", "one step of the gauge's converter, microstrain (default 0.1)"),
     ("--gain", "%", "drift of each gauge's sensitivity, percent (default 0.1)"),
     ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)"),
-    ("--temperature", "K", "away from the last tare, kelvin (default 1)"),
+    ("--temperature", "K", "change since the last tare, kelvin (default 1)"),
     ("--load-angle", "DEG", "scatter of each calibration load's direction, degrees (default 0.5)"),
     ("--gravity", "DEG", "misalignment between x-loads and y-loads, degrees (default 0.5)"),
-    ("--gauge-shift", "MM", "of each gauge along its beam, millimetres, where C comes from theory (default 0.2)"),
+    ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)"),
     ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)"),
 )
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", DEGREES), ("theta", "deg", DEGREES))
 _EPILOG = """\
-All sizes are standard uncertainties. The calibration is taken to be one reading in each of the 19 grooves of section
-4.1, with as many tares. Without CAL.toml: the paper's case I (or --layout), calibrated so; with --uncalibrated its C
-comes from Table 1 instead, and the places of the gauges count. An error of gravity leaves next to nothing in the
-residuals of a calibration: this table is where it shows.
-One load: --phi and --theta. Otherwise loads all over the pad: every 5 degrees of theta, up to 45 degrees off the
-surface normal either way; the table then shows the root mean square and the largest.
+All values are standard uncertainties. The calibration is assumed to be one reading in each of the 19 grooves of
+section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layout), calibrated in this way; with
+--uncalibrated C comes from Table 1 and the gauge positions matter. A gravity misalignment leaves almost no residuals
+in a calibration; this table shows its effect.
+One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to either
+side of the surface normal; the table then shows the root mean square and the maximum.
   tipforce budget finger.toml --load 2 --phi -80 --theta 100
   tipforce budget --layout II --gravity 1 -o budget.png"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce budget`."""
+    """Add the flags of `tipforce budget`."""
     parser.epilog = _EPILOG
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
-    parser.add_argument("--layout", metavar="NAME|FILE", help="where the gauges sit: I, II, III or a layout file")
-    parser.add_argument("--uncalibrated", action="store_true", help="C from theory, as before any calibration")
+    parser.add_argument("--layout", metavar="NAME|FILE", help="gauge layout: I, II, III or a layout file")
+    parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")
     parser.add_argument("--load", type=float, default=4.4, metavar="N", help="P in newtons (default %(default)s)")
     parser.add_argument("--phi", type=float, metavar="DEG", help="with --theta: one load instead of the pad")
     parser.add_argument("--theta", type=float, metavar="DEG")
-    parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: the file's; push without)")
+    parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
     sizes = parser.add_argument_group("causes")
     for flag, unit, text in _FLAGS:
         sizes.add_argument(flag, type=float, metavar=unit.replace("%", "PERCENT"), help=text)
@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the budget; 0."""
+    """Print the budget; return 0."""
     from tipforce.sensor.design.error_budget import budget
 
     common.set_up_logging(args)
@@ -92,9 +92,9 @@ def _check(args: argparse.Namespace) -> None:
     if not 0.0 < args.load < float("inf"):
         raise InputError(f"--load {args.load}: allowed is a positive number of newtons")
     if args.uncalibrated and args.file:
-        raise InputError("--uncalibrated: a calibration file is calibrated; leave one of them out")
+        raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
     if (args.phi is None) != (args.theta is None):
-        raise InputError("--phi and --theta: one load needs both; leave both out for loads all over the pad")
+        raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
     for name in ("phi", "theta"):
         value = getattr(args, name)
         if value is not None and not -360.0 <= value <= 360.0:
@@ -120,7 +120,7 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
         assert geometry is not None
         A = gauge_matrix(geometry, gauges)
         if np.linalg.matrix_rank(A) < 3:
-            raise InputError(f"--layout {name}: its gauges cannot tell the three forces apart")
+            raise InputError(f"--layout {name}: its gauges cannot distinguish the three forces")
         pull = args.sense == "pull"
         C = np.asarray(np.linalg.pinv(A), dtype=np.float64)
         return Sensor(C, A, 1e-12 * np.eye(len(A)), pull, not args.uncalibrated, geometry, positions)
@@ -132,14 +132,14 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
 
 
 def _structure(path: str, calibration: Calibration) -> FloatArray:
-    """A of a calibration. Raises InputError where C has no rank 3."""
+    """Return A of a calibration. Raises InputError if the rank of C is not 3."""
     import numpy as np
 
     from tipforce.sensor.contact.redundancy import structure_matrix
 
     covariance = calibration.covariance_strain2
     if not covariance.any():
-        covariance = np.eye(calibration.gauges)  # no noise stated: gauges of equal noise
+        covariance = np.eye(calibration.gauges)  # noise not stated: equal for all gauges
     try:
         return structure_matrix(calibration.C, covariance)
     except InputError as error:
@@ -180,7 +180,7 @@ def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes
 
 
 def _records(found: Budget) -> list[dict[str, object]]:
-    """One record a cause, the total last: root mean square and largest over the loads, share of the variance."""
+    """Return one record per cause, the total last: root mean square and maximum over the loads, share of variance."""
     import numpy as np
 
     records: list[dict[str, object]] = []
@@ -198,7 +198,7 @@ def _records(found: Budget) -> list[dict[str, object]]:
 
 
 def _text(records: list[dict[str, object]], single: bool) -> str:
-    """The table for people."""
+    """Print the table."""
     widest = max(len(str(record["cause"])) for record in records)
     most = "" if single else f"{'max':>9}"
     heads = (f"{f'u({name}) {unit}':>14}{most}{'share':>8}" for name, unit, _ in _QUANTITIES)
@@ -214,13 +214,13 @@ def _text(records: list[dict[str, object]], single: bool) -> str:
 
 
 def _say_limits(args: argparse.Namespace, found: Budget, causes: Causes) -> None:
-    """What the table does not say, on stderr."""
+    """Print remarks on the table, on stderr."""
     from tipforce.sensor.design.error_budget import gravity_residual
 
     if not args.uncalibrated:
-        common.note(args, "gauge position: none, the calibration takes it out (--uncalibrated shows it)")
+        common.note(args, "gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
         shown = 100.0 * gravity_residual(causes.gravity_rad)
-        common.note(args, f"gravity: the calibration's residuals show {shown:.2g} % of the load of it")
+        common.note(args, f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
     for cause, reason in found.left_out.items():
         common.note(args, f"no row for {cause}: {reason}")
     for name, holds in zip(("P", "phi", "theta"), found.holds.T, strict=True):
@@ -228,5 +228,5 @@ def _say_limits(args: argparse.Namespace, found: Budget, causes: Causes) -> None
             common.note(
                 args,
                 f"first order does not hold for {name} at {int((~holds).sum())} of {len(holds)} loads "
-                "(small load or near-tangential contact): there an interval from this uncertainty is off",
+                "(small load or near-tangential contact): an interval from this uncertainty is wrong there",
             )

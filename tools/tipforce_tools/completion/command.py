@@ -1,4 +1,4 @@
-"""`tipforce completion bash|zsh|fish`: arguments, and nothing else."""
+"""Arguments of `tipforce completion bash|zsh|fish`."""
 
 import argparse
 
@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the script: 0."""
+    """Print the script; return 0."""
     from tipforce_tools.completion.script import script
 
     text = script(args.shell)

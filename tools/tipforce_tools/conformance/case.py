@@ -1,4 +1,4 @@
-"""What a case is: a small function with the clause it checks, and what it needs of the device."""
+"""Conformance cases: small functions, each with the clause that it checks and its requirements on the device."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _FOUND: list[Case] = []
 
 
 class CheckError(Exception):
-    """The device did not do what the clause says."""
+    """The device violated the clause."""
 
     def __init__(self, expected: str, got: str) -> None:
         super().__init__(f"expected {expected}; got {got}")
@@ -27,21 +27,21 @@ class CheckError(Exception):
 
 
 def check(right: object, expected: str, got: str) -> None:
-    """Raise CheckError where something is not right."""
+    """Raise CheckError unless ``right``."""
     if not right:
         raise CheckError(expected, got)
 
 
 class NotApplicableError(Exception):
-    """The device lacks what the case is about; the text says what."""
+    """The device lacks the feature of the case, which the text names."""
 
 
 @dataclass(frozen=True)
 class Case:
     """One check. ``needs`` are the (index, sub-index) that must exist.
 
-    ``persistent``: stores parameters or changes the node-id for a while. ``own``: what tipforce promises beyond the
-    standard, or its own objects. ``error_frames``: needs the controller's error frames, which no bus carries.
+    ``persistent``: stores parameters or temporarily changes the node-id. ``own``: guarantees of tipforce beyond the
+    standard, or its own objects. ``error_frames``: needs the controller's error frames, which a bus does not carry.
     """
 
     name: str
@@ -64,7 +64,7 @@ def case(
     own: bool = False,
     error_frames: bool = False,
 ) -> Callable[[Callable[..., None]], Callable[..., None]]:
-    """Declare a case, or one for each tuple of ``each``: the function gets it after the Dut, the title formatted."""
+    """Declare a case, or one per tuple of ``each``: arguments of the function after the Dut, and of the title."""
 
     def declare(body: Callable[..., None]) -> Callable[..., None]:
         service = body.__module__.rpartition(".")[2]
@@ -92,15 +92,15 @@ def _bound(body: Callable[..., None], arguments: tuple[Any, ...]) -> Callable[[D
 
 
 def all_cases() -> list[Case]:
-    """Every case, ordered by service file and then as written there."""
+    """Return every case, ordered by service file and position there."""
     from tipforce_tools.conformance import cases
 
     for module in sorted(info.name for info in pkgutil.iter_modules(cases.__path__)):
         importlib.import_module(f"{cases.__name__}.{module}")
-    # A stable sort: another order of import (a test that imports one service) must not change the report.
+    # Sorted, because another order of import (a test that imports one service) must not change the report.
     return sorted(_FOUND, key=lambda found: found.name.partition(".")[0])
 
 
 def matching(pattern: str) -> list[Case]:
-    """The cases whose name or clause fits a shell pattern: `nmt.*`, `*crc*`, `CiA 305*`."""
+    """Return the cases whose name or clause matches a shell pattern: `nmt.*`, `*crc*`, `CiA 305*`."""
     return [found for found in all_cases() if fnmatchcase(found.name, pattern) or fnmatchcase(found.clause, pattern)]

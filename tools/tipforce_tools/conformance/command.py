@@ -20,28 +20,28 @@ if TYPE_CHECKING:
 
 EPILOG = """\
 Each case starts with a reset of the node and leaves nothing stored. SYNC, NMT to all nodes and LSS reach every device
-on the bus: run it where the others may be disturbed, best with this one alone. --persistent also stores, restores
-defaults and changes the node-id for a while; afterwards the stored parameters are the defaults.
+on the bus: run it with this device alone on the bus, or with others that may be disturbed. --persistent also stores
+parameters, restores defaults and changes the node-id temporarily; afterwards the stored parameters are the defaults.
 
-A frame that must come is waited for 200 ms (an SDO answer 1 s, a boot-up 5 s), one that must not come 30 ms. A time
-that is measured may be off by --tolerance. A case about something the device does not have is "not applicable".
+A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. --tolerance
+is the permitted error of measured times. A case about a feature that the device lacks is "not applicable".
 
 examples:
   tipforce conformance --node-id 5 -i socketcan -c can0
   tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
   tipforce conformance --list --case 'CiA 305*'
-exit codes: 0 all that apply passed, 1 a case failed, 2 usage, 5 the node does not answer
+exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no response from the node
 """
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce conformance`."""
+    """Add the flags of `tipforce conformance`."""
     parser.epilog = EPILOG
     what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--node-id", type=common.node_id, metavar="ID", help="the device, 1 to 127")
-    what.add_argument("--list", action="store_true", help="the cases; nothing is run")
+    what.add_argument("--node-id", type=common.node_id, metavar="ID", help="node-id of the device, 1 to 127")
+    what.add_argument("--list", action="store_true", help="list the cases without running them")
     parser.add_argument("--case", default="*", metavar="PATTERN", help="names or clauses: 'nmt.*', 'CiA 305*'")
-    parser.add_argument("--persistent", action="store_true", help="also the cases that store or change the node-id")
+    parser.add_argument("--persistent", action="store_true", help="include cases that store, or change the node-id")
     parser.add_argument(
         "--tolerance", type=int, default=20, metavar="MS", help="of measured times (default %(default)s ms)"
     )
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
     cases = matching(args.case)
     if not cases:
-        raise InputError(f"--case {args.case!r}: no case is named so; `tipforce conformance --list` shows all")
+        raise InputError(f"--case {args.case!r}: matches no case; `tipforce conformance --list` shows all")
     if args.list:
         for case in by_clause(cases):
             print(f"{case.clause:22} {case.name:36} {case.title}")
@@ -85,7 +85,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
                     if args.json:
                         common.print_json(report.record(result))
                     advance()
-        finally:  # what was found counts, also when Ctrl-C or a device that died ends the run
+        finally:  # report the results so far, also after Ctrl-C or the loss of the device
             if args.json:
                 common.note(args, report.summary(results))
             else:
@@ -94,7 +94,7 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
 
 
 def _device(bus: can.BusABC, args: argparse.Namespace) -> Dut:
-    """The device, which must boot when it is told to."""
+    """Return the device after a reset. Raises NoResponseError if it does not boot."""
     from tipforce_tools.conformance.case import CheckError
     from tipforce_tools.conformance.dut import Dut
     from tipforce_tools.conformance.links import BusLink
@@ -112,7 +112,7 @@ def _device(bus: can.BusABC, args: argparse.Namespace) -> Dut:
 
 @contextmanager
 def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr, on a terminal alone; yields what advances it."""
+    """Show a progress bar on stderr, on a terminal only; yield the function that advances it."""
     if args.quiet or not sys.stderr.isatty():
         yield lambda: None
         return

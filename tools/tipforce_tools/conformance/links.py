@@ -1,4 +1,4 @@
-"""The two places where a case runs: a device core in this process with a fake clock, and any python-can bus."""
+"""The two links on which cases run: a device core in this process with a fake clock, and any python-can bus."""
 
 from __future__ import annotations
 
@@ -25,14 +25,14 @@ _MOST_STEPS_AT_ONCE = 1000
 
 
 class Core(Protocol):
-    """What ``CoreLink`` drives: a device as a pure state machine."""
+    """A device as a pure state machine, driven by ``CoreLink``."""
 
     def step(self, now_us: int, frames: Sent = ...) -> tuple[Sent, int]:
         """Frames in; frames out and the next due time."""
 
 
 class CoreLink:
-    """A device core whose clock is turned only by waiting. ``steps`` keeps (now_us, frames in, frames out)."""
+    """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out)."""
 
     tolerance_ms = 0
     error_frames = True
@@ -49,11 +49,11 @@ class CoreLink:
         return self._now_us
 
     def send(self, can_id: int, data: bytes) -> None:
-        """The device takes the frame now."""
+        """Pass the frame to the device."""
         self._step([(can_id, data)])
 
     def receive(self, until_us: int) -> Frame | None:
-        """Step the device at each of its due times until it says something."""
+        """Step the device at each of its due times until it sends a frame."""
         for _ in range(_MOST_STEPS_AT_ONCE):
             if self._queue:
                 return self._queue.popleft()
@@ -62,7 +62,7 @@ class CoreLink:
                 return None
             self._now_us = max(self._now_us, self._due_us)
             self._step([])
-        raise AssertionError(f"the device is due without end at {self._now_us} us")
+        raise AssertionError(f"the device is always due at {self._now_us} us")
 
     def _step(self, frames: Sent) -> None:
         sent, self._due_us = self._device.step(self._now_us, frames)
@@ -84,7 +84,7 @@ class BusLink:
         return time.monotonic_ns() // 1000
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send; raises NoResponseError when the bus takes nothing for a second."""
+        """Send a frame. Raises NoResponseError if the bus accepts nothing for a second."""
         import can
 
         extended = bool(can_id & EXTENDED_FLAG)
@@ -97,10 +97,10 @@ class BusLink:
         try:
             self._bus.send(message, timeout=1.0)
         except can.CanError as error:
-            raise NoResponseError(f"the bus does not take frames any more: {error}") from error
+            raise NoResponseError(f"the bus no longer accepts frames: {error}") from error
 
     def receive(self, until_us: int) -> Frame | None:
-        """The next frame of a classic bus."""
+        """Return the next classic CAN frame."""
         from tipforce.socketcan import raw_can_id
 
         while True:
@@ -113,7 +113,7 @@ class BusLink:
 
 
 def core_node(eds: bytes | None = None) -> Device:
-    """The node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
+    """Return the node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
     from tipforce.fingertip.node import fingertip_node
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce.sensor.structure.strain import strain_matrix
@@ -131,7 +131,7 @@ def core_node(eds: bytes | None = None) -> Device:
 
 @cache
 def core_eds() -> bytes:
-    """What 1021h of the in-process node gives."""
+    """Return the content of 1021h of the in-process node."""
     from tipforce.dictionary.eds import eds_text
 
     return eds_text(3, simulated=True).encode()[:_EDS_BYTES]

@@ -1,4 +1,4 @@
-"""Raw frames to and from a device: send, expect, silence, and the log of all of it."""
+"""Raw frames to and from a device: send, expect, expect silence, and the log of these."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import NamedTuple, Protocol, TypeAlias
 from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce_tools.conformance.case import CheckError
 
-ANSWER_MS = 200  # a device that has not answered by then is taken as silent
-QUIET_MS = 30  # how long a frame that must not come is waited for
-_KEPT = 5000  # frames of other nodes on a busy bus must not fill the memory
+ANSWER_MS = 200  # timeout of a response
+QUIET_MS = 30  # waiting time for a forbidden frame
+_KEPT = 5000  # bounds the memory on a bus with traffic of other nodes
 
 
 class Frame(NamedTuple):
@@ -27,23 +27,23 @@ Wanted: TypeAlias = "str | Callable[[bytes], bool] | None"
 
 
 class Link(Protocol):
-    """A bus with a clock. ``tolerance_ms`` is what its timing may be off; 0 where the clock is a fake one."""
+    """A bus with a clock. ``tolerance_ms`` is the permitted timing error; 0 for a fake clock."""
 
     tolerance_ms: int
     error_frames: bool
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Put a frame on the bus."""
+        """Send a frame."""
 
     def receive(self, until_us: int) -> Frame | None:
-        """The next frame, or None when none came until then."""
+        """Return the next frame, or None if none arrived until then."""
 
     def now_us(self) -> int:
         """The bus's clock."""
 
 
 def text(can_id: int, data: bytes) -> str:
-    """A frame as candump writes it; R marks a remote frame, eight digits an extended one."""
+    """Format a frame as candump does; R marks a remote frame, eight digits an extended one."""
     shown = f"{can_id & EXTENDED_MASK:08X}" if can_id & EXTENDED_FLAG else f"{can_id & STANDARD_MASK:03X}"
     return f"{shown}#R" if can_id & REMOTE_FLAG else f"{shown}#{data.hex().upper()}"
 
@@ -57,14 +57,14 @@ def _fits(data: bytes, wanted: Wanted) -> bool:
     if wanted is None:
         return True
     if isinstance(wanted, str):
-        # "4F 01 10 00 .. 00 00 00": two dots stand for any byte, and "*" at the end for any rest.
+        # "4F 01 10 00 .. 00 00 00": two dots match any byte, and "*" at the end any rest.
         pattern = wanted.replace(" ", "").lower().replace("*", ".*")
         return re.fullmatch(pattern, data.hex()) is not None
     return wanted(data)
 
 
 class Frames:
-    """A link, and what came over it that no line has asked for yet."""
+    """A link, and the frames received that no check has consumed."""
 
     def __init__(self, link: Link, node_id: int) -> None:
         self.link = link
@@ -84,9 +84,9 @@ class Frames:
         self.link.send(can_id, content)
 
     def expect(self, can_id: int, wanted: Wanted = None, within_ms: float = ANSWER_MS) -> Frame:
-        """The next frame with ``can_id``; it must come in time and be as wanted. Frames of other identifiers wait."""
+        """Return the next frame with ``can_id``, which must arrive in time and match. Other frames stay pending."""
         frame = self.heard(can_id, within_ms)
-        what = wanted if isinstance(wanted, str) else "of another content"
+        what = wanted if isinstance(wanted, str) else "with other content"
         if frame is None:
             raise CheckError(f"a frame {can_id:03X}h {what if wanted else ''} within {within_ms:g} ms", "none")
         if not _fits(frame.data, wanted):
@@ -94,7 +94,7 @@ class Frames:
         return frame
 
     def heard(self, can_id: int, within_ms: float = ANSWER_MS) -> Frame | None:
-        """The next frame with ``can_id``, None when none comes in time."""
+        """Return the next frame with ``can_id``, None if none arrives in time."""
         limit_us = self.now_us + round(1000 * (within_ms + self.link.tolerance_ms))
         while True:
             for frame in self._pending:
@@ -105,27 +105,27 @@ class Frames:
                 return None
 
     def silence(self, *can_ids: int, ms: float = QUIET_MS) -> None:
-        """Nothing comes with these identifiers (default: any of the device's own but its heartbeat), nor did before."""
+        """Check that no frame of these identifiers (default: the device's, except heartbeat) arrives or is pending."""
         self.sleep(ms)
         for frame in self._pending:
             if frame.can_id in can_ids if can_ids else self._is_own(frame.can_id):
                 raise CheckError("silence", text(frame.can_id, frame.data))
 
     def sleep(self, ms: float) -> None:
-        """Let time pass; what comes is kept."""
+        """Wait; received frames stay pending."""
         limit_us = self.now_us + round(1000 * ms)
         while self._pump(limit_us):
             pass
 
     def forget(self, *can_ids: int) -> None:
-        """Pass over what came so far (default: with any identifier)."""
+        """Discard pending frames (default: of any identifier)."""
         self.sleep(0)
         kept = [frame for frame in self._pending if can_ids and frame.can_id not in can_ids]
         self._pending.clear()
         self._pending.extend(kept)
 
     def check_ms(self, what: str, actual_us: float, expected_ms: float) -> None:
-        """A measured time must be the expected one, within the link's tolerance."""
+        """Check that a measured time is the expected one, within the link's tolerance."""
         if abs(actual_us / 1000 - expected_ms) > self.link.tolerance_ms:
             raise CheckError(f"{what} {expected_ms:g} ms (+-{self.link.tolerance_ms} ms)", f"{actual_us / 1000:.1f} ms")
 

@@ -1,4 +1,4 @@
-"""What a conformance run looks like to people: by clause, and frame by frame where something failed."""
+"""The report of a conformance run: results by clause, and the frames of each failed case."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from collections.abc import Iterable, Sequence
 from tipforce_tools.conformance.case import Case
 from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, Result
 
-_LAST_FRAMES = 40  # of a long conversation the end tells what went wrong
+_LAST_FRAMES = 40  # the end of a long exchange shows the failure
 
 
 def by_clause(cases: Iterable[Case]) -> list[Case]:
-    """Cases in the order of their clauses: CiA 301 before 302, 7.2.4.3.9 before 7.2.4.3.13."""
+    """Sort cases by clause: CiA 301 before 302, 7.2.4.3.9 before 7.2.4.3.13."""
     return sorted(cases, key=lambda case: clause_key(case.clause))
 
 
 def clause_key(clause: str) -> tuple[tuple[int, int | str], ...]:
-    """A sort key that takes the numbers in a clause as numbers."""
+    """Return a sort key that compares the numbers in a clause as numbers."""
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"[ .]", clause))
 
 
 def lines(results: Sequence[Result]) -> list[str]:
-    """The report: a heading for each clause, a line for each case, the conversation of each that failed."""
+    """Return the report: a heading per clause, a line per case, the frames of each failed case."""
     found: list[str] = []
     clause = ""
     for result in sorted(results, key=lambda result: clause_key(result.case.clause)):
@@ -41,13 +41,13 @@ def lines(results: Sequence[Result]) -> list[str]:
 
 
 def summary(results: Iterable[Result]) -> str:
-    """How many passed, failed, did not apply."""
+    """Return the counts of cases passed, failed, not applicable."""
     counts = Counter(result.verdict for result in results)
     return f"{counts[PASS]} passed, {counts[FAIL]} failed, {counts[NOT_APPLICABLE]} not applicable"
 
 
 def record(result: Result) -> dict[str, object]:
-    """A result as a JSON record."""
+    """Return a result as a JSON record."""
     return {
         "case": result.case.name,
         "clause": result.case.clause,

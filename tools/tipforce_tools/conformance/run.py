@@ -1,4 +1,4 @@
-"""Running cases: what applies, the result of each, and the recording of the in-process run."""
+"""Run cases: select those that apply, collect the results, and record the in-process run."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ PASS, FAIL, NOT_APPLICABLE = "pass", "FAIL", "not applicable"
 
 @dataclass(frozen=True)
 class Result:
-    """``log`` is the conversation, frame by frame, of a case that failed."""
+    """``log`` holds the frames of a failed case."""
 
     case: Case
     verdict: str
@@ -26,7 +26,7 @@ class Result:
 
 
 def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
-    """Bring the device to its start, check what the case needs, and run it."""
+    """Reset the device, check the requirements of the case, and run it."""
     mark = len(dut.log)
     try:
         dut.reset()
@@ -45,13 +45,13 @@ def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
 
 
 def _lack(case: Case, dut: Dut, persistent: bool) -> str:
-    """Why a case cannot be run here, "" if it can."""
+    """Return why a case cannot be run here, "" if it can."""
     if case.persistent and not persistent:
-        return "it would change what the device stores or its node-id; --persistent allows it"
+        return "would change the stored parameters or the node-id; --persistent allows it"
     if case.error_frames and not dut.link.error_frames:
         return "error frames come from the CAN controller; a bus does not carry them"
     if case.own and not dut.is_tipforce():
-        return "about tipforce's own objects and promises"
+        return "specific to tipforce"
     for index, sub in case.needs:
         if not dut.exists(index, sub):
             return f"no object {index:04X}h:{sub:02X}"
@@ -59,9 +59,9 @@ def _lack(case: Case, dut: Dut, persistent: bool) -> str:
 
 
 def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result]:
-    """Run cases on one device, one after the other, and leave it as after a reset.
+    """Run cases on one device in sequence, and leave it as after a reset.
 
-    Raises NoResponseError if the device does not boot any more after a case that failed.
+    Raises NoResponseError if the device no longer boots after a failed case.
     """
     try:
         for case in cases:
@@ -74,24 +74,24 @@ def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result
 
 
 def _boots(dut: Dut, case: Case) -> None:
-    """Without it each of the cases left would wait for the boot-up message in vain."""
+    """Check that the device boots; otherwise each remaining case would wait for the boot-up message in vain."""
     try:
         dut.reset()
     except CheckError as failure:
-        raise NoResponseError(f"the node does not boot any more after the case {case.name}: {failure}") from failure
+        raise NoResponseError(f"the node no longer boots after the case {case.name}: {failure}") from failure
 
 
 def run_in_process(case: Case, device: Callable[[], object] = core_node) -> tuple[Result, CoreLink]:
-    """Run a case on a device core of its own, with the fake clock."""
+    """Run a case on a new device core with the fake clock."""
     link = CoreLink(device())  # type: ignore[arg-type]
     return run_case(case, Dut(link, CORE_NODE_ID), persistent=True), link
 
 
 def record(path: str | Path) -> int:
-    """Save the in-process run for a replay byte for byte: JSON lines; returns the number of cases.
+    """Save the in-process run as JSON lines for a byte-exact replay; return the number of cases.
 
     The first line names the node: ``node_id``, ``gauges``, ``layout``, ``noise``, ``serial``, ``eds`` (1021h).
-    Each further line is a case on a node just built, with an empty store: ``case`` and ``steps``, each step
+    Each further line is a case on a new node with an empty store: ``case`` and ``steps``, each step
     [now_us, frames in, frames out] of one ``step()``, a frame as [can_id, "hex"].
     """
     node = {

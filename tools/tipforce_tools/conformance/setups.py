@@ -1,4 +1,4 @@
-"""What several services set up in the same way: PDOs that are made ready to be watched, and a SYNC of wrong length."""
+"""Set-ups shared by the cases of several services: PDOs, and a SYNC of wrong length."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RPDO1 = ((0x1400, 1), (0x1400, 2), (0x1600, 0))
 
 
 def disable_pdo(dut: Dut, communication: int) -> int:
-    """Set bit 31 of a PDO's COB-ID; returns the COB-ID without it."""
+    """Set bit 31 of a PDO's COB-ID; return the COB-ID without it."""
     cob_id = dut.integer("I", communication, 1) & ~INVALID
     dut.put("I", communication, 1, cob_id | INVALID)
     return cob_id
@@ -26,15 +26,15 @@ def remap(dut: Dut, mapping: int, *words: int) -> None:
 
 
 def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int:
-    """TPDO1 with this type and mapping (none: as it stands); returns its CAN-ID.
+    """Set up TPDO1 with this type and mapping (none: unchanged); return its CAN-ID.
 
-    ``others``: inhibit_100us, event_ms, sync_start. A TPDO1 that maps nothing is not applicable.
+    ``others``: inhibit_100us, event_ms, sync_start. A TPDO1 without mapped objects is not applicable.
     """
     cob_id = disable_pdo(dut, 0x1800)
     if words:
         remap(dut, 0x1A00, *words)
     elif not dut.integer("B", 0x1A00, 0):
-        raise NotApplicableError("TPDO1 maps nothing")
+        raise NotApplicableError("TPDO1 maps no object")
     dut.put("B", 0x1800, 2, transmission)
     for name, sub, kind in (("inhibit_100us", 3, "H"), ("event_ms", 5, "H"), ("sync_start", 6, "B")):
         if name in others:
@@ -46,7 +46,7 @@ def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int
 
 
 def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> int:
-    """RPDO1 with this mapping, valid; returns its CAN-ID."""
+    """Set up a valid RPDO1 with this mapping; return its CAN-ID."""
     cob_id = disable_pdo(dut, 0x1400)
     remap(dut, 0x1600, *words)
     dut.put("B", 0x1400, 2, transmission)
@@ -57,12 +57,12 @@ def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int =
 
 
 def break_sync(dut: Dut) -> None:
-    """A SYNC of a length that cannot be right: EMCY 8240h, where the device looks at it."""
+    """Send a SYNC of wrong length: EMCY 8240h, if the device checks it."""
     dut.send(0x080, "01 02 03")
 
 
 def make_error(dut: Dut) -> bytes:
-    """Raise an error that every call can cure and raise anew; returns its EMCY."""
+    """Cause an error that ``cure_error`` clears and that each call can repeat; return its EMCY."""
     break_sync(dut)
     frame = dut.heard(0x80 + dut.node_id)
     if frame is None:
@@ -71,6 +71,6 @@ def make_error(dut: Dut) -> bytes:
 
 
 def cure_error(dut: Dut) -> bytes:
-    """End the error of ``make_error``; returns the EMCY that says so."""
+    """Clear the error of ``make_error``; return the EMCY that reports it."""
     dut.send(0x080)
     return dut.expect(0x80 + dut.node_id, "00 00 *").data

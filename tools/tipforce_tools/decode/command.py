@@ -1,22 +1,22 @@
-"""`tipforce decode [LOG ...|-] [-o FILE]`: arguments, and nothing else."""
+"""Arguments of `tipforce decode [LOG ...|-] [-o FILE]`."""
 
 import argparse
 
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Logs to contact: one row for each sample of each node, the PDOs of a sample joined by its counter. Several logs are
-one recording, in the order given. What is unknown on the wire is missing in the output: an empty cell, null, NaN.
+Convert logs to contact: one row per sample of each node, the PDOs of a sample joined by its counter. Several logs
+form one recording, in the order given. Values unknown on the wire are missing in the output: empty cell, null, NaN.
 """
 EPILOG = """\
 LOG: candump's text (-L, -l, or the screen's with -t; .gz and .zst too), .asc .blf .csv .db .mf4 .trc, pcap, pcapng.
 Columns: t_s (receive time, seconds of the epoch; a UTC timestamp in Parquet), channel (when there are several), node,
-counter (unwrapped), P_N, phi_deg, theta_deg, F1_N.., SG1_ue.. (microstrain), status flags; those that the log has.
---resample takes the mean over each interval, of phi and theta that of their directions; `n_P_N` tells of how many.
-Lost samples (gaps in the counter) and bad lines are told on stderr; with --json and -o, as a summary on stdout.
-exit codes: 0 ok, 1 a bad line with --strict or a full disk, 2 usage, or no log (not one frame in it)
+counter (unwrapped), P_N, phi_deg, theta_deg, F1_N.., SG1_ue.. (microstrain), status flags; those in the log.
+--resample takes the mean over each interval, for phi and theta of their directions; `n_P_N` is the number of samples.
+Lost samples (gaps in the counter) and bad lines are reported on stderr; with --json and -o, as a summary on stdout.
+exit codes: 0 ok, 1 a bad line with --strict or a full disk, 2 usage, or no frames in the log
 
-  tipforce decode run.log                                    lines to read
+  tipforce decode run.log                                    text
   tipforce decode run.log -o run.csv
   tipforce decode run.log.gz --signals P,theta --nodes 1,2,5-9 --from 10 --to 12.5 -o part.csv
   tipforce decode 'day/*.log' -o day/ --json                 Parquet, one file per node; a summary
@@ -33,14 +33,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce decode` to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("logs", nargs="*", metavar="LOG", help="files and globs; - or none is stdin")
+    parser.add_argument("logs", nargs="*", metavar="LOG", help="files and globs; default or -: stdin")
     parser.add_argument("-o", "--output", metavar="FILE", help=".csv .jsonl .parquet .mcap, or DIR/ for one per node")
-    parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="instead of the suffix")
-    parser.add_argument("--force", action="store_true", help="DIR/ may have files: its old parts are replaced")
-    parser.add_argument("--summary", action="store_true", help="what there is per node; no rows without -o")
-    parser.add_argument("--strict", action="store_true", help="exit 1 at the first bad line")
-    parser.add_argument("--follow", action="store_true", help="wait for more at the end of the log")
-    parser.add_argument("--deltas", action="store_true", help="the timestamps are those of candump -td")
+    parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="default: by the suffix")
+    parser.add_argument("--force", action="store_true", help="replace old parts in DIR/")
+    parser.add_argument("--summary", action="store_true", help="print the contents per node; no rows without -o")
+    parser.add_argument("--strict", action="store_true", help="exit with 1 at the first bad line")
+    parser.add_argument("--follow", action="store_true", help="wait for more lines at the end of the log")
+    parser.add_argument("--deltas", action="store_true", help="timestamps are differences (candump -td)")
     _add_choice(parser.add_argument_group("choice"))
     _add_layouts(parser.add_argument_group("layouts (default: the dictionary's PDOs)"))
     group = parser.add_argument_group("work")
@@ -49,38 +49,38 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         type=int,
         metavar="N",
-        help="processes (default: one for each core, and for each log; given, a big log is also cut)",
+        help="processes (default: one per core and log; if given, a large log is also split)",
     )
-    group.add_argument("--scheduler", metavar="ADDRESS", help="as a Dask bag on this cluster, which sees the files")
+    group.add_argument("--scheduler", metavar="ADDRESS", help="decode on a Dask cluster that can read the files")
     common.add_output_arguments(parser)
 
 
 def _add_choice(group: argparse._ArgumentGroup) -> None:
-    group.add_argument("--signals", metavar="NAMES", help="as P,theta or P_N,theta_deg: nothing else is computed")
+    group.add_argument("--signals", metavar="NAMES", help="compute only these, for example P,theta or P_N,theta_deg")
     group.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="as 1,2,5-9")
-    group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces in the log, as can0,can1")
+    group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces of the log: can0,can1")
     group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
-    group.add_argument("--to", dest="end", metavar="TIME", help="the same; samples before it")
+    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
     group.add_argument("--resample", type=float, metavar="HZ", help="means on a uniform grid")
     group.add_argument(
-        "--calibration", action="append", metavar="[NODE=]CAL.toml", help="contact from the gauges; repeat for nodes"
+        "--calibration", action="append", metavar="[NODE=]CAL.toml", help="compute contact from the gauges; repeatable"
     )
 
 
 def _add_layouts(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
-    group.add_argument("--dcf", action="append", metavar="FILE", help="a node's configuration; repeat for nodes")
-    group.add_argument("--dbc", metavar="FILE", help="the messages of a DBC, instead of the dictionary's")
-    group.add_argument("--ask", type=common.node_ids, metavar="IDS", help="ask these nodes on a bus over SDO")
-    group.add_argument("-i", "--interface", help="of --ask: python-can's")
+    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
+    group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead")
+    group.add_argument("--ask", type=common.node_ids, metavar="IDS", help="read the layout of these nodes over SDO")
+    group.add_argument("-i", "--interface", help="for --ask: python-can's interface")
     group.add_argument("-c", "--channel", help="of --ask")
     group.add_argument("-b", "--bitrate", type=int, help="of --ask")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Decode. 0, or 1 for a bad line with --strict.
+    """Decode; return 0, or 1 for a bad line with --strict.
 
-    Raises InputError for what is not usable, EnvironmentLackError for what is not installed or does not answer.
+    Raises InputError for unusable input, EnvironmentLackError for a missing package or a node that does not respond.
     """
     from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.decode.session import check, decode

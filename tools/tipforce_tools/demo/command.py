@@ -1,4 +1,4 @@
-"""`tipforce demo`: run the job, print a table of estimate against truth, and judge it."""
+"""`tipforce demo`: run the job, print a table of estimates and true loads, and check the errors."""
 
 from __future__ import annotations
 
@@ -17,23 +17,23 @@ DEFAULT_SEED = 20261121
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce demo`."""
+    """Add the flags of `tipforce demo`."""
     parser.epilog = (
         "Every error must lie inside its bound: z x standard uncertainty (z for a family-wise error of 1e-6 over all\n"
-        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Exit code 1 if\n"
-        "one does not."
+        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Otherwise the\n"
+        "exit code is 1."
     )
     parser.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)")
     parser.add_argument(
-        "--spoil", action="store_true", help="falsify one element of each calibration matrix: must fail"
+        "--spoil", action="store_true", help="corrupt one element of each calibration matrix: the demo must fail"
     )
-    parser.add_argument("--view", action="store_true", help="instead: a page with a simulated hand that moves")
+    parser.add_argument("--view", action="store_true", help="instead, serve a web page with a moving simulated hand")
     add_server_arguments(parser)
     add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; 0 when every error is inside its bound and the host agrees with the nodes, otherwise 1."""
+    """Run the demo; return 0 if every error is inside its bound and the host agrees with the nodes, otherwise 1."""
     if args.view:
         return _view(args)
     from rich.progress import Progress
@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _view(args: argparse.Namespace) -> int:
-    """A simulated hand on the page, until Ctrl-C."""
+    """Serve the page with a simulated hand until Ctrl-C."""
     from tipforce_tools.view.command import check_server_arguments, hand_source, serve
     from tipforce_tools.view.demo import simulated_hand
 
@@ -112,7 +112,7 @@ def _print_tables(args: argparse.Namespace, results: list[Result], cases: tuple[
             cells = [result.sense]
             for k, digits in enumerate((3, 2, 2)):
                 cells += [
-                    f"{result.applied[k]:g}",  # short: all of it fits 80 columns
+                    f"{result.applied[k]:g}",  # short, so that the table fits 80 columns
                     f"{result.estimated[k]:.{digits}f}",
                     f"{result.error[k]:+.{digits}f}",
                     f"{result.u[k]:.{digits}f}",
@@ -144,6 +144,6 @@ def _summary(args: argparse.Namespace, results: list[Result], elapsed_s: float) 
         f"{len(results)} loads of 4.4 N on 3 nodes: RMS error P {rms[0]:.4f} N, phi {rms[1]:.3f} deg, "
         f"theta {rms[2]:.3f} deg; largest error {100 * np.max(share):.0f} % of its bound"
     )
-    print(f"errors outside their bound: {outside}; host's own estimate differs from the node's: {disagree}")
+    print(f"errors outside their bound: {outside}; host estimates that differ from the node's: {disagree}")
     print(f"{'PASS' if ok else 'FAIL'} in {elapsed_s:.1f} s")
     return 0 if ok else 1

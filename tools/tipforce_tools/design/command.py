@@ -1,4 +1,4 @@
-"""`tipforce design table|sweep|optimise`: the structure of the sensor. Loads only the action that runs."""
+"""`tipforce design table|sweep|optimise`: the structure of the sensor. Imports only the chosen action."""
 
 from __future__ import annotations
 
@@ -7,17 +7,17 @@ import argparse
 from tipforce_tools.cli.actions import add_action, run_action
 
 ACTIONS = {
-    "table": ("tipforce_tools.design.table", "the paper's tables and figures recomputed, beside what it prints"),
-    "sweep": ("tipforce_tools.design.sweep", "condition number and noise against a dimension or a gauge shift"),
-    "optimise": ("tipforce_tools.design.optimise", "look for better dimensions and gauge positions"),
+    "table": ("tipforce_tools.design.table", "recompute the paper's tables and figures, beside the printed values"),
+    "sweep": ("tipforce_tools.design.sweep", "compute condition number and noise over a dimension or a gauge shift"),
+    "optimise": ("tipforce_tools.design.optimise", "search better dimensions and gauge positions"),
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The action; its flags come when it is chosen."""
+    """Add the action; its own parser has its flags."""
     add_action(parser, "design", ACTIONS)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the action; its exit code."""
+    """Run the action and return its exit code."""
     return run_action(args, "design", ACTIONS)

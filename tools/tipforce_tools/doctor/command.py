@@ -1,4 +1,4 @@
-"""`tipforce doctor`: what stands between this machine and a working CAN bus, each with the next step."""
+"""`tipforce doctor`: what this machine lacks for a working CAN bus, with the next step for each."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce doctor`."""
+    """Add the flags of `tipforce doctor`."""
     parser.epilog = (
-        "Looks at the kernel, the interfaces, where the bus's name comes from, and what is installed. With a bus it\n"
+        "Checks the kernel, the interfaces, the source of the bus name, and the installed packages. With a bus it\n"
         "also opens it and listens; it never sends. Without one it tries `tipforce vcan`, which can take seconds.\n"
-        "Exit code 1 if something that was asked for will not work.\n"
+        "Exit code 1 if a check failed.\n"
         "  tipforce doctor\n"
         "  tipforce doctor -i socketcan -c can0"
     )
-    parser.add_argument("--listen", type=float, default=1.2, metavar="S", help="to the bus (default %(default)s s)")
+    parser.add_argument("--listen", type=float, default=1.2, metavar="S", help="listen for S (default %(default)s s)")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the findings; 1 when one failed."""
+    """Print the findings; return 1 if a check failed."""
     common.set_up_logging(args)
     if not 0 <= args.listen <= 3600:
         raise InputError(f"--listen {args.listen:g}: allowed are 0 to 3600 s")
@@ -60,7 +60,7 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
     configuration = configuration_check(options)
     named = configuration.state == "ok"
     for check in kernel_checks():
-        # Without a bus of this kernel in mind, a kernel without CAN is a note.
+        # If no bus of this kernel is wanted, a kernel without CAN is only a note.
         wanted = options.get("interface") == "socketcan"
         yield check if wanted or check.state != "fail" else _as_note(check)
     yield configuration

@@ -1,26 +1,26 @@
-"""`tipforce dump [vcan0,181:7FF ...] [FILE|-]`: arguments, and nothing else."""
+"""Arguments of `tipforce dump [vcan0,181:7FF ...] [FILE|-]`."""
 
 import argparse
 
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Print frames as candump does, to the byte; with --decode, say what the PDOs of fingertips mean. Frames come from buses,
-or from candump's own text: a log file, or stdin with -.
+Print frames byte for byte as candump does; with --decode, add the values in the PDOs of fingertips. Frames come from
+buses, or from candump text: a log file, or stdin with -.
 """
 EPILOG = """\
-CHANNEL[,FILTER...] as candump has it, identifiers and masks in hexadecimal:
+CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
   ID:MASK   frames with (identifier & MASK) == (ID & MASK); 8 digits mean a 29-bit identifier
   ID~MASK   frames with (identifier & MASK) != (ID & MASK)
-  #MASK     error frames of these classes (otherwise a bus shows none)
-  j         a frame must pass all of the filters, not just one
-Not candump's: -c is the channel (no colour), recording is `tipforce log`.
-At the end stderr tells what was left out (not with -q), and with -v what each message counted.
-exit codes: 0 ok, 1 a bad line with --strict, 2 usage, or not one frame in the text
-With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and python-can's configuration,
-a CHANNEL is a SocketCAN interface.
+  #MASK     error frames of these classes (default: none)
+  j         a frame must pass all filters (default: one of them)
+Unlike candump, -c is the channel (not colour), and `tipforce log` records.
+At the end stderr reports frames left out (not with -q), and with -v the count of each message.
+exit codes: 0 ok, 1 a bad line with --strict, 2 usage, or no frames in the text
+With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and a python-can configuration,
+CHANNEL is a SocketCAN interface.
 
-  tipforce dump --decode vcan0                      what the fingers feel, line by line
+  tipforce dump --decode vcan0                      contact values, line by line
   tipforce dump -ta vcan0,285:7FF,#FFFFFFFF         one PDO and all error frames
   candump -L vcan0 | tipforce dump --decode --json -
   tipforce dump --decode run.log | head
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "targets",
         nargs="*",
         metavar="CHANNEL[,FILTER...] | FILE | -",
-        help="buses with their filters, all together, and for text its source",
+        help="buses with their filters, or a file of candump text",
     )
     look = parser.add_argument_group("candump's flags")
     look.add_argument(
@@ -46,23 +46,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="timestamps: -ta absolute, -td since the line before, -tz from zero, -tA with the date",
     )
     look.add_argument("-L", dest="log", action="store_true", help="log file format")
-    look.add_argument("-x", dest="extra", action="store_true", help="say whether a frame was received or sent here")
-    look.add_argument("-e", dest="errors", action="store_true", help="say what error frames mean")
-    look.add_argument("-a", dest="ascii", action="store_true", help="show the data as characters, too")
-    look.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
+    look.add_argument("-x", dest="extra", action="store_true", help="show whether a frame was received or sent here")
+    look.add_argument("-e", dest="errors", action="store_true", help="explain error frames")
+    look.add_argument("-a", dest="ascii", action="store_true", help="also show the data as characters")
+    look.add_argument("-D", dest="stay", action="store_true", help="continue when an interface goes down")
     look.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
     look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
-    parser.add_argument("--decode", action="store_true", help="add what the PDOs of fingertips say")
+    parser.add_argument("--decode", action="store_true", help="add the values in the PDOs of fingertips")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
-    parser.add_argument("--strict", action="store_true", help="text: exit 1 at the first bad line")
+    parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print frames until there are no more. 0, or 1 for a bad line with --strict.
+    """Print frames until the end; return 0, or 1 for a bad line with --strict.
 
-    Raises InputError for a target that is not usable and EnvironmentLackError for a bus that can't be opened.
+    Raises InputError for an unusable target and EnvironmentLackError for a bus that cannot be opened.
     """
     from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.dump.session import dump

@@ -1,4 +1,4 @@
-"""`tipforce estimate`: gauge readings in, contact with its standard uncertainties out, one row for each row."""
+"""`tipforce estimate`: contact with standard uncertainties from gauge readings, row by row."""
 
 from __future__ import annotations
 
@@ -21,25 +21,26 @@ COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce estimate`."""
+    """Add the flags of `tipforce estimate`."""
     parser.epilog = (
         "GAUGES.csv: SG1..SGn in microstrain; optional t_s, weight, and mode (push, pull, tare; blank: the\n"
         "calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated between them,\n"
-        "by t_s or else by row; without, the calibration's offsets hold. A bad row gives an empty row whose status\n"
-        "says why. Status: ok, tare, saturated, or some of no_contact, theta_unresolved, misses_tip, outside_pad, and\n"
-        "beyond_first_order (the uncertainties are too small or too large: near a tangential contact, or in noise).\n"
+        "by t_s, or by row if there is no t_s; without tare rows the calibration's offsets apply. A bad row gives an\n"
+        "empty row whose status states the reason. Status: ok, tare, saturated, or some of no_contact,\n"
+        "theta_unresolved, misses_tip, outside_pad, and beyond_first_order (the uncertainties are too small or too\n"
+        "large: near a tangential contact, or in noise).\n"
         "  tipforce estimate finger.toml readings.csv -o contact.csv"
     )
     parser.add_argument("calibration", metavar="CAL.toml")
     parser.add_argument("gauges", metavar="GAUGES.csv")
     parser.add_argument("-o", "--output", metavar="OUT", help="CSV file (default: stdout)")
     parser.add_argument("--saturation", type=float, metavar="UE", help="converter limit in microstrain")
-    parser.add_argument("--strict", action="store_true", help="exit 1 if a row is bad")
+    parser.add_argument("--strict", action="store_true", help="exit with 1 if a row is bad")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Write one row for each row: 0; with --strict and bad rows 1."""
+    """Write one row per input row; return 0, or 1 with --strict and bad rows."""
     from tipforce.host.configuration.calibration_file import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
@@ -55,7 +56,7 @@ def run(args: argparse.Namespace) -> int:
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"
         )
     if calibration.parameter_covariance is None:
-        common.note(args, f"{args.calibration} has no [fit] table: uncertainties are of gauge noise alone")
+        common.note(args, f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
     if data.unloaded.any() and data.t_s is None:
         common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
     rows = estimates(calibration, data, args.saturation)
@@ -68,7 +69,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _merged(rows: Iterator[tuple[int, list[float], str]], data: Measurements) -> Iterator[tuple[int, list[float], str]]:
-    """Good and bad rows in the order of the file."""
+    """Return good and bad rows in the order of the file."""
     bad = iter(data.bad)
     waiting = next(bad, None)
     for row in rows:
@@ -94,7 +95,7 @@ def _output(path: str | None) -> Iterator[TextIO]:
 
 
 def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json: bool) -> None:
-    """CSV or JSON lines; NaN is an empty cell or null."""
+    """Write CSV or JSON lines; NaN is an empty cell or null."""
     if as_json:
         for line, values, status in rows:
             cells = [None if isnan(x) else x for x in values]

@@ -1,4 +1,4 @@
-"""`tipforce hand check|up|run FILE`: a hand of many fingers from its TOML file."""
+"""`tipforce hand check|up|run FILE`: commission and run a hand defined in a TOML file."""
 
 from __future__ import annotations
 
@@ -26,29 +26,29 @@ EXAMPLE = """
 
   [hand]
   sync_hz = 500              # 0: another device sends the SYNC
-  pdos = ["contact"]         # of gauges, contact, force
+  pdos = ["contact"]         # any of gauges, contact, force
   heartbeat_ms = 100
-  wait_ms = 50               # so long a row waits for a finger that is late
-  config = "finger.toml"     # settings of all fingers: tipforce config save
-  store = false              # true: what was configured survives a power cycle
+  wait_ms = 50               # time that a row waits for a late finger
+  config = "finger.toml"     # settings of all fingers, from tipforce config save
+  store = false              # true: store the configuration in the nodes
 
   [[finger]]
   name = "thumb"
   node_id = 1
-  serial = 1005              # 1018h:4: LSS gives this node its id
-  calibration = "thumb.toml" # tipforce calibrate fit -o
+  serial = 1005              # 1018h:4: LSS assigns the node-id by it
+  calibration = "thumb.toml" # from tipforce calibrate fit -o
 """
 
 
 ACTIONS = {
-    "check": "read the file and all that it names, and compute the bus load; needs no bus",
-    "up": "find the fingers, number them by LSS, configure, verify, calibrate, start; exit code 1 if one failed",
-    "run": "the same, then SYNC, rows and events until Ctrl-C; a finger that reboots is set up again",
+    "check": "read the file and the files that it names, compute the bus load; needs no bus",
+    "up": "find the fingers, assign node-ids by LSS, configure, verify, calibrate, start; exit code 1 if one failed",
+    "run": "as up, then SYNC, rows and events until Ctrl-C; a finger that reboots is configured again",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce hand`."""
+    """Add the flags of `tipforce hand`."""
     parser.epilog = (
         f"The file:\n{EXAMPLE}\n"
         "  tipforce hand up hand.toml\n"
@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; up and run: 1 when a finger did not come up."""
+    """Run the action; return 0, or for up and run 1 if a finger failed."""
     from tipforce.host.hand.file import read_hand
 
     common.set_up_logging(args)
@@ -75,7 +75,7 @@ def run(args: argparse.Namespace) -> int:
         return _check(args, file)
     _warn_of_load(args, file)
     if file.hand.store:
-        common.confirm(args, f"{args.file}: store = true replaces what the fingers have stored")
+        common.confirm(args, f"{args.file}: store = true replaces the stored parameters of the fingers")
     return _up(args)
 
 
@@ -100,7 +100,7 @@ def _check(args: argparse.Namespace, file: HandFile) -> int:
 
 
 def _warn_of_load(args: argparse.Namespace, file: HandFile) -> None:
-    """Above 80 % of the bit rate, with worst-case stuffing: say so, and what would fit."""
+    """Warn of a load above 80 % of the bit rate with worst-case stuffing, and name what would fit."""
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LIMIT, hand_budget
     from tipforce_tools.network.load import budget_lines, what_fits
 
@@ -184,12 +184,12 @@ def _record(hand: Hand, rows: Rows, row: int) -> dict[str, object]:
 
 
 def _line(hand: Hand, rows: Rows) -> str:
-    """The last row for people: P of each finger, or why there is none."""
+    """Return the last row as text: P of each finger, or the reason for its absence."""
     parts = []
     for k, finger in enumerate(hand.file.finger):
         name = finger.name or str(finger.node_id)
         if rows.missing[-1, k]:
-            parts.append(f"{name}: no answer ({hand.state(finger.node_id)})")
+            parts.append(f"{name}: no response ({hand.state(finger.node_id)})")
             continue
         known = [(s, u) for s, u in (("P", "N"), ("phi", "deg"), ("theta", "deg")) if s in rows.columns]
         values = [(s, rows.columns[s][-1, k], u) for s, u in known]
@@ -204,7 +204,7 @@ def _say_statistics(args: argparse.Namespace, hand: Hand, found: Statistics) -> 
         args,
         f"{tally.rows} rows; SYNC period {sync.mean_period_us:.1f} us, deviation p50 {sync.p50_us:g}, "
         f"p99 {sync.p99_us:g}, largest {sync.largest_us:g} us; {found.dropped} frames dropped; "
-        f"bus load at last {100 * found.load[0]:.0f} to {100 * found.load[1]:.0f} %",
+        f"bus load at the end {100 * found.load[0]:.0f} to {100 * found.load[1]:.0f} %",
     )
     for k, finger in enumerate(hand.file.finger):
         names = ("missing", "delayed", "late", "mixed", "doubtful", "repeated")

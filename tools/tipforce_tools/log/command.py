@@ -1,4 +1,4 @@
-"""`tipforce log [vcan0,181:7FF ...] [-o FILE]`: arguments, and nothing else."""
+"""Arguments of `tipforce log [vcan0,181:7FF ...] [-o FILE]`."""
 
 import argparse
 import re
@@ -6,11 +6,11 @@ import re
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. What was received is in the file then, whatever ended it;
-stderr tells how many frames, and how many the kernel had to drop.
+Record frames until Ctrl-C, SIGTERM, -n, -T or --seconds. The file then holds all received frames in every case;
+stderr reports the number of frames, and of frames dropped by the kernel.
 """
 EPILOG = """\
-CHANNEL[,FILTER...] as `tipforce dump` and candump have it; without #MASK no error frames. The suffix of FILE is the
+CHANNEL[,FILTER...] as for `tipforce dump` and candump; without #MASK no error frames. The suffix of FILE sets the
 format: .log (candump's, for canplayer, Wireshark, `tipforce replay` and `decode`), .asc .blf .csv .trc .db .mf4 .txt
 (python-can's writers), and .log.gz .asc.gz .csv.gz .trc.gz. With a --rotate flag, files are numbered: run-0001.log.
 exit codes: 0 ended by -n, -T or --seconds, 130 by Ctrl-C or SIGTERM, 1 the disk is full, 2 usage
@@ -27,12 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("targets", nargs="*", metavar="CHANNEL[,FILTER...]", help="buses with their filters")
-    parser.add_argument("-o", "--output", metavar="FILE", help="default: candump's own name, by date and time")
-    parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
+    parser.add_argument("-o", "--output", metavar="FILE", help="default: a name as of candump -l, by date and time")
+    parser.add_argument("--overwrite", action="store_true", help="overwrite existing files")
     parser.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
     parser.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--seconds", type=common.seconds, metavar="S", help="end after S seconds")
-    parser.add_argument("-D", dest="stay", action="store_true", help="go on when an interface goes down")
+    parser.add_argument("-D", dest="stay", action="store_true", help="continue when an interface goes down")
     parser.add_argument("--rotate-size", type=_bytes, metavar="SIZE", help="a new file after SIZE bytes: 500K 100M 1G")
     parser.add_argument("--rotate-time", type=common.seconds, metavar="S", help="a new file after S seconds")
     common.add_bus_arguments(parser)
@@ -40,10 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Record until something ends it. 0, or 130 when that was a signal.
+    """Record until an end condition; return 0, or 130 after a signal.
 
-    Raises InputError for a target or a file that is not usable, EnvironmentLackError for a bus that can't be opened
-    or fails, OSError when the disk is full; the file holds what was received until then.
+    Raises InputError for an unusable target or file, EnvironmentLackError for a bus that cannot be opened or fails,
+    OSError for a full disk; the file holds the frames received until then.
     """
     from tipforce_tools.log.session import record
 

@@ -1,4 +1,4 @@
-"""`tipforce monitor [CHANNEL|LOG|-]`: arguments, and nothing else."""
+"""Arguments of `tipforce monitor [CHANNEL|LOG|-]`."""
 
 import argparse
 import math
@@ -6,19 +6,19 @@ import math
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Show the nodes that are heard, a row each: samples per second, how regular they are, how old the last is, contact,
-status, NMT state, the last EMCY and lost samples. A value that has not come for half a second (or three of its
-periods) is shown as STALE, and one that the node does not know as unknown, with the reason. Nothing is sent.
+Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,
+NMT state, the last EMCY and lost samples. A value not received for half a second (or three of its periods) is marked
+STALE, and one that the node does not know is marked unknown, with the reason. The command sends nothing.
 """
 EPILOG = """\
-CHANNEL[,FILTER...] as `tipforce dump` has it. Keys: q or Ctrl-C ends. Where stdout is no terminal, a plain table is
-printed at the end, and with --json one line per interval.
-The bus load is between that with no stuff bits and that with the most, of the bit rate of -b (default: 1 Mbit/s).
-exit codes: 0 the log ended, q, or --once; 2 usage, or not one frame in the log; 130 Ctrl-C or SIGTERM
+CHANNEL[,FILTER...] as for `tipforce dump`. Keys: q or Ctrl-C ends. If stdout is not a terminal, a plain table is
+printed at the end, or with --json one line per interval.
+The bus load is a range, without stuff bits to the most stuff bits, at the bit rate of -b (default: 1 Mbit/s).
+exit codes: 0 the log ended, q, or --once; 2 usage, or no frames in the log; 130 Ctrl-C or SIGTERM
 
   tipforce monitor vcan0
   tipforce monitor -i pcan -c PCAN_USBBUS1 -b 1000000 --nodes 1-5
-  tipforce monitor run.log --speed 1                in the log's own time
+  tipforce monitor run.log --speed 1                with recorded timing
   candump -L can0 | tipforce monitor -
   tipforce monitor can0 --once 2 --json | jq '.buses[0].load_percent'
 """
@@ -34,21 +34,21 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="1,2,5-9 (default: all)")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     parser.add_argument(
-        "--interval", type=_seconds, metavar="S", help="between tables (default: 0.25 s), or JSON lines (1 s)"
+        "--interval", type=_seconds, metavar="S", help="time between tables (default: 0.25 s) or JSON lines (1 s)"
     )
     parser.add_argument("--once", type=_seconds, metavar="S", help="print one table after S seconds, and end")
     parser.add_argument(
-        "--speed", type=_speed, default=math.inf, metavar="X", help="log: times its own time (default: inf, no waiting)"
+        "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default inf: no waiting)"
     )
-    parser.add_argument("--follow", action="store_true", help="log: wait at its end for more")
+    parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show the table until something ends it. 0, or 130 after a signal.
+    """Show the table until an end condition; return 0, or 130 after a signal.
 
-    Raises InputError for a log that can't be read and EnvironmentLackError for a bus that can't be opened or fails.
+    Raises InputError for a log that cannot be read and EnvironmentLackError for a bus that cannot be opened or fails.
     """
     from tipforce_tools.monitor.session import monitor
 
@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> int:
 def _seconds(text: str) -> float:
     number = common.number(text)
     if not 0.01 <= number < 1e6:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0.01 s to a million")
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0.01 to 1000000 s")
     return number
 
 

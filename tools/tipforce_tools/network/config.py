@@ -1,4 +1,4 @@
-"""`tipforce config show|apply|diff|save|verify`: a TOML or DCF file to a node and back, and the comparison."""
+"""`tipforce config show|apply|diff|save|verify`: write, save and compare node settings as TOML or DCF."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ if TYPE_CHECKING:
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
-    "show": "the settings of a node that are not at their default (--all: every one)",
-    "apply": "a file to the node, then read back; if the node refuses one, what was there before is put back",
-    "diff": "what differs both ways: also what the node has changed and the file does not mention",
-    "save": "the node's settings to a file: TOML, or a DCF by its ending",
-    "verify": "does the node have what the file says? (exit code 1 if not)",
+    "show": "print the settings of a node that differ from their default (--all: every setting)",
+    "apply": "write a file to the node and read it back; if the node refuses a setting, restore the previous ones",
+    "diff": "print all differences, also settings changed in the node that are not in the file",
+    "save": "save the settings of the node to a file: TOML, or DCF by its suffix",
+    "verify": "compare the settings in the file with the node (exit code 1 on a difference)",
 }
 WITH_FILE = ("apply", "diff", "save", "verify")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce config`."""
+    """Add the flags of `tipforce config`."""
     parser.epilog = (
         "A TOML file has a table [objects] of names (docs/objects.md) or indices, and values:\n"
         "  [objects]\n"
@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
         '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
         "PDOs are changed by the procedure of CiA 301: made invalid, remapped, made valid again.\n"
-        "The calibration is not part of it: see `tipforce calibrate apply`.\n\n"
+        "The calibration is not included: see `tipforce calibrate apply`.\n\n"
         "  tipforce config save 5 finger.toml -i socketcan -c can0\n"
         "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store"
     )
@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("file", nargs="?", metavar="FILE", help="*.dcf, or TOML; save: - is stdout")
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
-    parser.add_argument("--all", action="store_true", help="show, save: every setting, not only the changed ones")
+    parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; apply, verify and diff: 1 when something is different, a line for each."""
+    """Run the action; return 0, or for apply, verify and diff 1 after a line per difference."""
     common.set_up_logging(args)
     if (args.file is None) is (args.action in WITH_FILE):
         needs = "which FILE? For example" if args.file is None else "takes no FILE; did you mean"
@@ -150,7 +150,7 @@ def _save(args: argparse.Namespace) -> int:
 
 
 def _read(args: argparse.Namespace, sdo: SdoChannel) -> dict[tuple[int, int], Value]:
-    """All settings, with a bar on a terminal: it takes a transfer for each."""
+    """Read all settings, one transfer each, with a progress bar on a terminal."""
     from tipforce.host.configuration.settings import read_settings, setting_rows
 
     with common.progress(args, "read", len(setting_rows(args.gauges))) as advance:

@@ -1,4 +1,4 @@
-"""`tipforce load`: how full a bus is, and whether a hand that is still on paper fits."""
+"""`tipforce load`: measure the load of a bus, or compute that of a planned hand."""
 
 from __future__ import annotations
 
@@ -16,33 +16,33 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce load`."""
+    """Add the flags of `tipforce load`."""
     parser.epilog = (
-        "With --nodes: the budget of a hand on paper, without stuffing and with as many stuff bits as can be, and\n"
-        "what would fit. Exit code 1 if the worst case exceeds --limit.\n"
-        "Without: listen to a bus; each frame's bits are counted exactly, its own stuff bits included.\n"
+        "With --nodes: print the budget of a planned hand, without and with the most stuff bits, and what would fit.\n"
+        "Exit code 1 if the worst case exceeds --limit.\n"
+        "Without --nodes: listen to a bus; the bits of each frame are counted exactly, with its stuff bits.\n"
         "  tipforce load --nodes 5 --rate 500 --pdos gauges,contact\n"
         "  tipforce load -i socketcan -c can0 -b 1000000 --seconds 5"
     )
-    paper = parser.add_argument_group("a hand on paper")
-    paper.add_argument("--nodes", type=_count, metavar="N", help="fingers; 1-5 is five, too")
+    paper = parser.add_argument_group("planned hand")
+    paper.add_argument("--nodes", type=_count, metavar="N", help="number of fingers; 1-5 means five")
     paper.add_argument("--rate", type=float, default=500.0, metavar="HZ", help="SYNCs a second (default %(default)g)")
     paper.add_argument(
         "--pdos", default="contact", metavar="NAMES", help="of gauges,contact,force,health (default %(default)s)"
     )
     paper.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 (default) to 8")
-    paper.add_argument("--heartbeat", type=float, default=1.0, metavar="S", help="its period, 0 for none (default 1)")
+    paper.add_argument("--heartbeat", type=float, default=1.0, metavar="S", help="period, 0 for none (default 1)")
     paper.add_argument("--limit", type=float, default=80.0, metavar="PERCENT", help="default %(default)g")
-    live = parser.add_argument_group("a live bus")
+    live = parser.add_argument_group("live bus")
     live.add_argument(
-        "--seconds", type=float, default=2.0, metavar="S", help="listen for so long (default %(default)g)"
+        "--seconds", type=float, default=2.0, metavar="S", help="listening time (default %(default)g)"
     )
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; on paper 1 when the worst case exceeds the limit; live 5 when there was no frame."""
+    """Run; return 0, 1 if the worst case of a planned hand exceeds the limit, 5 if a live bus had no frame."""
     common.set_up_logging(args)
     return _live(args) if args.nodes is None else _paper(args)
 
@@ -63,17 +63,17 @@ def _paper(args: argparse.Namespace) -> int:
         print(f"fits under {args.limit:g} % in the worst case:")
         print("\n".join(what_fits(args.nodes, args.rate, pdos, args.gauges, bit_rate, args.limit / 100)))
         if budget.most_load > args.limit / 100:
-            print(f"it does not fit: {100 * budget.most_load:.1f} % in the worst case, allowed are {args.limit:g} %")
+            print(f"it does not fit: {100 * budget.most_load:.1f} % in the worst case, allowed is {args.limit:g} %")
     return 1 if budget.most_load > args.limit / 100 else 0
 
 
 def _count(text: str) -> int:
-    """A number of nodes, or how many a set of node-ids has (other commands take one as --nodes)."""
+    """Parse a number of nodes, or count a set of node-ids, which --nodes of other commands takes."""
     return len(common.node_ids(text)) if "," in text or "-" in text[1:] else common.count(text)
 
 
 def pdo_names(text: str, gauges: int) -> list[str]:
-    """``gauges,contact`` as the names of messages; an unknown word stays, for the error that lists the known."""
+    """Split ``gauges,contact`` into message names; unknown words stay, for the error that lists the known."""
     from tipforce.dictionary.signals import tpdo_messages
 
     names = {message.name.lower(): message.name for message in tpdo_messages(gauges)}
@@ -81,7 +81,7 @@ def pdo_names(text: str, gauges: int) -> list[str]:
 
 
 def budget_lines(budget: Budget) -> list[str]:
-    """A line for each kind of frame, and the sum."""
+    """Return a line per kind of frame, and the sum."""
     lines = [f"  {'frame':12} {'each s':>10} {'bytes':>6} {'no stuffing':>12} {'worst case':>11}"]
     for t in budget.traffic:
         least, most = (100 * bits / budget.bit_rate for bits in (t.least_bits_per_second, t.most_bits_per_second))
@@ -91,7 +91,7 @@ def budget_lines(budget: Budget) -> list[str]:
 
 
 def what_fits(nodes: int, rate_hz: float, pdos: list[str], gauges: int, bit_rate: int, limit: float) -> list[str]:
-    """Lines that say which rate, and how many nodes, would fit; with all PDOs that were asked for, and with each."""
+    """Return lines with the rate and the number of nodes that fit, for all PDOs requested and for each of them."""
     from tipforce.host.network.bus_load import hand_budget, highest_rate_hz
 
     lines = []
@@ -128,7 +128,7 @@ def _live(args: argparse.Namespace) -> int:
     bit_rate = getattr(args, "bitrate", None)
     if bit_rate is None:
         bit_rate = DEFAULT_BIT_RATE
-        common.note(args, f"taken for {bit_rate} bit/s: say -b if it is another")
+        common.note(args, f"assumed bit rate: {bit_rate} bit/s; set another with -b")
     buffer = FrameBuffer()
     with common.open_bus(args) as bus:
         notifier = can.Notifier(bus, [buffer], timeout=0.1)
@@ -160,4 +160,4 @@ def _say_live(args: argparse.Namespace, frames: FrameArray, load: float, elapsed
         share = 100 * bits[k] / max(float(bits.sum()), 1.0)
         print(f"  {name:>8} {counts[k] / elapsed_s:10.1f} /s {share:6.1f} % of it")
     if len(ids) > 10:
-        print(f"  and {len(ids) - 10} identifiers more")
+        print(f"  and {len(ids) - 10} more identifiers")

@@ -1,4 +1,4 @@
-"""`tipforce lss scan|assign|store`: node-ids over the bus (CiA 305)."""
+"""`tipforce lss scan|assign|store`: node-ids by LSS (CiA 305)."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ if TYPE_CHECKING:
     from tipforce.host.network.lss import LssAddress, LssMaster
 
 ACTIONS = {
-    "scan": "find a node without a node-id, by fastscan, and print its address",
-    "assign": "give node-ids",
-    "store": "have a node keep its node-id and bit rate over a power cycle",
+    "scan": "find an unconfigured node by fastscan and print its address",
+    "assign": "assign node-ids",
+    "store": "store the node-id and bit rate of a node in its non-volatile memory",
 }
 NOBODY = (
-    "no node without a node-id answered. A node that is already configured takes no part in a fastscan: "
-    "`tipforce scan` lists those, and `tipforce lss assign ID --serial N --product P` renumbers one"
+    "no unconfigured node responded. Configured nodes take no part in a fastscan: "
+    "`tipforce scan` lists them, and `tipforce lss assign ID --serial N --product P` changes a node-id"
 )
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce lss`."""
+    """Add the flags of `tipforce lss`."""
     parser.epilog = (
-        "assign gives IDS to the nodes without one, in the order in which they are found, or with --serial to the\n"
-        "one with that address, which may have a node-id already (it changes at its next reset).\n\n"
+        "assign gives IDS to unconfigured nodes, in the order in which they are found, or with --serial to the node\n"
+        "with that address, which may have a node-id already (it changes at its next reset).\n\n"
         "  tipforce lss scan -i socketcan -c can0\n"
         "  tipforce lss assign 1-5 --store -i socketcan -c can0\n"
         "  tipforce lss assign 7 --serial 1005 --store -i socketcan -c can0\n"
-        "Node-ids that are assigned without --store are gone after a power cycle."
+        "Node-ids assigned without --store are lost at a power cycle."
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
-    parser.add_argument("--store", action="store_true", help="assign: the nodes keep it over a power cycle")
+    parser.add_argument("--store", action="store_true", help="assign: also store the node-id in the node")
     group = parser.add_argument_group("LSS address of one node (1018h)")
     group.add_argument("--serial", type=_u32, metavar="N")
     product = table.product_code(table.MIN_GAUGES, simulated=False)
@@ -45,7 +45,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--vendor", type=_u32, default=0, metavar="N", help="default %(default)s")
     group.add_argument("--revision", type=_u32, metavar="N", help="default: this release's")
     parser.add_argument(
-        "--lss-timeout", type=float, default=0.1, metavar="S", help="for each answer (default %(default)s s)"
+        "--lss-timeout", type=float, default=0.1, metavar="S", help="timeout of each response (default %(default)s s)"
     )
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """0; 5 when no node answered. Raises RefusedError when a node refuses."""
+    """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
     from tipforce.host.network.connection import Connection
     from tipforce.host.network.lss import LssMaster
 
@@ -73,11 +73,11 @@ def _check(args: argparse.Namespace) -> None:
     if not 0 < args.lss_timeout < threading.TIMEOUT_MAX:
         raise InputError(f"--lss-timeout {args.lss_timeout:g}: allowed is a time over 0 s")
     if args.action == "assign" and not args.ids:
-        raise InputError("lss assign: which node-ids? For example: tipforce lss assign 1-5 --store")
+        raise InputError("lss assign: IDS missing; for example tipforce lss assign 1-5 --store")
     if args.action == "assign" and args.serial is not None and len(args.ids) != 1:
-        raise InputError(f"lss assign --serial: one node gets one node-id, {len(args.ids)} are given")
+        raise InputError(f"lss assign --serial: allowed is one node-id, {len(args.ids)} given")
     if args.action == "store" and args.serial is None:
-        raise InputError("lss store: which node? Add --serial N (and --product, --vendor, --revision if not ours)")
+        raise InputError("lss store: add --serial N (and --product, --vendor, --revision for other products)")
 
 
 def _scan(args: argparse.Namespace, master: LssMaster) -> int:
@@ -85,7 +85,7 @@ def _scan(args: argparse.Namespace, master: LssMaster) -> int:
     if address is None:
         raise NoResponseError(NOBODY)
     _say(args, address, None, stored=False)
-    common.note(args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` numbers them all")
+    common.note(args, "there may be more: a fastscan finds one at a time; `tipforce lss assign IDS` configures all")
     return 0
 
 
@@ -96,7 +96,7 @@ def _assign(args: argparse.Namespace, master: LssMaster) -> int:
             if not number:
                 raise NoResponseError(NOBODY)
             left = ", ".join(str(n) for n in args.ids[number:])
-            raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and numbered; not given: {left}")
+            raise NoResponseError(f"{number} of {len(args.ids)} nodes were found and configured; not assigned: {left}")
         _configure(args, master, address, node_id)
         master.release()
     return 0
@@ -109,7 +109,7 @@ def _one(args: argparse.Namespace, master: LssMaster) -> int:
     revision = REVISION if args.revision is None else args.revision
     address = LssAddress(args.vendor, args.product, revision, args.serial)
     if not master.select(address):
-        raise NoResponseError(f"no node with {address} answered; `tipforce scan --json` shows what nodes say they are")
+        raise NoResponseError(f"no node with {address} responded; `tipforce scan --json` shows the nodes' identities")
     if args.action == "store":
         master.store()
         _say(args, address, master.node_id(), stored=True)
@@ -117,7 +117,7 @@ def _one(args: argparse.Namespace, master: LssMaster) -> int:
     before = master.node_id()
     _configure(args, master, address, args.ids[0])
     if before not in (255, args.ids[0]):
-        common.note(args, f"it was {common.shown_id(before)} and stays so until: tipforce nmt reset-comm {before}")
+        common.note(args, f"node-id {common.shown_id(before)} remains active until: tipforce nmt reset-comm {before}")
     return 0
 
 

@@ -11,18 +11,18 @@ from tipforce_tools.cli.actions import add_choice
 
 ALL = "all"
 COMMANDS = {
-    "start": "to operational: PDOs flow",
-    "stop": "to stopped: neither PDOs nor SDO, only heartbeat and NMT",
-    "preop": "to pre-operational: SDO, no PDOs",
-    "reset-node": "restart the node with what it has stored",
-    "reset-comm": "restart its communication alone",
+    "start": "enter operational: PDOs and SDO",
+    "stop": "enter stopped: neither PDOs nor SDO, only heartbeat and NMT",
+    "preop": "enter pre-operational: SDO, no PDOs",
+    "reset-node": "reset the node to its stored parameters",
+    "reset-comm": "reset only the communication objects",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce nmt`."""
+    """Add the flags of `tipforce nmt`."""
     parser.epilog = (
-        "  tipforce nmt start 1-5 --wait -i socketcan -c can0      (exit code 5 if one does not say that it started)\n"
+        "  tipforce nmt start 1-5 --wait -i socketcan -c can0      (exit code 5 if one does not report the state)\n"
         "  tipforce nmt preop all -i socketcan -c can0             (one frame, for every node on the bus)"
     )
     add_choice(parser, "command", COMMANDS)
@@ -40,16 +40,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send; with --wait print each node's state.
+    """Send the command; with --wait print the state of each node.
 
-    Raises NoResponseError for a node that does not say so in time, after the states of those that do.
+    Raises NoResponseError for a node that does not report the state in time, after printing those that do.
     """
     from tipforce.host.network.connection import Connection
     from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     common.set_up_logging(args)
     if args.wait is not None and not args.ids:
-        raise InputError("nmt all --wait: whose heartbeat? Name the node-ids")
+        raise InputError("nmt all --wait: needs node-ids, for example 1-5")
     if args.wait is not None and not 0 < args.wait < threading.TIMEOUT_MAX:
         raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
     with Connection(common.open_bus(args)) as connection:
@@ -75,5 +75,5 @@ def _print(args: argparse.Namespace, states: dict[int, str]) -> None:
 
 
 def _ids(text: str) -> list[int]:
-    """Node-ids; none stands for all."""
+    """Parse node-ids; an empty list means all."""
     return [] if text == ALL else common.node_ids(text)

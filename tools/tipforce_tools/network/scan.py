@@ -1,4 +1,4 @@
-"""`tipforce scan`: the nodes on a bus, who they are and how they are."""
+"""`tipforce scan`: the nodes on a bus, with identity and state."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tipforce_tools.cli import common
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce scan`."""
+    """Add the flags of `tipforce scan`."""
     parser.epilog = "example: tipforce scan -i socketcan -c can0"
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"
     )
     parser.add_argument(
-        "--wait", type=float, default=1.2, metavar="S", help="for answers and heartbeats (default %(default)s s)"
+        "--wait", type=float, default=1.2, metavar="S", help="wait for responses and heartbeats (default %(default)s s)"
     )
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print a line for each node; 5 when there is none."""
+    """Print a line for each node; return 5 if there is none."""
     from tipforce.host.network.find import find_nodes
 
     common.set_up_logging(args)
@@ -41,5 +41,5 @@ def run(args: argparse.Namespace) -> int:
                 f"{node.calibration:28}  EDS {node.eds}"
             )
     if not found:
-        common.note(args, "no node answered: is the bus powered and terminated, is the bit rate right?")
+        common.note(args, "no node responded: is the bus powered and terminated, is the bit rate right?")
     return 0 if found else 5

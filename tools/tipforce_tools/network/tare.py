@@ -1,4 +1,4 @@
-"""`tipforce tare IDS`: take the force that a node reads now as zero, show what is taken off, or end it."""
+"""`tipforce tare IDS`: set the present force of a node as zero, show the tare, or clear it."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ if TYPE_CHECKING:
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce tare`."""
+    """Add the flags of `tipforce tare`."""
     parser.epilog = (
-        "Tare with nothing touching the fingertip: a tare under load hides that load. It is not stored, and ends with\n"
-        "a reset or a new calibration. A node without a calibration refuses (exit code 11).\n"
+        "Tare the unloaded fingertip: a tare under load hides that load. It is not stored, and ends with a reset or\n"
+        "a new calibration. A node without a calibration refuses (exit code 11).\n"
         "  tipforce tare 1-5 -i socketcan -c can0\n"
         "  tipforce tare 1-5 --show -i socketcan -c can0"
     )
     parser.add_argument("ids", type=common.node_ids, metavar="IDS", help="10, 0x0A or 1,2,5-9")
     group = parser.add_mutually_exclusive_group()
-    group.add_argument("--clear", action="store_true", help="end the tare")
+    group.add_argument("--clear", action="store_true", help="clear the tare")
     group.add_argument("--show", action="store_true", help="change nothing")
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Act on each node and print what it takes off afterwards. Raises NoResponseError and SdoAbortError."""
+    """Act on each node and print its tare afterwards. Raises NoResponseError and SdoAbortError."""
     from tipforce.host.network.finger import FingertipClient
 
     common.set_up_logging(args)

@@ -28,29 +28,29 @@ examples:
   tipforce node --node-id 5 -i socketcan -c can0 --layout finger.toml --source iio:device0/voltage0,0-0051,0-0052
   tipforce node --node-id 5 -i socketcan -c vcan0 --source replay:session.csv --speed 2 --loop
 
-It waits for NMT start (cansend vcan0 000#0105), unless 1F80h says otherwise. SIGTERM and Ctrl-C end it: its last frame
-is a heartbeat with the state STOPPED (7xx#04).
+The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it start by itself. SIGTERM and Ctrl-C end
+it: its last frame is a heartbeat with the state STOPPED (7xx#04).
 """
 
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce node`."""
+    """Add the flags of `tipforce node`."""
     parser.epilog = EPILOG
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument(
-        "--source", default="sim", help=f"where gauge readings come from: {KINDS} (default %(default)s)"
+        "--source", default="sim", help=f"source of the gauge readings: {KINDS} (default %(default)s)"
     )
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
-    parser.add_argument("--store", metavar="FILE", help="keep parameters here; without it storing is refused")
+    parser.add_argument("--store", metavar="FILE", help="file of stored parameters; without it 1010h refuses")
     parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)")
     _add_source_arguments(parser)
     group = parser.add_argument_group("operation")
     group.add_argument(
         "--priority", type=int, metavar="N", help="real-time scheduling, SCHED_FIFO 1 to 99 (80 is usual)"
     )
-    group.add_argument("--lock-memory", action="store_true", help="keep the process in memory (mlockall)")
+    group.add_argument("--lock-memory", action="store_true", help="lock the process in memory (mlockall)")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
@@ -59,23 +59,23 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("Industrial I/O source")
     group.add_argument(
         "--capture", choices=("auto", "poll", "buffer"), default="auto",
-        help="read each value when it is wanted, or let a trigger fill a buffer; auto: by buffer where there is a "
-        "trigger (default %(default)s)",
+        help="direct: read each value on demand; buffer: a trigger fills a buffer; auto: buffer if there is a trigger "
+        "(default %(default)s)",
     )  # fmt: skip
-    group.add_argument("--trigger", metavar="NAME", help="for the buffer: default the device's own, else a timer")
+    group.add_argument("--trigger", metavar="NAME", help="of the buffer (default: the device's own, else a timer)")
     group.add_argument("--scan-rate", type=float, default=1000.0, metavar="HZ", help="of that timer (default 1000)")
     group = parser.add_argument_group("replayed source")
-    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="times the recorded one (default 1)")
-    group.add_argument("--loop", action="store_true", help="begin anew at the end; else the node reports no data there")
+    group.add_argument("--speed", type=float, default=1.0, metavar="X", help="times the recorded speed (default 1)")
+    group.add_argument("--loop", action="store_true", help="repeat at the end; otherwise the node reports no data")
     group = parser.add_argument_group("simulated source")
     group.add_argument(
-        "--noise", type=float, default=0.5, metavar="UE", help="of each gauge, microstrain (default %(default)s)"
+        "--noise", type=float, default=0.5, metavar="UE", help="noise of each gauge, microstrain (default %(default)s)"
     )
     group.add_argument(
         "--noise-1f", type=float, default=0.0, metavar="UE", help="1/f noise: microstrain at 1 Hz (default none)"
     )
     group.add_argument("--bits", type=int, choices=(16, 24), default=16, help="of the converter (default %(default)s)")
-    group.add_argument("--offset", default="", metavar="UE,UE,...", help="what each gauge reads unloaded, microstrain")
+    group.add_argument("--offset", default="", metavar="UE,UE,...", help="unloaded reading of each gauge, microstrain")
     group.add_argument(
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
@@ -83,17 +83,17 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the node until Ctrl-C or SIGTERM; 0 then."""
+    """Run the node until Ctrl-C or SIGTERM; return 0."""
     from tipforce_tools.cli import service
 
     common.set_up_logging(args)
     service.mark_levels_for_journal()
     device, source = _device(args)
-    with contextlib.closing(source):  # a capture that was started is stopped, whatever comes
+    with contextlib.closing(source):  # stop a started capture in every case
         port, place = _port(args)
         if args.priority is not None:
             service.set_priority(args.priority)
-            gc.freeze()  # what is there now stays: no collection has to look at it again
+            gc.freeze()  # keep present objects out of later collections
         if args.lock_memory:
             service.lock_memory()
         _serve(args, device, port, place)
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _serve(args: argparse.Namespace, device: Device, port: Port, place: str) -> None:
-    """Run until a signal ends it, and tell those who wait for it: the manager, the bus, the person."""
+    """Run until a signal; report start and end to the service manager, the bus and the terminal."""
     from tipforce.running import loop
     from tipforce_tools.cli import service
 
@@ -186,7 +186,7 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
 
 
 def _front_end(args: argparse.Namespace) -> FrontEnd | None:
-    """What lies before the counts, where a flag names something besides an ideal 16-bit converter."""
+    """Return the front end, if a flag names one that differs from an ideal 16-bit converter."""
     if args.bits == 16 and not args.noise_1f:
         return None
     from tipforce.sources.front_end import FrontEnd
@@ -195,7 +195,7 @@ def _front_end(args: argparse.Namespace) -> FrontEnd | None:
 
 
 def _port(args: argparse.Namespace) -> tuple[Port, str]:
-    """The shortest way to the bus: the kernel's own sockets for SocketCAN, python-can for every other interface."""
+    """Open the bus: kernel sockets for SocketCAN, python-can for every other interface."""
     from tipforce.errors import EnvironmentLackError
     from tipforce.running.ports import PythonCanPort, SocketCanPort
 
@@ -206,18 +206,18 @@ def _port(args: argparse.Namespace) -> tuple[Port, str]:
         except OSError as error:
             raise EnvironmentLackError(
                 f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
-                "for a kernel that has vcan: `tipforce vcan -- ...`"
+                "`tipforce vcan -- ...` provides vcan"
             ) from error
     bus = common.open_bus(args)
     return PythonCanPort(bus), str(bus.channel_info)
 
 
 def _numbers(flag: str, text: str, count: int) -> Sequence[float]:
-    """``count`` finite numbers with commas between them. Raises InputError."""
+    """Parse ``count`` finite numbers separated by commas. Raises InputError."""
     try:
         found = [float(part) for part in text.split(",")]
     except ValueError:
         found = []
     if len(found) != count or not all(map(math.isfinite, found)):
-        raise InputError(f"{flag} {text!r}: write {count} numbers with commas between them")
+        raise InputError(f"{flag} {text!r}: expected {count} numbers separated by commas")
     return found

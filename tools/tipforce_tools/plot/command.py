@@ -1,4 +1,4 @@
-"""`tipforce plot LOG ... -o FILE`: arguments, and nothing else."""
+"""Arguments of `tipforce plot LOG ... -o FILE`."""
 
 import argparse
 import re
@@ -6,15 +6,15 @@ import re
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Draw what the fingers of a log felt: P, phi and theta over time with their uncertainty, gauges, and a strip that says
-when there was contact and what was wrong. Several logs are one recording. Each finger has a column of panels.
+Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
+and faults. Several logs form one recording. Each finger has a column of panels.
 """
 EPILOG = """\
-LOG: any that `tipforce decode` reads; - is candump's text on stdin. What is unknown is a gap. Of long logs each pixel
-shows the least, the mean and the largest value. Lost samples are crosses in the strip. A grey band is two standard
-uncertainties to either side: those that the node sends (u_P in TPDO4, or 2107h mapped), or with --calibration those
-of gauge noise and calibration together, and the contact is computed from the gauges then.
---signals: P, phi, theta, gauges, status (default: these), F1, F2, F3, SG1.., temperature, u_P and what else is sent.
+LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknown values are gaps. For long logs each
+pixel shows the minimum, the mean and the maximum. Lost samples are crosses in the strip. The grey band is two
+standard uncertainties to either side: those that the node sends (u_P in TPDO4, or 2107h mapped), or with
+--calibration, which computes the contact from the gauges, those of gauge noise and calibration together.
+--signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent.
 exit codes: 0 ok, 2 usage
 
   tipforce plot run.log -o run.png
@@ -31,31 +31,31 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="+", metavar="LOG", help="files and globs, or -")
     parser.add_argument("-o", "--output", metavar="FILE", help=".png, .svg or .pdf")
-    parser.add_argument("--show", action="store_true", help="in a window, too")
-    parser.add_argument("--title", metavar="TEXT", help="default: when it began")
+    parser.add_argument("--show", action="store_true", help="also show the plot in a window")
+    parser.add_argument("--title", metavar="TEXT", help="default: time of the start")
     parser.add_argument("--size", type=_size, metavar="WxH", help="16x10cm, 160x100mm, 7x4in (default: by the content)")
-    parser.add_argument("--dpi", type=_dpi, default=130, metavar="N", help="of a PNG (default %(default)s)")
+    parser.add_argument("--dpi", type=_dpi, default=130, metavar="N", help="resolution of a PNG (default %(default)s)")
     group = parser.add_argument_group("choice")
     group.add_argument("--signals", metavar="NAMES", help="as P,theta,gauges,status")
     group.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="as 1,2,5-9")
-    group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces in the log, as can0,can1")
+    group.add_argument("--bus", metavar="NAMES", help="only frames of these interfaces of the log: can0,can1")
     group.add_argument("--from", dest="start", metavar="TIME", help="seconds from the start or of the epoch, ISO time")
-    group.add_argument("--to", dest="end", metavar="TIME", help="the same; samples before it")
+    group.add_argument("--to", dest="end", metavar="TIME", help="end, exclusive; same formats")
     group.add_argument(
-        "--calibration", action="append", metavar="[NODE=]CAL.toml", help="contact from the gauges; repeat for nodes"
+        "--calibration", action="append", metavar="[NODE=]CAL.toml", help="compute contact from the gauges; repeatable"
     )
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
-    group.add_argument("--dcf", action="append", metavar="FILE", help="a node's configuration; repeat for nodes")
-    group.add_argument("--dbc", metavar="FILE", help="the messages of a DBC, instead of the dictionary's")
+    group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
+    group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Draw. Raises InputError for what is not usable and EnvironmentLackError without matplotlib."""
+    """Draw the plot. Raises InputError for unusable input and EnvironmentLackError without matplotlib."""
     from tipforce_tools.plot.session import plot
 
     common.set_up_logging(args)
-    # What `tipforce decode` can do beside, and a picture has no use for.
+    # Options of `tipforce decode` that a plot does not need.
     args.ask, args.strict, args.follow, args.deltas = None, False, False, False
     return plot(args)
 
@@ -64,7 +64,7 @@ def _size(text: str) -> tuple[float, float]:
     match = re.fullmatch(r"(\d+(?:\.\d+)?)x(\d+(?:\.\d+)?)(in|cm|mm|)", text)
     size = tuple(float(match[k]) * _INCHES[match[3]] for k in (1, 2)) if match else (0.0, 0.0)
     if not (min(size) >= 1.0 and max(size) <= 100.0):
-        raise argparse.ArgumentTypeError(f"{text!r}: write 16x10cm, 160x100mm or 7x4in; 1 to 100 inches")
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 16x10cm, 160x100mm or 7x4in; 1 to 100 inches")
     return size[0], size[1]
 
 

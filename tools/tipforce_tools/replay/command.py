@@ -1,4 +1,4 @@
-"""`tipforce replay LOG [vcan1=vcan0 ...]`: arguments, and nothing else."""
+"""Arguments of `tipforce replay LOG [vcan1=vcan0 ...]`."""
 
 import argparse
 import math
@@ -6,15 +6,15 @@ import math
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Send the frames of a log with the time between them that the log has. LOG is candump's text (plain, gzip or zstd; -
-reads stdin) or any format that python-can reads. Remote, CAN FD and error frames go where the bus carries them;
-what is left out is counted on stderr.
+Send the frames of a log with their recorded timing. LOG is candump text (plain, gzip or zstd; - reads stdin) or any
+format that python-can reads. Remote, CAN FD and error frames are sent if the bus supports them; frames left out are
+counted on stderr.
 """
 EPILOG = """\
-WRITE=LOG sends to WRITE what the log has from LOG, as canplayer does; frames of other interfaces are left out. Without
-assignments frames go to the interface that the log names, or with -c all to that one. On a bus that is not virtual it
-asks first.
-exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or not one frame in it, 130 ended by Ctrl-C or SIGTERM
+WRITE=LOG sends to WRITE the frames recorded from LOG, as canplayer does; frames of other interfaces are left out.
+Without assignments frames go to the interface named in the log, or with -c all to that one. The command asks before
+it sends on a bus that is not virtual.
+exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or no frames in the log, 130 Ctrl-C or SIGTERM
 
   tipforce replay run.log                           to the interfaces of the log
   tipforce replay run.log.gz vcan1=vcan0 --speed 10
@@ -27,22 +27,22 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
-    parser.add_argument("log", metavar="LOG", help="a log file, or - for candump's text on stdin")
+    parser.add_argument("log", metavar="LOG", help="a log file, or - for candump text on stdin")
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
-    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times the log's own (inf: no waiting)")
-    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="how often, or inf (default: 1)")
+    parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
+    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of repetitions, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
-    parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump's text")
+    parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Send the frames. 0, 1 for a bad line with --strict, or 130 after a signal.
+    """Send the frames; return 0, 1 for a bad line with --strict, or 130 after a signal.
 
-    Raises InputError for a log that can't be read, a wrong assignment or an answer of no, EnvironmentLackError for a
-    bus that can't be opened or fails.
+    Raises InputError for a log that cannot be read, a wrong assignment or the answer "no", EnvironmentLackError for a
+    bus that cannot be opened or fails.
     """
     from tipforce_tools.replay.session import replay
 
@@ -67,7 +67,7 @@ def _speed(text: str) -> float:
 def _gap(text: str) -> float:
     number = common.number(text)
     if not 0 <= number < math.inf:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are seconds from 0 on")
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 or more seconds")
     return number
 
 

@@ -1,4 +1,4 @@
-"""`tipforce report`: error against run time, and what happens in extreme cases."""
+"""`tipforce report`: error against run time, and the behaviour in extreme cases."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from tipforce_tools.report.run import Run
 
 EPILOG = """\
-Error against run time compares methods for one task beside a reference whose own error is stated. A time is the median
-of several runs with its quartiles: compare times within one run, on a machine that does nothing else. The extreme cases
-say what is promised where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged
-(marked as unknown), refused (an error names the place). Some studies want packages of their own; without them they are
-left out, and the report says so: pip install "tipforce[report]" brings all.
+Error against run time compares methods for one task with a reference of stated error. A time is the median of several
+runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases state what holds
+where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged (marked as unknown),
+refused (an error names the place). Some studies need optional packages; without them they are left out, and the report
+names them: pip install "tipforce[report]" installs all.
 
 examples:
   tipforce report --quick
@@ -32,19 +32,19 @@ exit codes: 0 every claim held, 1 a claim did not hold or a study failed, 2 usag
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce report`."""
+    """Add the flags of `tipforce report`."""
     parser.epilog = EPILOG
-    parser.add_argument("--quick", action="store_true", help="below a minute, with fewer samples and runs")
+    parser.add_argument("--quick", action="store_true", help="run under a minute, with fewer samples and runs")
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
-    parser.add_argument("--list", action="store_true", help="the studies and the cases; nothing is run")
+    parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
-    parser.add_argument("--seed", type=int, default=None, metavar="N", help="of everything random (default: fixed)")
-    parser.add_argument("--date", metavar="TEXT", help="what the report gives as its date (default: now)")
+    parser.add_argument("--seed", type=int, default=None, metavar="N", help="of all random numbers (default: fixed)")
+    parser.add_argument("--date", metavar="TEXT", help="date printed in the report (default: now)")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run and print; 1 where a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
+    """Run and print; return 1 if a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
     from tipforce_tools.report.run import Run, selected
     from tipforce_tools.report.study import Effort
 
@@ -82,7 +82,7 @@ def _print_list(args: argparse.Namespace) -> None:
 
 
 def _require_output(directory: Path) -> None:
-    """Before minutes of work: the page needs matplotlib, and a place. Raises what plots and mkdir say."""
+    """Check, before minutes of work, matplotlib and the folder of the page. Raises the errors of plots and mkdir."""
     from tipforce_tools.report.plots import plotting
 
     with plotting():
@@ -117,13 +117,13 @@ def _write(job: Run, args: argparse.Namespace) -> None:
 
 @contextmanager
 def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], None]]:
-    """A progress bar on stderr, on a terminal alone; yields what advances it."""
+    """Show a progress bar on stderr, on a terminal only; yield the function that advances it."""
     if args.quiet or not sys.stderr.isatty():
         yield lambda: None
         return
     from rich.progress import Progress
 
-    # It draws in a thread of its own: twice a second takes nothing from what is timed.
+    # rich draws in a thread: two updates a second do not disturb the timings.
     with Progress(console=common.console(args, stderr=True), transient=True, refresh_per_second=2) as progress:
         task = progress.add_task("report", total=total)
         yield lambda: progress.advance(task)

@@ -7,7 +7,7 @@ import argparse
 from tipforce_tools.cli import actions
 
 ACTIONS = {
-    "explain": ("tipforce_tools.scene.explain", "what a scene builds, what it leaves out and why"),
+    "explain": ("tipforce_tools.scene.explain", "list what a scene builds, what it leaves out, and why"),
 }
 
 
@@ -17,5 +17,5 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the action; its exit code."""
+    """Run the action and return its exit code."""
     return actions.run_action(args, "scene", ACTIONS)

@@ -1,6 +1,6 @@
-"""What each part of a scene costs: the scene with the part against the scene without it, and what it takes to load.
+"""Run time and import time of each part of a scene: the scene with the part against the scene without it.
 
-A part that others build on is timed without these, so that each cost is its own.
+A part that others depend on is timed without them, so that each cost is counted once.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tipforce.scene.loads import load_of
 from tipforce.scene.run import Options, Outcome, run_scene
 from tipforce.scene.scene_parts import Part, parts
 
-_LENGTHEN = 4  # the long run of a pair against the short one: building, which both do once, drops out
+_LENGTHEN = 4  # ratio of the long run to the short run of a pair: their difference excludes the set-up
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,16 +32,16 @@ class PartCost:
     part: str
     built: bool
     us_per_sample: float | None
-    """With the part less without it; for "nodes" what remains without every other part. None where it is left out, or
-    where it cannot be taken away alone."""
+    """Difference with and without the part; for "nodes" the rest without all other parts. None if it is left out, or
+    cannot be removed alone."""
     ms_per_run: float | None
-    """The same for what does not grow with the samples: building, opening, drawing."""
+    """The same for work that does not grow with the samples: set-up, opening, drawing."""
     import_ms: float | None
-    """Of the modules that no part before it loads. None where it is left out."""
+    """Import time of the modules that no earlier part imports. None if it is left out."""
 
 
 def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> list[PartCost]:
-    """Measure every part. ``samples``: of a short run; ``runs``: how often each is repeated, the least counts."""
+    """Measure every part. ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts."""
     imports = import_times(scene, path)
     ladder = rungs(scene)
     times = [(one.us_per_sample, one.ms_per_run) for one in measure([one for _, one in ladder], path, samples, runs)]
@@ -58,7 +58,7 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
 
 
 def total(costs: Sequence[PartCost]) -> PartCost:
-    """All parts together: what the whole scene takes, because each part was timed against the rest."""
+    """Sum of all parts: the cost of the whole scene, because each part was timed against the rest."""
     sums = [
         sum(value for value in column if value is not None)
         for column in zip(*((one.us_per_sample, one.ms_per_run, one.import_ms) for one in costs), strict=True)
@@ -67,7 +67,7 @@ def total(costs: Sequence[PartCost]) -> PartCost:
 
 
 def rungs(scene: schema.Scene) -> list[tuple[str, schema.Scene]]:
-    """(part, the scene with it and without all the parts above): each rung takes one part away, down to "nodes"."""
+    """Return (part, the scene with it and without all previous parts): each step removes one part, down to "nodes"."""
     left, found = scene, []
     built = {part.name for part in parts(scene) if part.built}
     for name, take in _TAKE:
@@ -82,7 +82,7 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 
 
 def _stand_still(scene: schema.Scene) -> schema.Scene:
-    """Every load that changes held at its largest."""
+    """Return the scene with every changing load held at its maximum."""
     found = []
     for node_id in scene.node_ids:
         load = load_of(scene, node_id)
@@ -112,8 +112,8 @@ def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
     return lambda scene: replace(scene, outputs=replace(scene.outputs, **{name: None}))
 
 
-# From the top: what stands on others is taken away first, and of the rest what costs most, so that the small ones are
-# differences of small numbers. A filter makes the converter work all the time and not at SYNCs alone: that is its cost.
+# In order of removal: dependent parts first, then the most expensive of the rest, so that small costs are differences
+# of small numbers. The cost of a filter is that the converter runs continuously and not only at SYNCs.
 _TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
     ("plot", _no_output("plot")),
     ("filter", lambda scene: _nodes(scene, filter=None)),
@@ -142,15 +142,15 @@ class Measured:
     us_per_sample: float
     ms_per_run: float
     seconds: tuple[float, ...]
-    """Per sample, of each of the longer runs as a whole, building included: their spread is that of the machine."""
+    """Time per sample of each long run, with set-up: their spread is that of the machine."""
     P_rms_newtons: float
-    """RMS error of P over the samples of all nodes that know it; NaN where none does."""
+    """RMS error of P over the samples of all nodes with a known P; NaN without any."""
 
 
 def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
-    """Time scenes that belong to the file ``path``, without their bus; output files go to a folder of their own.
+    """Time scenes of the file ``path`` without their bus; output files go to a separate folder.
 
-    All take turns, and the least of several runs counts: what else the machine does only ever adds.
+    The runs are interleaved and the minimum counts: other load on the machine only adds time.
     """
     short: list[list[float]] = [[] for _ in scenes]
     long: list[list[float]] = [[] for _ in scenes]
@@ -159,7 +159,7 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
         moved = [_in_folder(replace(scene, bus=None), Path(folder)) for scene in scenes]
         counts = [max(1, samples // len(scene.node_ids)) for scene in moved]
         for scene in moved:
-            _timed(scene, path, 1)  # what is loaded and built once per process is not the scene's
+            _timed(scene, path, 1)  # exclude imports and set-up done once per process
         for _ in range(runs):
             outcomes.clear()
             for k, (scene, count) in enumerate(zip(moved, counts, strict=True)):
@@ -192,7 +192,7 @@ def _P_rms(outcome: Outcome) -> float:
 
 
 def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:
-    """The scene with its output files in another place."""
+    """Return the scene with its output files in another folder."""
     given = scene.outputs
     moved = {
         name: str(folder / Path(value).name)
@@ -214,9 +214,9 @@ run_scene(scene, Path(sys.argv[2]), Options(duration_s=1.5 / (scene.sync_hz or 1
 
 
 def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
-    """Milliseconds that each part's modules take to load, in a Python of its own; by part.
+    """Return the milliseconds of each part's imports, in a separate Python process; by part.
 
-    A module counts for the first part that lists it, a package that is not tipforce's with all that it loads itself.
+    A module counts for the first part that lists it; a package of others counts with all its own imports.
     """
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         import msgspec
@@ -239,7 +239,7 @@ def _attribute(report: str, built: list[Part]) -> dict[str, float]:
         own_us, total_us, name = line.removeprefix("import time:").split("|")
         module = name.strip()
         if module in owners:
-            # The children of a foreign package, other foreign packages among them, belong to who asked for it.
+            # Imports of another package, including further packages, count for the module that imports it.
             us = own_us if module.startswith("tipforce") else total_us
             found[owners[module]] = found.get(owners[module], 0.0) + 1e-3 * int(us)
     return found

@@ -1,4 +1,4 @@
-"""`tipforce scene explain SCENE`: what is built and what is left out, what goes on the bus, what each part costs."""
+"""`tipforce scene explain SCENE`: the parts built and left out, the frames on the bus, the cost of each part."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce scene explain`."""
+    """Add the flags of `tipforce scene explain`."""
     parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md")
-    parser.add_argument("--cost", action="store_true", help="measure each part: with it and without it; import times")
+    parser.add_argument("--cost", action="store_true", help="measure the run time and import time of each part")
     common.add_output_arguments(parser)
 
 
@@ -51,8 +51,8 @@ def run(args: argparse.Namespace) -> int:
     _print_identifiers(args, sent)
     fits = "" if high <= 1.0 else " (with the most stuff bits it does not fit)" if low <= 1.0 else " (it does not fit)"
     print(
-        f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with as many as "
-        f"there can be{fits}"
+        f"bus load at {scene.bit_rate} bit/s: {100 * low:.1f} % without stuff bits, {100 * high:.1f} % with the most "
+        f"stuff bits{fits}"
     )
     return 0
 
@@ -101,7 +101,7 @@ def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
 
 
 def _short(modules: list[str]) -> str:
-    """Modules by package: `sensor: geometry strain; numpy`. A long list is only counted: --json has every name."""
+    """Format modules by package: `sensor: geometry strain; numpy`. A long list is counted: --json has the names."""
     packages: dict[str, list[str]] = {}
     for name in dict.fromkeys(modules):
         package, _, last = name.partition("tipforce.")[2].rpartition(".")
@@ -119,7 +119,7 @@ def _short(modules: list[str]) -> str:
 def _print_identifiers(args: argparse.Namespace, sent: list[dict[str, Any]]) -> None:
     from rich.table import Table
 
-    table = Table(title="COB-IDs that are sent (EMCY where there is a reason)", title_justify="left")
+    table = Table(title="COB-IDs sent (EMCY only on an error)", title_justify="left")
     for heading, justify in (("COB-ID", "left"), ("", "left"), ("rate", "right"), ("data", "right"), ("load", "right")):
         table.add_column(heading, justify="right" if justify == "right" else "left")
     for one in sent:

@@ -1,4 +1,4 @@
-"""`tipforce run SCENE`: all that a scene file names, and a table of what came of it, finger by finger."""
+"""`tipforce run SCENE`: run a scene file and print a table of results, one row per finger."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ _DIGITS = (3, 2, 2)
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce run`. python-can's own three bus flags by hand: loading python-can is for runs on a bus."""
+    """Add the flags of `tipforce run`. Three bus flags are defined here: only runs on a bus import python-can."""
     parser.epilog = (
-        "Time is simulated, with no bus and as fast as it goes, unless the scene has a [bus] or a bus flag is given.\n"
-        "Exit code 1: something that the scene expects ([[expect]]) did not hold.\n"
+        "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
+        "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
         "  tipforce run scenes/grasp.toml\n"
         "  tipforce run scenes/grasp.toml --duration 60 -i socketcan -c vcan0"
     )
-    parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md; scenes/ has some")
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md; examples in scenes/")
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
     group = parser.add_argument_group("bus (in real time)")
-    group.add_argument("-i", "--interface", help="python-can's name of the interface: socketcan, virtual, ...")
-    group.add_argument("-c", "--channel", help="such as vcan0")
-    group.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="of the bus, where the interface sets it")
-    group.add_argument("--realtime", action="store_true", help="without these: on a bus inside this process")
+    group.add_argument("-i", "--interface", help="python-can interface: socketcan, virtual, ...")
+    group.add_argument("-c", "--channel", help="for example vcan0")
+    group.add_argument("-b", "--bitrate", type=int, metavar="BIT/S", help="if the interface sets it")
+    group.add_argument("--realtime", action="store_true", help="without -i and -c: on a bus inside this process")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the scene; 0, or 1 where an expectation did not hold."""
+    """Run the scene; return 0, or 1 if an expectation did not hold."""
     from tipforce.scene.run import run_scene
     from tipforce.scene.scene_parts import bus_load
     from tipforce.scene.schema import read_scene
@@ -54,7 +54,7 @@ def run(args: argparse.Namespace) -> int:
     options = _options(args)
     if bus_load(scene)[0] > 1.0:
         common.note(
-            args, f"{args.scene}: no bus of {scene.bit_rate} bit/s carries this: {100 * bus_load(scene)[0]:.0f} % load"
+            args, f"{args.scene}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
         )
     started_s = time.monotonic()
     with _progress(args, options.duration_s or scene.duration_s) as advance:
@@ -84,7 +84,7 @@ def _options(args: argparse.Namespace) -> Options:
 
 @contextmanager
 def _progress(args: argparse.Namespace, duration_s: float) -> Iterator[Callable[[float], None]]:
-    """A bar on a terminal, nothing elsewhere."""
+    """Show a progress bar, on a terminal only."""
     if args.quiet or not sys.stderr.isatty():
         yield lambda _t_s: None
         return
@@ -126,7 +126,7 @@ def _number(value: float, digits: int) -> str:
 
 
 def _remarks(finger: FingerResult) -> str:
-    """What is missing and why; and where the simulation itself is not to be trusted."""
+    """Return the missing values with their reasons, and the limits of the simulation that were exceeded."""
     closed = {"slit closed: not linear": finger.slit_closed} if finger.slit_closed else {}
     return _counts({**finger.missing, **closed})
 

@@ -1,4 +1,4 @@
-"""`tipforce sdo read|write|dump`: one object of a node, by number or by name, or all of them."""
+"""`tipforce sdo read|write|dump`: one object of a node, by number or name, or all objects."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
-ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all objects that can be read"}
+ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all readable objects"}
 PERSISTENT = {
     communication.STORE_PARAMETERS: "stores parameters",
     communication.RESTORE_DEFAULTS: "restores defaults at the next reset",
@@ -17,7 +17,7 @@ PERSISTENT = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce sdo`."""
+    """Add the flags of `tipforce sdo`."""
     parser.epilog = (
         "examples (CiA 309-3 words, or names of the dictionary; docs/objects.md lists them):\n"
         "  tipforce sdo read 10 0x1017 0 u16\n"
@@ -25,30 +25,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce sdo read 10 calibration.matrix:3\n"
         "  tipforce sdo write 10 0x1017 0 u16 500\n"
         "  tipforce sdo write 10 heartbeat.producer_ms 500\n"
-        "  tipforce sdo dump 10                     all that can be read, with names and units\n"
+        "  tipforce sdo dump 10                     all readable objects, with names and units\n"
         "types: u8 u16 u32 i8 i16 i32 r32 vs (string) d (domain, as hex bytes)"
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
-    parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; for write then VALUE")
-    parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump asks the node)")
+    parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
+    parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump: read from the node)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Read or write; prints the value read. Raises NoResponseError and SdoAbortError."""
+    """Read or write, and print a value that was read. Raises NoResponseError and SdoAbortError."""
     from tipforce.dictionary import types
 
     if args.action == "dump":
         return _dump(args)
     words = list(args.words)
     if not words:
-        raise InputError(f"sdo {args.action}: which object? Write NAME, or INDEX SUB [TYPE]; `sdo dump` reads them all")
+        raise InputError(f"sdo {args.action}: object missing; write NAME, or INDEX SUB [TYPE]; `sdo dump` reads all")
     value_text = words.pop() if args.action == "write" and len(words) > 1 else None
     if args.action == "write" and value_text is None:
-        raise InputError("sdo write: write NAME VALUE, or INDEX SUB TYPE VALUE")
+        raise InputError("sdo write: expected NAME VALUE, or INDEX SUB TYPE VALUE")
     index, sub, letter, name = _entry(words, 3 if args.gauges is None else args.gauges)
     data = None if value_text is None else types.encode(letter, types.parse_value(letter, value_text))
     common.set_up_logging(args)
@@ -80,18 +80,18 @@ def _dump(args: argparse.Namespace) -> int:
 
 
 def _entry(words: list[str], gauges: int) -> tuple[int, int, str, str]:
-    """(index, sub, type letter, dotted name or "") from NAME, or from INDEX SUB [TYPE]."""
+    """Return (index, sub, type letter, dotted name or "") of NAME, or of INDEX SUB [TYPE]."""
     from tipforce.dictionary import names, types
 
     if len(words) == 1:
         entry = names.resolve(words[0], gauges)
         return entry.index, entry.sub, entry.type, entry.name
     if len(words) > 3:
-        raise InputError(f"sdo: {' '.join(words)!r} is too much; write NAME, or INDEX SUB [TYPE]")
+        raise InputError(f"sdo: {' '.join(words)!r}: too many words; expected NAME, or INDEX SUB [TYPE]")
     try:
         index, sub = int(words[0], 0), int(words[1], 0)
     except ValueError:
-        raise InputError(f"sdo: {words[0]!r} {words[1]!r} is no INDEX SUB; write 0x1017 0, or one NAME") from None
+        raise InputError(f"sdo: {words[0]!r} {words[1]!r} is not INDEX SUB; write 0x1017 0, or one NAME") from None
     if not (0 <= index <= 0xFFFF and 0 <= sub <= 0xFF):
         raise InputError(f"sdo: index {words[0]} sub {words[1]}: allowed are 0 to 0xFFFF and 0 to 0xFF")
     known = names.describe(index, sub, gauges)

@@ -1,4 +1,4 @@
-"""`tipforce sdo dump`: every object of a node that can be read, with its name, value and unit."""
+"""`tipforce sdo dump`: every readable object of a node, with its name, value and unit."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _NOT_THERE = (codes.NO_OBJECT, codes.NO_SUB)  # SDO aborts: no such object, no s
 
 
 class Found(NamedTuple):
-    """One entry: its value and text, or the abort that the node answered with."""
+    """One entry: its value and text, or the SDO abort of the node."""
 
     row: Row
     value: Value | None
@@ -31,7 +31,7 @@ class Found(NamedTuple):
 
 
 def dump(args: argparse.Namespace) -> int:
-    """Print what the node holds; 0. An entry that it refuses to tell has the abort in place of its value.
+    """Print the objects of the node; return 0. An entry that it refuses to read shows the abort instead of its value.
 
     Raises NoResponseError.
     """
@@ -53,14 +53,14 @@ def dump(args: argparse.Namespace) -> int:
     absent = f", {missing} of the dictionary it does not have" if missing else ""
     common.note(
         args,
-        f"node {common.shown_id(args.node)}: {len(shown)} entries{absent}; left out: what can only be written, and its "
+        f"node {common.shown_id(args.node)}: {len(shown)} entries{absent}; left out: write-only entries, and the "
         f"EDS (0x{EDS:04X}: `tipforce sdo read {args.node} 0x{EDS:04X} 0`)",
     )
     return 0
 
 
 def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
-    """The entries to ask for: with --gauges those of such a fingertip, otherwise by what the node says that it is."""
+    """Return the entries to read: with --gauges those of such a fingertip, otherwise by the node's identity."""
     from tipforce.dictionary.rows import rows
     from tipforce.host.network.finger import FingertipClient
 
@@ -75,14 +75,14 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
             gauges, below = 3, _PROFILE_FREE
             common.note(
                 args,
-                f"node {common.shown_id(args.node)} is no fingertip: only the objects of CiA 301 are read "
-                "(--gauges N: all those of a fingertip)",
+                f"node {common.shown_id(args.node)} is not a fingertip: only the objects of CiA 301 are read "
+                "(--gauges N: all objects of a fingertip)",
             )
     return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
 
 
 def _read(sdo: SdoChannel, rows: list[Row]) -> Iterator[Found | None]:
-    """Each entry; None for one that the node does not have."""
+    """Read each entry; None for one that the node does not have."""
     from tipforce.dictionary import types
 
     for row in rows:
@@ -94,7 +94,7 @@ def _read(sdo: SdoChannel, rows: list[Row]) -> Iterator[Found | None]:
         try:
             value = types.decode(row.letter, data)
             yield Found(row, value, types.format_value(row.letter, value), None)
-        except InputError:  # another device's idea of this object: its bytes are what is known
+        except InputError:  # another device's type for this object: show its bytes
             yield Found(row, data, data.hex(" ").upper(), None)
 
 
@@ -113,5 +113,5 @@ def _print(args: argparse.Namespace, found: Found, width: int) -> None:
 
 
 def _name(row: Row) -> str:
-    """The name that `sdo read` takes; a sub-index 0 that only counts has none, and says what it is."""
+    """Return the name that `sdo read` takes, or a description of a sub-index 0 that holds a count."""
     return row.dotted if row.slug else row.name

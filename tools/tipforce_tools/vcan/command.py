@@ -1,4 +1,4 @@
-"""`tipforce vcan [-- COMMAND ...]`: arguments, and nothing else."""
+"""Arguments of `tipforce vcan [-- COMMAND ...]`."""
 
 import argparse
 import os
@@ -8,14 +8,14 @@ import sys
 from tipforce.errors import EnvironmentLackError, InputError
 
 DESCRIPTION = """\
-Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. Used is the first that works of: this kernel,
-if the interfaces are up; this kernel in a network namespace made for the run, so that the host stays as it is; else
-User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). Directory and environment are
-yours everywhere.
+Run COMMAND where vcan0 and vcan1 are up, and exit with its exit code. The first of these that works is used: this
+kernel, if the interfaces are up; this kernel in a temporary network namespace, which leaves the host unchanged;
+User-mode Linux, a kernel that runs as a program (apt-get install user-mode-linux). COMMAND has your directory and
+environment in all cases.
 
-In User-mode Linux: COMMAND is root on one CPU; it sees your files, and what it writes is gone afterwards (--rw
-keeps it, except for temporary files: TMPDIR is a folder in memory); stdin is /dev/null, and stdout and stderr are
-pipes, unless all three are a terminal, which COMMAND then gets.
+In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
+keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
+pipes, unless all three are a terminal, which COMMAND then uses.
 """
 EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
@@ -34,23 +34,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--interfaces", default="vcan0,vcan1", metavar="NAMES", help="buses to make (default: %(default)s)"
     )
-    parser.add_argument("--memory", default="2G", metavar="SIZE", help="of the User-mode Linux (default: %(default)s)")
-    parser.add_argument("--timeout", type=float, metavar="S", help="end COMMAND after S seconds, exit 1")
-    parser.add_argument("--rw", action="store_true", help="in User-mode Linux, let COMMAND write your files")
+    parser.add_argument("--memory", default="2G", metavar="SIZE", help="of User-mode Linux (default: %(default)s)")
+    parser.add_argument("--timeout", type=float, metavar="S", help="end COMMAND after S seconds, exit with 1")
+    parser.add_argument("--rw", action="store_true", help="User-mode Linux: let COMMAND write your files")
     places = parser.add_mutually_exclusive_group()
     places.add_argument(
-        "--uml", dest="place", action="store_const", const="uml", default="auto", help="User-mode Linux in any case"
+        "--uml", dest="place", action="store_const", const="uml", default="auto", help="use User-mode Linux"
     )
     places.add_argument(
-        "--host", dest="place", action="store_const", const="host", help="this kernel, or an error if it has no vcan"
+        "--host", dest="place", action="store_const", const="host", help="use this kernel; an error if it has no vcan"
     )
     parser.add_argument(
-        "command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="without it: a shell, on a terminal"
+        "command", nargs=argparse.REMAINDER, metavar="-- COMMAND ...", help="default: a shell, on a terminal"
     )
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the command, or a shell. Raises InputError and EnvironmentLackError as `run_with_vcan` does."""
+    """Run the command or a shell. Raises InputError and EnvironmentLackError as `run_with_vcan` does."""
     if sys.platform != "linux":
         raise EnvironmentLackError(
             f"vcan exists on Linux only, and this is {sys.platform}; "
@@ -72,6 +72,6 @@ def run(args: argparse.Namespace) -> int:
 
 def _shell() -> list[str]:
     if not sys.stdin.isatty():
-        raise InputError("no command, and stdin is no terminal: give one after --, `tipforce vcan -- COMMAND ...`")
+        raise InputError("no command, and stdin is not a terminal: add one after --, `tipforce vcan -- COMMAND ...`")
     shell = os.environ.get("SHELL", "")
     return [shell if shutil.which(shell) else "bash"]

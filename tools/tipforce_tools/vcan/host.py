@@ -1,4 +1,4 @@
-"""The kernel that we are on: has it vcan, and running a command on it."""
+"""Check the host kernel for vcan, and run a command on it."""
 
 import contextlib
 import fcntl
@@ -18,7 +18,7 @@ _SIOCGIFHWADDR = 0x8927
 _IFF_UP = 1
 _ARPHRD_CAN = 280  # linux/if_arp.h
 
-# Run inside a network namespace of its own: NAME... -- COMMAND. A fresh sysfs shows the namespace's interfaces.
+# Run inside a separate network namespace: NAME... -- COMMAND. A new sysfs mount shows the namespace's interfaces.
 _MAKE_BUSES = """set -e
 mount -t sysfs sysfs /sys 2>/dev/null || true
 ip link set lo up
@@ -29,7 +29,7 @@ exec -- "$@"
 
 
 def is_up(interface: str) -> bool:
-    """Is there a CAN interface of this name in our network namespace, and is it up?"""
+    """Return whether a CAN interface of this name exists in this network namespace and is up."""
     request = struct.pack("16s24x", interface.encode())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as asker:
         try:
@@ -41,15 +41,15 @@ def is_up(interface: str) -> bool:
 
 
 def namespace_command(interfaces: Sequence[str], command: Sequence[str]) -> list[str]:
-    """The command that runs `command` in a fresh network namespace that has `interfaces`, all up."""
-    # Anybody may be root in a user namespace of their own, where the kernel allows that.
+    """Return the command that runs `command` in a new network namespace with `interfaces`, all up."""
+    # An ordinary user can be root in a new user namespace, if the kernel allows it.
     as_root = [] if os.geteuid() == 0 else ["--map-root-user"]
     unshare = [find_program("unshare") or "unshare", *as_root, "--net", "--mount"]
     return [*unshare, "bash", "-c", _MAKE_BUSES, "vcan", *interfaces, "--", *command]
 
 
 def can_make(interfaces: Sequence[str]) -> bool:
-    """Can this kernel make the interfaces, in a namespace, for us? Tries it; nothing stays but a loaded module."""
+    """Return whether this kernel can create the interfaces in a namespace. Tries it; a loaded module may remain."""
     if find_program("ip") is None or find_program("unshare") is None:
         return False
     modprobe = find_program("modprobe")
@@ -64,11 +64,11 @@ def can_make(interfaces: Sequence[str]) -> bool:
 
 
 def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
-    """Run `command` on this kernel with our terminal and environment; return its exit code (128 + n for signal n).
+    """Run `command` on this kernel with this terminal and environment; return its exit code (128 + n for signal n).
 
     130 after SIGINT or SIGTERM; 1, with a message, after the timeout; 126 or 127 when it cannot be started.
     """
-    # On a terminal the command must stay in the foreground group, where Ctrl-C reaches it by itself.
+    # On a terminal the command must stay in the foreground process group, which receives Ctrl-C.
     own_group = sys.stdin is None or not sys.stdin.isatty()
     with terminating_signals_interrupt():
         try:
@@ -89,7 +89,7 @@ def run_here(command: Sequence[str], timeout_s: float | None = None) -> int:
 
 
 def _end(process: "subprocess.Popen[bytes]", own_group: bool) -> None:
-    """Ask the command, and its group if it has its own, to end; insist after five seconds."""
+    """Send SIGTERM to the command, or to its process group if it has its own; SIGKILL after five seconds."""
     if process.returncode is not None:
         return
     for number in (signal.SIGTERM, signal.SIGKILL):

@@ -1,7 +1,7 @@
 #!/bin/bash
-# The first process of the User-mode Linux that `tipforce vcan` boots: makes the buses, runs the command, halts.
-# It reads settings, command and environment (NUL-separated) from its own folder, which the caller made for this
-# run, and leaves there: `started`, then `status` (the command's exit code), or `failed` (a sentence) instead.
+# The first process of the User-mode Linux that `tipforce vcan` boots: creates the buses, runs the command, halts.
+# It reads settings, command and environment (NUL-separated) from its own folder, which the caller created for this
+# run, and writes there: `started`, then `status` (the command's exit code), or `failed` (a sentence) instead.
 # Consoles: tty1 carries the command's stdout (or the whole terminal), tty2 its stderr, tty0 the kernel's messages.
 export PATH=/usr/sbin:/usr/bin:/sbin:/bin
 folder=${0%/*}
@@ -23,14 +23,14 @@ fail() {
 load() {
     local file
     for file in "$modules/$1".ko*; do
-        # A module that is not there may be built in: whether CAN works shows at `ip link add`.
+        # A missing module may be built in: `ip link add` shows whether CAN works.
         [ -e "$file" ] || return 0
         insmod "$file" || fail "the kernel module $file could not be loaded"
     done
 }
 
-# By hostfs and not by path: the root may be read-only, and this path may lie below /run. Linux 6.12 wants the option
-# by its name, and 6.1 takes all of it for the folder. What the mounts say goes to the kernel's messages.
+# By hostfs and not by path: the root may be read-only, and this path may be below /run. Linux 6.12 needs the name of
+# the option, and 6.1 takes all of it as the folder. Output of mount goes to the kernel's messages.
 mount_exchange() {
     mount -t hostfs -o "hostfs=$folder" exchange "$exchange" || mount -t hostfs -o "$folder" exchange "$exchange"
 }
@@ -76,8 +76,8 @@ make_buses() {
     done
 }
 
-# What the command writes lands in memory, above the caller's files; with access=write, in the caller's files.
-# A real change of root, not chroot: the kernel refuses user namespaces to a process in a chroot.
+# Files that the command writes go to memory, over the caller's files; with access=write, to the caller's files.
+# pivot_root, not chroot: the kernel refuses user namespaces to a process in a chroot.
 make_root() {
     local root=/run/root shared
     [ "$access" = write ] && return
@@ -92,14 +92,14 @@ make_root() {
     cd "$root" && pivot_root . . && umount -l . && cd / || fail "the writable layer could not become the root"
 }
 
-# The caller's temporary folder may hold what programs made there for the caller, and trust from nobody else: inside,
-# everybody is root. Made after the root: it lies in memory, whoever owns the caller's files.
+# The caller's temporary folder may hold files that programs accept only from the caller's user, but every process
+# inside is root. Created after the root: it is in memory, whoever owns the caller's files.
 make_temporary_folder() {
     mkdir -p "$temporary" && chmod 1777 "$temporary" || fail "the temporary folder $temporary could not be made"
 }
 
-# Called in a subshell, so that bash's own remark on a killed command goes to the log and not to the command's stderr.
-# `setsid` stands before the command so that a name with "=" in it is not taken for a variable.
+# Called in a subshell, so that bash's message about a killed command goes to the log, not to the command's stderr.
+# `setsid` precedes the command so that a name that contains "=" is not taken for a variable.
 run_command() {
     exec env -i -C "$directory" "${environment[@]}" TMPDIR="$temporary" /usr/bin/setsid "$@" "${command[@]}"
 }
@@ -112,7 +112,7 @@ run_on_terminal() {
     echo $? >"$exchange/status"
 }
 
-# Through pipes, so that the command does not take its output for a terminal; raw, so that \n stays \n.
+# Through pipes, so that the command does not see a terminal; raw, so that \n stays \n.
 run_on_pipes() {
     local copiers process pipes=/run/tipforce-vcan-pipes
     exec 5<>/dev/tty1 6<>/dev/tty2
@@ -127,7 +127,7 @@ run_on_pipes() {
     : >"$exchange/started"
     (run_command) </dev/null >"$pipes/stdout" 2>"$pipes/stderr" 5>&- 6>&-
     echo $? >"$exchange/status"
-    # Whatever the command left running would hold the pipes open; this machine ends with the command.
+    # Processes left by the command would keep the pipes open; this machine ends with the command.
     for process in /proc/[0-9]*; do
         case " 1 $copiers " in
         *" ${process#/proc/} "*) ;;
@@ -135,7 +135,7 @@ run_on_pipes() {
         esac
     done
     wait $copiers
-    # stty waits until all that was written has left the console.
+    # stty waits until the console has transmitted all output.
     stty -F /dev/tty1 raw -echo
     stty -F /dev/tty2 raw -echo
 }

@@ -1,8 +1,8 @@
-"""User-mode Linux: a Linux kernel that runs as an ordinary program, here for its CAN modules.
+"""User-mode Linux: a Linux kernel that runs as an ordinary program, used for its CAN modules.
 
-The machine sees the caller's files (hostfs) below a layer in memory, so that a command may write anywhere and the
-caller's files stay as they are. Debian's package ``user-mode-linux`` brings kernel and modules; needs no KVM and no
-root. `init.sh`, the machine's first process, does the work inside.
+The virtual machine mounts the caller's files (hostfs) below an overlay in memory, so that a command may write anywhere
+and the caller's files stay unchanged. Debian's package ``user-mode-linux`` contains kernel and modules; it needs
+neither KVM nor root. `init.sh`, the first process of the machine, runs the command.
 """
 
 import contextlib
@@ -25,15 +25,15 @@ from tipforce_tools.vcan.parts import ELSEWHERE, SYSTEM_PATH, find_program, requ
 from tipforce_tools.vcan.xstate import preloading
 
 INTERRUPTED = 130
-PIPE_CLOSED = 141  # 128 + SIGPIPE: what a shell reports for a writer whose reader has left
+PIPE_CLOSED = 141  # 128 + SIGPIPE: the shell's exit code for a writer whose reader closed the pipe
 BOOT_LIMIT_S = 120.0
 HALT_LIMIT_S = 10.0
 
-# Starts the kernel, and beside it, in the same process group, one that waits for the end of the pipe on stdin and
-# then ends the group: so nothing stays even when the caller is killed without a chance to clean up.
+# Start the kernel and, in the same process group, a process that waits for the end of the pipe on stdin and then kills
+# the group: no process remains even if the caller is killed.
 # The copy on 9 is needed: bash gives a background process /dev/null as stdin.
-# As many open files as we may have: the kernel keeps a file of the caller's open as long as it remembers it, closed or
-# not, and the 1024 of an ordinary user are few.
+# Raise the limit of open files: the kernel keeps files of the caller open while they are cached, closed or not, and
+# the usual limit of 1024 is too low.
 _WATCHED = """exec 9<&0 </dev/null
 ulimit -S -n "$(ulimit -H -n)" 2>/dev/null
 { read -r <&9; kill -KILL 0; } >/dev/null 2>&1 &
@@ -42,7 +42,7 @@ exec 9<&- "$@"
 
 
 class Request(NamedTuple):
-    """What to run and where."""
+    """The command, and where to run it."""
 
     command: Sequence[str]
     interfaces: Sequence[str]
@@ -55,14 +55,14 @@ def write_list(path: Path, items: Sequence[str | bytes]) -> None:
     """Write `items` NUL-terminated, as `init.sh` reads them. Raises InputError for an item that holds a NUL."""
     encoded = [os.fsencode(item) for item in items]
     if any(b"\0" in item for item in encoded):
-        raise InputError("an argument or a variable holds a NUL byte, which no program can be given")
+        raise InputError("an argument or a variable contains a NUL byte, which exec does not allow")
     path.write_bytes(b"".join(item + b"\0" for item in encoded))
 
 
 def run_in_uml(request: Request) -> int:
     """Boot, run the command, halt; return the command's exit code.
 
-    130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError when
+    130 after SIGINT or SIGTERM, 1 after the timeout (with a message on stderr). Raises EnvironmentLackError if
     User-mode Linux is missing or does not boot.
     """
     require_parts()
@@ -121,7 +121,7 @@ class _Machine:
         return self
 
     def __exit__(self, *_: object) -> None:
-        # The kernel's helpers and the programs inside are processes of the group that start_new_session made.
+        # Helper processes of the kernel and the programs inside belong to the group that start_new_session created.
         with contextlib.suppress(ProcessLookupError):
             os.killpg(self.process.pid, signal.SIGKILL)
         self.process.wait()
@@ -147,7 +147,7 @@ class _Machine:
                 raise self._failure(f"User-mode Linux did not boot within {BOOT_LIMIT_S:g} s ({ELSEWHERE})")
 
     def _copy_output(self) -> bool:
-        """Pass on what has arrived, waiting a moment for it; False when nothing has."""
+        """Pass on output, with a short wait; return False if none arrived."""
         arrived = False
         if not self.selector.get_map():
             time.sleep(0.05)
@@ -163,7 +163,7 @@ class _Machine:
 
     def _file(self, name: str) -> str | None:
         path = self.folder / name
-        # An empty status is one that is being written at this moment.
+        # An empty status file is still being written.
         return path.read_text() if path.exists() and (name == "started" or path.stat().st_size) else None
 
     def _exit_code(self) -> int:
@@ -182,7 +182,7 @@ class _Machine:
 
 
 def _wait_for_group(group: int, limit_s: float = 5.0) -> None:
-    """Return when no process of the killed group runs any more (kill only announces it; zombies do not count)."""
+    """Wait until no process of the killed group runs (kill is asynchronous; zombies do not count)."""
     begin = time.monotonic()
     while time.monotonic() - begin < limit_s and any(_group_of_live(path) == group for path in _processes()):
         time.sleep(0.005)
@@ -235,9 +235,9 @@ def _write_request(folder: Path, request: Request, terminal: bool) -> None:
 
 
 def memory_folder(memory: str, otherwise: Path) -> str:
-    """Where the machine's memory lives: /dev/shm if it is large enough and may hold programs, else `otherwise`.
+    """Return the folder of the machine's memory: /dev/shm if it is large enough and executable, else `otherwise`.
 
-    A container's /dev/shm is often 64 MB and noexec; the machine would die at the first page beyond it.
+    A container's /dev/shm is often 64 MB and noexec; the machine would crash at the first page beyond it.
     """
     try:
         shm = os.statvfs("/dev/shm")
@@ -256,17 +256,17 @@ def memory_bytes(memory: str) -> int:
 
 
 def _short_temporary_folder() -> str:
-    # The path goes on a kernel command line (no blanks) and into a socket's name (107 characters at most).
+    # The path is part of a kernel command line (no blanks) and of a socket name (at most 107 characters).
     folder = tempfile.gettempdir()
     return folder if re.fullmatch(r"[\w./+-]{1,50}", folder, re.ASCII) else "/tmp"
 
 
 @contextlib.contextmanager
 def terminating_signals_interrupt() -> Iterator[None]:
-    """SIGTERM raises KeyboardInterrupt, as SIGINT does, so that both end the machine in the same way."""
+    """Raise KeyboardInterrupt on SIGTERM as on SIGINT, so that both end the machine in the same way."""
     try:
         before = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    except ValueError:  # not the main thread: signals go there
+    except ValueError:  # not the main thread, which alone receives signals
         yield
         return
     try:
@@ -277,7 +277,7 @@ def terminating_signals_interrupt() -> Iterator[None]:
 
 @contextlib.contextmanager
 def _terminal_kept(terminal: bool) -> Iterator[None]:
-    """Put the terminal back as it was: User-mode Linux makes it raw."""
+    """Restore the terminal, which User-mode Linux sets to raw mode."""
     if not terminal:
         yield
         return

@@ -1,6 +1,6 @@
-"""The library that is preloaded into linux.uml, which else dies at boot on a processor with AMX (whole_xstate.c).
+"""The library preloaded into linux.uml, which otherwise crashes at boot on a processor with AMX (whole_xstate.c).
 
-It is built for each run, and on every processor: so what few processors need is tried on all of them.
+It is built for each run on every processor, so that the code needed by a few is tested on all.
 """
 
 import os
@@ -17,7 +17,7 @@ _INSTALL = "`apt-get install -y gcc libc6-dev` (as root)"
 
 
 def is_needed(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
-    """Is the floating-point state of this processor larger than linux.uml expects?"""
+    """Return whether the floating-point state of this processor is larger than linux.uml expects."""
     try:
         return "amx_tile" in cpuinfo.read_text().split()
     except OSError:
@@ -25,11 +25,11 @@ def is_needed(cpuinfo: Path = Path("/proc/cpuinfo")) -> bool:
 
 
 def build(folder: Path) -> Path:
-    """Compile the library into `folder`. Raises EnvironmentLackError, in one line, where no compiler does it."""
+    """Compile the library into `folder`. Raises EnvironmentLackError, in one line, if no compiler works."""
     compiler = next((found for name in _COMPILERS if (found := shutil.which(name))), None)
     what = "User-mode Linux on a processor with AMX needs a C compiler"
     if compiler is None:
-        raise EnvironmentLackError(f"{what}, and there is none: {_INSTALL}")
+        raise EnvironmentLackError(f"{what}, and none is installed: {_INSTALL}")
     library = folder / "whole_xstate.so"
     with as_file(files("tipforce_tools.vcan").joinpath("whole_xstate.c")) as source:
         built = subprocess.run(
@@ -45,14 +45,14 @@ def build(folder: Path) -> Path:
 
 
 def preloading(folder: Path) -> dict[str, str]:
-    """The variable that preloads whole_xstate.c. Without a compiler: nothing, and a line on stderr.
+    """Return the variable that preloads whole_xstate.c. Without a compiler: nothing, and a line on stderr.
 
-    Raises EnvironmentLackError where this processor cannot do without.
+    Raises EnvironmentLackError if this processor needs the library.
     """
     try:
         return {"LD_PRELOAD": str(build(folder))}
     except EnvironmentLackError as error:
         if is_needed():
             raise
-        print(f"tipforce vcan: {error}; this processor does without", file=sys.stderr)
+        print(f"tipforce vcan: {error}; this processor does not need it", file=sys.stderr)
         return {}

@@ -1,4 +1,4 @@
-"""From rows of a hand to blocks of contacts with their uncertainty: vectorised over rows and fingers."""
+"""Convert rows of a hand to blocks of contacts with uncertainty, vectorised over rows and fingers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD, FAULT = (
     scalar.THETA_UNRESOLVED, scalar.MISSES_TIP, scalar.OUTSIDE_PAD, scalar.FRONT_END_FAULT,
 )  # fmt: skip
 MISSING = 256
-"""In ``status``, beside the bits of the status byte (2120h): the finger did not answer."""
+"""Bit of ``status`` besides those of the status byte (2120h): no response from the finger."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,10 +47,10 @@ class Block:
 
 
 def block_of_rows(rows: Rows, fingers: Sequence[Finger], gauges: int, health_u_P: FloatArray | None = None) -> Block:
-    """Rows, whose columns are those of ``fingers``, as a block.
+    """Convert rows, whose columns are those of ``fingers``, to a block.
 
-    Without the contact PDO the contact comes from forces, or from gauges and the finger's calibration. ``health_u_P``
-    (m, k) stands in for u(P) where no calibration is known.
+    Without the contact PDO the contact is computed from forces, or from gauges and the finger's calibration.
+    ``health_u_P`` (m, k) is used as u(P) if no calibration is known.
     """
     shape = rows.counter.shape
     status = np.where(rows.missing, MISSING, 0).astype(np.uint16)
@@ -61,7 +61,7 @@ def block_of_rows(rows: Rows, fingers: Sequence[Finger], gauges: int, health_u_P
     for k in range(gauges):
         if f"SG{k + 1}" in rows.columns:
             strains[..., k] = rows.columns[f"SG{k + 1}"]
-    known = status | np.uint16(CALIBRATED)  # by the calibration that this host has, where the node has none
+    known = status | np.uint16(CALIBRATED)  # by the host's calibration, if the node has none
     columns = [{name: values[:, k] for name, values in rows.columns.items()} for k in range(len(fingers))]
     contact = np.stack(
         [

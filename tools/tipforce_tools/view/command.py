@@ -1,4 +1,4 @@
-"""`tipforce view`: a web page with the force on each fingertip, live and from a log."""
+"""`tipforce view`: serve a web page with the force on each fingertip, live or from a log."""
 
 from __future__ import annotations
 
@@ -27,54 +27,54 @@ DEFAULT_PORT = 8404
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce view`."""
+    """Add the flags of `tipforce view`."""
     parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
-        "  tipforce view hand.toml                   bring the hand up, and show it\n"
-        "  tipforce view -i socketcan -c can0        listen only: whatever fingers are heard\n"
+        "  tipforce view hand.toml                   commission the hand, and show it\n"
+        "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
         "  tipforce view run.log                     replay a log\n"
-        "  tipforce view scenes/grasp.toml           run a scene, and replay it\n"
+        "  tipforce view scenes/grasp.toml           run a scene, and show its log\n"
         "  tipforce demo --view                      a simulated hand, without CAN\n"
-        "The page is read-only and on this machine only, unless --allow-writes and --host say otherwise."
+        "The page is read-only and reachable from this machine only, unless --allow-writes and --host are given."
     )
     parser.add_argument(
         "source",
         nargs="?",
         metavar="HAND.toml|LOG|SCENE.toml",
-        help="a hand file, a log, or a scene; else the bus is heard",
+        help="a hand file, a log, or a scene (default: listen to the bus)",
     )
-    parser.add_argument("--no-bring-up", action="store_true", help="with a hand file: change nothing, only listen")
-    parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show these only: 1,2,5-9")
+    parser.add_argument("--no-bring-up", action="store_true", help="with a hand file: only listen, change nothing")
+    parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show only these: 1,2,5-9")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 to 8 (default 3)")
     parser.add_argument(
-        "--layout", metavar="I|II|III|FILE", help="where the gauges are, for fingers that do not say it"
+        "--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it"
     )
     group = parser.add_argument_group("log or scene")
     group.add_argument(
-        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="seconds from its beginning"
+        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="first second to show"
     )
-    group.add_argument("--to", dest="end_s", type=float, metavar="S", help="up to there")
+    group.add_argument("--to", dest="end_s", type=float, metavar="S", help="last second to show")
     add_server_arguments(parser)
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def add_server_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of the page's server, which `demo --view` has too."""
+    """Add the flags of the page's server, which `demo --view` has, too."""
     group = parser.add_argument_group("page")
     group.add_argument(
-        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0 takes a free one"
+        "--port", type=int, default=DEFAULT_PORT, metavar="N", help="default %(default)s; 0: any free port"
     )
     group.add_argument(
-        "--host", default="", metavar="ADDRESS", help="another address than this machine's own; needs --token"
+        "--host", default="", metavar="ADDRESS", help="address to serve on, default loopback; others need --token"
     )
-    group.add_argument("--token", metavar="TOKEN|auto", help="who opens the page must know it; auto makes one")
-    group.add_argument("--allow-writes", action="store_true", help="the page may tare")
-    group.add_argument("--open", action="store_true", help="open it in the browser")
+    group.add_argument("--token", metavar="TOKEN|auto", help="required to open the page; auto generates one")
+    group.add_argument("--allow-writes", action="store_true", help="allow the page to tare")
+    group.add_argument("--open", action="store_true", help="open the page in the browser")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Serve until Ctrl-C or SIGTERM; 0 then. Raises InputError and EnvironmentLackError."""
+    """Serve until Ctrl-C or SIGTERM; return 0. Raises InputError and EnvironmentLackError."""
     common.set_up_logging(args)
     check_server_arguments(args)
     with _source(args) as source:
@@ -82,17 +82,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 def check_server_arguments(args: argparse.Namespace) -> None:
-    """Before anything is opened. Raises InputError."""
+    """Check the arguments before opening anything. Raises InputError."""
     from tipforce_tools.view.guard import access_token, host_names
 
     if not 0 <= args.port <= 65535:
-        raise InputError(f"--port {args.port}: allowed are 0 (a free one) to 65535")
+        raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
     access_token(args.host or "127.0.0.1", args.token)
     host_names(args.host or "127.0.0.1")
 
 
 def serve(args: argparse.Namespace, source: Source) -> int:
-    """The page of a source, until Ctrl-C or SIGTERM."""
+    """Serve the page of a source until Ctrl-C or SIGTERM."""
     from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.view.guard import Guard, access_token, host_names
     from tipforce_tools.view.server import ViewServer
@@ -125,7 +125,7 @@ def serve(args: argparse.Namespace, source: Source) -> int:
 def _source(args: argparse.Namespace) -> Iterator[Source]:
     path = Path(args.source) if args.source else None
     if args.no_bring_up and (path is None or path.suffix != ".toml"):
-        raise InputError("--no-bring-up goes with a hand file")
+        raise InputError("--no-bring-up: needs a hand file")
     if path is None or (args.no_bring_up and path is not None):
         source = _listen(args, path)
     elif path.suffix == ".toml" and _is_scene(path):
@@ -144,7 +144,7 @@ def _log(args: argparse.Namespace, path: Path) -> Source:
     from tipforce_tools.view.log_source import LogSource
 
     if str(path) == "-":
-        raise InputError("a log is read more than once: give a file, not -")
+        raise InputError("-: a log is read more than once; pass a file instead of stdin")
     return LogSource(path, _maker(args), args.gauges, (), args.start_s, args.end_s)
 
 
@@ -190,7 +190,7 @@ def _hand(args: argparse.Namespace, path: Path) -> Source:
 
 
 def hand_source(args: argparse.Namespace, hand: Hand, title: str) -> Source:
-    """Bring a hand up and start it: the reports go to stderr and into the page's list."""
+    """Commission and start a hand: reports go to stderr and to the page's event list."""
     from tipforce_tools.view.sources import HandSource
 
     try:
@@ -205,7 +205,7 @@ def hand_source(args: argparse.Namespace, hand: Hand, title: str) -> Source:
 
 
 def hand_fingers(args: argparse.Namespace, file: HandFile) -> tuple[Finger, ...]:
-    """The fingers of a hand file, with their calibrations and gauge places. Raises InputError."""
+    """Return the fingers of a hand file, with calibrations and gauge positions. Raises InputError."""
     from tipforce_tools.view.fingers import Finger, with_layout
 
     fallback = _fallback(args)

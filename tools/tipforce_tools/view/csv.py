@@ -1,4 +1,4 @@
-"""The buffer as CSV: one line for each finger of each row, in small portions so that reception goes on beside it."""
+"""Write the buffer as CSV: one line per finger and row, in small portions so that reception continues."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ _PAUSE_S = 0.002
 
 
 def csv_chunks(model: Model) -> Iterator[bytes]:
-    """All that is kept now, oldest first. An empty cell is an unknown value; status is 2120h, empty where missing."""
+    """Yield all rows of the buffer, oldest first. Empty cell: unknown value; status is 2120h, empty if missing."""
     fingers, (start_ns, end_ns) = model.fingers, model.span_ns()
     strains = ",".join(f"SG{k + 1}_ue" for k in range(model.gauges))
     yield f"t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N,u_phi_deg,u_theta_deg,{strains},status\n".encode()
@@ -45,7 +45,7 @@ def _cell(value: float) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A name as a cell. One that begins as a formula does gets a quote, so that no spreadsheet runs it."""
+    """Return a name as a cell. A name that begins like a formula gets a quote, so that no spreadsheet evaluates it."""
     if text[:1] in ("=", "+", "-", "@"):
         text = "'" + text
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n\r') else text

@@ -1,4 +1,4 @@
-"""A simulated hand for `tipforce demo --view`: five fingers on an in-process bus, moving loads, faults now and then."""
+"""A simulated hand for `tipforce demo --view`: five fingers on an in-process bus, moving loads, occasional faults."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ SYNC_HZ = 50.0
 HEARTBEAT_MS = 250
 FAULT_CYCLE_S = 24.0
 FAULTS = ((8.0, 11.0, 2, OPEN), (14.0, 16.5, 4, SILENT))
-"""(begin, end) within the cycle, which finger, and what (2200h)."""
+"""(begin, end) within the cycle, the finger, and the fault (2200h)."""
 UNPLUGGED = (19.0, 22.0, 1)
 _STEP_S = 0.01
 _CHANNELS = itertools.count()
 
 
 def load_at(finger: int, t_s: float) -> tuple[float, float, float]:
-    """(P newtons, phi and theta in degrees): a contact that rolls over the tip, lets go, and comes again.
+    """Return (P newtons, phi and theta in degrees) of a contact that rolls over the tip, ends, and starts again.
 
-    A push leans towards the centre, a pull away from it, by some 20 degrees of friction at most.
+    A push is inclined towards the centre, a pull away from it, by a friction angle of at most about 20 degrees.
     """
     phase = 0.9 * finger
     theta = 90.0 + 48.0 * math.sin(0.45 * t_s + phase)
@@ -55,7 +55,7 @@ def load_at(finger: int, t_s: float) -> tuple[float, float, float]:
 
 
 class SimulatedHand:
-    """The nodes, in one thread, and another that moves the loads. ``moving`` False: it stands still."""
+    """The nodes in one thread, and a second thread that moves the loads. ``moving`` False: constant loads."""
 
     def __init__(self, folder: Path, sync_hz: float = SYNC_HZ, moving: bool = True, faults: bool = True) -> None:
         self.channel = f"tipforce-view-{next(_CHANNELS)}"
@@ -84,7 +84,7 @@ class SimulatedHand:
             self._threads.append(threading.Thread(target=self._move, args=(faults,), name="loads", daemon=True))
 
     def plug(self, finger: int, plugged: bool) -> None:
-        """Take a finger (from 0) off the bus, or put it back."""
+        """Disconnect a finger (from 0) from the bus, or reconnect it."""
         device = self.devices[finger]
         if plugged and device not in self._running:
             self._running.append(device)
@@ -129,7 +129,7 @@ class SimulatedHand:
 def simulated_hand(
     moving: bool = True, faults: bool = True, sync_hz: float = SYNC_HZ
 ) -> Iterator[tuple[Hand, SimulatedHand]]:
-    """A simulated hand, not yet brought up, and its nodes."""
+    """Return a simulated hand, not yet commissioned, and its nodes."""
     with tempfile.TemporaryDirectory(prefix="tipforce-view-") as folder:
         nodes = SimulatedHand(Path(folder), sync_hz, moving, faults)
         nodes.start()

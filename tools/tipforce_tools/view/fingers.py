@@ -1,4 +1,4 @@
-"""The fingers that a page shows: who they are, what they were calibrated with, and their cross-section for drawing."""
+"""The fingers of a page: identity, calibration, and the cross-section for drawing."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LAYOUT_NAMES = {1: "I", 2: "II", 3: "III"}
 
 @dataclass(frozen=True, slots=True)
 class Finger:
-    """One fingertip of the page. ``gauges`` is empty where nobody said where they are."""
+    """One fingertip of the page. ``gauges`` is empty if their positions are unknown."""
 
     node_id: int
     name: str = ""
@@ -32,12 +32,12 @@ class Finger:
 
     @property
     def label(self) -> str:
-        """``thumb`` or ``finger 5``."""
+        """Display name: ``thumb`` or ``finger 5``."""
         return self.name or f"finger {self.node_id}"
 
 
 def with_layout(finger: Finger, layout: str, fallback: tuple[str, Geometry, tuple[Gauge, ...]] | None) -> Finger:
-    """The finger with its gauges: as ``layout`` names them, else as its calibration does, else as ``fallback``."""
+    """Return the finger with its gauges: from ``layout``, else from its calibration, else from ``fallback``."""
     if not layout and finger.calibration is not None:
         layout = _LAYOUT_NAMES.get(finger.calibration.layout_code, "")
     if layout:
@@ -48,10 +48,10 @@ def with_layout(finger: Finger, layout: str, fallback: tuple[str, Geometry, tupl
 
 
 def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
-    """A finger as the page draws it: lengths in mm, x to the right, y from the axis of the horizontal beam upwards.
+    """Return the drawing of a finger: lengths in mm, x to the right, y from the axis of the horizontal beam upwards.
 
-    ``faces`` says what a force of 1 N along each of F1, F2, F3 strains at both ends of each face of each beam, in
-    microstrain: between the ends the strain is linear.
+    ``faces`` holds the strain per newton of F1, F2, F3 at both ends of each face of each beam, in microstrain:
+    between the ends the strain is linear.
     """
     geometry = finger.geometry
     return {
@@ -65,7 +65,7 @@ def drawing(finger: Finger, gauges: int) -> dict[str, Any]:
 
 
 def _gauge(geometry: Geometry, gauge: Gauge) -> dict[str, Any]:
-    """Its name, both ends of its middle line on the beam's surface, and the direction away from the beam."""
+    """Return its name, both ends of its centre line on the beam's surface, and the outward direction."""
     spot = place(geometry, gauge)
     length_m = geometry.a_m if spot.beam == "H" else geometry.d_m
     begin = min(max(spot.position_m - 0.5 * GAUGE_LENGTH_M, 0.0), length_m - GAUGE_LENGTH_M)

@@ -1,9 +1,9 @@
-"""Who may ask the page's server for what. Pure: headers in, a refusal or nothing out.
+"""Access rules of the page's server. Pure: from headers to a refusal or None.
 
-- Host must name this server: a foreign name that was bent to 127.0.0.1 (DNS rebinding) is refused.
-- Origin, where a browser sends it, must be this page: browsers send it with the handshake of every WebSocket.
-- A WebSocket may write when writes are allowed and its handshake had an Origin.
-- Beyond loopback everybody needs the access token.
+- Host must name this server: another name that resolves to 127.0.0.1 (DNS rebinding) is refused.
+- Origin, if a browser sends it, must be this page: browsers send it with every WebSocket handshake.
+- A WebSocket may write if writes are allowed and its handshake had an Origin.
+- Beyond loopback every request needs the access token.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ SECURITY_HEADERS = {
     "Permissions-Policy": "camera=(), microphone=(), geolocation=()",
     "Cache-Control": "no-store",
 }
-"""On every answer."""
+"""Headers of every response."""
 
 
 @dataclass(frozen=True, slots=True)
 class Refusal:
-    """What the client is told."""
+    """The response to a refused request."""
 
     status: HTTPStatus
     text: str
@@ -56,23 +56,23 @@ class Guard:
     port: int = 0
 
     def check(self, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
-        """None when a request, or the handshake of a WebSocket, is allowed. ``headers`` ignore case."""
+        """Return None if a request, or a WebSocket handshake, is allowed. ``headers`` ignore case."""
         host = headers.get("Host", "").lower()
         if host not in self._allowed_hosts():
             return Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name")
         origin = headers.get("Origin")
         foreign = origin is not None and origin.lower() != f"http://{host}"
         if foreign or headers.get("Sec-Fetch-Site", "none") not in ("none", "same-origin"):
-            return Refusal(HTTPStatus.FORBIDDEN, "requests of other pages are refused")
+            return Refusal(HTTPStatus.FORBIDDEN, "requests from other pages are refused")
         if self.access_token and not self._has_access(headers, query_token):
             return Refusal(HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed")
         return None
 
     def read_only(self, headers: Mapping[str, str]) -> str:
-        """Why a WebSocket with this handshake, which passed ``check``, must not write; empty where it may."""
+        """Return why a WebSocket with this handshake, which passed ``check``, must not write; empty if it may."""
         if not self.allow_writes:
             return "read-only: start it with --allow-writes"
-        return "" if "Origin" in headers else "a page that changes something needs an Origin"
+        return "" if "Origin" in headers else "a page that writes needs an Origin"
 
     def _has_access(self, headers: Mapping[str, str], query_token: str) -> bool:
         if query_token and _same(query_token, self.access_token):
@@ -86,7 +86,7 @@ class Guard:
 
 
 def is_loopback(host: str) -> bool:
-    """Whether an address or name is this machine's own."""
+    """Return whether an address or name is loopback."""
     try:
         return ipaddress.ip_address(host).is_loopback
     except ValueError:
@@ -94,7 +94,7 @@ def is_loopback(host: str) -> bool:
 
 
 def access_token(host: str, token: str | None) -> str:
-    """The token for ``host``: none on loopback unless one is given; "auto" makes one. Raises InputError."""
+    """Return the token for ``host``: none on loopback unless given; "auto" generates one. Raises InputError."""
     if token == "auto":
         return secrets.token_urlsafe(24)
     if token is not None:
@@ -103,17 +103,17 @@ def access_token(host: str, token: str | None) -> str:
         return token
     if not is_loopback(host):
         raise InputError(
-            f"--host {host}: others could reach the page; add --token auto (it is printed), or one of your own"
+            f"--host {host}: other machines could reach the page; add --token auto (printed at start), or your own"
         )
     return ""
 
 
 def host_names(host: str) -> tuple[str, ...]:
-    """The names under which a server on ``host`` may be asked for."""
+    """Return the Host names accepted by a server on ``host``."""
     shown = f"[{host}]" if ":" in host else host.lower()
     if host in ("0.0.0.0", "::"):
         raise InputError(
-            f"--host {host}: name the address or the host name that browsers will use, so that Host can be checked"
+            f"--host {host}: pass the address or host name that browsers will use, so that Host can be checked"
         )
     return tuple(dict.fromkeys((shown, *LOOPBACK_NAMES))) if is_loopback(host) else (shown,)
 

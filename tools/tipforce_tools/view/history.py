@@ -1,4 +1,4 @@
-"""The last minutes, or a whole log: blocks in a ring of bounded size, and envelopes of any part of it."""
+"""The last minutes, or a whole log: rows in a buffer of bounded size, and envelopes of any part of it."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ QUANTITIES = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
-    """b bins of k fingers, empty ones left out: what was least, and most, and how much was unknown."""
+    """b bins of k fingers, without empty ones: minimum, maximum and number of unknown rows."""
 
     index: npt.NDArray[np.int64]
     """(b,) number of each bin: its time is index x width."""
     low: npt.NDArray[np.float32]
-    """(b, k, 3) the least of P, phi, theta; NaN where none was known."""
+    """(b, k, 3) minimum of P, phi, theta; NaN where none was known."""
     high: npt.NDArray[np.float32]
     u: npt.NDArray[np.float32]
-    """(b, k, 3) the largest standard uncertainty; NaN where none was known."""
+    """(b, k, 3) largest standard uncertainty; NaN where none was known."""
     unknown: npt.NDArray[np.int64]
     """(b, k) rows in which P was unknown or the finger missing."""
 
 
 def row_bytes(fingers: int, gauges: int) -> int:
-    """What one row takes."""
+    """Bytes of one row."""
     return 8 + fingers * (4 * (2 * QUANTITIES + gauges) + 2)
 
 
 class History:
     """Rows in the order of time. Not thread-safe: the model has the lock.
 
-    Beyond ``capacity`` rows the oldest go. A time that steps backwards (a clock that was set) goes on from the last.
+    Beyond ``capacity`` the oldest rows are dropped. A time that steps backwards (a set clock) continues from the last.
     """
 
     def __init__(self, fingers: int, gauges: int, capacity: int = 0) -> None:
@@ -46,7 +46,7 @@ class History:
         self.dropped = 0
         self._shift_ns = 0
         self._start = self._end = 0
-        # Twice as much as is kept, so that what is kept is always one slice.
+        # Twice the capacity, so that the rows kept are always one slice.
         size = 2 * self.capacity
         self._t_ns = np.zeros(size, dtype=np.int64)
         self._contact = np.zeros((size, fingers, QUANTITIES), dtype=np.float32)
@@ -59,7 +59,7 @@ class History:
 
     @property
     def rows(self) -> Block:
-        """All rows, as views: copy what shall outlive the next append."""
+        """Return all rows as views: copy data that must outlive the next append."""
         return self.part(0, len(self))
 
     @property
@@ -68,7 +68,7 @@ class History:
         return self._t_ns[self._start : self._end]
 
     def part(self, first: int, last: int) -> Block:
-        """Rows first to last (not included), as views."""
+        """Return rows first to last (exclusive) as views."""
         part = slice(self._start + first, self._start + last)
         return Block(self._t_ns[part], self._contact[part], self._u[part], self._gauges[part], self._status[part])
 
@@ -106,7 +106,7 @@ class History:
         self._start, self._end = 0, keep
 
     def widened(self, columns: npt.NDArray[np.intp], fingers: int) -> History:
-        """The same rows for more fingers: ``columns`` (k,) says where each of ours goes; the new ones were missing."""
+        """Return the rows for more fingers: ``columns`` (k,) maps the present ones; the new ones are missing."""
         wider = History(fingers, self._gauges.shape[-1])
         rows = self.part(max(0, len(self) - wider.capacity), len(self))
         m = len(rows)
@@ -123,7 +123,7 @@ class History:
         return wider
 
     def envelope(self, first_bin: int, last_bin: int, width_ns: int) -> Envelope:
-        """Bins first to last (included) of ``width_ns``: no extreme and no gap is lost, however wide the bins are."""
+        """Return bins first to last (inclusive) of ``width_ns``: they keep extremes and gaps at any width."""
         low, high = np.searchsorted(self.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns))
         rows = self.part(int(low), int(high))
         number = rows.t_ns // width_ns

@@ -1,4 +1,4 @@
-"""A log as the source of a page: read as a whole, its rows stay in memory."""
+"""A log as the source of a page: the whole log is read, and its rows stay in memory."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tipforce_tools.view.model import Model
 from tipforce_tools.view.watcher import Watcher
 
 LOG_BYTES = 8 * MAX_BYTES
-"""What the rows of a log may take; of a longer one a part has to be chosen."""
+"""Memory limit of a log's rows; of a longer log the user must choose a part."""
 
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)
 
 
 class LogSource:
-    """A log, read as a whole; its rows stay in memory."""
+    """A log; all its rows stay in memory."""
 
     def __init__(
         self, path: Path, make_finger: Callable[[int], Finger | None], gauges: int = 3,
@@ -34,7 +34,7 @@ class LogSource:
         watcher = Watcher(make_finger, gauges, fingers)
         limits = self._discover(path, watcher, start_s, end_s)
         if not watcher.fingers:
-            raise InputError(f"{path}: no fingertip's PDO in it (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
+            raise InputError(f"{path}: no PDO of a fingertip (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
         capacity = LOG_BYTES // (2 * row_bytes(len(watcher.fingers), gauges))
         self.model = Model(watcher.fingers, gauges, live=False, capacity=self._rows(path, watcher, limits, capacity))
         self._read(path, watcher, limits)
@@ -60,12 +60,12 @@ class LogSource:
                     limits = start, first + round(end_s * 1e9) if end_s is not None else None
                 watcher.discover(frames)
             if first is not None and not log.timed:
-                raise InputError(f"{path}: the log has no timestamps, so it can't be replayed")
+                raise InputError(f"{path}: the log has no timestamps, which a replay needs")
         return limits
 
     @staticmethod
     def _rows(path: Path, watcher: Watcher, limits: tuple[int | None, int | None], most: int) -> int:
-        """How many rows there will be at most: SYNCs, or frames of the finger that sent most."""
+        """Return the maximum number of rows: SYNCs, or frames of the finger that sent most."""
         from tipforce.host.logs.reader import open_log
 
         identifiers = STANDARD_MASK + 1
@@ -77,7 +77,7 @@ class LogSource:
         rows = int(count[SYNC_COB_ID]) or int(count[TPDO_BASES[0] + 1 : RPDO_BASES[2]].max())
         if rows > most:
             raise InputError(
-                f"{path}: {rows} rows of {len(watcher.fingers)} fingers, allowed are {most}; choose a part of it with "
+                f"{path}: {rows} rows of {len(watcher.fingers)} fingers, allowed are {most}; choose a part with "
                 "--from and --to (seconds)"
             )
         return rows + 1
@@ -101,7 +101,7 @@ class LogSource:
             self.model.add(block)
             self.model.counters.rows += len(block)
         for event in events:
-            if len(frames):  # at the end of a log no heartbeat is lost
+            if len(frames):  # the end of a log is not a lost heartbeat
                 self.model.add_event(round(event.t_s * 1e9), event.node_id, event.kind, event.text)
 
     def pump(self) -> None:

@@ -1,4 +1,4 @@
-"""What the page gets: pictures, envelopes and events as JSON, and the playhead that says which moment is next."""
+"""Messages to the page: pictures, envelopes and events as JSON, and the playhead that selects the moment."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tipforce_tools.view.model import Model, PageEvent, Picture
 from tipforce_tools.view.states import FingerState
 
 MAX_BINS = 1500
-"""In one message: a browser that comes back late gets the newest ones."""
+"""Limit per message: a browser that reconnects late gets the newest ones."""
 MAX_EVENTS = 200
 SPEEDS = 0.05, 50.0
 _DIGITS = (4, 3, 3)  # P in N, phi and theta in degrees: one more than the node's resolution
 
 
 class Playhead:
-    """The moment that a browser looks at: the present, or one that moves on from ``start_ns`` at ``speed``."""
+    """The moment that a browser shows: the present, or one that advances from ``start_ns`` at ``speed``."""
 
     def __init__(
         self, model: Model, start_ns: int | None = None, speed: float = 1.0,
@@ -35,7 +35,7 @@ class Playhead:
         self._begun_s = clock()
 
     def now_ns(self) -> tuple[int, bool]:
-        """(time, ended): at the end of a log it stays; where a live recording ends it goes on as the present."""
+        """Return (time, ended): it stops at the end of a log; at the end of a live recording it follows the present."""
         present = self._model.now_ns()
         if self._start_ns is None:
             return present, not self._model.live
@@ -48,9 +48,9 @@ class Playhead:
 
 
 class Cursor:
-    """What one browser has got so far. There is no queue: who comes late gets one message with all that was missed,
+    """Position of one browser in the stream. There is no queue: a late browser gets one message with all missed rows.
 
-    as envelopes that keep the extremes, so it never has more than one message on its way.
+    They are envelopes that keep the extremes, so at most one message is in transit.
     """
 
     def __init__(self, model: Model, playhead: Playhead, bin_ns: int, after_event: int = 0) -> None:
@@ -59,7 +59,7 @@ class Cursor:
         self._event = after_event
 
     def message(self) -> tuple[dict[str, Any], bool]:
-        """The next message, and whether it is the last one."""
+        """Return the next message, and whether it is the last one."""
         now_ns, ended = self._playhead.now_ns()
         picture = self._model.picture(now_ns)
         last = now_ns // self._bin_ns
@@ -81,12 +81,12 @@ class Cursor:
 
 
 def encode(message: Any) -> bytes:
-    """JSON; NaN becomes null."""
+    """Encode as JSON; NaN becomes null."""
     return msgspec.json.encode(message)
 
 
 def picture_message(model: Model, picture: Picture) -> dict[str, Any]:
-    """A moment: times in milliseconds since 1970."""
+    """Encode a moment; times in milliseconds since 1970."""
     counters = model.counters
     return {
         "t": picture.now_ns / 1e6, "start": picture.start_ns / 1e6, "end": picture.end_ns / 1e6,
@@ -103,7 +103,7 @@ def picture_message(model: Model, picture: Picture) -> dict[str, Any]:
 
 
 def envelope_message(envelope: Envelope) -> dict[str, Any]:
-    """Bins, each with k x 10 numbers: low, high and u of P, phi, theta, and how many rows were unknown."""
+    """Encode bins, each with k x 10 numbers: low, high and u of P, phi, theta, and the number of unknown rows."""
     parts = [_rounded(array) for array in (envelope.low, envelope.high, envelope.u)]
     unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
     table = np.concatenate([*parts, unknown], axis=-1)
@@ -111,7 +111,7 @@ def envelope_message(envelope: Envelope) -> dict[str, Any]:
 
 
 def events_message(model: Model, until_ns: int | None = None) -> list[dict[str, Any]]:
-    """The last events up to a time."""
+    """Encode the last events up to a time."""
     return [_event(event) for event in model.events(0, until_ns)[-MAX_EVENTS:]]
 
 

@@ -1,4 +1,4 @@
-"""The model of the page: fingers, history, events, counters. One thread adds, any number of browsers look."""
+"""The model of the page: fingers, history, events, counters. One thread writes, any number of browsers read."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RATE_ROWS = 4096
 
 @dataclass(frozen=True, slots=True)
 class PageEvent:
-    """What happened, for the list. ``node_id`` 0 is the bus; ``number`` counts from 1."""
+    """An entry of the event list. ``node_id`` 0 is the bus; ``number`` counts from 1."""
 
     number: int
     t_ns: int
@@ -32,7 +32,7 @@ class PageEvent:
 
 @dataclass(slots=True)
 class Counters:
-    """Sums since the beginning; by finger where it says so. None: this source can't tell."""
+    """Sums since the start; per finger where stated. None: unknown to this source."""
 
     rows: int = 0
     missing: list[int] = field(default_factory=list)
@@ -42,17 +42,17 @@ class Counters:
     dropped: int = 0
     """Frames that the kernel or a buffer dropped."""
     overrun: int = 0
-    """Rows that the page took too late."""
+    """Rows, or batches of frames, dropped because the page read them too late."""
     load_low: float | None = None
-    """Bus load, fraction of the bit rate: without one stuff bit."""
+    """Bus load as a fraction of the bit rate, without stuff bits."""
     load_high: float | None = None
-    """The same with as many as there can be."""
+    """The same with the most stuff bits."""
     jitter_p99_us: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Picture:
-    """All that is shown at one moment."""
+    """The state of the page at one moment."""
 
     now_ns: int
     start_ns: int
@@ -73,11 +73,11 @@ class Model:
         self.gauges, self.live = gauges, live
         self.counters = Counters()
         self.generation = 0
-        """Counts how often the fingers changed."""
+        """Number of changes of the fingers."""
         self.nmt: list[str] = []
-        """NMT state of each finger now, where the source knows it."""
+        """Present NMT state of each finger, if the source knows it."""
         self.error = ""
-        """Why nothing comes any more."""
+        """Why the source has ended."""
         self._fingers = tuple(fingers)
         self._history = History(len(self._fingers), gauges, capacity)
         self._events: deque[PageEvent] = deque(maxlen=MAX_EVENTS)
@@ -88,11 +88,11 @@ class Model:
 
     @property
     def fingers(self) -> tuple[Finger, ...]:
-        """In the order of the columns."""
+        """The fingers in the order of the columns."""
         return self._fingers
 
     def set_fingers(self, fingers: Sequence[Finger]) -> None:
-        """More fingers were heard: what there is stays, the new ones were missing so far."""
+        """Add fingers found on the bus; in existing rows they are missing."""
         with self._lock:
             place = {finger.node_id: k for k, finger in enumerate(fingers)}
             columns = np.array([place[finger.node_id] for finger in self._fingers], dtype=np.intp)
@@ -101,25 +101,25 @@ class Model:
             self.generation += 1
 
     def add(self, block: Block, arrived_s: float | None = None) -> None:
-        """Add rows, the last of which came at ``arrived_s`` of the clock (None: now)."""
+        """Add rows, the last of which arrived at ``arrived_s`` of the clock (None: now)."""
         if len(block):
             with self._lock:
                 self._history.append(block)
                 self._arrived_s = self._clock() if arrived_s is None else arrived_s
 
     def add_event(self, t_ns: int, node_id: int, kind: str, text: str) -> None:
-        """Add to the list; beyond MAX_EVENTS the oldest go."""
+        """Add to the list; beyond MAX_EVENTS the oldest are dropped."""
         with self._lock:
             self._event_count += 1
             self._events.append(PageEvent(self._event_count, t_ns, node_id, kind, text))
 
     def events(self, after: int = 0, until_ns: int | None = None) -> list[PageEvent]:
-        """Those with a number over ``after``, up to a time."""
+        """Return events with a number above ``after``, up to a time."""
         with self._lock:
             return [e for e in self._events if e.number > after and (until_ns is None or e.t_ns <= until_ns)]
 
     def now_ns(self) -> int:
-        """The present in the time of the rows: a clock that is set does not make old rows young.
+        """Return the present on the time scale of the rows: setting the clock does not make old rows look new.
 
         For a log: its end.
         """
@@ -130,13 +130,13 @@ class Model:
             return newest + (round((self._clock() - self._arrived_s) * 1e9) if self.live else 0)
 
     def span_ns(self) -> tuple[int, int]:
-        """Times of the first and the last row that are kept; (0, 0) without any."""
+        """Return the times of the first and the last row in memory; (0, 0) without any."""
         with self._lock:
             t_ns = self._history.t_ns
             return (int(t_ns[0]), int(t_ns[-1])) if len(t_ns) else (0, 0)
 
     def picture(self, now_ns: int | None = None) -> Picture:
-        """What is shown at ``now_ns`` (None: now)."""
+        """Return the state at ``now_ns`` (None: now)."""
         with self._lock:
             moment = self.now_ns() if now_ns is None else now_ns
             start, end = self.span_ns()
@@ -154,7 +154,7 @@ class Model:
             return self._history.envelope(first_bin, last_bin, width_ns)
 
     def rows_after(self, t_ns: int, count: int, until_ns: int) -> Block:
-        """A copy of at most ``count`` rows with t_ns < time <= until_ns."""
+        """Return a copy of at most ``count`` rows with t_ns < time <= until_ns."""
         with self._lock:
             low, high = np.searchsorted(self._history.t_ns, (t_ns, until_ns), side="right")
             part = self._history.part(int(low), min(int(low) + count, int(high)))

@@ -1,4 +1,4 @@
-"""One page on its WebSocket: requests and answers, and its stream of pictures."""
+"""One page on its WebSocket: requests and responses, and its stream of pictures."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from tipforce_tools.view.sources import Source
 
 IDLE_S = 0.1
-"""How often a page is told the time when no row comes."""
+"""Period of time messages to a page when no row arrives."""
 SEND_TIMEOUT_S = 20.0
-"""A page that has taken nothing for so long is dropped."""
+"""A page that has read nothing for this time is dropped."""
 _taring = threading.Lock()
 
 
 class Pulse:
-    """Wakes every task that waits for the next rows."""
+    """Wake every task that waits for the next rows."""
 
     def __init__(self) -> None:
         self._next = asyncio.Event()
@@ -38,26 +38,26 @@ class Pulse:
         self._next = asyncio.Event()
 
     async def wait(self, timeout_s: float) -> None:
-        """Until the next beat, or as long as ``timeout_s``."""
+        """Wait until the next beat, at most ``timeout_s``."""
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(timeout_s):
                 await self._next.wait()
 
 
 class Page:
-    """Answers the requests of one page. A page that reads slowly has one message on its way, and holds up itself only:
+    """Serve the requests of one page. A page that reads slowly has one message in transit and delays only itself.
 
-    the next message has all that it missed (messages.Cursor). ``read_only`` says why it must not write.
+    Its next message holds everything that it missed (messages.Cursor). ``read_only``: why it must not write.
     """
 
     def __init__(self, socket: ServerConnection, source: Source, pulse: Pulse, read_only: str) -> None:
         self.socket, self._source, self._pulse, self._read_only = socket, source, pulse, read_only
         self.taken_s = time.monotonic()
-        """When it took the last message."""
+        """Time of the last message that it read."""
         self._streaming: asyncio.Task[None] | None = None
 
     async def run(self) -> None:
-        """Until the page leaves."""
+        """Serve until the page disconnects."""
         with contextlib.suppress(ConnectionClosed):
             async for text in self.socket:
                 request_id = 0
@@ -124,7 +124,7 @@ class Page:
             return requests.tare(self._source, self._read_only, request)
 
     async def _send(self, message: bytes, text: bool = True) -> None:
-        """Send, and wait until the socket takes it. Drops a page that does not read."""
+        """Send, and wait until the socket accepts the message. Drops a page that does not read."""
         try:
             async with asyncio.timeout(SEND_TIMEOUT_S):
                 await self.socket.send(message, text=text)

@@ -1,4 +1,4 @@
-"""The requests that a page sends over its WebSocket, as JSON, and their answers. No socket inside."""
+"""JSON requests that a page sends over its WebSocket, and their responses. Independent of sockets."""
 
 from __future__ import annotations
 
@@ -27,23 +27,23 @@ BinWidth = Annotated[float, msgspec.Meta(ge=0.5, le=3.6e6)]
 
 
 class Request(msgspec.Struct, forbid_unknown_fields=True, tag_field="do", tag=str.lower, kw_only=True):
-    """Every answer carries the ``id`` of its request."""
+    """Every response carries the ``id`` of its request."""
 
     id: int = 0
 
 
 class Setup(Request):
-    """The fingers, what is permitted, and the picture of now."""
+    """Get the fingers, the permissions, and the present picture."""
 
 
 class At(Request):
-    """The picture of a moment."""
+    """Get the picture of a moment."""
 
     t: Milliseconds
 
 
 class History(Request):
-    """Bins of the past."""
+    """Get bins of the past."""
 
     start: Milliseconds
     end: Milliseconds
@@ -51,13 +51,13 @@ class History(Request):
 
 
 class Stream(Request):
-    """Pictures from now on, or from ``start`` at ``speed``; each is an answer. It ends the stream before."""
+    """Stream pictures from now, or from ``start`` at ``speed``, each as a response. Ends the previous stream."""
 
     bin: BinWidth = 20.0
     start: Milliseconds | None = None
     speed: float = 1.0
     after: int = 0
-    """Number of the last event that the page has."""
+    """Number of the last event known to the page."""
 
 
 class Pause(Request):
@@ -65,7 +65,7 @@ class Pause(Request):
 
 
 class Csv(Request):
-    """All rows that are kept, in binary messages before the answer."""
+    """Get all rows of the buffer, in binary messages before the response."""
 
 
 class Tare(Request):
@@ -75,7 +75,7 @@ class Tare(Request):
 
 
 def decoded(text: str | bytes) -> Setup | At | History | Stream | Pause | Csv | Tare:
-    """The request in a message. Raises InputError."""
+    """Decode the request in a message. Raises InputError."""
     try:
         return msgspec.json.decode(text, type=Setup | At | History | Stream | Pause | Csv | Tare)
     except (msgspec.DecodeError, UnicodeDecodeError) as error:
@@ -83,17 +83,17 @@ def decoded(text: str | bytes) -> Setup | At | History | Stream | Pause | Csv | 
 
 
 def reply(request_id: int, answer: Any) -> bytes:
-    """An answer as it is sent."""
+    """Encode a response."""
     return encode({"id": request_id, "answer": answer})
 
 
 def refusal(request_id: int, text: str) -> bytes:
-    """An error as it is sent."""
+    """Encode an error."""
     return encode({"id": request_id, "error": text})
 
 
 def setup(source: Source, read_only: str) -> dict[str, Any]:
-    """``read_only``: why this page must not write; empty where it may."""
+    """``read_only``: why this page must not write; empty if it may."""
     model = source.model
     return {
         "title": source.title, "live": model.live, "generation": model.generation,
@@ -104,7 +104,7 @@ def setup(source: Source, read_only: str) -> dict[str, Any]:
 
 
 def moment(model: Model, request: At) -> dict[str, Any]:
-    """The picture at a time, and the events of a log up to then."""
+    """Return the picture at a time, and the events of a log up to then."""
     found = picture_message(model, model.picture(_ns(request.t)))
     if not model.live:
         found["events"] = events_message(model, _ns(request.t))
@@ -112,7 +112,7 @@ def moment(model: Model, request: At) -> dict[str, Any]:
 
 
 def history(model: Model, request: History) -> dict[str, Any]:
-    """The bins from ``start`` to ``end``. Raises InputError for too many."""
+    """Return the bins from ``start`` to ``end``. Raises InputError for too many."""
     width_ns = _ns(request.bin)
     first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
     if not 0 <= last - first <= MAX_BINS:
@@ -121,13 +121,13 @@ def history(model: Model, request: History) -> dict[str, Any]:
 
 
 def cursor(model: Model, request: Stream) -> Cursor:
-    """The place of a page in the stream. Raises InputError for a speed that is not allowed."""
+    """Return the position of a page in the stream. Raises InputError for a speed that is not allowed."""
     playhead = Playhead(model, None if request.start is None else _ns(request.start), request.speed)
     return Cursor(model, playhead, _ns(request.bin), request.after)
 
 
 def tare(source: Source, read_only: str, request: Tare) -> dict[str, str]:
-    """Tare. Raises InputError and RefusedError, and what the source raises."""
+    """Tare. Raises InputError and RefusedError, and the errors of the source."""
     if source.no_tare or read_only:
         raise RefusedError(source.no_tare or read_only)
     if request.node_id not in {finger.node_id for finger in source.model.fingers}:

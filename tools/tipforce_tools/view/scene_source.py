@@ -1,4 +1,4 @@
-"""A scene as the source of a page: run in simulated time, then shown as the log that it would write."""
+"""A scene as the source of a page: run in simulated time, then shown like the log that it would write."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 
 def is_scene(path: Path) -> bool:
-    """Whether a TOML file speaks as a scene does; what can't be read is left to the reader of hand files."""
+    """Return whether a TOML file is a scene; the reader of hand files reports an unreadable file."""
     try:
         content = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -32,7 +32,7 @@ def is_scene(path: Path) -> bool:
 def scene_source(
     path: Path, make_finger: Callable[[int], Finger | None], gauges: int, start_s: float, end_s: float | None
 ) -> LogSource:
-    """Run the scene, without what it writes, expects or has of a bus. Raises InputError."""
+    """Run the scene without its output files, expectations and bus. Raises InputError."""
     scene = replace(read_scene(path), outputs=Outputs(), expect=(), bus=None)
     layouts = _layouts(scene)
 
@@ -52,5 +52,5 @@ def scene_source(
 
 
 def _layouts(scene: Scene) -> dict[int, str]:
-    """The layouts that have a name, by node-id."""
+    """Return the named layouts by node-id."""
     return {node_id: nodes.layout for nodes in scene.nodes if isinstance(nodes.layout, str) for node_id in nodes.ids}

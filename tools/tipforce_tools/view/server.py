@@ -1,7 +1,7 @@
 """The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop.
 
-websockets limits the time of a handshake and the size of a message, and tells when a page takes no more. No number of
-connections locks others out: when there are too many, the one that has waited or taken nothing for the longest is
+websockets limits the time of a handshake and the size of a message, and reports when a page stops reading. Many
+connections cannot block others: beyond the limit, the one that has waited or read nothing for the longest time is
 dropped.
 """
 
@@ -30,17 +30,17 @@ from tipforce_tools.view.sources import Source
 
 _LOG = logging.getLogger(__name__)
 
-FRAMES_A_SECOND = 33.0  # a browser sometimes gets two messages between two pictures: 30 shall be left
+FRAMES_A_SECOND = 33.0  # a browser sometimes gets two messages between two pictures: at least 30 remain
 MAX_PAGES = 64
 MAX_OTHERS = 64
-"""Connections that fetch a file, or have not yet said what they want."""
+"""Connections that fetch a file, or have not sent a request."""
 HANDSHAKE_S = 5.0
 MAX_REQUEST = 4096  # bytes
 SOCKET_PATH = "/live"
 _PUMP_S = 1.0 / FRAMES_A_SECOND
 _CLOSE_S = 2.0
 _SLOW_S = 1.0
-_SEND_BUFFER = 64 << 10  # bytes in the kernel for one page: what it is behind at most
+_SEND_BUFFER = 64 << 10  # bytes in the kernel for one page: its maximum backlog
 _TYPES = {
     "html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8",
     "svg": "image/svg+xml",
@@ -48,7 +48,7 @@ _TYPES = {
 
 
 def static_files() -> dict[str, tuple[str, bytes]]:
-    """What may be fetched, by its path: nothing else of the disk can be named."""
+    """Return the files that may be fetched, by path: no other file is reachable."""
     found = {}
     for file in resources.files("tipforce_tools.view").joinpath("static").iterdir():
         kind = _TYPES.get(file.name.rpartition(".")[2])
@@ -58,7 +58,7 @@ def static_files() -> dict[str, tuple[str, bytes]]:
 
 
 class Connection(ServerConnection):
-    """A connection that ViewServer counts from its first moment."""
+    """A connection that ViewServer counts from its start."""
 
     view: ViewServer
 
@@ -69,7 +69,7 @@ class Connection(ServerConnection):
 
 
 class ViewServer:
-    """Serves one source on one or more addresses until ``close``. Raises EnvironmentLackError for a port in use."""
+    """Serve one source on one or more addresses until ``close``. Raises EnvironmentLackError for a port in use."""
 
     def __init__(self, source: Source, guard: Guard, addresses: tuple[str, ...], port: int = 0) -> None:
         self.source, self.guard = source, guard
@@ -89,24 +89,24 @@ class ViewServer:
                 if self._sockets:  # no IPv6 here, or the port is taken there
                     continue
                 raise EnvironmentLackError(
-                    f"{address} port {port}: {error.strerror or error}; --port 0 takes a free one"
+                    f"{address} port {port}: {error.strerror or error}; --port 0 selects a free port"
                 ) from error
             guard.port = one.getsockname()[1]
             self._sockets.append(one)
 
     @property
     def url(self) -> str:
-        """What to open."""
+        """URL to open."""
         token = f"?token={self.guard.access_token}" if self.guard.access_token else ""
         return f"http://{self.guard.hosts[0]}:{self.guard.port}/{token}"
 
     def start(self) -> None:
-        """Serve, in threads."""
+        """Start serving, in threads."""
         self._serving.start()
         self._pumping.start()
 
     def close(self) -> None:
-        """Serve no more."""
+        """Stop serving."""
         self._stopped.set()
         self._pumping.join(2.0)
         self.loop.call_soon_threadsafe(self._ending.set)
@@ -136,7 +136,7 @@ class ViewServer:
         return connection
 
     def count(self, connection: ServerConnection) -> None:
-        """Take a new connection in; the oldest that is no page gives way."""
+        """Accept a connection; the oldest that is not a page is dropped if there are too many."""
         if len(self._others) >= MAX_OTHERS:
             oldest = next(iter(self._others))
             del self._others[oldest]
@@ -144,7 +144,7 @@ class ViewServer:
         self._others[connection] = None
 
     async def _talk(self, connection: ServerConnection) -> None:
-        """The conversation with a page."""
+        """Serve a page."""
         assert connection.request is not None
         self._others.pop(connection, None)
         if len(self.pages) >= MAX_PAGES:
@@ -163,7 +163,7 @@ class ViewServer:
             self.pages.discard(page)
 
     def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
-        """A file, or a refusal; None where the handshake of a WebSocket may go on."""
+        """Return a file, or a refusal; None if the WebSocket handshake may continue."""
         path, _, query = request.path.partition("?")
         token = parse_qs(query).get("token", [""])[-1]
         try:
@@ -185,7 +185,7 @@ class ViewServer:
         return Response(200, "OK", headers, content if request.method == "GET" else b"")
 
     def _enter(self) -> Response:
-        """The token goes from the address into a cookie, out of history and sight."""
+        """Move the token from the address to a cookie, so that the browser history does not show it."""
         headers = Headers({"Location": "/", "Content-Length": "0", "Connection": "close"})
         if self.guard.access_token:
             headers["Set-Cookie"] = f"{COOKIE}={self.guard.access_token}; HttpOnly; SameSite=Strict; Path=/"
@@ -196,11 +196,11 @@ class ViewServer:
     def _pump(self) -> None:
         due_s = time.monotonic()
         while not self._stopped.wait(max(due_s - time.monotonic(), 0.0)):
-            due_s = max(due_s + _PUMP_S, time.monotonic() - _PUMP_S)  # a late one does not delay those after it
+            due_s = max(due_s + _PUMP_S, time.monotonic() - _PUMP_S)  # a late cycle does not delay the next
             try:
                 self.source.pump()
             except Exception as error:
-                # Nothing that is shown may look alive when nothing moves any more.
+                # The page must not show values as live after the source has stopped.
                 self.source.model.error = f"{type(error).__name__}: {error}"
                 _LOG.exception("the page's source failed")
                 return

@@ -1,4 +1,4 @@
-"""Where a page's data come from: a bus that is listened to, a hand that is run. log_source.py has logs."""
+"""Sources of a page: a listener on a bus, a running hand. log_source.py has logs."""
 
 from __future__ import annotations
 
@@ -24,31 +24,31 @@ from tipforce_tools.view.watcher import Watcher
 
 MAX_WAITING_ROWS = 20_000
 MAX_WAITING_BATCHES = 5_000
-"""Of frames that were received: some seconds; beyond it the oldest go, and the page says so."""
+"""Limit of received frames, some seconds; beyond it the oldest are dropped, which the page reports."""
 _RECEIVE_S = 0.02
 _LOAD_WINDOW_S = 1.0
 
 
 class Source(Protocol):
-    """Fills a model. ``pump`` is called some 30 times a second, by one thread."""
+    """Fills a model. One thread calls ``pump`` about 30 times a second."""
 
     model: Model
     title: str
     no_tare: str
-    """Why there is no tare; empty where there is one."""
+    """Why tare is not available; empty if it is."""
 
     def pump(self) -> None:
-        """Move what has come into the model."""
+        """Move received data into the model."""
 
     def tare(self, node_id: int) -> str:
-        """Take the present force of a finger as zero; what to tell. Raises TipforceError."""
+        """Set the present force of a finger as zero; return the message to show. Raises TipforceError."""
 
     def close(self) -> None:
-        """Let go of it."""
+        """Release the source."""
 
 
 class HandSource:
-    """A hand that is up. Its receiving thread only puts rows aside; everything else happens in ``pump``."""
+    """A commissioned hand. Its receiving thread only queues rows; ``pump`` does the rest."""
 
     def __init__(self, hand: Hand, fingers: Sequence[Finger], title: str) -> None:
         self.title, self.no_tare = title, ""
@@ -103,7 +103,7 @@ class HandSource:
 
 
 class ListenSource:
-    """A bus that is only listened to, by a thread of its own."""
+    """A listener on a bus, in its own thread."""
 
     def __init__(
         self, receiver: Receiver, title: str, make_finger: Callable[[int], Finger | None], gauges: int = 3,
@@ -118,7 +118,7 @@ class ListenSource:
         self._looked_s = time.monotonic()
         self._stopped = threading.Event()
         self.received = 0
-        """Frames so far."""
+        """Number of frames received."""
         self._thread = threading.Thread(target=self._receive, name="view receiver", daemon=True)
         self._thread.start()
 
@@ -139,7 +139,7 @@ class ListenSource:
                 self._load.add(frames, time.monotonic())
                 if self._down:
                     self._down = False
-                    self.model.add_event(time.time_ns(), 0, "bus_up", "frames come again")
+                    self.model.add_event(time.time_ns(), 0, "bus_up", "frames are received again")
                 if len(self._waiting) == MAX_WAITING_BATCHES:
                     self.model.counters.overrun += 1
                 self._waiting.append((frames, time.monotonic()))
@@ -152,7 +152,7 @@ class ListenSource:
 
     def pump(self) -> None:
         """See Source."""
-        # A row may time out only by what was looked for: frames that still wait in the socket are not missing.
+        # A row times out by the time of the last read: frames still in the socket are not missing.
         looked_s = self._looked_s
         waiting = [self._waiting.popleft() for _ in range(len(self._waiting))]
         now_s = time.monotonic()
@@ -183,7 +183,7 @@ class ListenSource:
 
 
 def joined(rows: Sequence[Rows]) -> Rows:
-    """Blocks of rows as one."""
+    """Return blocks of rows as one."""
     if len(rows) == 1:
         return rows[0]
     columns = {name: np.concatenate([one.columns[name] for one in rows]) for name in rows[0].columns}
@@ -194,13 +194,13 @@ def joined(rows: Sequence[Rows]) -> Rows:
 
 
 def tare(connection: Any, node_id: int) -> str:
-    """Tare a node and say what it takes off now. Raises NoResponseError and SdoAbortError."""
+    """Tare a node and return a message with its tare. Raises NoResponseError and SdoAbortError."""
     from tipforce.host.network.finger import FingertipClient
 
     client = FingertipClient(connection.sdo(node_id))
     client.tare()
     f1, f2, f3 = client.tare_state().force_newtons
-    return f"tared: F1 {f1:+.3f} N, F2 {f2:+.3f} N, F3 {f3:+.3f} N are taken off"
+    return f"tare: F1 {f1:+.3f} N, F2 {f2:+.3f} N, F3 {f3:+.3f} N are subtracted"
 
 
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)

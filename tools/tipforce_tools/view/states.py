@@ -1,4 +1,4 @@
-"""What each finger shows at a moment: live, stale since, unknown and why, or no answer. Pure: rows and a time in."""
+"""State of each finger at a moment: live, stale since, unknown and why, or silent. A pure function of rows and time."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ from tipforce_tools.view.history import History
 
 STALE_PERIODS = 2.5
 STALE_S = 0.5
-"""Where no SYNC period is known."""
+"""Used if no SYNC period is known."""
 STREAM_STALE_S = 0.1
-"""The least age at which a stream that has stopped counts as stale: three pictures of the page."""
+"""Minimum age of a stale stream: three pictures of the page."""
 NO_ANSWER_S = 2.0
 _PERIOD_ROWS = 33
 _LOOK_BACK_ROWS = 4096
@@ -26,13 +26,13 @@ Word = Literal["live", "stale", "unknown", "silent"]
 
 @dataclass(frozen=True, slots=True)
 class FingerState:
-    """One finger. Of a "silent" one no number is given; a "stale" one's are from ``since_ns``."""
+    """State of one finger. A "silent" one has no numbers; those of a "stale" one are from ``since_ns``."""
 
     word: Word
     reason: str
-    """Why P is unknown, phi and theta with it; empty otherwise."""
+    """Why P, phi and theta are unknown; empty otherwise."""
     angle_reason: str
-    """Why phi or theta alone is unknown."""
+    """Why only phi or theta is unknown."""
     since_ns: int
     """Time of the sample; 0 for none."""
     status: int
@@ -42,16 +42,16 @@ class FingerState:
 
 
 def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
-    """The SYNC period of the last rows (m,), nanoseconds; 0 when there are too few to tell."""
+    """Return the SYNC period of the last rows (m,) in nanoseconds; 0 for too few rows."""
     times = t_ns[-_PERIOD_ROWS:]
     return int(np.median(np.diff(times))) if len(times) > 2 else 0
 
 
 def finger_states(history: History, now_ns: int, fingers: int) -> list[FingerState]:
-    """The state of each finger at ``now_ns``, from the rows up to then.
+    """Return the state of each finger at ``now_ns``, from the rows up to then.
 
-    A sample is live for 2.5 SYNC periods (0.5 s where the period is not known), counted in SYNCs while these come.
-    When no SYNC comes any more the least limit is 0.1 s, below which a page can't tell.
+    A sample is live for 2.5 SYNC periods (0.5 s if the period is unknown), counted in SYNCs while these arrive.
+    Without SYNC the minimum is 0.1 s, the resolution of the page.
     """
     last = int(np.searchsorted(history.t_ns, now_ns, side="right"))
     recent = history.part(max(0, last - _PERIOD_ROWS), last)
@@ -72,9 +72,9 @@ def finger_states(history: History, now_ns: int, fingers: int) -> list[FingerSta
 
 
 def _newest(recent: Block, oldest_ns: int) -> npt.NDArray[np.intp]:
-    """(k,) the row to show of each finger: its last one that is new and young enough, else any answer, else -1.
+    """Return (k,) the row to show of each finger: its last new and recent row, else any response, else -1.
 
-    A SYNC that found no new sample (status bit 3) is no news for as long as the sample before is not stale.
+    A SYNC without a new sample (status bit 3) is ignored while the previous sample is not stale.
     """
     young = (recent.t_ns >= oldest_ns)[:, np.newaxis]
     answered = (recent.status & blocks.MISSING == 0) & young
@@ -86,7 +86,7 @@ def _newest(recent: Block, oldest_ns: int) -> npt.NDArray[np.intp]:
 
 
 def _old(history: History, last: int, k: int, now_ns: int) -> FingerState:
-    """A finger without a young answer: the last one that it gave, unless that is too long ago."""
+    """Return the state of a finger without a recent response: its last one, unless that is too old."""
     back = history.part(max(0, last - _LOOK_BACK_ROWS), last)
     answered = np.flatnonzero(back.status[:, k] & blocks.MISSING == 0)
     if not len(answered):
@@ -122,7 +122,7 @@ def _unknown_reason(status: int) -> str:
     ):  # fmt: skip
         if status & bit:
             return text
-    return "not calibrated" if not status & blocks.CALIBRATED else "the node gives no force"
+    return "not calibrated" if not status & blocks.CALIBRATED else "the node sends no force"
 
 
 def _angle_reason(status: int) -> str:

@@ -1,4 +1,4 @@
-"""Frames of a bus or a log, whatever fingers are in them -> blocks of contacts, and events. No clock inside."""
+"""Convert frames of a bus or log to blocks of contacts and events, for all fingers found. Uses no clock."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ HEARTBEAT_TIMEOUT_S = 2.5
 ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
 _SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
-_UNPACED_FRAMES = 50  # PDOs without one SYNC, after which a PDO itself paces the rows
+_UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
 class Watcher:
-    """Finds fingers by their PDOs, collects rows, watches heartbeats and EMCY.
+    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY.
 
-    ``make_finger`` says what is known of a node-id that is heard, None if it shall not be shown. ``fingers`` are those
-    that are shown from the start. ``on_fingers`` is called when there are more.
+    ``make_finger`` returns the finger of a node-id found on the bus, None to hide it. ``fingers`` are shown from the
+    start. ``on_fingers`` is called when further fingers are found.
     """
 
     def __init__(
@@ -57,7 +57,7 @@ class Watcher:
         self._pacer = 0
 
     def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
-        """Take frames, FRAME (n,), at a time ``now_s`` that goes on steadily; also call it without frames."""
+        """Process frames, FRAME (n,), at the monotonic time ``now_s``; call it also without frames."""
         events: list[Event] = []
         if len(frames):
             self._discover(frames)
@@ -75,17 +75,17 @@ class Watcher:
         return [block_of_rows(rows, self.fingers, self._gauges, self._health_of(rows))], events
 
     def discover(self, frames: FrameArray) -> None:
-        """Only find out who is there: the first pass over a log."""
+        """Only find the fingers: the first pass over a log."""
         if len(frames):
             self._discover(frames)
 
     def nmt(self) -> list[str]:
-        """NMT state of each finger by its heartbeat; empty where none was heard."""
+        """Return the NMT state of each finger by its heartbeat; empty without one."""
         states = self._supervisor.states
         return [self._supervisor.state_name(f.node_id) if states[f.node_id] >= 0 else "" for f in self.fingers]
 
     def tally(self) -> dict[str, list[int]]:
-        """Missing, late, mixed and doubtful answers of each finger, over all collectors so far."""
+        """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
         found = {}
         for what in ("missing", "late", "mixed", "doubtful"):
             now = dict.fromkeys((f.node_id for f in self.fingers), 0)
@@ -121,7 +121,7 @@ class Watcher:
             self._new_collector()
 
     def _new_collector(self) -> None:
-        """Rows of what every finger that was heard sends; where they have nothing in common, of what most send."""
+        """Collect the PDOs that all fingers send; if there is none, those that most send."""
         sets = [names for names in self._heard.values() if names]
         count = Counter(name for names in sets for name in names)
         messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
@@ -134,7 +134,7 @@ class Watcher:
         self._collector = Collector(node_ids, self._messages, self._gauges, ROW_TIMEOUT_S)
 
     def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
-        """Heartbeats and EMCY one by one: they are few, and in a log each has a time of its own."""
+        """Process heartbeats and EMCY one by one: they are few, and in a log each has its own time."""
         if not len(frames):
             return self._supervisor.add(frames, now_s)
         service = frames["can_id"] & _SERVICE
@@ -145,7 +145,7 @@ class Watcher:
         return events
 
     def _find_pace(self, frames: FrameArray) -> None:
-        """Without a SYNC in sight, the PDO that comes most often begins each row."""
+        """Let the most frequent PDO begin each row if no SYNC is found."""
         ids = frames["can_id"]
         self._synced = bool((ids == SYNC_COB_ID).any())
         pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]

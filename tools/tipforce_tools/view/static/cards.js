@@ -93,7 +93,7 @@ export class Card {
   }
 
   wording(state, nmt) {
-    // Without contact nobody expects a contact angle.
+    // Without contact a contact angle is not expected.
     const status = state.status & 1 ? state.status : state.status & ~16;
     const flags = state.word === "silent" ? [] : BITS.filter(([bit]) => status & bit).map(([, text]) => text);
     const key = `${sense(state)}|${flags.join()}|${nmt}`;
@@ -127,13 +127,13 @@ function whyUnknown(state, n) {
 
 export function stateText(state, word, now) {
   if (word === "stale") return `stale since ${clock(state.since)}`;
-  if (word === "silent") return state.since ? `no answer for ${duration(now - state.since)}` : "no answer";
+  if (word === "silent") return state.since ? `no response for ${duration(now - state.since)}` : "no response";
   return word === "unknown" ? `unknown: ${state.why}` : word;
 }
 
 function describe(geometry, state, word) {
   const gauges = (state.gauges ?? []).map((value, n) => `SG${n + 1} ${value === null ? "unknown" : number(value, 0)}`);
-  if (state.word === "silent") return `${geometry.label}: no answer`;
+  if (state.word === "silent") return `${geometry.label}: no response`;
   if (state.P === null) return `${geometry.label}: ${word}, ${state.why}`;
   const angles = state.phi === null ? state.angle
     : `phi ${number(state.phi, 0)} degrees, theta ${state.theta === null ? state.angle : `${number(state.theta, 0)} degrees`}`;

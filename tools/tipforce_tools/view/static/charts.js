@@ -1,4 +1,4 @@
-// Strip charts of P, phi and theta, from bins that hold the least, the most and the uncertainty.
+// Strip charts of P, phi and theta, from bins with minimum, maximum and uncertainty.
 import { K, QUANTITIES, clock, nice, number } from "./format.js";
 import { colour, font } from "./theme.js";
 
@@ -9,7 +9,7 @@ export class Bins {
   constructor(widthMs) {
     this.widthMs = widthMs;
     this.rows = new Map();
-    this.keys = null; // the numbers in order, when they are known
+    this.keys = null; // sorted bin numbers, if computed
   }
 
   add(bins) {
@@ -72,7 +72,7 @@ export function drawChart(context, options, x, y, width, height) {
   context.beginPath();
   context.rect(left, top - 6, right - left, bottom - top + 12);
   context.clip();
-  const joint = 2.5 * options.periodMs + 1.1 * bins.widthMs; // a bin tells its time to its width
+  const joint = 2.5 * options.periodMs + 1.1 * bins.widthMs; // the time of a bin is known to its width
   others(context, options, joint, px, py);
   const w = Math.max(1, px(from + bins.widthMs) - left);
   band(context, series, joint, px, py, w);
@@ -105,7 +105,7 @@ function range({ bins, fingers, quantity, from, to }, series) {
     most = Math.max(most, high + extra);
   }
   if (!Number.isFinite(least)) [least, most] = quantity ? [0, 180] : [0, 1];
-  // A force is not negative, however far its band reaches below zero.
+  // A force is not negative, even if its band extends below zero.
   if (quantity === 0) least = 0;
   const span = Math.max(most - least, QUANTITIES[quantity].least);
   const step = quantity ? ANGLES.find((angle) => angle >= span / 4) ?? 90 : nice(span / 4);
@@ -141,7 +141,7 @@ function timeAxis(context, { left, right, from, to, px, bottom }) {
   }
 }
 
-// Runs of known bins that touch: beyond a gap nothing is drawn.
+// Runs of adjacent known bins: gaps are not drawn.
 function* runs(series, joint) {
   let run = [];
   for (const bin of series) {

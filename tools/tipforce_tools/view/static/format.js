@@ -1,5 +1,5 @@
-// Numbers and times as people read them.
-export const K = 2; // coverage factor of every uncertainty that is shown
+// Formatting of numbers and times.
+export const K = 2; // coverage factor of every uncertainty shown
 export const QUANTITIES = [
   { symbol: "P", name: "force", unit: "N", digits: 3, least: 0.5 },
   { symbol: "\u03c6", name: "direction of the force", unit: "\u00b0", digits: 1, least: 20 },
@@ -14,7 +14,7 @@ const two = (value) => String(value).padStart(2, "0");
 export function clock(ms, digits = 1) {
   const date = new Date(ms);
   const seconds = (date.getSeconds() + (ms % 1000) / 1000).toFixed(digits).padStart(digits ? digits + 3 : 2, "0");
-  // 59.97 s rounds to 60.0: a time that no clock shows.
+  // 59.97 s would round to 60.0, which is not a valid time.
   const shown = seconds.startsWith("60") ? `59.${"9".repeat(digits)}` : seconds;
   return `${two(date.getHours())}:${two(date.getMinutes())}:${shown}`;
 }

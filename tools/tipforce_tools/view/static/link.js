@@ -1,9 +1,9 @@
-// The WebSocket to the server: requests with their answers, a stream, and a new connection when one breaks.
+// The WebSocket to the server: requests with their responses, a stream, and reconnection.
 const RETRY_MS = 1000;
 const NO_CONNECTION = "no connection to the server";
 
 export class Link {
-  // take(id, answer) gets the pictures of a stream, opened() and closed() are called at each connection.
+  // take(id, answer) receives the pictures of a stream; opened() and closed() are called for each connection.
   constructor(take, opened, closed) {
     Object.assign(this, { take, opened, closed, number: 0, waiting: new Map(), done: false });
     this.open();
@@ -38,7 +38,7 @@ export class Link {
     else waiting.reject(new Error(error));
   }
 
-  // Sends a request; its number.
+  // Sends a request; returns its number.
   send(request) {
     this.number += 1;
     if (this.socket.readyState === WebSocket.OPEN) this.socket.send(JSON.stringify({ id: this.number, ...request }));
@@ -58,7 +58,7 @@ export class Link {
   }
 }
 
-// The rows that the server keeps, as a Blob of CSV; over a connection of its own, so that the page goes on.
+// The rows of the server as a Blob of CSV, over a separate connection, so that the page continues.
 export function fetchCsv() {
   return new Promise((resolve, reject) => {
     const link = new Link(() => {}, () => {

@@ -1,4 +1,4 @@
-// The page: what the server sends, what is shown of it, and which moment that is.
+// The page: data from the server, the view of it, and the moment shown.
 import { Card, sizeCanvas } from "./cards.js";
 import { Bins, LEFT, drawChart, isBad } from "./charts.js";
 import { Link, fetchCsv, save } from "./link.js";
@@ -7,7 +7,7 @@ import { QUANTITIES, clock, duration, nice, number } from "./format.js";
 import { MARGIN, drawLegend } from "./section.js";
 import { startTheme } from "./theme.js";
 
-const LATE_MS = 500; // a message, or a silence of the server, that is longer than this is not "live"
+const LATE_MS = 500; // an older message, or a longer silence of the server, is not "live"
 const BINS = 500; // in a chart's width
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 const $ = (id) => document.getElementById(id);
@@ -44,8 +44,8 @@ async function begin() {
   page.cards.forEach((card) => sight.observe(card.canvas));
   $("fingers").replaceChildren(...page.cards.map((card) => card.element));
   choose(Math.min(page.chosen, Math.max(0, page.cards.length - 1)));
-  const missing = setup.fingers.some((finger) => !finger.gauges.length) ? "Gauge places are not known: see --layout. " : "";
-  const spread = setup.fingers.every((finger) => finger.calibrated_here) ? "" : "Uncertainty: only where a calibration or a health PDO tells. ";
+  const missing = setup.fingers.some((finger) => !finger.gauges.length) ? "Gauge positions are not known: see --layout. " : "";
+  const spread = setup.fingers.every((finger) => finger.calibrated_here) ? "" : "Uncertainty: only with a calibration or a health PDO. ";
   $("note").textContent = missing + spread + (setup.no_tare ? `Tare is off: ${setup.no_tare}.` : "");
   $("live").hidden = !setup.live;
   showEvents();
@@ -65,7 +65,7 @@ function listen(parameters) {
   page.stream = page.link.send({ do: "stream", bin: binMs(), after, ...parameters });
 }
 
-// The server may be another one now: a live page begins again, a paused one keeps what it shows.
+// The server may have changed: a live page starts again, a paused one keeps its picture.
 function connected() {
   if (!page.setup || page.mode === "live") begin().catch(failed);
 }
@@ -129,12 +129,12 @@ function showMode() {
   if ($("mode").textContent !== text) $("mode").textContent = text;
 }
 
-// --- what the server says --------------------------------------------------------------------------------------
+// --- messages of the server ------------------------------------------------------------------------------------
 
 function receive(message) {
   window.tipforce.messages += 1;
   const now = performance.now(), delay = now - message.t;
-  // The least delay seen is what is usual; it may drift with the clocks, slowly.
+  // The minimum delay is the usual one; it may drift slowly with the clocks.
   page.lateBy = Math.min(delay, page.lateBy + 0.02);
   page.arrived = now;
   if (page.mode === "live" && delay - page.lateBy > LATE_MS) page.arrived = now - (delay - page.lateBy);
@@ -176,7 +176,7 @@ function stateOf(finger) {
 
 function shownStates() {
   if (!(page.lost && page.mode === "live")) return page.states;
-  // The server says nothing: whatever it said last is old.
+  // The server is silent: its last message is old.
   return page.states.map((state) => (state.word === "silent" ? state
     : { ...state, word: "stale", since: state.since || page.message.t }));
 }
@@ -189,7 +189,7 @@ function draw(time) {
   paint(false);
 }
 
-// What is out of sight is not drawn, unless ``everything`` is wanted (print); its numbers are always written.
+// Hidden parts are not drawn, unless ``everything`` is set (print); their numbers are always written.
 function paint(everything) {
   const begun = performance.now();
   page.dirty = false;
@@ -210,7 +210,7 @@ function paint(everything) {
   window.tipforce.longest = Math.max(window.tipforce.longest, performance.now() - begun);
 }
 
-// Steps of 1, 2, 5: a scale that follows each value would hide how values change.
+// Steps of 1, 2, 5: a scale that follows each value would hide changes.
 function setScale(states) {
   const { scale } = page;
   const strain = Math.max(50, ...states.flatMap((s) => (s.gauges ?? []).map((g) => Math.abs(g ?? 0))));
@@ -267,7 +267,7 @@ function showBus({ rate, period, counters, error }) {
     if (value.textContent !== text) value.textContent = text;
     value.classList.toggle("not", Boolean(bad));
   });
-  const alarm = page.lost && page.mode === "live" ? "Nothing comes from the server: what is shown is old." : error;
+  const alarm = page.lost && page.mode === "live" ? "No message from the server: the values shown are old." : error;
   $("alarm").hidden = !alarm;
   if (alarm && $("alarm").textContent !== alarm) $("alarm").textContent = alarm;
 }
@@ -329,13 +329,13 @@ function choose(n) {
   page.dirty = true;
 }
 
-// --- doing -----------------------------------------------------------------------------------------------------
+// --- actions ---------------------------------------------------------------------------------------------------
 
 async function tare({ node_id, label }) {
   const dialog = $("confirm");
   $("confirm-head").textContent = `Tare ${label}?`;
   $("confirm-text").textContent =
-    `Node ${node_id} takes the force that it feels now as zero, until its next reset. Nothing may touch the fingertip: a tare under load hides that load.`;
+    `Node ${node_id} sets its present force as zero, until its next reset. Unload the fingertip first: a tare under load hides that load.`;
   dialog.returnValue = "no";
   dialog.showModal();
   await new Promise((done) => dialog.addEventListener("close", done, { once: true }));
@@ -360,7 +360,7 @@ function wire() {
     else goTo(page.message.t);
   });
   let next = null, busy = false;
-  const scrubTo = async (t) => { // one question at a time: a fast hand must not fill the server's queue
+  const scrubTo = async (t) => { // one request at a time: fast dragging must not fill the server's queue
     next = t;
     if (busy) return;
     busy = true;

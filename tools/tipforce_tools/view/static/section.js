@@ -1,4 +1,4 @@
-// The cross-section of one fingertip, to scale, with what is felt on it. Lengths in mm, y upwards.
+// The cross-section of one fingertip, to scale, with its contact. Lengths in mm, y upwards.
 import { K, signed } from "./format.js";
 import { colour, font, strainColour } from "./theme.js";
 
@@ -64,7 +64,7 @@ function beams(view, { a, d, h1, h2 }) {
   context.fillRect(view.x(0) - wide / 2, view.y(-0.5 * h1), wide, d * view.k);
 }
 
-// Both surfaces of each beam, coloured by the strain that beam theory gives for the contact that is shown.
+// Both surfaces of each beam, coloured by the strain of beam theory for the contact shown.
 function faces(view, geometry, state, scale) {
   const { context } = view;
   const { a, d, h1, h2 } = geometry;
@@ -117,7 +117,7 @@ function gauges(view, geometry, state, scale) {
   });
 }
 
-// Compression is hatched: it can be told from tension without colour.
+// Compression is hatched, so that it differs from tension without colour.
 function hatch(view, corners) {
   const { context } = view;
   const xs = corners.map((c) => view.x(c[0])), ys = corners.map((c) => view.y(c[1]));
@@ -161,7 +161,7 @@ function force(view, { r }, state, scale) {
   const { context } = view;
   const phi = state.phi * RADIANS;
   const pushes = state.theta === null || Math.cos(phi - state.theta * RADIANS) < 0;
-  // Without a contact angle the line of action alone is drawn, through the middle of the tip.
+  // Without a contact angle only the line of action is drawn, through the middle of the tip.
   const at = state.theta === null ? [0, r * 0.5] : [r * Math.cos(state.theta * RADIANS), r * Math.sin(state.theta * RADIANS)];
   const out = pushes ? -1 : 1;
   const length = Math.min(state.P * scale.mmPerNewton, MARGIN + 4);
@@ -190,7 +190,7 @@ function arc(view, r, theta, U) {
 
 function cone(view, at, phi, out, half, length, spread) {
   const { context } = view;
-  const direction = -(out > 0 ? phi : phi + Math.PI); // the canvas turns the other way
+  const direction = -(out > 0 ? phi : phi + Math.PI); // the canvas rotates in the opposite sense
   const radius = (length + spread) * view.k;
   context.beginPath();
   context.moveTo(view.x(at[0]), view.y(at[1]));
