@@ -115,7 +115,7 @@ def test_no_row_says_why(log: Path, tmp_path: Path, capsys: pytest.CaptureFixtur
     out, err = capsys.readouterr()
     assert not out
     assert err.startswith("no sample of a fingertip in ")
-    assert err.endswith(" frames; --nodes may leave it out\n")
+    assert err.endswith(" frames; --nodes may exclude it\n")
 
 
 def test_what_plot_can_not_find_may_be_chosen_away(

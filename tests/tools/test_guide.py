@@ -37,7 +37,7 @@ from tipforce_tools.cli.main import main
 
 OFFSETS = (12.0, -8.5, 5.3)
 FEW = ("--grooves", "x30,x60,x150,y45,y90,y135", "--samples", 20, "--drift", "none")
-LOAD = r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|take every load off"
+LOAD = r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|remove every load"
 QUICK = ("--period", 1)
 
 
@@ -96,7 +96,7 @@ class Person:
     def readline(self) -> str:
         question = self.listen()
         loads = re.findall(
-            r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|take every load off", question
+            r"hang ([\d.]+) N .* theta = ([\d.]+) degrees \(phi = ([\d.]+)\)|remove every load", question
         )
         if loads:
             P, theta, phi = (float(word or 0.0) for word in loads[-1])
@@ -153,8 +153,8 @@ def test_from_the_first_weight_to_the_stored_calibration(
         patch.setattr(Connection, "sync", interrupted_sync)
         assert bench.guide(*flags) == 130
     second.listen()
-    assert "goes on: 8 of 25 steps are there, 17 to do" in second.heard
-    assert "the extra unloaded reading: take every load off" in second.heard
+    assert "continuing: 8 of 25 steps done, 17 to do" in second.heard
+    assert "the extra unloaded reading: remove every load" in second.heard
     rows = bench.rows()
     assert [row["step"] for row in rows[8:]] == ["extra", "9", "10", "11"][: len(rows) - 8]
     assert bench.session.read_bytes().startswith(before)
@@ -254,12 +254,12 @@ def test_skip_redo_and_nonsense(bench: Bench, person: Callable[..., Person]) -> 
     found = person(lambda _question: next(keys))
     assert bench.guide(*FEW) == 0
     found.listen()
-    assert "there is no capture to redo" in found.heard
-    assert "'x' is none of the keys" in found.heard
-    assert "step 2 of 9 is taken out" in found.heard
-    assert "step 9 of 9 is taken out" in found.heard
+    assert "there is no capture to repeat" in found.heard
+    assert "'x' is not one of the keys" in found.heard
+    assert "step 2 of 9 is removed" in found.heard
+    assert "step 9 of 9 is removed" in found.heard
     assert "1 steps were skipped" in found.heard
-    assert "node 5 (0x05) is as it was" in found.heard
+    assert "node 5 (0x05) is unchanged" in found.heard
     assert [row["step"] for row in bench.rows()] == ["1", "2", "4", "5", "6", "7", "8", "9"]
     assert bench.connection.sdo(5).read(od.CALIBRATION_ACTIVE_CRC) == 0
     assert next(keys, None) is None
@@ -270,7 +270,7 @@ def test_nobody_at_the_keys(bench: Bench, monkeypatch: pytest.MonkeyPatch) -> No
     assert bench.guide(*FEW) == 2
     err = bench.capsys.readouterr().err
     assert "2 of 9 steps are in" in err
-    assert "the input ended: nobody is there to hang weights" in err
+    assert "end of input: the guide needs a user to hang weights" in err
 
 
 def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Callable[..., Person]) -> None:
@@ -285,8 +285,8 @@ def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Call
     found = person(key)
     bench.guide(*FEW)
     found.listen()
-    assert found.heard.count("does the weight hang? (r takes it again)") == 1
-    assert found.heard.count("is a load still on? (r takes it again)") == 1
+    assert found.heard.count("is the weight applied? (r repeats it)") == 1
+    assert found.heard.count("is a load still applied? (r repeats it)") == 1
 
 
 # --- refused captures -------------------------------------------------------------------------------------------------
@@ -295,7 +295,7 @@ def test_a_weight_that_was_forgotten_is_remarked_upon(bench: Bench, person: Call
 @pytest.mark.parametrize(
     ("fault", "magnitude", "reason"),
     [
-        (STUCK, 0.0, "stuck: SG2 gives the same value every time"),
+        (STUCK, 0.0, "stuck: SG2 reads a constant value"),
         (OPEN, 0.0, "front-end fault in .* wire break.*: check the wiring"),
         (SATURATED, 0.0, "saturated: SG2 in up to .*: use a smaller weight"),
         (SILENT, 0.0, "stale|no data"),
@@ -336,7 +336,7 @@ def test_refused_with_nobody_there_is_1(bench: Bench) -> None:
 
 
 @pytest.mark.parametrize(
-    ("fault", "reason"), [(SILENT, "its sample counter (2121h) does not move"), (OPEN, "2124h = 0x0401 (wire break)")]
+    ("fault", "reason"), [(SILENT, "its sample counter (2121h) does not change"), (OPEN, "2124h = 0x0401 (wire break)")]
 )
 def test_a_faulty_node_is_refused_before_the_first_weight(bench: Bench, fault: int, reason: str) -> None:
     bench.connection.sdo(5).write(od.SIMULATION_FAULT, fault)
@@ -399,7 +399,7 @@ def test_a_line_that_was_cut_short(bench: Bench) -> None:
     bench.session.write_text("".join(lines[:4]) + lines[4][:30])
     code, _, err = bench.auto()
     assert code == 0
-    assert "its last line was cut short by an interruption and is taken out" in err
+    assert "its last line was truncated by an interruption and is removed" in err
     assert [row["step"] for row in bench.rows()] == ["1", "2", "3", "extra", "4", "5", "6", "7", "8", "9"]
 
 
@@ -409,12 +409,12 @@ def test_a_line_that_was_cut_short(bench: Bench) -> None:
         (",4.4,", ",4.5,", "line 3: step 2 is 4.5 N at phi 0, theta 30 degrees, pull, in this plan it is 4.4 N at"),
         (",pull,2,", ",pull,17,", r"line 3: step 17 \(4.4 N .*\), this plan has 9 steps: another plan"),
         (",pull,2,", ",pull,extra,", "line 3: an extra step is 4.4 N at phi 0, theta 30 degrees, pull"),
-        (",1005,", ",1006,", "it is of the node with serial 1006, this one has serial 1005"),
-        (",pull,2,", ",pull,two,", "line 3: not as the guide writes it"),
-        (",pull,2,", ",twist,2,", "line 3: mode is 'twist', allowed: push, pull, tare or blank; mend that line"),
+        (",1005,", ",1006,", "of the node with serial 1006, this one has serial 1005"),
+        (",pull,2,", ",pull,two,", "line 3: not a line of a session"),
+        (",pull,2,", ",twist,2,", "line 3: mode is 'twist', allowed: push, pull, tare or blank; correct that line"),
         ("SG1,SG2,SG3", "SG1,SG2,SG3,SG4", "it has 4 gauges, the node has 3"),
-        ("step,serial", "step,number", r"not a file that this guide began \(the column serial is missing\)"),
-        ("t_s,SG1", "SG1,t_s", "the columns are not as the guide writes them"),
+        ("step,serial", "step,number", r"not a session file \(the column serial is missing\)"),
+        ("t_s,SG1", "SG1,t_s", "the columns are not those of a session"),
     ],
 )
 def test_a_session_that_does_not_belong_here(bench: Bench, old: str, new: str, reason: str) -> None:

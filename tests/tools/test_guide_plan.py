@@ -114,7 +114,7 @@ def test_no_plan_file(tmp_path: Path) -> None:
     [
         ("heavy", "paper", "--weights 'heavy': allowed are newtons above 0"),
         ("4.4,-1", "paper", "--weights"),
-        ("4.4", "x30,z20", "'z20': allowed are paper, or grooves as x30,y60"),
+        ("4.4", "x30,z20", "'z20': allowed are paper, or grooves: x30,y60"),
         ("4.4", "y190", "theta 0 to 180"),
         ("4.4", "x30,x45", "cannot show"),
     ],
@@ -137,7 +137,7 @@ def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: 
     with connected(fingertip_node(5, RealGauges()), channel=channel):
         words = ["calibrate", "guide", "--node", "5", "--auto", "--session", str(tmp_path / "s.csv")]
         assert main([*words, "-i", "virtual", "-c", channel]) == 2
-    assert "node 5 (0x05) has real gauges: --auto is for a simulated node" in capsys.readouterr().err
+    assert "node 5 (0x05) has real gauges: --auto needs a simulated node" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -196,12 +196,12 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["-o", "there.log"], "there.log is there already"),
+        (["-o", "there.log"], "there.log exists"),
         (["-o", "run.xyz"], "allowed are .asc, "),
         (["-o", "run.blf.gz"], "allowed are .asc, "),
         (["-o", "run"], "allowed are .asc, "),
         (["-o", "missing/run.log"], "missing/run.log: No such file"),
-        (["there.log"], "log records from buses"),
+        (["there.log"], "allowed are buses"),
     ],
 )
 def test_usage_errors(

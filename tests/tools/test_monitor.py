@@ -367,7 +367,7 @@ def test_once(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_nodes(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert monitor(str(log), "--nodes", "6") == 0
-    assert "no node has said anything yet" in capsys.readouterr().out
+    assert "no node found yet" in capsys.readouterr().out
 
 
 def test_from_stdin(log: Path) -> None:
@@ -388,13 +388,13 @@ def test_a_log_without_frames(tmp_path: Path, capsys: pytest.CaptureFixture[str]
     path = tmp_path / "empty.log"
     path.write_text("")
     assert monitor(str(path)) == 0
-    assert capsys.readouterr().out == "no frame has come\n"
+    assert capsys.readouterr().out == "no frames received\n"
 
 
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["--speed", "1", "-i", "virtual", "-c", "x"], "--follow and --speed are for logs"),
+        (["--speed", "1", "-i", "virtual", "-c", "x"], "--follow and --speed: need a log"),
         (["LOG", "can0"], "--nodes selects from a log"),
         (["nothing.log"], "no such file"),
     ],
@@ -438,7 +438,7 @@ def test_on_a_bus(capsys: pytest.CaptureFixture[str]) -> None:
 
 def test_a_silent_bus_ends_once(capsys: pytest.CaptureFixture[str]) -> None:
     assert monitor("-i", "virtual", "-c", "monitor2", "--once", "0.1") == 0
-    assert capsys.readouterr().out == "no frame has come\n"
+    assert capsys.readouterr().out == "no frames received\n"
 
 
 def test_the_screen_shows_what_the_text_shows(log: Path) -> None:

@@ -32,8 +32,8 @@ zero_volts = 2.5
 WRONG = [
     ("iio:", BRIDGE, "--source iio:: allowed are sim, iio:DEVICE"),
     ("iio:x/", BRIDGE, "no such device"),
-    ("iio:,", BRIDGE, "'' is no device"),
-    ("iio:ip:/adc", BRIDGE, "'ip:/adc' is no device"),
+    ("iio:,", BRIDGE, "'' is not a device"),
+    ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
     ("iio:device0/voltage7", BRIDGE, "no channel 'voltage7'; it has voltage0, voltage1"),
     ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), and layout"),
     ("iio:device0,device0/voltage1", BRIDGE, "a channel is named twice"),
@@ -147,7 +147,7 @@ def test_without_a_scale_the_table_must_state_volts_per_count(
     monkeypatch.setattr(iio_sysfs, "attribute", refuse)
     assert node(path, "--source", "iio:a") == 2
     said = capsys.readouterr().err
-    assert "does not tell its scale (Invalid argument: no reference regulator)" in said
+    assert "does not state its scale (Invalid argument: no regulator)" in said
     assert "[bridge] volts_per_count" in said
     path.write_text(BRIDGE + "volts_per_count = 0.001\n")
     assert node(path, "--source", "iio:a") == 0
@@ -280,7 +280,7 @@ def test_doctor_lists_converters_and_what_they_lack(tree: Tree) -> None:
     assert "modprobe iio-trig-hrtimer" in found[-1].next_step
     tree.add_trigger(0, "t")
     assert list(iio_checks(tree.root, tree.dev, tree.folder / "absent"))[-1].next_step == "--trigger NAME"
-    assert list(iio_checks(tree.root, tree.dev, tree.folder))[-1].finding == "timer triggers can be made"
+    assert list(iio_checks(tree.root, tree.dev, tree.folder))[-1].finding == "timer triggers are available"
     tree.add_trigger(1, "ad7124-dev1")
     assert list(iio_checks(tree.root, tree.dev))[-1].finding == "data-ready triggers: ad7124-dev1"
 

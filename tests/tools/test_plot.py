@@ -359,7 +359,7 @@ def test_a_single_sample_is_a_point(tmp_path: Path, capsys: pytest.CaptureFixtur
     log.write_text(f"({START_S}.000000) can0 {can_id:03X}#{data.hex()}\n")
     (node,) = plotted(capsys, str(log), "-o", str(tmp_path / "point.svg"))
     assert node["unknown"] == {"P": 0, "phi": 0, "theta": 1}
-    assert "unknown all the time" in words_of(tmp_path / "point.svg")
+    assert "always unknown" in words_of(tmp_path / "point.svg")
 
 
 def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
@@ -383,11 +383,11 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["LOG"], "-o FILE.png, .svg or .pdf tells where the picture goes; or --show"),
+        (["LOG"], "no output: add -o FILE.png, .svg or .pdf, or --show"),
         (["LOG", "-o", "x.jpg"], "allowed are the suffixes .png, .svg, .pdf"),
         (["nothing.log", "-o", "x.png"], "no such file"),
         (["LOG", "-o", "x.png", "--signals", "Q"], "no message has the signal Q"),
-        (["LOG", "-o", "x.png", "--nodes", "9"], "no PDO of a fingertip in it"),
+        (["LOG", "-o", "x.png", "--nodes", "9"], "no PDO of a fingertip"),
         (["LOG", "-o", "/no/such/folder/x.png"], "No such file or directory"),
         (["UNTIMED", "-o", "x.png"], "no timestamps"),
     ],

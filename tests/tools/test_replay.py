@@ -186,7 +186,7 @@ def test_a_signal_ends_an_endless_loop(log: Path) -> None:
         (["missing.log"], "missing.log: No such file"),
         (["missing.blf"], "missing.blf: No such file"),
         (["broken.log.gz"], "broken.log.gz: "),
-        (["untimed.log"], "no time stamps"),
+        (["untimed.log"], "no timestamps"),
         (["-", "--loop", "2"], "stdin can be read once"),
         (["run.log", "-c", "x", "a=b"], "give one of the two"),
     ],

@@ -55,7 +55,7 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
     )
     path.write_text("\n".join(lines) + "\n")
     assert node("I", "--source", f"replay:{path}") == 2
-    assert f"holds gauges of the nodes 5, 6; name one as {path}@5" in capsys.readouterr().err
+    assert f"contains gauges of the nodes 5, 6; choose one: {path}@5" in capsys.readouterr().err
     assert node("I", "--source", f"replay:{path}@5") == 0
     source = source_of(devices[0])
     found = [source.read(now_us) for now_us in (0, 1500, 3500)]
@@ -65,13 +65,13 @@ def test_a_recording_of_candump(tmp_path: Path, devices: list[Device], capsys: p
 @pytest.mark.parametrize(
     ("text", "flags", "message"),
     [
-        ("SG1,SG2,SG3\n1,2,3\n", "", "there is no column t_s"),
+        ("SG1,SG2,SG3\n1,2,3\n", "", "column t_s is missing"),
         ("t_s,SG1,SG2,SG3\n0,1,2,x\n", "", "line 2"),
         ("t_s,SG1,SG2,SG3,SG4\n0,1,2,3,4\n", "", "4 gauges; the layout has 3"),
         ("t_s,SG1,SG2,SG3\n0,1,2,3\n", "--speed 0", "speed 0.0"),
-        ("hello\n", "", "no gauge PDO in it, and no CSV header with SG1"),
+        ("hello\n", "", "no gauge PDO, and no CSV header with SG1"),
         ("(1.0) can0 185#0A00ECFF1E000201\n", "@9", "no gauge PDO of node 9"),
-        ("(1.0) can0 185#0A00ECFF1E000201\n", "@0", "'0' after @ is no node-id"),
+        ("(1.0) can0 185#0A00ECFF1E000201\n", "@0", "'0' after @: allowed are node-ids"),
         (None, "", "No such file"),
     ],
 )

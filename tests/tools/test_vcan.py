@@ -75,7 +75,7 @@ def test_uml_can_be_forced_and_then_nothing_is_probed(monkeypatch: pytest.Monkey
 
 def test_host_forced_on_a_kernel_without_vcan_says_what_to_try(monkeypatch: pytest.MonkeyPatch) -> None:
     fake_kernel(monkeypatch)
-    with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be made.*modprobe vcan"):
+    with pytest.raises(EnvironmentLackError, match=r"vcan0, vcan1 cannot be created.*modprobe vcan"):
         run.choose(["vcan0", "vcan1"], "host")
 
 
@@ -153,7 +153,7 @@ def test_flags_reach_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
         (["--interfaces", "../x", "--", "true"], "allowed are a letter"),
         (["--interfaces", "vcan0;reboot", "--", "true"], "allowed are a letter"),
         (["--interfaces", "a234567890123456", "--", "true"], "allowed are a letter"),
-        (["--interfaces", "v,v", "--", "true"], "each once"),
+        (["--interfaces", "v,v", "--", "true"], "distinct names"),
         (["--memory", "lots", "--", "true"], "--memory lots: expected a number with K, M or G"),
         (["--memory", "2", "--", "true"], "expected a number with K, M or G"),
         (["--timeout", "0", "--", "true"], "--timeout 0: expected seconds above 0"),

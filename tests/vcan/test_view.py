@@ -166,7 +166,7 @@ def test_a_finger_without_power_is_missing_on_both_pages(views: Views) -> None:
                 assert six["since"] <= killed_ms
                 assert six["w"] in ("live", "stale", "silent")
                 assert ("c" in six) == (six["w"] != "silent")
-            assert messages[-1]["fingers"][1]["why"] == "no answer"
+            assert messages[-1]["fingers"][1]["why"] == "no response"
             more = page.messages(lambda message: message["nmt"][1] in ("", "silent"))
             assert {message["fingers"][1]["w"] for message in more} == {"silent"}
             assert more[-1]["nmt"][0] == "operational"

@@ -42,7 +42,7 @@ def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:
             assert (error < 6 * u + (0.002, 0.2, 0.2)).all()
             assert np.isfinite(state.gauges).all()
         assert source.model.nmt == ["operational"] * 5
-        assert source.tare(1).startswith("tared: F1 ")
+        assert source.tare(1).startswith("tare: F1 ")
         assert source.model.counters.load_low is not None
 
 

@@ -15,7 +15,7 @@ _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", 180.0 / np.pi), ("theta", "deg", 
 
 
 def plot(found: Budget, path: str) -> None:
-    """Write shares of the variance as stacked bars, .png or .svg. Raises InputError where the disk refuses."""
+    """Write shares of the variance as stacked bars, .png or .svg. Raises InputError if the file cannot be written."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -27,7 +27,7 @@ def plot(found: Budget, path: str) -> None:
     totals = np.mean(found.total.uncertainties**2, axis=0)
     left = np.zeros(3)
     colours = plt.get_cmap("tab20").colors  # type: ignore[attr-defined]
-    # Near tangency the shares of theta do not add up to one: the bar then ends off the total.
+    # Near tangency the shares of theta do not add up to one: the bar then does not end at the total.
     for number, row in enumerate(found.rows):
         share = 100.0 * np.mean(row.uncertainties**2, axis=0) / np.where(totals > 0.0, totals, 1.0)
         ax.barh(range(3), share, left=left, color=colours[number % len(colours)], label=row.cause)

@@ -1,4 +1,4 @@
-"""`tipforce calibrate guide`: step by step at a node on the bus, from the first weight to the stored calibration."""
+"""`tipforce calibrate guide`: guided calibration of a node on the bus, from the first weight to storage."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ if TYPE_CHECKING:
     from tipforce_tools.calibrate.guide_plan import Step
 
 DEFAULT_WEIGHTS = "4.4"
-AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load points where it should
+AUTO_SCATTER_DEG, HAND_SCATTER_DEG = 0.0, 0.5  # a simulated load has its nominal direction
 MIN_SAMPLES, MAX_SAMPLES = 10, 100_000
 
 
 class Found(NamedTuple):
-    """What the check of the node found."""
+    """Result of the check of the node."""
 
     client: FingertipClient
     reader: GaugeReader
@@ -33,37 +33,37 @@ class Found(NamedTuple):
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of guide."""
+    """Add the flags of guide."""
     parser.epilog = (
-        "At each step: Enter captures, s skips it, r does the last one again, q saves and quits. Each capture is one\n"
-        "row of the session file, on the disk at once: the same command goes on where it stopped. At the end the\n"
-        "calibration is fitted, shown, and on your word written to the node, verified byte for byte and stored.\n"
+        "At each step: Enter captures, s skips, r repeats the last step, q saves and quits. Each capture is one row\n"
+        "of the session file, written to disk at once: the same command continues where it stopped. At the end the\n"
+        "calibration is fitted, shown, and after confirmation written to the node, verified and stored.\n"
         "  tipforce calibrate guide --node 5 --weights 4.4,2.2 --session a.csv -o finger.toml -i socketcan -c can0\n"
         "  tipforce calibrate guide --node 5 --auto -o finger.toml -i socketcan -c vcan0      (a simulated node)\n"
-        "A plan of your own (TOML): a [[step]] for each load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
-        "tare) and instruction; tare_every = 4 says how often an unloaded reading comes between."
+        "A plan for another rig (TOML): a [[step]] per load with P_N, phi_deg, theta_deg, optional mode (pull, push,\n"
+        "tare) and instruction; tare_every = 4 sets the number of loads between unloaded readings."
     )
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    parser.add_argument("--plan", metavar="PLAN.toml", help="steps of another rig")
-    parser.add_argument("--weights", metavar="N,N", help=f"newtons (default {DEFAULT_WEIGHTS})")
+    parser.add_argument("--plan", metavar="PLAN.toml", help="steps for another rig")
+    parser.add_argument("--weights", metavar="N,N", help=f"weights in newtons (default {DEFAULT_WEIGHTS})")
     parser.add_argument("--grooves", metavar="paper|x30,y60,...", help="default: paper, its 19 grooves")
     parser.add_argument("--session", metavar="FILE.csv", help="default: session-SERIAL.csv, serial of the node")
     parser.add_argument("-o", "--output", metavar="CAL.toml", help="calibration file to write")
-    parser.add_argument("--auto", action="store_true", help="a simulated node loads itself; nobody is asked")
+    parser.add_argument("--auto", action="store_true", help="simulated node: apply the loads without prompts")
     group = parser.add_argument_group("capture")
     group.add_argument("--samples", type=int, default=200, metavar="N", help="of a capture (default %(default)s)")
     group.add_argument("--period", type=float, default=5.0, metavar="MS", help="between samples (default %(default)s)")
     group.add_argument(
         "--max-std", type=float, default=5.0, metavar="UE",
-        help="more scatter within a capture is refused, microstrain (default %(default)s)",
+        help="limit of the scatter within a capture, microstrain (default %(default)s)",
     )  # fmt: skip
     group.add_argument(
         "--max-drift", type=float, default=2.0, metavar="UE",
-        help="more drift within a capture is refused, microstrain (default %(default)s)",
+        help="limit of the drift within a capture, microstrain (default %(default)s)",
     )  # fmt: skip
-    parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
+    parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout (for the file and the prior)")
     fit.add_model_arguments(parser)
-    parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: by hand 0.5 degree, --auto none
+    parser.set_defaults(angle_scatter=None, sense=None, date=None)  # None: 0.5 degree with weights, 0 with --auto
     scatter = next(action for action in parser._actions if action.dest == "angle_scatter")
     scatter.help = (scatter.help or "").replace("%(default)s", "0.5; --auto: 0")
     common.add_confirm_argument(parser)
@@ -72,7 +72,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Walk the plan: 0 when it is done or the person stops it, 1 when a capture of --auto was refused."""
+    """Execute the plan; return 0 if it is done or the user quits, 1 if a capture of --auto was refused."""
     steps = _plan(args)
     _check(args)
     with common.open_connection(args) as connection:
@@ -99,7 +99,7 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
         args, f"plan: {loads} loads and {len(steps) - loads} unloaded readings; by {reader.how}; session {path}"
     )
     if session.cut:
-        common.note(args, f"session {path}: its last line was cut short by an interruption and is taken out")
+        common.note(args, f"session {path}: its last line was truncated by an interruption and is removed")
     walk = Walk(args, steps, session, reader, found.client.sdo)
     try:
         while (outcome := walk.run()) == "done":
@@ -114,10 +114,10 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
 
 
 def check_node(connection: Connection, args: argparse.Namespace) -> Found:
-    """Who the node is, and whether it measures.
+    """Return the identity of the node, after checking that it measures.
 
     Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for
-    a node whose front end is faulty or whose samples do not come.
+    a node with a front-end fault or without new samples.
     """
     from tipforce.dictionary import objects as od
     from tipforce.dictionary import table
@@ -129,20 +129,20 @@ def check_node(connection: Connection, args: argparse.Namespace) -> Found:
     client = FingertipClient(connection.sdo(args.node))
     identity = client.identity()
     if not identity.is_fingertip:
-        raise InputError(f"{name}: product code 0x{identity.product:08X} is no fingertip of this dictionary")
+        raise InputError(f"{name}: product code 0x{identity.product:08X} is not a fingertip of this dictionary")
     if args.auto and not identity.simulated:
-        raise InputError(f"{name} has real gauges: --auto is for a simulated node; without it you hang the weights")
+        raise InputError(f"{name} has real gauges: --auto needs a simulated node; leave it out and hang weights")
     reader = GaugeReader(connection, args.node, identity.gauges, args.period * 1e-3)
     if not reader.moves():
-        raise RefusedError(f"{name}: its sample counter (2121h) does not move: it does not measure; reset it")
+        raise RefusedError(f"{name}: its sample counter (2121h) does not change: it does not measure; reset it")
     faults = client.sdo.read(od.FAULTS)
     if faults >> table.FAULT_NO_DATA:
         names = ", ".join(word.replace("_", " ") for bit, word in table.FAULT_BITS if faults >> bit & 1)
-        raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): mend it before you calibrate")
+        raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): repair it before calibration")
     temperature = reader.temperature_degC()
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     what = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges, serial {identity.serial}"
-    held = f"holds a calibration (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
+    held = f"calibrated (CRC-32 0x{crc:08X})" if crc else "not calibrated yet"
     degrees = "temperature unknown" if temperature is None else f"{temperature:.2f} degC"
     text = f"{name}: {what}; {held}; {degrees}; measures, no fault"
     return Found(client, reader, identity, temperature, text)
@@ -154,13 +154,13 @@ def _plan(args: argparse.Namespace) -> tuple[Step, ...]:
     if args.plan:
         for flag in ("weights", "grooves"):
             if getattr(args, flag) is not None:
-                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan says which loads there are")
+                raise InputError(f"--plan and --{flag}: allowed is one of them; the plan defines the loads")
         return file_plan(args.plan)
     return groove_plan(args.weights or DEFAULT_WEIGHTS, args.grooves or "paper")
 
 
 def _check(args: argparse.Namespace) -> None:
-    """Flags that would otherwise be found wrong after an hour of weights."""
+    """Check flags that would otherwise fail after an hour of weights."""
     if not MIN_SAMPLES <= args.samples <= MAX_SAMPLES:
         raise InputError(f"--samples {args.samples}: allowed is {MIN_SAMPLES} to {MAX_SAMPLES}")
     for flag, value, most in (("period", args.period, 1000.0), ("max-std", args.max_std, 1e6),

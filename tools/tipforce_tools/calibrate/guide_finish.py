@@ -1,4 +1,4 @@
-"""The end of a guided calibration: the fit, its account, and on the person's word the node's new calibration."""
+"""The end of a guided calibration: the fit, its report, and after confirmation the transfer to the node."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Answer = Literal["applied", "declined", "redo"]
 
 
 def check_model(args: argparse.Namespace, steps: Sequence[Step], gauges: int) -> None:
-    """Raise InputError for flags of the fit that are wrong, before somebody hangs weights for an hour."""
+    """Raise InputError for wrong flags of the fit, before an hour of weights."""
     if args.layout and len(read_layout(args.layout)[1]) != gauges:
         raise InputError(f"--layout {args.layout} has {len(read_layout(args.layout)[1])} gauges, the node has {gauges}")
     m = len(steps)
@@ -41,35 +41,35 @@ def check_model(args: argparse.Namespace, steps: Sequence[Step], gauges: int) ->
 
 
 def finish(args: argparse.Namespace, session: Session, client: FingertipClient) -> Answer:
-    """Fit the session, show it, write the file, and apply, verify and store it if the person says so.
+    """Fit the session, show it, write the file, and after confirmation apply, verify and store it.
 
-    Raises InputError where the rows do not determine a calibration, RefusedError where the node refuses it.
+    Raises InputError if the rows do not determine a calibration, RefusedError if the node refuses it.
     """
     path = str(session.path)
     data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
     model = fit_command.model_of(args, data)
     fit = rounded(fit_calibration(fit_command.readings_of(data), model))
-    # The residuals also hold what differs from hook to hook; what a single reading of the node scatters by is what
-    # the captures scattered by. C is then the best one for that: a node with more than three gauges relies on it.
+    # The residuals also contain differences between hooks; the scatter of a single reading of the node is that within
+    # the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
     noise = to_digits(session.noise_covariance_strain2())
     C = matrix_to_digits(left_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C
     calibration = replace(fit_command.calibration_of(args, data, fit), C=C, covariance_strain2=noise)
     notes = fit_report.notes(data, fit, model, args.layout)
-    notes.append("the node gets the noise covariance of the captures' own scatter")
+    notes.append("the node gets the noise covariance within the captures")
     if fit.outliers:
-        notes.append("to do an outlier again: take its line out of the session and start the same command")
+        notes.append("to repeat an outlier: remove its line from the session and start the same command")
     if args.json:
         fit_report.print_json(path, data, fit, calibration, notes)
     else:
         fit_report.print_text(path, data, fit, model, notes)
     name = f"node {common.shown_id(args.node)}"
-    if args.output:  # before anything else can go wrong
+    if args.output:  # first, so that a later failure does not lose it
         facts = fit_report.facts(path, data, fit) | {"angle_scatter_deg": args.angle_scatter}
         write_calibration(args.output, calibration, fit_record(fit, **facts))
         common.note(args, f"{args.output}: written, load sense {'pull' if calibration.pull else 'push'}")
-    answer = _asked(args, f"{name}: apply this calibration and store it there")
+    answer = _asked(args, f"{name}: apply this calibration and store it")
     if answer == "declined":
-        common.note(args, f"{name} is as it was; the same command asks again")
+        common.note(args, f"{name} is unchanged; the same command asks again")
     if answer != "applied":
         return answer
     generation = client.apply_calibration(calibration, on_step=lambda step: common.note(args, f"{name}: {step}"))

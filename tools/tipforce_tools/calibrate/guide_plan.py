@@ -1,4 +1,4 @@
-"""The steps of a guided calibration: which load where, with unloaded readings between; the paper's, or a file's.
+"""The steps of a guided calibration, loads and unloaded readings between them: the paper's, or those of a file.
 
 A plan file, in TOML::
 
@@ -7,8 +7,8 @@ A plan file, in TOML::
     [[step]]
     P_N = 4.4                     # newtons, above 0
     phi_deg = 0.0                 # direction of the force
-    theta_deg = 30.0              # place of the contact
-    mode = "pull"                 # or push, or tare (an unloaded reading, without the three above)
+    theta_deg = 30.0              # contact angle
+    mode = "pull"                 # or push, or tare (an unloaded reading, without the three keys above)
     instruction = "hang weight A on hook 3"      # optional
 """
 
@@ -34,12 +34,12 @@ from tipforce.toml_table import convert, read_table
 GRAVITY = 9.80665  # m/s^2
 TARE_EVERY = 4
 EXTRA = 0
-"""Number of an unloaded reading beyond the plan, taken when a session goes on after a pause."""
+"""Number of an unloaded reading beyond the plan, taken when a session continues after a pause."""
 
 
 @dataclass(frozen=True, slots=True)
 class Step:
-    """One thing to hang and to read. ``number`` counts from 1."""
+    """One load and its reading. ``number`` counts from 1."""
 
     number: int
     P_newtons: float
@@ -51,7 +51,7 @@ class Step:
 
     @property
     def load(self) -> tuple[float, float, float, str]:
-        """What identifies the step in a session."""
+        """The key that identifies the step in a session."""
         return self.P_newtons, self.phi_deg, self.theta_deg, self.mode
 
     def __str__(self) -> str:
@@ -60,7 +60,7 @@ class Step:
         return f"{self.P_newtons:g} N at phi {self.phi_deg:g}, theta {self.theta_deg:g} degrees, {self.mode}"
 
 
-EXTRA_TARE = Step(EXTRA, 0.0, 0.0, 0.0, "tare", "take every load off (after a pause the offsets may have moved)")
+EXTRA_TARE = Step(EXTRA, 0.0, 0.0, 0.0, "tare", "remove every load (after a pause the offsets may have drifted)")
 
 
 class _FileStep(msgspec.Struct, forbid_unknown_fields=True):
@@ -78,9 +78,9 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
-    """Steps of a rope in grooves: every weight ("4.4,2.2", newtons) in every groove ("paper", or "x30,y60").
+    """Return steps of a rope in grooves: every weight ("4.4,2.2", newtons) in every groove ("paper", or "x30,y60").
 
-    Raises InputError for a weight or a groove that is not allowed, and for loads that leave something unseen.
+    Raises InputError for a weight or groove that is not allowed, and for loads that do not determine the matrix.
     """
     places = _grooves(grooves)
     loads = [
@@ -92,7 +92,7 @@ def groove_plan(weights: str, grooves: str) -> tuple[Step, ...]:
 
 
 def file_plan(path: str | Path) -> tuple[Step, ...]:
-    """The steps of a plan file. Raises InputError naming the file, the step and what is allowed."""
+    """Return the steps of a plan file. Raises InputError naming the file, the step and what is allowed."""
     content = convert(_File, read_table(path, f"plan {path}"), f"plan {path}")
     if content.tare_every < 1:
         raise InputError(f"plan {path}: tare_every = {content.tare_every}: allowed is 1 or more")
@@ -107,7 +107,7 @@ def file_plan(path: str | Path) -> tuple[Step, ...]:
 def _step(number: int, found: _FileStep) -> Step:
     if found.mode == "tare":
         if found.P_N or found.phi_deg or found.theta_deg:
-            raise InputError(f"step {number} is a tare, an unloaded reading: P_N, phi_deg and theta_deg must go")
+            raise InputError(f"step {number} is a tare, an unloaded reading: remove P_N, phi_deg and theta_deg")
         return Step(0, 0.0, 0.0, 0.0, "tare", found.instruction or _UNLOAD)
     if not 0.0 < found.P_N < math.inf:
         raise InputError(f"step {number}: P_N = {found.P_N:g}: allowed is above 0 (an unloaded reading: mode = tare)")
@@ -123,7 +123,7 @@ def _step(number: int, found: _FileStep) -> Step:
     return Step(0, found.P_N, phi, theta, found.mode, text)
 
 
-_UNLOAD = "take every load off"
+_UNLOAD = "remove every load"
 
 
 def _hang(P: float, along: str, phi: float, theta: float) -> str:
@@ -137,12 +137,12 @@ def _weights(text: str) -> list[float]:
     except ValueError:
         found = []
     if not found or not all(0.0 < P < math.inf for P in found):
-        raise InputError(f"--weights {text!r}: allowed are newtons above 0 with commas between, as 4.4,2.2")
+        raise InputError(f"--weights {text!r}: allowed are newtons above 0 separated by commas: 4.4,2.2")
     return found
 
 
 def _grooves(text: str) -> list[tuple[str, float, float]]:
-    """(x or y, phi, theta) of each groove, degrees."""
+    """Return (x or y, phi, theta) of each groove, degrees."""
     if text == "paper":
         paper = paper_grooves()
         columns = (paper.along_x.tolist(), np.degrees(paper.phi_rad).tolist(), np.degrees(paper.theta_rad).tolist())
@@ -152,7 +152,7 @@ def _grooves(text: str) -> list[tuple[str, float, float]]:
     for word in text.split(","):
         parts = re.fullmatch(r"\s*([xy])(\d{1,3}(?:\.\d+)?)\s*", word)
         if parts is None or float(parts[2]) > 180.0:
-            raise InputError(f"--grooves {text!r}: {word!r}: allowed are paper, or grooves as x30,y60 (theta 0 to 180)")
+            raise InputError(f"--grooves {text!r}: {word!r}: allowed are paper, or grooves: x30,y60 (theta 0 to 180)")
         theta = float(parts[2])
         # A rope can only pull away from the tip.
         phi = 90.0 if parts[1] == "y" else 0.0 if theta < 90.0 else 180.0
@@ -173,13 +173,13 @@ def _with_tares(loads: Sequence[Step], every: int) -> list[Step]:
 def _numbered(steps: Sequence[Step]) -> tuple[Step, ...]:
     loads = [step for step in steps if step.mode != "tare"]
     if not loads:
-        raise InputError("no step has a load: give at least one with P_N above 0")
+        raise InputError("no step has a load: add at least one with P_N above 0")
     _require_seen(steps, sum(step.P_newtons for step in loads) / len(loads))
     return tuple(replace(step, number=k + 1) for k, step in enumerate(steps))
 
 
 def _require_seen(steps: Sequence[Step], typical_newtons: float) -> None:
-    """Loads that cannot determine the matrix are refused before anybody hangs them."""
+    """Raise InputError for loads that cannot determine the matrix, before they are applied."""
     P = np.array([step.P_newtons for step in steps])
     phi, theta = (np.radians([getattr(step, name) for step in steps]) for name in ("phi_deg", "theta_deg"))
     g = np.concatenate((force_vector(P, phi, theta) / typical_newtons, np.ones((len(steps), 1))), axis=1)

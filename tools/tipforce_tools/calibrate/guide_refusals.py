@@ -1,4 +1,4 @@
-"""Whether a capture may be used: quiet, new, whole, or why not and what to do about it."""
+"""Checks of a capture: quiet, new and complete samples; otherwise a reason and a remedy."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture
 
 
 class Refusal(NamedTuple):
-    """Why a capture does not count, and what to do about it."""
+    """Why a capture is refused, and the remedy."""
 
     reason: str
     remedy: str
@@ -23,16 +23,16 @@ class Refusal(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What still counts as quiet, in microstrain."""
+    """Limits of a quiet capture, in microstrain."""
 
     std_microstrain: float = 5.0
     """Standard deviation of the readings of a gauge."""
     drift_microstrain: float = 2.0
-    """How far the straight line through the readings of a gauge moves from the first to the last."""
+    """Change of the straight line through the readings of a gauge from the first to the last."""
 
 
 def refusals(capture: Capture, limits: Limits) -> list[Refusal]:
-    """Why a capture must not be used, the most telling reason first; empty for a good one."""
+    """Return the reasons to refuse a capture, the most specific first; empty for a good one."""
     found = _unusable(capture)
     if found:
         return found
@@ -58,8 +58,8 @@ def _unusable(capture: Capture) -> list[Refusal]:
     found = []
     if capture.silent and not capture.count:
         found.append(Refusal(
-            "silent: no gauge PDO came on SYNC, yet the node answers SDO",
-            "is another node stopping it, or is the bus overloaded? try again",
+            "silent: no gauge PDO on SYNC, although the node responds to SDO",
+            "check for another NMT master and for bus overload; try again",
         ))  # fmt: skip
     if capture.faulty:
         names = [name.replace("_", " ") for bit, name in table.FAULT_BITS if capture.faults >> bit & 1]
@@ -77,21 +77,21 @@ def _unusable(capture: Capture) -> list[Refusal]:
     if not found and capture.count < capture.asked:
         if capture.repeated > capture.stale:
             found.append(Refusal(
-                f"the sample counter does not move ({capture.repeated} repeated)",
-                "the node does not measure any more: reset it",
+                f"the sample counter does not change ({capture.repeated} repeated)",
+                "the node no longer measures: reset it",
             ))  # fmt: skip
         else:
             found.append(Refusal(
                 f"stale: only {capture.count} {of} were new ({capture.stale} stale, {capture.silent} missing)",
-                "the converter does not deliver: check the node, or take longer between samples (--period)",
+                "the converter delivers no samples: check the node, or increase --period",
             ))  # fmt: skip
     return found
 
 
 def _stuck(capture: Capture) -> list[Refusal]:
-    """One gauge that repeats itself to the last digit while another has noise."""
+    """Return a refusal for gauges with constant readings while another gauge has noise."""
     still = np.ptp(capture.microstrain, axis=0) == 0.0
     if capture.count < 20 or capture.std.max() < 2.0 * RESOLUTION_MICROSTRAIN or not still.any():
         return []
     names = ", ".join(f"SG{k + 1}" for k in np.flatnonzero(still))
-    return [Refusal(f"stuck: {names} gives the same value every time, other gauges do not", "check the gauge's wiring")]
+    return [Refusal(f"stuck: {names} reads a constant value, other gauges do not", "check the gauge's wiring")]

@@ -1,7 +1,7 @@
-"""The session of a guided calibration: a CSV of measurements, one row a step, on the disk before the next step begins.
+"""The session of a guided calibration: a CSV of measurements, one row per step, on disk before the next step begins.
 
-Beside the columns that every measurement file has (`tipforce calibrate fit` reads it as it is): ``step`` (number in
-the plan, or extra), ``serial`` (of the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
+Besides the columns of every measurement file (`tipforce calibrate fit` reads it unchanged): ``step`` (number in the
+plan, or extra), ``serial`` (of the node), ``taken`` (UTC) and ``var_j_k_ue2``, the covariance of one reading.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from tipforce_tools.calibrate.guide_plan import EXTRA, Step
 
 
 class Row(NamedTuple):
-    """What the guide needs of one line; the fit reads the file itself."""
+    """The values of one line that the guide needs; the fit reads the file itself."""
 
     start: int
-    """Where the line starts in the file, bytes."""
+    """Offset of the line in the file, bytes."""
     step: int
     t_s: float
     taken: datetime.datetime
@@ -39,17 +39,17 @@ class Row(NamedTuple):
 
 
 class Session:
-    """A session file of one node and one plan; it is made with the first row.
+    """A session file of one node and one plan; created with the first row.
 
-    Raises InputError for a file that is no session, is damaged, or belongs to another node or plan; then nothing in
-    it has changed. A last line that an interruption cut short is taken out.
+    Raises InputError for a file that is not a session, is damaged, or belongs to another node or plan, and leaves it
+    unchanged. A last line truncated by an interruption is removed.
     """
 
     def __init__(self, path: str | Path, steps: Sequence[Step], serial: int, gauges: int, temperature: bool) -> None:
         self.path = Path(path)
         self.rows: list[Row] = []
         self.cut = ""
-        """The last line if it was cut short and taken out, else empty."""
+        """The last line if it was truncated and removed, else empty."""
         self._serial, self._n, self._temperature = serial, gauges, temperature
         self._steps = {step.number: step for step in steps}
         self._size = 0
@@ -58,7 +58,7 @@ class Session:
         if whole:
             self._load(whole)
         elif not self._header().encode().startswith(content):
-            raise InputError(f"session {path}: not a file that this guide began; give another --session")
+            raise InputError(f"session {path}: not a session file; choose another --session")
         if whole != content:
             self.cut = content[len(whole) :].decode("utf-8", "replace")
             self._truncate(len(whole), len(content))
@@ -66,15 +66,15 @@ class Session:
 
     @property
     def done(self) -> set[int]:
-        """Numbers of the steps that are there."""
+        """Numbers of the completed steps."""
         return {row.step for row in self.rows if row.step != EXTRA}
 
     def append(self, step: Step, capture: Capture) -> None:
-        """Write the row of a step; on the disk when this returns. Raises InputError where the disk refuses."""
+        """Write the row of a step, synchronously to disk. Raises InputError if that fails."""
         now = datetime.datetime.now(datetime.UTC)
         t_s = 0.0
         if self.rows:
-            # Row by row in time order, whatever somebody does to the clock.
+            # Rows stay in time order even if the clock is set.
             first = self.rows[0]
             t_s = max(self.rows[-1].t_s, first.t_s + (now - first.taken).total_seconds())
         head = b"" if self._size else self._header().encode()
@@ -88,7 +88,7 @@ class Session:
         self._size += len(head) + len(line)
 
     def drop_last(self) -> int | None:
-        """Take the last row out of the file; the number of its step, None if there is no row."""
+        """Remove the last row from the file; return the number of its step, None if there is no row."""
         if not self.rows:
             return None
         row = self.rows[-1]
@@ -98,7 +98,7 @@ class Session:
         return row.step
 
     def noise_covariance_strain2(self) -> FloatArray:
-        """Covariance of one reading from the scatter within all captures, (n, n), strain^2."""
+        """Return the covariance of one reading from the scatter within all captures, (n, n), strain^2."""
         freedom = [row.samples - 1 for row in self.rows]
         found = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
         return np.asarray(found * 1e-12, dtype=np.float64)
@@ -119,7 +119,7 @@ class Session:
         degrees = []
         if self._temperature:
             if capture.temperature_degC is None:
-                raise InputError("the node does not tell its temperature any more, which the session has: check it")
+                raise InputError("the node no longer sends its temperature, which the session has: check the node")
             degrees = [f"{capture.temperature_degC:.2f}"]
         covariance = capture.covariance
         return ",".join(
@@ -151,13 +151,13 @@ class Session:
         try:
             text = content.decode("utf-8-sig")
         except UnicodeDecodeError:
-            raise InputError(f"session {self.path}: not UTF-8: no file of this guide") from None
+            raise InputError(f"session {self.path}: not UTF-8, not a session file") from None
         lines = text.splitlines(keepends=True)
         self._check_header(next(csv.reader(lines[:1])))
         bad = read_measurements(self.path, loads=True).bad if len(lines) > 1 else ()
-        faults = [row for row in bad if row.line <= len(lines)]  # the line that was cut short is not among them
+        faults = [row for row in bad if row.line <= len(lines)]  # without the truncated line
         if faults:
-            raise InputError(f"session {self.path}: {faults[0]}; mend that line, or take it out to do it again")
+            raise InputError(f"session {self.path}: {faults[0]}; correct that line, or remove it to repeat the step")
         start = len(content) - len(text.encode()) + len(lines[0].encode())
         for number, line in enumerate(lines[1:], 2):
             self.rows.append(self._row(number, line, start))
@@ -170,8 +170,8 @@ class Session:
             raise InputError(f"session {self.path}: it has {gauges} gauges, the node has {self._n}")
         missing = [name for name in self._columns(self._temperature) if name not in names]
         if missing or names != self._columns(self._temperature):
-            what = f"the column {missing[0]} is missing" if missing else "the columns are not as the guide writes them"
-            raise InputError(f"session {self.path}: not a file that this guide began ({what}); give another --session")
+            what = f"the column {missing[0]} is missing" if missing else "the columns are not those of a session"
+            raise InputError(f"session {self.path}: not a session file ({what}); choose another --session")
 
     def _row(self, number: int, text: str, start: int) -> Row:
         place = f"session {self.path}: line {number}"
@@ -187,9 +187,9 @@ class Session:
         except ValueError:
             usable = False
         if not usable:
-            raise InputError(f"{place}: not as the guide writes it; mend that line, or take it out to do it again")
+            raise InputError(f"{place}: not a line of a session; correct it, or remove it to repeat the step")
         if serial != self._serial:
-            raise InputError(f"{place}: it is of the node with serial {serial}, this one has serial {self._serial}")
+            raise InputError(f"{place}: of the node with serial {serial}, this one has serial {self._serial}")
         self._check_step(place, Step(step, P, phi, theta, cells["mode"], ""))
         covariance = np.zeros((self._n, self._n))
         for (j, k), value in zip(_upper(self._n), upper, strict=True):
@@ -197,7 +197,7 @@ class Session:
         return Row(start, step, float(cells["t_s"]), taken, mean, covariance, samples, cells["mode"] == "tare")
 
     def _check_step(self, place: str, found: Step) -> None:
-        """A row must be what the plan says of its step."""
+        """Check a row against its step in the plan."""
         step = found.number
         if step == EXTRA:
             if found.mode != "tare":
@@ -205,13 +205,13 @@ class Session:
             return
         if step not in self._steps:
             raise InputError(
-                f"{place}: step {step} ({found}), this plan has {len(self._steps)} steps: another plan; give the one "
-                "that the session began with, or another --session"
+                f"{place}: step {step} ({found}), this plan has {len(self._steps)} steps: another plan; pass the plan "
+                "of this session, or another --session"
             )
         if found.load != self._steps[step].load:
             raise InputError(
-                f"{place}: step {step} is {found}, in this plan it is {self._steps[step]}: another plan; give the one "
-                "that the session began with, or another --session"
+                f"{place}: step {step} is {found}, in this plan it is {self._steps[step]}: another plan; pass the plan "
+                "of this session, or another --session"
             )
 
     def _write(self, data: bytes) -> None:
@@ -220,7 +220,7 @@ class Session:
                 self._check_size(file.tell())
                 try:
                     if file.write(data) != len(data):
-                        raise OSError(0, "the disk took a part only")
+                        raise OSError(0, "partial write")
                     os.fsync(file.fileno())
                 except OSError:
                     file.truncate(self._size)
@@ -242,7 +242,7 @@ class Session:
 
     def _check_size(self, size: int) -> None:
         if size != self._size:
-            raise InputError(f"session {self.path}: somebody else has changed it; start again with the same command")
+            raise InputError(f"session {self.path}: another program has changed it; start the same command again")
 
 
 def _upper(n: int) -> list[tuple[int, int]]:
@@ -250,7 +250,7 @@ def _upper(n: int) -> list[tuple[int, int]]:
 
 
 def _sync_directory(folder: Path) -> None:
-    """A new name is on the disk only when its directory is."""
+    """Sync the directory, so that the new name is on disk."""
     if os.name != "posix":
         return
     handle = os.open(folder, os.O_RDONLY)

@@ -1,4 +1,4 @@
-"""The walk through the steps: say what to hang, wait, capture, judge, write the row; on to the next."""
+"""Execute the steps: show the instruction, wait, capture, check, write the row."""
 
 from __future__ import annotations
 
@@ -22,26 +22,26 @@ from tipforce_tools.cli import common
 
 Outcome = Literal["done", "quit", "refused"]
 
-KEYS = "Enter: capture, s: skip, r: redo the last, q: save and quit"
+KEYS = "Enter: capture, s: skip, r: repeat the last, q: save and quit"
 _LOAD = (od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA)
-_MOVED_SHARE = 0.05  # of the largest reading: an unloaded reading that is further from the last one is remarked upon
+_MOVED_SHARE = 0.05  # of the largest reading: an unloaded reading further from the last one gets a remark
 _UNMOVED_MICROSTRAIN = 0.5
 _AUTO_TRIES = 2
 
 
 def ask(question: str) -> str:
-    """What the person answers, in small letters without blanks. Raises InputError where the input ends."""
+    """Return the user's answer in lower case without blanks. Raises InputError at the end of the input."""
     sys.stdout.flush()
     print(question, end=" ", file=sys.stderr, flush=True)
     line = sys.stdin.readline()
     if not line:
         print(file=sys.stderr)
-        raise InputError("the input ended: nobody is there to hang weights (--auto is for a simulated node)")
+        raise InputError("end of input: the guide needs a user to hang weights (--auto is for a simulated node)")
     return line.strip().lower()
 
 
 class Walk:
-    """One sitting at the node; what it has done is in the session."""
+    """One run at the node; the session holds its results."""
 
     def __init__(
         self, args: argparse.Namespace, steps: Sequence[Step], session: Session, reader: GaugeReader, sdo: SdoChannel
@@ -56,12 +56,12 @@ class Walk:
         missing = self._missing()
         self._todo = deque(missing)
         if session.rows and missing:
-            common.note(args, f"goes on: {len(session.done)} of {len(steps)} steps are there, {len(missing)} to do")
+            common.note(args, f"continuing: {len(session.done)} of {len(steps)} steps done, {len(missing)} to do")
             if missing[0].mode != "tare":
                 self._todo.appendleft(EXTRA_TARE)
 
     def run(self) -> Outcome:
-        """Do what is left: "done", or "quit" by the person, or "refused" where --auto gets no good capture."""
+        """Execute the remaining steps; return "done", "quit" by the user, or "refused" (no good capture with --auto)."""
         with self._self_loading():
             while self._todo:
                 step = self._todo[0]
@@ -75,7 +75,7 @@ class Walk:
                 elif word == "r":
                     self.redo_last()
                 elif word:
-                    self._say(f"  {word!r} is none of the keys")
+                    self._say(f"  {word!r} is not one of the keys")
                 elif not self._captured(step) and self._args.auto:
                     return "refused"
         if self._skipped:
@@ -83,27 +83,27 @@ class Walk:
         return "done"
 
     def redo_last(self) -> None:
-        """Take the last row back and make its step the next one."""
+        """Remove the last row and make its step the next one."""
         number = self._session.drop_last()
         if number is None:
-            self._say("  there is no capture to redo")
+            self._say("  there is no capture to repeat")
             return
         step = next((step for step in self._steps if step.number == number), EXTRA_TARE)
-        self._say(f"  {self._name(step)} is taken out of {self._session.path}")
+        self._say(f"  {self._name(step)} is removed from {self._session.path}")
         self._todo.appendleft(step)
 
     def say_where(self) -> None:
-        """Where the session stands and how to go on; for the end, however it came."""
+        """Print the state of the session and how to continue it."""
         done, path = len(self._session.done), self._session.path
         if not self._session.rows:
             self._say("nothing was captured")
         else:
-            self._say(f"{done} of {len(self._steps)} steps are in {path}; the same command goes on from there")
+            self._say(f"{done} of {len(self._steps)} steps are in {path}; the same command continues there")
 
     # --- one step -----------------------------------------------------------------------------------------------
 
     def _captured(self, step: Step) -> bool:
-        """Capture until it is good, as often as --auto may try; a person is asked again for each."""
+        """Capture until the result is good: with --auto a limited number of times, otherwise the user decides."""
         for _ in range(_AUTO_TRIES if self._args.auto else 1):
             try:
                 self._apply(step)
@@ -137,10 +137,10 @@ class Walk:
             )
         common.note(self._args, f"  {capture.count} samples in {capture.duration_s:.2f} s: saved")
         for remark in remarks:
-            self._say(f"  note: {remark} (r takes it again)")
+            self._say(f"  note: {remark} (r repeats it)")
 
     def _remarks(self, step: Step, capture: Capture) -> list[str]:
-        """What looks like a weight that was forgotten, on the hook or off it."""
+        """Return remarks on a weight that was probably not applied or not removed."""
         tares = [row.mean_microstrain for row in self._session.rows if row.unloaded]
         if not tares:
             return []
@@ -148,10 +148,10 @@ class Walk:
         if step.mode != "tare":
             u = float((capture.std / np.sqrt(capture.count)).max())
             unmoved = moved < max(_UNMOVED_MICROSTRAIN, 5.0 * u)
-            return ["it reads as the last unloaded reading did: does the weight hang?"] if unmoved else []
+            return ["same reading as the last unloaded one: is the weight applied?"] if unmoved else []
         loaded = [np.abs(row.mean_microstrain - tares[-1]).max() for row in self._session.rows if not row.unloaded]
         if loaded and moved > _MOVED_SHARE * max(loaded):
-            return [f"it is {moved:.1f} microstrain from the last unloaded reading: is a load still on?"]
+            return [f"{moved:.1f} microstrain from the last unloaded reading: is a load still applied?"]
         return []
 
     def _record(self, step: Step, capture: Capture) -> dict[str, object]:
@@ -169,7 +169,7 @@ class Walk:
             "temperature_degC": capture.temperature_degC,
         }
 
-    # --- words, bars, and a node that loads itself ---------------------------------------------------------------
+    # --- output, progress bars, and loads of a simulated node ----------------------------------------------------
 
     def _missing(self) -> list[Step]:
         done = self._session.done
@@ -182,7 +182,7 @@ class Walk:
         return f"{self._name(step)}: {step.instruction}"
 
     def _say(self, text: str) -> None:
-        """To the person: shown even with -q while he is asked, because he cannot answer what he does not see."""
+        """Print a line for the user; with -q only if prompts follow, which need it."""
         if not (self._args.quiet and self._args.auto):
             print(text, file=sys.stderr)
 
@@ -204,7 +204,7 @@ class Walk:
 
     @contextlib.contextmanager
     def _self_loading(self) -> Iterator[None]:
-        """With --auto the node has afterwards the load that it had before."""
+        """Restore the simulated load after --auto."""
         if not self._args.auto:
             yield
             return
@@ -212,6 +212,6 @@ class Walk:
         try:
             yield
         finally:
-            with contextlib.suppress(TipforceError):  # of a node that is gone, the first error is the one to tell
+            with contextlib.suppress(TipforceError):  # if the node is lost, the first error is reported
                 for entry, value in zip(_LOAD, before, strict=True):
                     self._sdo.write(entry, value)

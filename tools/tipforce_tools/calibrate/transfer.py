@@ -1,4 +1,4 @@
-"""`tipforce calibrate apply|verify`: a calibration file to a node, and the comparison with what a node holds."""
+"""`tipforce calibrate apply|verify`: write a calibration file to a node, and compare them."""
 
 from __future__ import annotations
 
@@ -8,23 +8,23 @@ from tipforce_tools.cli import common
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of apply and verify."""
+    """Add the flags of apply and verify."""
     parser.epilog = (
-        "apply stages the record, has the node check its CRC-32, commits, reads it back and compares it byte for\n"
-        "byte, and stores it. If the node refuses (exit code 12), what was active stays active.\n"
-        "verify exits 1 when the node's active calibration is not the file's, and names each difference.\n"
+        "apply writes the record, which the node checks by CRC-32, commits it, reads it back, compares it byte for\n"
+        "byte, and stores it. If the node refuses (exit code 12), the previous calibration stays active.\n"
+        "verify exits with 1 if the node's active calibration differs from the file, and names each difference.\n"
         "  tipforce calibrate apply finger.toml --node 5 -i socketcan -c can0"
     )
     parser.add_argument("file", metavar="CAL.toml")
     parser.add_argument("--node", "--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    parser.add_argument("--no-store", action="store_true", help="apply until the next reset only")
+    parser.add_argument("--no-store", action="store_true", help="apply only until the next reset")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Apply (0, or RefusedError) or verify (0 equal, 1 different)."""
+    """Apply (return 0; raises RefusedError) or verify (return 0 if equal, 1 if different)."""
     from tipforce.host.configuration.calibration_file import read_calibration
     from tipforce.host.network.finger import FingertipClient
 

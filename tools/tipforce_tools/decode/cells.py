@@ -1,6 +1,6 @@
-"""Columns as text, many rows at a time: each column a matrix of characters, rows without the unused ones.
+"""Format columns as text, many rows at a time: each column is a matrix of characters, unused ones removed at the end.
 
-Numbers come out rounded to their digits, as 4.400 with three; values at that resolution exactly so.
+Numbers are rounded to their digits, 4.400 for three; values at that resolution are exact.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ import numpy.typing as npt
 from tipforce.host.decoding.sample_table import Column, Values, is_missing
 
 Cells = npt.NDArray[np.uint8]
-"""(k, width) characters; 0 is no character."""
+"""(k, width) characters; 0 means no character."""
 
 _MOST = 1 << 53
 _ZERO, _POINT, _MINUS = 48, 46, 45
@@ -23,14 +23,14 @@ _ZERO, _POINT, _MINUS = 48, 46, 45
 
 @cache
 def _four_digits() -> npt.NDArray[np.uint32]:
-    """The text of 0000 to 9999, each as one number of four bytes."""
+    """Return the text of 0000 to 9999, each as one number of four bytes."""
     n = np.arange(10_000)
     digits = np.stack([n // 1000, n // 100 % 10, n // 10 % 10, n % 10], axis=-1).astype(np.uint8) + _ZERO
     return digits.view(np.uint32)[:, 0]
 
 
 def digits_of(number: npt.NDArray[Any], width: int) -> Cells:
-    """Numbers (k,), not negative, with leading zeros: (k, width)."""
+    """Format non-negative numbers (k,) with leading zeros: (k, width)."""
     groups = -(-width // 4)
     text = np.empty((len(number), groups), dtype=np.uint32)
     left: npt.NDArray[Any] = number.astype(np.uint32 if width <= 9 else np.uint64)
@@ -43,7 +43,7 @@ def digits_of(number: npt.NDArray[Any], width: int) -> Cells:
 
 
 def whole_cells(number: npt.NDArray[np.int64], digits: int = 0) -> Cells:
-    """Integers (k,), the last ``digits`` of them behind a point."""
+    """Format integers (k,) with the last ``digits`` after a decimal point."""
     size = np.abs(number)
     width = max(len(str(int(size.max(initial=0)))), digits + 1)
     cells = digits_of(size, width)
@@ -68,9 +68,9 @@ def _length(size: npt.NDArray[np.int64], width: int) -> npt.NDArray[np.intp]:
 
 
 def real_cells(values: Values, digits: int | None) -> Cells:
-    """float64 (k,) with ``digits`` behind the point; None, or where the numbers are too large: shortest exact text.
+    """Format float64 (k,) with ``digits`` decimals; None, or for numbers that are too large: shortest exact text.
 
-    What is not finite gives no characters.
+    Non-finite numbers give no characters.
     """
     finite = np.isfinite(values)
     if digits is not None:
@@ -86,13 +86,13 @@ def real_cells(values: Values, digits: int | None) -> Cells:
 
 
 def time_cells(t_ns: npt.NDArray[np.int64]) -> Cells:
-    """Seconds of the epoch with 6 digits, or 9 where one of the times needs them."""
+    """Format seconds of the epoch with 6 decimals, or 9 if one of the times needs them."""
     digits = 6 if not (t_ns % 1000).any() else 9
     return whole_cells(t_ns // 10 ** (9 - digits), digits)
 
 
 def column_cells(column: Column, values: Values) -> Cells:
-    """The text of a column's values; flags as 0 and 1, no characters for what is missing."""
+    """Format the values of a column; flags as 0 and 1, no characters for missing values."""
     if column.kind == "real":
         return real_cells(values, column.digits)
     if column.kind == "word":
@@ -109,7 +109,7 @@ def word_cells(values: Values) -> Cells:
 
 
 def instead(cells: Cells, where: npt.NDArray[np.bool_], text: bytes) -> Cells:
-    """The cells with ``text`` in some rows."""
+    """Return the cells with ``text`` in some rows."""
     if not where.any():
         return cells
     missing = max(len(text) - cells.shape[1], 0)
@@ -120,7 +120,7 @@ def instead(cells: Cells, where: npt.NDArray[np.bool_], text: bytes) -> Cells:
 
 
 def chosen(where: npt.NDArray[np.bool_], text: bytes, otherwise: bytes = b"") -> Cells:
-    """One text or the other."""
+    """Return one text or the other for each row."""
     width = max(len(text), len(otherwise), 1)
     pair = np.zeros((2, width), dtype=np.uint8)
     pair[0, : len(otherwise)] = np.frombuffer(otherwise, dtype=np.uint8)
@@ -130,7 +130,7 @@ def chosen(where: npt.NDArray[np.bool_], text: bytes, otherwise: bytes = b"") ->
 
 
 def right(cells: Cells, width: int) -> Cells:
-    """Cells that are ``width`` characters at least, blanks in front: for people."""
+    """Return cells of at least ``width`` characters, right-aligned."""
     used = cells != 0
     out = np.full((len(cells), max(width, cells.shape[1])), ord(" "), dtype=np.uint8)
     length = used.sum(axis=1)
@@ -141,7 +141,7 @@ def right(cells: Cells, width: int) -> Cells:
 
 
 def rows_text(parts: Sequence[bytes | Cells], rows: int) -> bytes:
-    """One text of all rows, each made of constant texts and cells."""
+    """Return one text of all rows, each joined from constant texts and cells."""
     widths = [len(part) if isinstance(part, bytes) else part.shape[1] for part in parts]
     matrix = np.empty((rows, sum(widths)), dtype=np.uint8)
     at = 0

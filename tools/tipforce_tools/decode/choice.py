@@ -1,4 +1,4 @@
-"""What the flags of `tipforce decode` choose: logs, times, signals, layouts."""
+"""Selections by the flags of `tipforce decode`: logs, times, signals, layouts."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first
 
 
 def logs(words: Sequence[str]) -> list[str]:
-    """The logs that words and globs name, in this order; stdin without any. Raises InputError for one not there."""
+    """Return the logs that words and globs name, in this order; default stdin. Raises InputError for a missing file."""
     if not words and sys.stdin.isatty():
-        raise InputError("name a log, or pipe candump's text in: `tipforce decode run.log`")
+        raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
     found: list[str] = []
     for word in words or [STDIN]:
         if word == STDIN or Path(word).exists() or not glob.has_magic(word):
@@ -36,25 +36,25 @@ def logs(words: Sequence[str]) -> list[str]:
         if name != STDIN and not Path(name).exists():
             raise InputError(f"{name}: no such file")
         if name != STDIN and Path(name).is_dir():
-            raise InputError(f"{name}: is a directory; name its logs, as {name.rstrip('/')}/*.log")
+            raise InputError(f"{name}: is a directory; name its logs: {name.rstrip('/')}/*.log")
     if found.count(STDIN) and len(found) > 1:
-        raise InputError("- is stdin: it can't be decoded together with files")
+        raise InputError("-: stdin cannot be decoded together with files")
     return found
 
 
 def narrowing_flags(args: Namespace) -> str:
-    """Those that were given of the flags that leave samples out, as people write them; empty for none."""
+    """Return the given flags that leave samples out, as written; empty for none."""
     given = (("--nodes", args.nodes), ("--bus", args.bus), ("--from", args.start), ("--to", args.end))
     return ", ".join(flag for flag, value in given if value is not None)
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """run-2.log before run-10.log."""
+    """Return a sort key that puts run-2.log before run-10.log."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]
 
 
 def when(flag: str, text: str | None) -> When | None:
-    """A time: seconds from the start, seconds of the epoch, or ISO 8601. Raises InputError."""
+    """Parse a time: seconds from the start, seconds of the epoch, or ISO 8601. Raises InputError."""
     if text is None:
         return None
     number = re.fullmatch(r"(\d+)(?:\.(\d{1,9}))?", text.strip())
@@ -65,8 +65,8 @@ def when(flag: str, text: str | None) -> When | None:
         moment = datetime.fromisoformat(text.strip())
     except ValueError:
         raise InputError(
-            f"{flag} {text}: allowed are seconds from the start, seconds of the epoch, or a time as "
-            "2026-05-17T09:30:00 (local; with Z or +02:00 that of the zone)"
+            f"{flag} {text}: allowed are seconds from the start, seconds of the epoch, or ISO time: "
+            "2026-05-17T09:30:00 (local; with Z or +02:00 of that zone)"
         ) from None
     moment = moment.astimezone()
     fraction = moment.microsecond * 1000
@@ -74,9 +74,9 @@ def when(flag: str, text: str | None) -> When | None:
 
 
 def layouts(args: Namespace) -> Layouts:
-    """The layouts that --gauges, --nodes, --dcf, --dbc and --ask choose. Raises InputError."""
+    """Return the layouts that --gauges, --nodes, --dcf, --dbc and --ask select. Raises InputError."""
     if args.dbc and (args.dcf or args.ask):
-        raise InputError("--dbc: gives all layouts; leave out --dcf and --ask")
+        raise InputError("--dbc: defines all layouts; leave out --dcf and --ask")
     found = Layouts(args.gauges or 3, None if args.nodes is None else tuple(args.nodes), args.dbc)
     if args.dcf:
         found = with_dcf(found, args.dcf)
@@ -89,17 +89,17 @@ def layouts(args: Namespace) -> Layouts:
 
 
 def names_of(text: str | None) -> tuple[str, ...] | None:
-    """`P,theta` as names. Raises InputError for an empty list."""
+    """Split `P,theta` into names. Raises InputError for an empty list."""
     if text is None:
         return None
     names = tuple(part.strip() for part in text.split(",") if part.strip())
     if not names:
-        raise InputError("--signals: write names as P,theta")
+        raise InputError("--signals: expected names such as P,theta")
     return names
 
 
 def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tuple[str, ...] | None) -> Reading:
-    """What is read of the logs. Raises InputError."""
+    """Return the selection of the logs' content. Raises InputError."""
     start, end = when("--from", args.start), when("--to", args.end)
     found = Reading(
         chosen, signals, args.bus and tuple(args.bus.split(",")), start, end,
@@ -112,6 +112,6 @@ def reading(args: Namespace, names: Sequence[str], chosen: Layouts, signals: tup
 
 
 def checked_signals(chosen: Layouts, names: tuple[str, ...] | None) -> tuple[str, ...] | None:
-    """The signals that names mean. Raises InputError, also for layouts that do not fit together."""
+    """Return the signals of the names. Raises InputError, also for incompatible layouts."""
     decoder = chosen.decoder()
     return None if names is None else signals_named(decoder, names)

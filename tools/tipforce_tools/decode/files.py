@@ -1,4 +1,4 @@
-"""Output files that are whole or not there: written under another name, and renamed at the end."""
+"""Atomic output files: written under a temporary name, and renamed at the end."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ from tipforce.errors import InputError
 
 
 class NewFile:
-    """A file that takes its name when it is complete. A device or a pipe is written to directly."""
+    """A file that gets its name when it is complete. Devices and pipes are written directly."""
 
     def __init__(self, path: Path) -> None:
-        """Raises InputError for a place that can't be written to."""
+        """Raises InputError for a path that cannot be written."""
         self.path = path
         self._direct = path.exists() and not path.is_file()
         if path.is_dir():
-            raise InputError(f"--output {path}: is a directory; write {path}/ for one Parquet file per node")
+            raise InputError(f"--output {path}: is a directory; use {path}/ for one Parquet file per node")
         self.partial = path if self._direct else path.with_name(f".{path.name}.{os.getpid()}.part")
         try:
             self.partial.open("ab").close()
@@ -25,7 +25,7 @@ class NewFile:
             raise InputError(f"--output {path}: {error.strerror}") from error
 
     def keep(self) -> None:
-        """Give the complete file its name; one that has it is replaced."""
+        """Rename the complete file; an existing file is replaced."""
         if not self._direct:
             self.partial.replace(self.path)
 
@@ -36,13 +36,13 @@ class NewFile:
 
 
 class NewDirectory:
-    """A directory that takes its name when all its files are complete."""
+    """A directory whose files get their names when all are complete."""
 
     def __init__(self, path: Path, *, force: bool) -> None:
-        """Raises InputError for a directory that has files, unless ``force``."""
+        """Raises InputError for a directory with files, unless ``force``."""
         self.path = path
         if path.exists() and not path.is_dir():
-            raise InputError(f"--output {path}/: there is a file of this name")
+            raise InputError(f"--output {path}/: is an existing file")
         if path.exists() and any(path.iterdir()) and not force:
             raise InputError(f"--output {path}/: is not empty; --force replaces its node=*/part-*.parquet")
         self.partial = path.with_name(f".{path.name}.{os.getpid()}.part")
@@ -52,7 +52,7 @@ class NewDirectory:
             raise InputError(f"--output {path}/: {error.strerror}") from error
 
     def keep(self) -> None:
-        """Put the files in their place. Parts that an earlier run left there go; other files stay."""
+        """Move the files into place. Parts of an earlier run are removed; other files stay."""
         self.path.mkdir(parents=True, exist_ok=True)
         for old in self.path.glob("node=*/part-*.parquet"):
             old.unlink()

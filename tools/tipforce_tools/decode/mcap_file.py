@@ -1,4 +1,4 @@
-"""Tables as MCAP: a channel of JSON messages for each node, with a schema, for Foxglove and every MCAP reader."""
+"""Write tables as MCAP: a channel of JSON messages per node, with a schema, for Foxglove and other MCAP readers."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _TYPES = {"real": "number", "flag": "boolean", "integer": "integer", "word": "st
 
 
 class McapWriter:
-    """``/tipforce/can0/node_5``, one message for each sample, logged at its receive time."""
+    """Channels ``/tipforce/can0/node_5``, one message per sample, logged at its receive time."""
 
     def __init__(self, path: Path, base: tuple[str, ...]) -> None:
         """Raises InputError."""

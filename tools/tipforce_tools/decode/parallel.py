@@ -1,6 +1,6 @@
-"""Many logs, or pieces of a large one, at a time: a process for each core, or the workers of a Dask cluster.
+"""Decode many logs, or pieces of a large one, in parallel: one process per core, or workers of a Dask cluster.
 
-The order of the logs is kept.
+The output keeps the order of the logs.
 """
 
 from __future__ import annotations
@@ -18,16 +18,16 @@ from tipforce.host.decoding.log_part import End, Item, Piece, Progress, Reading,
 _WAITING_TABLES = 16  # of each log, so that memory stays bounded
 _POLL_S = 0.5
 CONNECT_S = 10
-"""How long a scheduler may take to answer."""
+"""Timeout of the scheduler's response."""
 
 
 def parts_of_processes(
     pieces: Sequence[Piece], reading: Reading, jobs: int, progress: Progress | None = None
 ) -> Iterator[Iterator[Item]]:
-    """The parts of a recording, decoded by ``jobs`` processes that take turns. They start now, not at the first part.
+    """Decode the parts of a recording in ``jobs`` processes in turn. They start now, not at the first part.
 
-    All are forked at once, where there is fork: before a library that an output needs has threads.
-    Raises what the decoding raised, at the log where it did.
+    With fork, all processes are forked at once, before a library of an output starts threads.
+    Raises the errors of the decoding, at the log concerned.
     """
     context: Any = multiprocessing.get_context("fork" if sys.platform == "linux" else None)
     workers = [
@@ -81,7 +81,7 @@ def _received(piece: Piece, process: Any, items: Any, progress: Progress | None,
             if process.is_alive() or not items.empty():
                 continue
             raise EnvironmentLackError(
-                f"{piece.name}: the process that decoded it ended with {process.exitcode}: too little memory? "
+                f"{piece.name}: the decoding process ended with {process.exitcode}: too little memory? "
                 "Try --jobs 1"
             ) from None
         if isinstance(item, Exception):
@@ -95,9 +95,9 @@ def _received(piece: Piece, process: Any, items: Any, progress: Progress | None,
 
 
 def parts_of_dask(names: Sequence[str], reading: Reading, scheduler: str) -> Iterator[list[Item]]:
-    """The parts of a recording, decoded as a Dask bag by the workers of ``scheduler``, which must see the same files.
+    """Decode the parts of a recording as a Dask bag on the workers of ``scheduler``, which must see the same files.
 
-    Raises EnvironmentLackError without Dask or where no scheduler answers, and what the decoding raised.
+    Raises EnvironmentLackError without Dask or without a response of the scheduler, and the errors of the decoding.
     """
     try:
         import dask.bag
@@ -107,7 +107,7 @@ def parts_of_dask(names: Sequence[str], reading: Reading, scheduler: str) -> Ite
     try:
         client: Any = distributed.Client(scheduler, timeout=CONNECT_S)
     except (OSError, ValueError) as error:
-        raise EnvironmentLackError(f"--scheduler {scheduler}: no scheduler answers there: {error}") from error
+        raise EnvironmentLackError(f"--scheduler {scheduler}: no response: {error}") from error
     with client:
         bag: Any = dask.bag.from_sequence(list(names), npartitions=len(names))
         bag = bag.map(_whole_part, reading)
@@ -121,7 +121,7 @@ def parts_of_dask(names: Sequence[str], reading: Reading, scheduler: str) -> Ite
 
 
 def _whole_part(name: str, reading: Reading) -> list[Item] | TipforceError:
-    """All of a part, or what was wrong with it."""
+    """Return all of a part, or its error."""
     try:
         return list(part_items(Piece(name), reading))
     except TipforceError as error:

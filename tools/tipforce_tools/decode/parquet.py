@@ -1,4 +1,4 @@
-"""Tables as Parquet: one file, or a directory with a file for each node that query engines read as one table."""
+"""Write tables as Parquet: one file, or a directory with a file per node that query engines read as one table."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
 
 
 def schema_of(shape: Shape) -> pa.Schema:
-    """The schema of an output, with units as metadata of the fields."""
+    """Return the schema of an output, with units as metadata of the fields."""
     fields = [pa.field(name, _BASE[name]) for name in shape.base]
     for column in shape.columns:
         unit = {"unit": column.unit} if column.unit else None
@@ -31,7 +31,7 @@ def schema_of(shape: Shape) -> pa.Schema:
 
 
 def arrow_table(table: Table, schema: pa.Schema) -> pa.Table:
-    """The rows with the columns of ``schema``; what is missing is null."""
+    """Return the rows with the columns of ``schema``; missing values are null."""
     columns = {column.name: column for column in table.columns}
     arrays = []
     for field in schema:
@@ -56,7 +56,7 @@ def _array(column: Column, values: Any, kind: Any) -> Any:
 
 
 def _as_array(values: Any, kind: Any, mask: Any = None) -> Any:
-    """Numbers as they are in memory. pyarrow's own ``array`` imports pandas, where it is: half a second."""
+    """Wrap numbers without a copy. pyarrow's ``array`` imports pandas if installed, which takes half a second."""
     present = None if mask is None else _bits(~mask)
     values = np.ascontiguousarray(values, dtype=kind.to_pandas_dtype())
     return pa.Array.from_buffers(kind, len(values), [present, pa.py_buffer(values)])
@@ -108,7 +108,7 @@ class FileWriter:
 
 
 class DirectoryWriter:
-    """``DIR/node=5/part-0.parquet``, partitioned as Hive does it."""
+    """Files ``DIR/node=5/part-0.parquet``, partitioned in the Hive style."""
 
     def __init__(self, path: Path, base: tuple[str, ...], *, force: bool) -> None:
         """Raises InputError."""
@@ -147,7 +147,7 @@ class DirectoryWriter:
 
 
 class _Parts:
-    """One file in the making. New columns begin a new part; at the end the parts become one."""
+    """One file being written. New columns begin a new part; at the end the parts are merged."""
 
     def __init__(self, path: Path) -> None:
         self._path = path
@@ -157,7 +157,7 @@ class _Parts:
         self._rows = 0
 
     def add(self, rows: Any) -> None:
-        """Append rows; they are written as a row group of many."""
+        """Append rows; they are written in large row groups."""
         if self._waiting and rows.schema != self._waiting[0].schema:
             self._write()
         self._waiting.append(rows)
@@ -166,7 +166,7 @@ class _Parts:
             self._write(whole_groups=True)
 
     def _write(self, *, whole_groups: bool = False) -> None:
-        """Write what waits, in one piece of memory: the file is the same however the rows came."""
+        """Write the pending rows as one block, so that the file does not depend on how the rows arrived."""
         if not self._waiting:
             return
         group = pa.concat_tables(self._waiting)
@@ -187,7 +187,7 @@ class _Parts:
             self._writer = None
 
     def finish(self, schema: Any, channel: str) -> None:
-        """Write what waits; make one file of the parts, where ``channel`` was the only one before."""
+        """Write the pending rows; merge the parts, with ``channel`` for rows that had only one."""
         self._write()
         if self._writer is not None and len(self._paths) == 1 and self._writer.schema == schema:
             self._end_part()
@@ -212,7 +212,7 @@ class _Parts:
 def _open(path: Path, schema: Any) -> Any:
     options = dict(_OPTIONS)
     options["use_dictionary"] = [name for name in (CHANNEL, NODE) if name in schema.names]
-    # What only grows is smaller as differences, and faster to write.
+    # Increasing values are smaller as differences, and faster to write.
     options["column_encoding"] = {name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in schema.names}
     return pq.ParquetWriter(path, schema, **options)
 

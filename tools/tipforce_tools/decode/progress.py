@@ -13,7 +13,7 @@ _EVERY_S = 0.1
 
 
 class ProgressBar:
-    """Shows itself on stderr when that is a terminal and the logs have sizes."""
+    """Shown on stderr if that is a terminal and the sizes of the logs are known."""
 
     def __init__(self, names: Sequence[str], args: Namespace) -> None:
         self._total = sum(Path(name).stat().st_size for name in names if Path(name).is_file())
@@ -27,11 +27,11 @@ class ProgressBar:
 
     @property
     def wanted(self) -> bool:
-        """Whether there is a terminal to show it."""
+        """Whether the bar is shown."""
         return self._wanted
 
     def __call__(self, position: int) -> None:
-        """Say how far the current log is read, in bytes; less than before means the next log."""
+        """Set the position in the current log, in bytes; a smaller one than before means the next log."""
         if position < self._here:
             self._before += self._here
         self._here = position
@@ -45,6 +45,6 @@ class ProgressBar:
             self._shown = True
 
     def close(self) -> None:
-        """Take the bar off the screen."""
+        """Clear the bar."""
         if self._shown:
             print("\r\x1b[K", end="", file=sys.stderr, flush=True)

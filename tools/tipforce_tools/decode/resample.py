@@ -1,4 +1,4 @@
-"""Samples on a uniform grid: the mean of each interval, per node; angles by the mean of their directions."""
+"""Resample to a uniform grid: the mean of each interval, per node; angles by the mean of their directions."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ from tipforce.host.decoding.sample_table import (
 
 COUNT = "count"
 MOST_EMPTY = 10_000_000
-"""So many intervals in a row without a sample are a leap of the clock, not a pause."""
-_NO_DIRECTION = 1e-9  # of a mean of unit vectors: they cancel, and no angle is their mean
-_MORE_DIGITS = 3  # that a mean has over its samples
+"""This many consecutive intervals without a sample are a jump of the clock, not a pause."""
+_NO_DIRECTION = 1e-9  # length of a mean of unit vectors that cancel: it has no direction
+_MORE_DIGITS = 3  # additional digits of a mean
 
 FloatArray = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
@@ -32,7 +32,7 @@ IntArray = npt.NDArray[np.int64]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Groups:
-    """g intervals of nodes, by node and time: ``sums`` by column (g, 3): how many, sum or sine, cosine."""
+    """g intervals of nodes, by node and time: ``sums`` by column (g, 3): count, sum or sine, cosine."""
 
     key: npt.NDArray[np.uint16]
     interval: IntArray
@@ -45,11 +45,11 @@ class _Groups:
 
 
 class Resampler:
-    """Makes tables with a row for each interval from a node's first sample to its last.
+    """Make tables with a row per interval from a node's first sample to its last.
 
-    An interval is 1 / ``rate_hz`` long and begins at a whole multiple of that of the epoch; ``t_ns`` is its start.
-    `count` is how many samples it had, `n_P_N` how many values went into the mean. No value: NaN and 0. A flag
-    becomes the share of samples in which it was set.
+    An interval is 1 / ``rate_hz`` long and begins at a multiple of that since the epoch; ``t_ns`` is its start.
+    `count` is its number of samples, `n_P_N` the number of values in the mean. No value: NaN and 0. A flag becomes
+    the share of samples in which it was set.
     """
 
     def __init__(self, rate_hz: float, asked: Sequence[str] | None = None) -> None:
@@ -63,7 +63,7 @@ class Resampler:
         self._open = _Groups(np.zeros(0, np.uint16), np.zeros(0, np.int64), np.zeros(0, np.int64), {})
 
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
-        """The intervals that are complete after each table. Raises InputError for a log without times."""
+        """Yield the intervals complete after each table. Raises InputError for a log without times."""
         for table in tables:
             if not table.timed:
                 raise InputError("--resample: the log has no timestamps")
@@ -76,9 +76,9 @@ class Resampler:
         yield from self._rows(self._open, np.ones(len(self._open.key), dtype=np.bool_))
 
     def _grouped(self, table: Table) -> _Groups:
-        """Each sample as an interval of its own."""
+        """Return each sample as a separate interval."""
         interval = self._intervals(table.t_ns)
-        if len(self._open.key):  # a sample that comes late counts in the interval that is still open
+        if len(self._open.key):  # a late sample counts in the interval that is still open
             place = np.minimum(np.searchsorted(self._open.key, table.key), len(self._open.key) - 1)
             known = self._open.key[place] == table.key
             interval = np.where(known, np.maximum(interval, self._open.interval[place]), interval)
@@ -106,7 +106,7 @@ class Resampler:
         )  # fmt: skip
 
     def _rows(self, groups: _Groups, done: npt.NDArray[np.bool_]) -> Iterator[Table]:
-        """Rows of the intervals that are done, and of the empty ones behind each that is followed by another."""
+        """Return rows of the complete intervals, and of empty ones between them."""
         if not done.any():
             return
         empty = np.zeros(len(done), dtype=np.int64)
@@ -129,7 +129,7 @@ class Resampler:
             node = int(groups.key[worst]) & ((1 << NODE_BITS) - 1)
             raise InputError(
                 f"--resample {self._rate_hz:g}: node {node} has {empty[worst]} intervals without a sample: "
-                "take a lower rate, or choose the part of the log with --from and --to"
+                "choose a lower rate, or a part of the log with --from and --to"
             )
 
     def _table(
@@ -153,7 +153,7 @@ class Resampler:
 
 
 def _summed(groups: _Groups) -> _Groups:
-    """By node and time, those of the same interval added up."""
+    """Sort by node and time, and add up those of the same interval."""
     order = np.lexsort((groups.interval, groups.key))
     key, interval = groups.key[order], groups.interval[order]
     starts = np.flatnonzero(np.append(True, (key[1:] != key[:-1]) | (interval[1:] != interval[:-1])))
@@ -162,7 +162,7 @@ def _summed(groups: _Groups) -> _Groups:
 
 
 def _contributions(column: Column, values: Values) -> FloatArray:
-    """(k, 3): 1 for a value, the value (of angles the sine), of angles the cosine; zeros for a missing one."""
+    """Return (k, 3): 1 for a value, the value (of angles the sine), of angles the cosine; zeros for missing values."""
     valid = ~is_missing(column, values)
     if column.kind == "real":
         valid &= np.isfinite(values)

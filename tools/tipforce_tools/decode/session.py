@@ -1,4 +1,4 @@
-"""One run of `tipforce decode`: from logs through what was asked for to the output, and the report at the end."""
+"""One run of `tipforce decode`: from logs through the requested steps to the output and the report."""
 
 from __future__ import annotations
 
@@ -22,16 +22,16 @@ from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.writers import format_of, open_writer
 
-_SMALL_BYTES = 4_000_000  # of all logs: less is read before processes have started
-_LEAST_PIECE_BYTES = 8_000_000  # less is not worth a piece
-_PIECE_BYTES = 32_000_000  # of a large log: what becomes of it can wait in memory
-_FIRST_ROWS = 100_000  # looked at before the first is written, so that rare columns are known
+_SMALL_BYTES = 4_000_000  # of all logs: less is decoded before processes start
+_LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
+_PIECE_BYTES = 32_000_000  # of a large log: its result fits in memory
+_FIRST_ROWS = 100_000  # inspected before the first is written, so that rare columns are known
 
 
 def decode(args: Namespace) -> int:
-    """Decode logs. 0, or 1 for a bad line with --strict.
+    """Decode logs; return 0, or 1 for a bad line with --strict.
 
-    Raises InputError for what is not usable, EnvironmentLackError for what is not installed, OSError for a full disk.
+    Raises InputError for unusable input, EnvironmentLackError for a missing package, OSError for a full disk.
     """
     names = choice.logs(args.logs)
     kind = "jsonl" if args.json and args.output in {None, "-"} and args.format is None else None
@@ -62,7 +62,7 @@ def decode(args: Namespace) -> int:
 
 
 class _Steps:
-    """What is done with tables between the logs and the output."""
+    """The steps on tables between the logs and the output."""
 
     def __init__(self, args: Namespace) -> None:
         self.layouts = choice.layouts(args)
@@ -94,11 +94,11 @@ class _Steps:
             self._resampler = Resampler(args.resample, self.asked)
 
     def contact(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """With the contact columns, where a calibration is given."""
+        """Add the contact columns if a calibration is given."""
         return tables if self._contact is None else self._contact.tables(tables)
 
     def resampled(self, tables: Iterable[Table]) -> Iterable[Table]:
-        """On a uniform grid, where a rate is given."""
+        """Resample to a uniform grid if a rate is given."""
         return tables if self._resampler is None else self._resampler.tables(tables)
 
 
@@ -123,14 +123,14 @@ def _tables(
 
 
 def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
-    """The logs, each large one that is plain text in pieces: as many for each job, none too large.
+    """Return the logs, large plain-text ones in pieces: equally many per job, of bounded size.
 
-    Where each line tells of its own time only. With --strict what goes to stdout ends at the bad line: in one piece.
+    Only if each line has an absolute time. With --strict, output to stdout ends at the bad line: one piece.
     """
     shown = args.output in {None, "-"} or args.summary or args.json
     found: list[Piece] = []
     for name in names:
-        # Only when asked for: whether it gains anything depends on the machine, and it costs memory.
+        # Only on request: the gain depends on the machine, and it needs memory.
         whole = name == "-" or args.jobs is None or jobs < 2 or args.deltas or (args.strict and shown)
         size = 0 if whole else os.path.getsize(name)
         count = max(size // _LEAST_PIECE_BYTES, 1)
@@ -168,11 +168,11 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
         raise
     left_out = getattr(writer, "left_out", None)
     if left_out:
-        common.note(args, f"not in the CSV, as they came after its header: {', '.join(sorted(left_out))}")
+        common.note(args, f"not in the CSV, because they appeared after its header: {', '.join(sorted(left_out))}")
 
 
 def _check_readable(told: Told) -> None:
-    """Raises InputError where there is much and none of it is a frame: then something else was given than logs."""
+    """Raises InputError for a large input without a frame: it is not a log."""
     if summaries.bad_lines(told) and not any(notes.frames for notes in told.notes):
         from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame
 
@@ -180,7 +180,7 @@ def _check_readable(told: Told) -> None:
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
-    """The same tables, the first rows with all the columns that any of them has."""
+    """Return the same tables, the first rows with the union of their columns."""
     first: list[Table] = []
     iterator = iter(tables)
     for table in iterator:
@@ -213,20 +213,20 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
 
 
 def _nothing(args: Namespace, told: Told) -> str:
-    """Why there is no row."""
+    """Return the reason for an output without rows."""
     frames = sum(notes.frames for notes in told.notes)
     flags = choice.narrowing_flags(args)
-    chosen = f"; {flags} may leave it out" if flags and frames else ""
+    chosen = f"; {flags} may exclude it" if flags and frames else ""
     return f"no sample of a fingertip in {counted(frames, 'frame')}{chosen}"
 
 
 def check(args: Namespace) -> None:
-    """Flags that do not go together. Raises InputError."""
+    """Check for incompatible flags. Raises InputError."""
     if args.jobs is not None and args.jobs < 1:
         raise InputError(f"--jobs {args.jobs}: allowed is 1 or more")
     if args.follow and len(args.logs) > 1:
-        raise InputError("--follow: one log")
+        raise InputError("--follow: allowed is one log")
     if args.follow and args.scheduler:
-        raise InputError("--follow: a log that grows is decoded here; leave out --scheduler")
+        raise InputError("--follow: a growing log is decoded locally; leave out --scheduler")
     if args.scheduler and not [name for name in args.logs if name != "-"]:
-        raise InputError("--scheduler: name the logs as files that its workers see")
+        raise InputError("--scheduler: name log files that its workers can read")

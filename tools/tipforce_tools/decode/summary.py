@@ -1,4 +1,4 @@
-"""What a decode found, per node: samples, lost ones, values that are missing and why, first and last time."""
+"""Summary of a decode per node: samples, lost ones, missing values with reasons, first and last time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 NO_FRAME, UNKNOWN = "no_frame", "unknown"
 _CONTACT = frozenset({"P", "phi", "theta", "F1", "F2", "F3"})
 _ANGLES = frozenset({"phi", "theta"})
-# (reason, the flag that tells it, whether it is told by the flag being set, for which signals; None: all)
+# (reason, its flag, whether a set flag means the reason, the signals; None: all)
 _REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
     ("fault", "fault", True, None),
     ("stale", "stale", True, None),
@@ -46,7 +46,7 @@ class NodeSummary:
 
     @property
     def missing(self) -> dict[str, dict[str, int]]:
-        """By column and reason, how many samples have no value; columns that the node never sent are left out."""
+        """Return by column and reason the number of samples without a value; columns never sent are left out."""
         found = {}
         for name, present in self.present.items():
             told = self.told.get(name, {})
@@ -58,7 +58,7 @@ class NodeSummary:
         return found
 
     def record(self, told: Told) -> dict[str, Any]:
-        """As JSON has it."""
+        """Return the JSON record."""
         place = self.channel, self.node
         messages = {
             name: {"frames": count.frames, **({} if count.lost is None else {"lost": count.lost})}
@@ -81,14 +81,14 @@ class NodeSummary:
 
 
 class Summary:
-    """Looks at tables as they pass."""
+    """Collect statistics of tables that pass through."""
 
     def __init__(self) -> None:
         self._nodes: dict[tuple[str, int], NodeSummary] = {}
         self.samples = 0
 
     def passing(self, tables: Iterable[Table]) -> Iterator[Table]:
-        """The same tables."""
+        """Return the same tables."""
         for table in tables:
             self.add(table)
             yield table
@@ -145,12 +145,12 @@ class Summary:
             reasons[reason] = reasons.get(reason, 0) + int(counts[key])
 
     def nodes(self) -> list[NodeSummary]:
-        """By channel and node."""
+        """Return the nodes by channel and node-id."""
         return [self._nodes[place] for place in sorted(self._nodes)]
 
 
 def bad_lines(told: Told) -> dict[str, int]:
-    """Bad lines of all logs by reason."""
+    """Return the bad lines of all logs by reason."""
     found: dict[str, int] = {}
     for notes in told.notes:
         for reason, count in notes.bad.items():
@@ -159,7 +159,7 @@ def bad_lines(told: Told) -> dict[str, int]:
 
 
 def skipped(told: Told) -> dict[str, int]:
-    """What holds no samples, of all logs by kind."""
+    """Return the counts of frames without samples, of all logs, by kind."""
     found: dict[str, int] = {}
     for notes in told.notes:
         for kind, count in notes.skipped.items():
@@ -168,7 +168,7 @@ def skipped(told: Told) -> dict[str, int]:
 
 
 def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
-    """The whole summary as JSON has it."""
+    """Return the whole summary as a JSON record."""
     return {
         "output": output,
         "logs": [notes.source for notes in told.notes],
@@ -182,7 +182,7 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
 
 
 def lines(summary: Summary, told: Told) -> Iterator[str]:
-    """The summary for people, a line for each node."""
+    """Yield the summary as text, a line per node."""
     several = len({node.channel for node in summary.nodes()}) > 1
     lost = told.tally.lost()
     for node in summary.nodes():
@@ -199,14 +199,14 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
 
 
 def lost_lines(told: Told) -> Iterator[str]:
-    """The nodes that lost samples."""
+    """Yield the nodes that lost samples."""
     for (channel, node), lost in sorted(told.tally.lost().items()):
         if lost:
             yield f"{channel} node {node} (0x{node:02X}): {lost} lost samples"
 
 
 def notes_lines(told: Told) -> Iterator[str]:
-    """What went wrong, for stderr."""
+    """Yield the problems, for stderr."""
     for notes in told.notes:
         if notes.bad:
             counts = ", ".join(f"{count} {reason}" for reason, count in sorted(notes.bad.items()))

@@ -1,4 +1,4 @@
-"""Tables as text: lines for people, CSV, JSON lines."""
+"""Format tables as text lines, CSV and JSON lines."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _CHUNK_ROWS = 32_768
 
 
 def chunks(table: Table) -> list[Table]:
-    """The table in pieces whose text stays small."""
+    """Split the table into pieces of bounded text size."""
     if len(table) <= _CHUNK_ROWS:
         return [table]
     starts = range(0, len(table), _CHUNK_ROWS)
@@ -24,13 +24,13 @@ def chunks(table: Table) -> list[Table]:
 
 
 def channel_names(table: Table, quoted: bool = False) -> cells.Cells:
-    """The channel of each row."""
+    """Return the channel of each row."""
     names = [json.dumps(name)[1:-1] if quoted else name for name in table.channels]
     return cells.word_cells(np.array([name.encode() for name in names])[table.channel])
 
 
 def base_cells(table: Table, name: str) -> tuple[cells.Cells, np.ndarray[tuple[int], np.dtype[np.bool_]]]:
-    """(cells, where missing) of one of the columns that every table has."""
+    """Return (cells, mask of missing values) of one of the columns that every table has."""
     nothing = np.zeros(len(table), dtype=np.bool_)
     if name == TIME:
         if not table.timed:
@@ -47,7 +47,7 @@ def base_cells(table: Table, name: str) -> tuple[cells.Cells, np.ndarray[tuple[i
 
 
 def csv_header(base: Sequence[str], columns: Sequence[Column]) -> bytes:
-    """The first line."""
+    """Return the header line."""
     return ",".join([*base, *(_csv_name(column.name) for column in columns)]).encode() + b"\n"
 
 
@@ -56,7 +56,7 @@ def _csv_name(name: str) -> str:
 
 
 def csv_rows(table: Table, base: Sequence[str], columns: Sequence[Column]) -> bytes:
-    """Lines with these columns; those that the table does not have stay empty."""
+    """Format lines with these columns; those that the table lacks are empty."""
     text = b""
     for piece in chunks(table):
         parts: list[bytes | cells.Cells] = []
@@ -72,7 +72,7 @@ def csv_rows(table: Table, base: Sequence[str], columns: Sequence[Column]) -> by
 
 
 def json_rows(table: Table, base: Sequence[str]) -> bytes:
-    """JSON lines: null for what is missing, a key left out where no row of the table has it."""
+    """Format JSON lines: null for missing values; keys that no row of the table has are left out."""
     text = b""
     for piece in chunks(table):
         parts: list[bytes | cells.Cells] = []
@@ -102,7 +102,7 @@ def _json_cells(column: Column, table: Table) -> cells.Cells:
 
 
 def people_rows(table: Table, base: Sequence[str]) -> bytes:
-    """One line for each sample, in columns: time, node, values with units, counter, status words."""
+    """Format one line per sample, in columns: time, node, values with units, counter, status words."""
     text = b""
     for piece in chunks(table):
         parts: list[bytes | cells.Cells] = []
@@ -131,7 +131,7 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
 
 
 def _unit(column: Column, table: Table) -> bytes | cells.Cells:
-    """The unit behind a value, blanks behind what is unknown."""
+    """Return the unit after a value, blanks after an unknown one."""
     unit = f" {_UNITS.get(column.unit, column.unit)}".encode() if column.unit else b""
     missing = is_missing(column, table.values[column.name])
     return cells.chosen(missing, b" " * len(unit), unit) if unit and missing.any() else unit

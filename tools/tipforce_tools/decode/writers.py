@@ -1,4 +1,4 @@
-"""Where tables go: stdout or a file, in the format that its name tells."""
+"""Writers of tables: stdout or a file, in the format of its suffix."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _COPY_BYTES = 1 << 20
 
 
 class Writer(Protocol):
-    """Takes tables; what it writes is complete after ``close``, and gone after ``abort``."""
+    """Write tables; the output is complete after ``close``, and removed after ``abort``."""
 
     def write(self, table: Table) -> None:
         """Append the rows of a table. Raises OSError."""
@@ -36,11 +36,11 @@ class Writer(Protocol):
         """Complete the output. Raises OSError."""
 
     def abort(self) -> None:
-        """Give up: no partial file stays."""
+        """Abort: remove partial files."""
 
 
 def format_of(output: str | None, wanted: str | None) -> str:
-    """The format of an output. Raises InputError for a name that tells none."""
+    """Return the format of an output. Raises InputError for a name without a known suffix."""
     if wanted is not None:
         return wanted
     if output is None or output == "-":
@@ -50,15 +50,15 @@ def format_of(output: str | None, wanted: str | None) -> str:
     suffix = Path(output).suffix.lower()
     if suffix not in _SUFFIXES:
         known = ", ".join(sorted(_SUFFIXES))
-        raise InputError(f"--output {output}: the suffix says which format: allowed are {known}, a name with / at its "
-                         "end for one Parquet file per node, or --format")  # fmt: skip
+        raise InputError(f"--output {output}: unknown suffix: allowed are {known}, a name that ends in / "
+                         "for one Parquet file per node, or --format")  # fmt: skip
     return _SUFFIXES[suffix]
 
 
 def open_writer(output: str | None, kind: str, *, force: bool, rate_base: tuple[str, ...] = (COUNTER,)) -> Writer:
-    """A writer. Raises InputError for a place that can't be written to, EnvironmentLackError for a lacking library.
+    """Return a writer. Raises InputError for a path that cannot be written, EnvironmentLackError for a missing library.
 
-    ``rate_base``: the columns behind time and node that every table has.
+    ``rate_base``: the columns after time and node that every table has.
     """
     if kind in _EXTRAS:
         library, extra = _EXTRAS[kind]
@@ -85,17 +85,17 @@ def open_writer(output: str | None, kind: str, *, force: bool, rate_base: tuple[
 
 
 class Shape:
-    """Which columns an output has so far. New ones come last: rows before have nothing there."""
+    """The columns of an output so far. New ones are appended and empty in earlier rows."""
 
     def __init__(self, base: tuple[str, ...]) -> None:
         self.base = base
         self.columns: tuple[Column, ...] = ()
-        self.channel_at: int | None = None  # number of columns before `channel`, where it came later
+        self.channel_at: int | None = None  # number of columns before `channel`, if it was added later
         self.channel = ""
         self._begun = False
 
     def fits(self, table: Table) -> bool:
-        """Take in the columns of a table; False when there are new ones after the first."""
+        """Add the columns of a table; return False if there are new ones after the first table."""
         known = {column.name for column in self.columns}
         new = tuple(column for column in table.columns if column.name not in known)
         several = len(table.channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
@@ -109,7 +109,7 @@ class Shape:
         return not begun or not (new or several)
 
     def of(self, table: Table) -> Table:
-        """The table with `channel` among its values, where it is a column that came later."""
+        """Return the table with `channel` among its values, if that column was added later."""
         if not any(column.name == CHANNEL for column in self.columns):
             return table
         names = np.array([name.encode() for name in table.channels])[table.channel]
@@ -118,7 +118,7 @@ class Shape:
 
 
 class StreamWriter:
-    """Text, CSV or JSON lines on stdout, at once."""
+    """Text, CSV or JSON lines on stdout, unbuffered."""
 
     def __init__(self, stream: BinaryIO, kind: str, base: tuple[str, ...]) -> None:
         self._stream, self._kind = stream, kind
@@ -127,7 +127,7 @@ class StreamWriter:
         self.left_out: set[str] = set()
 
     def write(self, table: Table) -> None:
-        """Append the rows of a table. CSV keeps the columns that it began with: ``left_out`` names the others."""
+        """Append the rows of a table. CSV keeps its first columns: ``left_out`` names the others."""
         self._shape.fits(table)
         self._stream.write(self._text(table))
         self._stream.flush()
@@ -146,10 +146,10 @@ class StreamWriter:
         return start + text_rows.csv_rows(table, base, self._shown)
 
     def close(self) -> None:
-        """Nothing is left to do."""
+        """Do nothing: all output is written."""
 
     def abort(self) -> None:
-        """What was written has gone out."""
+        """Do nothing: written output cannot be removed."""
 
 
 class LinesWriter:
@@ -177,14 +177,14 @@ class LinesWriter:
 
 
 class CsvWriter:
-    """CSV in a file. Where columns come later, the rows before are written again with nothing there."""
+    """CSV in a file. For columns added later, earlier rows are written again with empty cells."""
 
     def __init__(self, path: Path, base: tuple[str, ...]) -> None:
         """Raises InputError."""
         self._file = NewFile(path)
         self._stream = self._file.partial.open("wb")
         self._shape = Shape(base)
-        self._pieces: list[tuple[int, int]] = []  # (where, how many columns) from there on
+        self._pieces: list[tuple[int, int]] = []  # (offset, number of columns) from there on
 
     def write(self, table: Table) -> None:
         """Append the rows of a table."""

@@ -1,6 +1,6 @@
-"""The demo's work: three simulated nodes, calibrated and stored over SDO, loaded as the paper did, read by PDO.
+"""The demo: calibrate and store three simulated nodes over SDO, load them as in the paper, read them by PDO.
 
-The input is the paper's: the fabricated geometry, its three gauge cases, its grooves and its 4.4 N weight.
+Input from the paper: the fabricated geometry, the three gauge cases, the grooves and the 4.4 N weight.
 """
 
 from __future__ import annotations
@@ -64,28 +64,28 @@ class Result:
 
     @property
     def error(self) -> FloatArray:
-        """Estimate less applied, angles wrapped."""
+        """Estimate minus applied load, angles wrapped."""
         return _difference(self.estimated, self.applied)
 
     @property
     def inside(self) -> bool:
-        """Every error inside its bound (a missing value is outside)."""
+        """Whether every error is inside its bound (a missing value is outside)."""
         return bool(np.all(np.abs(self.error) <= self.bound))
 
     @property
     def host_agrees(self) -> bool:
-        """The host's estimate from the gauge PDO equals the node's within the resolution of both PDOs."""
+        """Whether the host's estimate from the gauge PDO equals the node's within the resolution of both PDOs."""
         return bool(np.all(np.abs(_difference(self.host, self.estimated)) <= self.host_bound))
 
 
 def grooves() -> list[tuple[float, float]]:
-    """(phi, theta) in degrees of each groove: x-grooves pull at 0 (180 beyond theta = 90), y-grooves at 90."""
+    """Return (phi, theta) in degrees of each groove: x-grooves pull at 0 (180 beyond theta = 90), y-grooves at 90."""
     x = [(0.0 if theta < 90 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
     return x + [(90.0, float(theta)) for theta in Y_GROOVES_DEG]
 
 
 def case_calibration(case: str, pull: bool) -> Calibration:
-    """The calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
+    """Return the calibration of one gauge case by beam theory, with the simulated gauges' offset and noise."""
     today = datetime.date.today()
     return Calibration(
         C=calibration_matrix(FABRICATED, case),
@@ -100,12 +100,12 @@ def case_calibration(case: str, pull: bool) -> Calibration:
 
 
 def coverage_factor(comparisons: int) -> float:
-    """z such that ``comparisons`` two-sided normal checks all hold with probability 1 - FAMILY_WISE_ERROR."""
+    """Return z such that ``comparisons`` two-sided normal checks all hold with probability 1 - FAMILY_WISE_ERROR."""
     return statistics.NormalDist().inv_cdf(1.0 - FAMILY_WISE_ERROR / (2 * comparisons))
 
 
 def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(standard uncertainty, bound of the node's error, bound of host against node), each for P, phi, theta.
+    """Return (standard uncertainty, bound of the node's error, bound of host minus node), each for P, phi, theta.
 
     ``applied`` is (P newtons, phi degree, theta degree). The bound is z standard uncertainties from gauge noise, plus
     half a count of every gauge propagated to the quantity, plus half a step of the PDO's resolution.
@@ -116,7 +116,7 @@ def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[Flo
     half_count = 0.5e-6 * COUNT_MICROSTRAIN
     steps = np.zeros(3)
     for gauge in calibration.C.T:
-        # The effect of half a count in this gauge alone: its standard uncertainty were it the only noise.
+        # The effect of half a count in this gauge: the standard uncertainty if it were the only noise.
         alone = np.outer(gauge, gauge) * half_count**2
         steps += contact_model.standard_uncertainties(F, alone, pull=calibration.pull)[0]
     in_units = np.array([1.0, 180.0 / np.pi, 180.0 / np.pi])
@@ -125,10 +125,10 @@ def bounds(calibration: Calibration, applied: FloatArray, z: float) -> tuple[Flo
 
 
 def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callable[[], None]) -> Iterator[Result]:
-    """Do the whole job on an in-process bus; yields one Result per load and node.
+    """Run the demo on an in-process bus; yield one Result per load and node.
 
-    ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` falsifies one element of each matrix.
-    Raises RefusedError if a node does not hold what was stored after its reset.
+    ``say`` gets a line per step, ``advance`` is called once per load. ``spoil`` corrupts one element of each matrix.
+    Raises RefusedError if a node has lost its stored calibration after the reset.
     """
     comparisons = len(CASES) * 2 * len(grooves()) * len(QUANTITIES)
     z = coverage_factor(comparisons)
@@ -148,7 +148,7 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
 
 @contextlib.contextmanager
 def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
-    """Nodes 1, 2, 3 with cases I, II, III, run by one thread on python-can's virtual bus, and a host on it."""
+    """Run nodes 1, 2, 3 with cases I, II, III in one thread on python-can's virtual bus, and yield a host on it."""
     channel = f"tipforce-demo-{id(folder)}"
     devices = []
     for k, case in enumerate(CASES):
@@ -173,7 +173,7 @@ def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
 
 
 def _calibrate(connection: Connection, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
-    """Write, verify and store; then reset the node, so that what it works with is what it stored."""
+    """Write, verify and store; then reset the node, so that it uses the stored calibration."""
     client = FingertipClient(connection.sdo(node_id))
     prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "
     client.apply_calibration(calibration, on_step=lambda step: say(prefix + step))
@@ -195,7 +195,7 @@ def _spoiled(calibration: Calibration) -> Calibration:
 def _one_load(
     hand: PolledHand, calibrations: dict[int, Calibration], applied: FloatArray, z: float
 ) -> Iterator[Result]:
-    """Apply a load to every node, send one SYNC, compare what comes back."""
+    """Apply a load to every node, send one SYNC, compare the responses."""
     for finger in hand.fingers.values():
         sdo = finger.sdo
         for entry, value in zip((od.SIMULATION_P, od.SIMULATION_PHI, od.SIMULATION_THETA), applied, strict=True):
@@ -214,7 +214,7 @@ def _one_load(
 
 
 def _difference(a: FloatArray, b: FloatArray) -> FloatArray:
-    """a - b of two (P, phi, theta) triples, the angles wrapped into -180..180 degrees."""
+    """Return a - b of two (P, phi, theta) triples, the angles wrapped into -180..180 degrees."""
     difference = a - b
     difference[1:] = (difference[1:] + 180.0) % 360.0 - 180.0
     return difference

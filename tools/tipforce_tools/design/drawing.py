@@ -1,7 +1,7 @@
 """Drawings to scale: the cross-section with the gauge points, and the directions of the paper's grooves.
 
-The outline of the paper's figure 2 is not in its text, so it is assumed: a half disc as the tip, flat side down, with
-two legs down to the outer ends of the horizontal beam; the vertical beam between the joint and a block as the fixture.
+The text of the paper does not define the outline of its figure 2. Assumed: the tip is a half disc, flat side down, with
+two legs down to the outer ends of the horizontal beam; the vertical beam is between the joint and a block, the fixture.
 """
 
 from __future__ import annotations
@@ -26,12 +26,12 @@ if TYPE_CHECKING:
 
 MM = 1e3
 LEG_MM, LEG_TOP_MM, SLIT_MM = 2.0, 2.5, 0.25
-"""Legs: assumed, and outside of a because a = r leaves them no room. The slit is the paper's cutting line."""
+"""Legs: assumed, outside of a because a = r leaves no space for them. The slit is the paper's cutting line."""
 BODY, BEAM = "#d9d9d9", "#8c8c8c"
 
 
 def cross_section() -> Figure:
-    """The body to scale with the gauge points, and beside it the signs of load and angles."""
+    """Draw the body to scale with the gauge points, and the sign conventions of load and angles."""
     figure = new_figure(8.4, 4.6)
     left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
     for axes in (left, right):
@@ -45,7 +45,7 @@ def cross_section() -> Figure:
 
 
 def groove_directions() -> Figure:
-    """The 19 grooves: where the rope leaves the tip and where it pulls."""
+    """Draw the 19 grooves: the contact of the rope and its direction."""
     figure = new_figure(6.2, 3.4)
     axes = figure.subplots()
     axes.set_aspect("equal")
@@ -96,7 +96,7 @@ def _body(axes: Axes, geometry: Geometry) -> None:
 
 
 def _gauge_points(axes: Axes, geometry: Geometry) -> None:
-    """The gauges as bars of their length, from the fixed end on, and the names of their points."""
+    """Draw the gauges as bars of their length, from the fixed end, with the names of their points."""
     half_h1, half_h2, length = 0.5 * geometry.h1_m * MM, 0.5 * geometry.h2_m * MM, GAUGE_LENGTH_M * MM
     cases = {point: case for case in ("III", "II", "I") for point in LAYOUTS[case]}
     for point in POINTS:
@@ -142,7 +142,7 @@ def _dimensions(axes: Axes, geometry: Geometry) -> None:
 
 
 def _load_signs(axes: Axes, geometry: Geometry) -> None:
-    """One force vector, and the two contacts that give the same F: a rope pulls at one, a body pushes at the other."""
+    """Draw one force vector and the two contacts that give the same F: a rope that pulls, a body that pushes."""
     r = geometry.r_m * MM
     _tip(axes, geometry)
     theta, phi = np.radians(50.0), np.radians(15.0)

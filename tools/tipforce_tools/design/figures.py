@@ -1,4 +1,4 @@
-"""Figures 6 and 9 and section 3.3 of the paper as numbers, each with what it says about the paper's claim."""
+"""Figures 6 and 9 and section 3.3 of the paper as numbers, each compared with the paper's claim."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FIGURE_9_CASE = "I"
 
 
 def figure_6_section(geometry: Geometry) -> Section:
-    """Figure 6: the condition number when one gauge, or all, sit inward of their points."""
+    """Return figure 6: the condition number with one gauge, or all, shifted inward of their points."""
     records = []
     for case in CASES:
         found = condition_against_shift(geometry, case, np.array(SHIFTS_MM) * 1e-3)
@@ -65,7 +65,7 @@ def _figure_6_notes(geometry: Geometry) -> list[str]:
 
 
 def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: int) -> Section:
-    """Figure 9: errors of P, phi, theta over the paper's grooves, from simulated gauge noise."""
+    """Return figure 9: errors of P, phi, theta over the paper's grooves, from simulated gauge noise."""
     if not 0.0 < noise_ue < 1e4 or not 1 <= repeats <= 100_000:
         raise InputError(f"--noise {noise_ue!r} --repeats {repeats!r}: allowed are above 0 to 1e4, and 1 to 100000")
     found = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
@@ -109,7 +109,7 @@ _FIGURE_9_COLUMNS = {
     "max_theta_deg": "largest",
 }
 _FIGURE_9_NOTES = [
-    "The figure's numbers are not in the paper's text, so this says what noise alone does, not what they measured. "
+    "The figure's numbers are not in the paper's text, so this shows the effect of noise only, not their data. "
     "u: first-order standard uncertainty of reading and calibration together; found: standard deviation of the "
     "simulated errors. As in section 4.3, only grooves from 0 to 90 degrees calibrate, and all are read.",
     "The senses of the grooves are assumed (the paper does not state them): a rope pulls, so x-grooves pull at phi = "
@@ -121,7 +121,7 @@ _FIGURE_9_NOTES = [
 
 
 def off_axis_section(geometry: Geometry) -> Section:
-    """Section 3.3: apparent force from loads along z and from off-centre loads, by case and gauge placement."""
+    """Return section 3.3: apparent force from loads along z and off-centre loads, by case and gauge placement."""
     along_z = off_axis_wrenches(geometry, np.radians(np.arange(0.0, 181.0)))
     off_centre = off_centre_wrenches(np.radians(np.arange(0.0, 360.0)), 1e-3)
     placements = (("centred, axial", 0.0, 0.0), ("1 mm lateral", 1e-3, 0.0), ("1 degree", 0.0, radians(1.0)))
@@ -178,5 +178,5 @@ _OFF_AXIS_NOTES = [
     "of the load per degree for a 1 mm gauge, whose middle is 0.5 mm from the end); an offset costs 5 to 9 % of the "
     "load per 0.1 mm. A plate model of the strip agrees within 12 % (tests/sensor/structure/test_off_axis.py).",
     "Three-dimensional Euler-Bernoulli beams between rigid bodies; every gauge off by the stated amount with either "
-    "sign, each calibrated in the plane as it sits; corners and gauge area ignored; nu = 0.29 assumed.",
+    "sign, each calibrated in the plane in that position; corners and gauge area ignored; nu = 0.29 assumed.",
 ]

@@ -1,4 +1,4 @@
-"""`tipforce design optimise`: look for better dimensions and gauge places, and prove them by a second model."""
+"""`tipforce design optimise`: search better dimensions and gauge positions, and verify them with a second model."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ if TYPE_CHECKING:
     from tipforce.sensor.design.search import Objective
     from tipforce.sensor.design.search_problem import Design, Limits
 
-_FROM = 4  # configurations that the way to the least condition number starts from
+_FROM = 4  # configurations from which the path to the minimum condition number starts
 
 
 class Outcome(NamedTuple):
-    """What one run found."""
+    """Result of one run."""
 
     paper: list[Assessment]
-    """Cases I to III as the paper draws them, then case I with gauges of the stated length."""
+    """Cases I to III of the paper, then case I with gauges of the stated length."""
     front: list[Assessment]
-    """Designs that no other beats in the objective and the condition number; condition_only in any case."""
+    """Pareto-optimal designs in objective and condition number, and always condition_only."""
     best: Assessment
-    """What the objective asked for."""
+    """The best design by the objective."""
     condition_only: Assessment
-    """The least condition number that the search found, and of such designs the one with the least noise."""
+    """The design with the minimum condition number, and among such designs the minimum noise."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce design optimise`."""
+    """Add the flags of `tipforce design optimise`."""
     parser.epilog = (
-        "Envelope and stress default to the room that the paper's fabricated body takes and the worst stress that it\n"
-        "bears at the load; it names no least thickness or slenderness. Exit code 1 where beam theory and the frame\n"
-        "differ by more than 3 % on the best design. For the condition number alone the thickness is open; the least\n"
-        "noise settles it. `I glued`: case I with gauges of that length, since none fits the paper's points.\n"
+        "Envelope and stress default to the size of the paper's fabricated body and its maximum stress at the load;\n"
+        "the paper states no minimum thickness or slenderness. Exit code 1 if beam theory and the frame differ by\n"
+        "more than 3 % on the best design. The condition number does not fix the thickness; minimum noise does.\n"
+        "`I glued`: case I with gauges of the stated length, which do not fit at the paper's points.\n"
         "  tipforce design optimise --gauges 4 -o four.toml && tipforce node --node-id 5 --layout four.toml ..."
     )
     parser.add_argument(
@@ -72,7 +72,7 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
         "--envelope", default="30,30.2", metavar="X,Y", help="mm: 2 r across, d + h1/2 + r high (%(default)s)"
     )
     group.add_argument("--width", type=float, default=10.0, metavar="MM", help="of the beams (default %(default)s)")
-    group.add_argument("--free-width", action="store_true", help="the width may be less, down to a tenth")
+    group.add_argument("--free-width", action="store_true", help="allow a smaller width, down to a tenth")
     group.add_argument("--radius", type=float, metavar="MM", help="of the tip (default: free, at most X / 2)")
     group.add_argument("--wall", type=float, default=0.0, metavar="MM", help="least r - a (default %(default)s)")
     group.add_argument(
@@ -83,18 +83,18 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--clearance", type=float, default=0.0, metavar="MM", help="of gauges to corners and each other (%(default)s)"
     )
-    group.add_argument("--upper-face", action="store_true", help="gauges may sit in the slit as well")
+    group.add_argument("--upper-face", action="store_true", help="also allow gauges in the slit")
     group.add_argument("--slit", type=float, default=0.25, metavar="MM", help="must stay open (default %(default)s)")
     stress = group.add_mutually_exclusive_group()
     stress.add_argument(
         "--max-stress", type=float, metavar="MPA", help="at the load, worst angle (default: the paper's)"
     )
     stress.add_argument("--yield", dest="yield_MPa", type=float, metavar="MPA", help="stress at most this / --safety")
-    group.add_argument("--safety", type=float, default=1.5, metavar="S", help="against --yield (default %(default)s)")
+    group.add_argument("--safety", type=float, default=1.5, metavar="S", help="for --yield (default %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
-    """Search, print, write; 0, or 1 where the frame does not confirm the best design."""
+    """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
     from tipforce_tools.cli.layout_file import write_layout
     from tipforce_tools.design.optimise_output import comment, print_outcome
 
@@ -113,7 +113,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcome:
-    """Search for the objective and for the condition number, walk from one to the other, assess all."""
+    """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
     from tipforce.sensor.design.assessment import FIGURES, pareto
     from tipforce.sensor.design.search import TRADE_OFF_STEPS, search, trade_off
     from tipforce.sensor.design.search_problem import configurations
@@ -135,7 +135,7 @@ def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcom
 
 
 class _Judge:
-    """assess() with what the flags say."""
+    """Call assess() with the values of the flags."""
 
     def __init__(self, args: argparse.Namespace, limits: Limits, loads: LoadSet) -> None:
         self.limits = limits
@@ -153,7 +153,7 @@ class _Judge:
         try:
             real = glued(FABRICATED, LAYOUTS["I"], self.limits.gauge_length_m, self.limits.clearance_m)
             return [*found, assess("I glued", FABRICATED, real, **self.options)]
-        except InputError:  # such gauges do not fit on the paper's body
+        except InputError:  # gauges of this length do not fit on the paper's body
             return found
 
     def design(self, design: Design, name: str) -> Assessment:
@@ -163,7 +163,7 @@ class _Judge:
 
 
 class _Progress:
-    """A bar on stderr where that is a terminal; gives the call that moves it on by one."""
+    """Show a progress bar on stderr if it is a terminal; yield the function that advances it by one."""
 
     def __init__(self, args: argparse.Namespace, total: int) -> None:
         from rich.progress import Progress
@@ -216,5 +216,5 @@ def _pair(flag: str, text: str) -> tuple[float, float]:
     try:
         first, second = (float(part) for part in text.split(","))
     except ValueError:
-        raise InputError(f"{flag} {text!r}: write two numbers with a comma between them") from None
+        raise InputError(f"{flag} {text!r}: expected two numbers separated by a comma") from None
     return first, second

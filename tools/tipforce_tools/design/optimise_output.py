@@ -1,4 +1,4 @@
-"""What `tipforce design optimise` prints: structures, their figures, and what follows from them."""
+"""Output of `tipforce design optimise`: structures, their figures of merit, and conclusions."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _GEOMETRY = (("a", "a_m"), ("d", "d_m"), ("r", "r_m"), ("h1", "h1_m"), ("h2", "h
 
 
 def print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
-    """Tables and sentences, or JSON lines: one per structure, then the summary."""
+    """Print tables and sentences, or JSON lines: one per structure, then the summary."""
     entries = [*outcome.paper, *outcome.front]
     if args.json:
         for entry in entries:
@@ -33,7 +33,7 @@ def print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
 
 
 def comment(args: argparse.Namespace, best: Assessment) -> str:
-    """The first lines of the layout file: what made it and what to expect."""
+    """Return the first lines of the layout file: its command and its expected uncertainties."""
     merit = best.theory
     return (
         f"tipforce design optimise --objective {args.objective} --gauges {args.gauges} --seed {args.seed}\n"
@@ -58,7 +58,7 @@ def _print_structures(args: argparse.Namespace, entries: list[Assessment]) -> No
 
 
 def _print_figures(args: argparse.Namespace, entries: list[Assessment]) -> None:
-    title = f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and what the body bears"
+    title = f"Standard uncertainties at {args.noise:g} microstrain and {args.load:g} N, and limits of the body"
     headings = ("u(P) mN", "u(phi) deg", "u(theta) deg", "mN per ue", "least ue/N", "cond", "MPa", "slit shuts N")
     rows = (
         (

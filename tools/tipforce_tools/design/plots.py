@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-# Okabe and Ito's palette: told apart with any colour vision. Line style or marker differ too, for black and white.
+# Okabe and Ito's palette, for any colour vision. Line style or marker differ too, for black and white.
 BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#555555"
 STYLE = {
     "font.size": 9.0,
@@ -36,9 +36,9 @@ STYLES = ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, 
 
 
 def draw(args: argparse.Namespace) -> Iterator[Path]:
-    """Draw what `design table` was asked for into args.output; yields each path when it is written.
+    """Draw the sections of `design table` into args.output; yield each path after writing it.
 
-    Raises EnvironmentLackError without matplotlib, InputError where the directory cannot be written.
+    Raises EnvironmentLackError without matplotlib, InputError if the directory cannot be written.
     """
     from tipforce_tools.design.drawing import cross_section, groove_directions
 
@@ -59,7 +59,7 @@ def draw(args: argparse.Namespace) -> Iterator[Path]:
 
 
 def figure_6() -> Figure:
-    """Condition number against gauge shift, one panel per case."""
+    """Draw condition number against gauge shift, one panel per case."""
     figure = new_figure(8.4, 3.2)
     panels = figure.subplots(1, 3, sharey=True)
     shifts_mm = np.linspace(0.0, 5.0, 51)
@@ -86,7 +86,7 @@ def figure_6() -> Figure:
 
 
 def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
-    """Errors of P, phi, theta at the grooves: one simulated run as points, 95 % bands of first order."""
+    """Draw errors of P, phi, theta at the grooves: one simulated run as points, 95 % bands of first order."""
     found = simulate_groove_errors(FABRICATED, "I", noise_ue * 1e-6, repeats=repeats, seed=seed)
     figure = new_figure(8.4, 3.2)
     theta = np.degrees(found.grooves.theta_rad)
@@ -131,7 +131,7 @@ def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
 
 
 def condition_and_noise() -> Figure:
-    """All layouts of three points that can measure: condition number against noise gain."""
+    """Draw all regular layouts of three points: condition number against noise gain."""
     figure = new_figure(5.6, 3.8)
     axes = figure.subplots()
     rows = [row for row in ranked_layouts(FABRICATED) if row.condition < 20.0]
@@ -176,7 +176,7 @@ def condition_and_noise() -> Figure:
 
 
 def off_axis() -> Figure:
-    """Apparent force per newton along z, against lateral offset and misalignment of the gauges."""
+    """Draw the apparent force per newton along z against lateral offset and misalignment of the gauges."""
     figure = new_figure(8.4, 3.4)
     left, right = figure.subplots(1, 2)
     loads = off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))

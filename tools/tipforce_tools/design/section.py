@@ -1,4 +1,4 @@
-"""One table of the reproduction: records for JSON, columns for people, and what there is to say about them."""
+"""One table of the reproduction: records for JSON, columns for text output, and notes."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ Record = dict[str, Any]
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A table with its notes. Every record has the same keys, or leaves some out."""
+    """A table with its notes. Records have the same keys; some may be missing."""
 
     name: str
-    """What `tipforce design table` calls it."""
+    """Name in `tipforce design table`."""
     title: str
     columns: dict[str, str]
     """Heading per key of a record, in order; keys that are not here are for JSON only. "key.2" is an item of a list."""
     records: list[Record]
     notes: list[str] = field(default_factory=list)
-    """Where and why the numbers differ from the paper's."""
+    """Differences from the paper's numbers, with reasons."""
 
 
 def print_section(args: argparse.Namespace, section: Section) -> None:
-    """As JSON lines (records, then one line with the notes), or as a table."""
+    """Print as JSON lines (records, then one line with the notes), or as a table."""
     if args.json:
         for record in section.records:
             common.print_json({"table": section.name, **record})
@@ -57,7 +57,7 @@ def _cell(record: Record, key: str) -> Any:
 
 
 def shown(value: object) -> str:
-    """A cell: four significant digits, lists joined, nothing for None."""
+    """Format a cell: four significant digits, lists joined, empty for None."""
     if value is None:
         return ""
     if isinstance(value, (list, tuple)):

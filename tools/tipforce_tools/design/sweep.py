@@ -21,10 +21,10 @@ DEFAULT_SHIFT_MM = 5.0
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce design sweep`."""
+    """Add the flags of `tipforce design sweep`."""
     parser.epilog = (
-        "Dimensions are in millimetres; the others and the load stay. SG1, SG2, ... shift one gauge, all shifts all\n"
-        "of them, in millimetres inward along their beams: away from the nearer end.\n"
+        "Dimensions are in millimetres; the others and the load are constant. SG1, SG2, ... shift one gauge, all\n"
+        "shifts all gauges, in millimetres inward along their beams: away from the nearer end.\n"
         "  tipforce design sweep h2\n"
         "  tipforce design sweep SG3 --layout III --to 4 --steps 9\n"
         "  tipforce design sweep r --from 8 --to 20 -o r.svg"
@@ -36,12 +36,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--layout", default="I", metavar="I|II|III|FILE", help="gauges and dimensions (default %(default)s)"
     )
-    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="also draw it, as .svg or .png")
+    parser.add_argument("-o", "--output", type=Path, metavar="FILE", help="also write a plot, .svg or .png")
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the sweep, then draw it; 0."""
+    """Print the sweep, then draw it; return 0."""
     from tipforce_tools.cli.layout_file import read_layout
 
     common.set_up_logging(args)
@@ -95,7 +95,7 @@ _NOTES = [
 def _changed(
     what: str, names: list[str], geometry: Geometry, gauges: Sequence[str | GaugePosition]
 ) -> Callable[[float], tuple[Geometry, list[GaugePosition]]]:
-    """A function from the value in metres to the body and the places of its gauges."""
+    """Return a function from the value in metres to the body and the positions of its gauges."""
     from tipforce.sensor.structure.gauge_shift import shifted
 
     def resized(value_m: float) -> tuple[Geometry, list[GaugePosition]]:

@@ -1,4 +1,4 @@
-"""`tipforce design table`: what the paper prints, recomputed."""
+"""`tipforce design table`: the paper's tables and figures, recomputed."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ NAMES = ("1", "2", "3", "fig6", "fig9", "off-axis")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """Flags of `tipforce design table`."""
+    """Add the flags of `tipforce design table`."""
     parser.epilog = (
         "1, 2, 3: the tables (3 with the ranking of all layouts). fig6: condition number against gauge shift. fig9:\n"
         "errors in the paper's grooves, simulated. off-axis: section 3.3. docs/mechanics.md explains them.\n"
@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("what", nargs="?", choices=(*NAMES, "all"), default="all", help="default: all")
     parser.add_argument(
-        "-o", "--output", type=Path, metavar="DIR", help="also draw the figures into this directory (needs matplotlib)"
+        "-o", "--output", type=Path, metavar="DIR", help="also write the figures to this directory (needs matplotlib)"
     )
     parser.add_argument("--format", choices=("svg", "png"), default="svg", help="of the figures (default: svg)")
     group = parser.add_argument_group("figure 9")
@@ -36,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the sections, then draw; 0."""
+    """Print the sections, then draw; return 0."""
     common.set_up_logging(args)
     for section in sections(args):
         print_section(args, section)
@@ -49,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def sections(args: argparse.Namespace) -> Iterator[Section]:
-    """What was asked for, each computed only when it is its turn."""
+    """Yield the requested sections, each computed when it is needed."""
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce_tools.design import figures, tables
 

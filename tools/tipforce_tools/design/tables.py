@@ -1,4 +1,4 @@
-"""Tables 1, 2 and 3 of the paper and the ranking of all layouts, each beside what the paper prints."""
+"""Tables 1, 2 and 3 of the paper and the ranking of all layouts, each beside the printed values."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ MICRO = 1e6
 
 
 def table_1_section(geometry: Geometry) -> Section:
-    """Table 1: formulas, numbers with the paper's signs, and strain per newton with tension positive."""
+    """Return table 1: formulas, numbers with the paper's signs, and strain per newton with tension positive."""
     records = [
         {
             "point": row.point,
@@ -55,7 +55,7 @@ def table_1_section(geometry: Geometry) -> Section:
 
 
 def table_2_section(geometry: Geometry) -> Section:
-    """Table 2: the largest stresses, maximised over all contacts, beside the printed ones."""
+    """Return table 2: the largest stresses, maximised over all contacts, beside the printed ones."""
     records = []
     for row in table_2(geometry):
         printed = TABLE_2[row.point]
@@ -117,7 +117,7 @@ def _table_2_difference(point: str) -> str:
 
 
 def table_3_section(geometry: Geometry) -> Section:
-    """Table 3: all three columns beside ours, with what explains the difference."""
+    """Return table 3: all three columns beside the recomputed ones, with explanations of the differences."""
     records = []
     for case in CASES:
         theory, measured = table_3(geometry, case), rounding_range(MEASURED_MATRICES[case])
@@ -159,7 +159,7 @@ _TABLE_3_COLUMNS = {
 
 
 def _simulation_shifts(geometry: Geometry, case: str) -> dict[str, object]:
-    """The inward shift with which beam theory gives the finite-element column."""
+    """Return the inward shift with which beam theory gives the finite-element column."""
     moving = {"I": LAYOUTS["I"], "II": ("L",), "III": ("L", "R")}[case]
     target = TABLE_3_SIMULATION[case]
     others = 0.0 if case == "I" else 0.5e-3
@@ -198,7 +198,7 @@ def _table_3_notes(geometry: Geometry) -> list[str]:
 
 
 def ranking_section(geometry: Geometry) -> Section:
-    """Section 3.2's claim: all layouts of three points, by four figures."""
+    """Return the check of section 3.2's claim: all layouts of three points, by four figures of merit."""
     rows = ranked_layouts(geometry)
     ranks = {
         by: {row.points: 1 + index for index, row in enumerate(ranked_layouts(geometry, by))}

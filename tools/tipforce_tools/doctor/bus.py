@@ -1,4 +1,4 @@
-"""What python-can is told, from where, whether that bus opens, and what is heard on it."""
+"""Check python-can's configuration and its sources, open the bus, and listen to it."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _LOADED = 0.8
 
 
 def configuration_check(flags: Mapping[str, Any]) -> Check:
-    """Where the bus's name comes from: flags, environment, or a configuration file."""
+    """Return the check of the configuration: from flags, environment, or a configuration file."""
     import can.util
 
     sources = []
@@ -37,14 +37,14 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
 
 
 def _configuration_files() -> list[Path]:
-    """The files that python-can reads, those that exist."""
+    """Return the existing configuration files of python-can."""
     import can.util
 
     return [path for path in (Path(p).expanduser() for p in can.util.CONFIG_FILES) if path.is_file()]
 
 
 def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
-    """Open the bus, listen, and say what is there. An unnamed bus is not opened."""
+    """Open the bus, listen, and yield the findings. An unnamed bus is not opened."""
     import can
 
     from tipforce.host.frames.frame_array import FrameBuffer
@@ -64,12 +64,12 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
         notifier.stop()
         bus.shutdown()
     if notifier.exception is not None:
-        yield Check("bus", "fail", f"it failed while listening: {notifier.exception}", "is the adapter plugged in?")
+        yield Check("bus", "fail", f"failed while listening: {notifier.exception}", "is the adapter plugged in?")
         return
     frames = buffer.take_all()
     if not len(frames):
-        step = "power the nodes; their heartbeats come once a second; `tipforce scan` asks them"
-        yield Check("traffic", "note", f"opened, and silent for {listen_s:g} s", step)
+        step = "power the nodes; they send heartbeats once a second; `tipforce scan` polls them"
+        yield Check("traffic", "note", f"opened; no frames for {listen_s:g} s", step)
         return
     rate = int(options.get("bitrate") or DEFAULT_BIT_RATE)
     load = float(exact_bits(frames).sum()) / listen_s / rate
@@ -84,12 +84,12 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
 def _heard(frames: Any) -> Iterator[Check]:
     errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
     if errors:
-        yield Check("traffic", "fail", f"{errors} error frames", "`tipforce dump -e CHANNEL,#FFFFFFFF` says which")
+        yield Check("traffic", "fail", f"{errors} error frames", "`tipforce dump -e CHANNEL,#FFFFFFFF` shows them")
     flags = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
     standard = frames["can_id"][(frames["can_id"] & flags) == 0].tolist()
     beats = sorted({i - HEARTBEAT_BASE for i in standard if 0 < i - HEARTBEAT_BASE <= NODE_ID_MASK})
     emergencies = sorted({i - EMCY_BASE for i in standard if 0 < i - EMCY_BASE <= NODE_ID_MASK})
     if beats:
-        yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` says who they are")
+        yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` identifies them")
     if emergencies:
         yield Check("nodes", "note", f"EMCY from {', '.join(map(str, emergencies))}", "`tipforce scan`, object 1003h")

@@ -1,4 +1,4 @@
-"""One finding of `tipforce doctor`: what was looked at, how it is, and what to do next."""
+"""One finding of `tipforce doctor`: topic, status, and next step."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from dataclasses import dataclass
 from typing import Literal
 
 State = Literal["ok", "note", "fail"]
-"""ok; note: works, but look at it; fail: what was asked for will not work."""
+"""ok; note: works, with a remark; fail: the requested function will not work."""
 
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """``next_step`` is a command or a sentence, "" where nothing is to do."""
+    """``next_step`` is a command or a sentence, "" if none is needed."""
 
     topic: str
     state: State

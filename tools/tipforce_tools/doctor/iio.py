@@ -1,4 +1,4 @@
-"""What `tipforce doctor` says of converters (Linux Industrial I/O): which there are, and what each lacks."""
+"""Checks of converters (Linux Industrial I/O): the devices found, and what each lacks."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _BUS = Path("/sys/bus/iio")
 def iio_checks(
     root: Path = _BUS / "devices", device_files: Path = Path("/dev"), configfs: Path | None = None
 ) -> Iterator[Check]:
-    """Yield a check for each converter, and one where there is none. No check raises, and none changes anything."""
+    """Yield a check per converter, or one if there is none. Checks neither raise nor change anything."""
     if sys.platform != "linux":
-        yield Check("ADC", "note", f"Industrial I/O is Linux's; this is {sys.platform}", "--source sim or replay:FILE")
+        yield Check("ADC", "note", f"Industrial I/O needs Linux; this is {sys.platform}", "--source sim or replay:FILE")
         return
     from tipforce.sources import iio_sysfs
 
@@ -31,7 +31,7 @@ def iio_checks(
     found = iio_sysfs.devices(root)
     with_voltage = [device for device in found if _channels(device.path)]
     if not with_voltage:
-        others = f"; there are {', '.join(map(str, found))}" if found else ""
+        others = f"; found: {', '.join(map(str, found))}" if found else ""
         yield Check(
             "ADC", "note", f"no converter{others}",
             "load its driver, and name the chip in the device tree or by "
@@ -64,16 +64,16 @@ def _device(device: Device, device_files: Path) -> Iterator[Check]:
     try:
         iio_sysfs.raw_value(device.path, channels[0])
     except OSError as error:
-        yield Check(topic, "note", f"it does not answer: {error.strerror}", "check its wiring and supply, and `dmesg`")
+        yield Check(topic, "note", f"no response: {error.strerror}", "check its wiring and supply, and `dmesg`")
     if None in types:
         yield Check(
-            topic, "note", "the driver does not state the range of its counts",
+            topic, "note", "the driver does not state the range of counts",
             "write [bridge] count_range = [lowest, highest] into the layout file",
         )  # fmt: skip
     yield from _scale(topic, device.path, channels[0])
     file = device_files / device.number
     if file.exists() and not os.access(file, os.R_OK):
-        yield Check(topic, "note", f"{file} may not be read: polling works, buffered capture does not", "run as root")
+        yield Check(topic, "note", f"{file} is not readable: polling works, buffered capture does not", "run as root")
 
 
 def _scale(topic: str, path: Path, channel: str) -> Iterator[Check]:
@@ -97,7 +97,7 @@ def _buffering(found: list[Device], root: Path, configfs: Path | None) -> Check:
     if own:
         return Check(topic, "ok", f"data-ready triggers: {', '.join(own)}", "used by --capture auto")
     if (configfs or iio_buffer.HRTIMER).is_dir():
-        return Check(topic, "ok", "timer triggers can be made", "used by --capture auto, rate by --scan-rate")
+        return Check(topic, "ok", "timer triggers are available", "used by --capture auto, rate by --scan-rate")
     others = ", ".join(iio_buffer.triggers(root))
     if others:
         return Check(topic, "ok", f"triggers: {others}", "--trigger NAME")

@@ -1,4 +1,4 @@
-"""What the kernel says: CAN support, interfaces with their bit rate and state, permissions."""
+"""Checks of the kernel: CAN support, interfaces with their bit rate and state, permissions."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from typing import Any
 from tipforce_tools.doctor.check import Check
 
 ARPHRD_CAN = 280  # linux/if_arp.h
-SHORT_QUEUE = 100  # frames; a hand's SYNC is answered by more than the default ten at once
+SHORT_QUEUE = 100  # frames; a hand responds to SYNC with more than the default of ten at once
 _NET = Path("/sys/class/net")
-_NO_CAN = "load it: sudo modprobe can_raw; where the kernel has none: `tipforce vcan` runs commands on one that has"
+_NO_CAN = "load it: sudo modprobe can_raw; if the kernel has none, `tipforce vcan` runs commands on one that has"
 
 
 def kernel_checks(net: Path = _NET) -> Iterator[Check]:
@@ -30,7 +30,7 @@ def kernel_checks(net: Path = _NET) -> Iterator[Check]:
     if not interfaces:
         yield Check(
             "interface", "note", "no CAN interface",
-            "plug the adapter in; or a virtual one: sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up",
+            "plug in the adapter, or add vcan0: sudo ip link add dev vcan0 type vcan && sudo ip link set vcan0 up",
         )  # fmt: skip
     details = _ip_details()
     for name in interfaces:
@@ -38,17 +38,17 @@ def kernel_checks(net: Path = _NET) -> Iterator[Check]:
 
 
 def can_interfaces(net: Path = _NET) -> list[str]:
-    """Names of network interfaces that are CAN."""
+    """Return the names of CAN network interfaces."""
     if not net.is_dir():
         return []
     return sorted(path.name for path in net.iterdir() if _number(path / "type") == ARPHRD_CAN)
 
 
 def interface_checks(name: str, link: dict[str, Any] | None) -> Iterator[Check]:
-    """``link`` is what `ip -details -json link show` says of an interface, None where it said nothing."""
+    """Check one interface. ``link``: its record of `ip -details -json link show`, None without output."""
     topic = f"interface {name}"
     if link is None:
-        yield Check(topic, "note", "its details are unknown", "install iproute2, which has `ip`")
+        yield Check(topic, "note", "details unknown", "install iproute2, which contains `ip`")
         return
     info = link.get("linkinfo", {})
     data = info.get("info_data", {})
@@ -79,10 +79,10 @@ def _bus_state(topic: str, name: str, data: dict[str, Any]) -> Iterator[Check]:
     counters = data.get("berr_counter", {})
     counts = f" (errors sent {counters['tx']}, received {counters['rx']})" if counters else ""
     if state == "BUS-OFF":
-        step = f"sudo ip link set {name} type can restart; restart-ms 100 does it by itself"
+        step = f"sudo ip link set {name} type can restart; restart-ms 100 restarts automatically"
         yield Check(topic, "fail", f"bus-off{counts}", step)
     else:
-        step = "nobody acknowledges, or the bit rates differ: check power, the two 120 ohm terminators, CAN-H and CAN-L"
+        step = "no acknowledgement, or different bit rates: check power, the two 120 ohm terminators, CAN-H and CAN-L"
         yield Check(topic, "fail", f"{state.lower()}{counts}", step)
 
 

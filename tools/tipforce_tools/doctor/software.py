@@ -1,4 +1,4 @@
-"""What is installed: this program, what it stands on, the extras, and the tools beside it."""
+"""Checks of the installation: this program, its dependencies, the extras, and related tools."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ PEERS = ("candump", "canplayer", "tshark")
 
 
 def software_checks() -> Iterator[Check]:
-    """Versions, extras, peers."""
+    """Yield checks of versions, extras and related tools."""
     base = ", ".join(f"{name} {_version(name)}" for name in BASE)
     yield Check("software", "ok", f"tipforce {_version('tipforce')}, Python {platform.python_version()}, {base}")
     missing = [extra for extra, names in EXTRAS.items() if any(_version(name) == "missing" for name in names)]

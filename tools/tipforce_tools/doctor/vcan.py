@@ -1,4 +1,4 @@
-"""Whether `tipforce vcan` works here: tried by running a command in it, which takes some seconds in User-mode Linux."""
+"""Check of `tipforce vcan`, by running a command in it, which takes some seconds in User-mode Linux."""
 
 from __future__ import annotations
 
@@ -11,20 +11,20 @@ from tipforce_tools.doctor.check import Check
 INTERFACES = ("vcan0", "vcan1")
 _PLACES = {
     "direct": "they are up on this kernel",
-    "namespace": "this kernel makes them for each run",
+    "namespace": "this kernel creates them for each run",
     "uml": "in User-mode Linux, which boots here",
 }
 
 
 def trial() -> int:
-    """Run a command that does nothing where the buses are; its exit code. Raises EnvironmentLackError."""
+    """Run `true` with the buses; return its exit code. Raises EnvironmentLackError."""
     from tipforce_tools.vcan.run import run_with_vcan
 
     return run_with_vcan(["true"], interfaces=INTERFACES, timeout_s=120.0)
 
 
 def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
-    """One check; ``try_it`` stands in for the trial. No check raises."""
+    """Yield one check; ``try_it`` replaces the trial in tests. Never raises."""
     if sys.platform != "linux":
         yield Check("vcan", "note", f"vcan exists on Linux only, and this is {sys.platform}", "`tipforce demo`")
         return
@@ -35,7 +35,7 @@ def vcan_checks(try_it: Callable[[], int] | None = None) -> Iterator[Check]:
     try:
         code = (try_it or trial)()
     except TipforceError as error:
-        yield Check("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` tells all")
+        yield Check("vcan", "note", str(error).splitlines()[0], "`tipforce vcan -- true` shows the details")
         return
     if code:
         yield Check("vcan", "note", f"`tipforce vcan -- true` ended with {code}", ELSEWHERE)

@@ -1,1 +1,1 @@
-"""`tipforce dump`: candump's text, with the contact that the frames carry."""
+"""`tipforce dump`: candump text, with the contact values of the frames."""

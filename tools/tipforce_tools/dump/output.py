@@ -1,4 +1,4 @@
-"""Frames as what `tipforce dump` prints: candump's lines with the decoded values behind them, or JSON lines."""
+"""Output of `tipforce dump`: candump's lines followed by the decoded values, or JSON lines."""
 
 import json
 import math
@@ -21,14 +21,14 @@ Decoded = Mapping[Key, Samples]
 
 
 class Writer(Protocol):
-    """Makes text of a block of frames and of what was decoded from it, line ends included."""
+    """Formats a block of frames and its decoded values, with line ends."""
 
     def text(self, block: CandumpBlock, decoded: Decoded) -> str:
         """The text of a block."""
 
 
 class TextWriter:
-    """candump's lines; what is decoded follows the data, in the same column for every data length."""
+    """candump's lines; decoded values follow the data, in the same column for every data length."""
 
     def __init__(self, candump_format: CandumpFormat, *, aligned: bool) -> None:
         self._format = candump_format

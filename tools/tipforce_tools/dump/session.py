@@ -1,4 +1,4 @@
-"""One run of `tipforce dump`: from a source through filters and decoder to stdout, and the report at the end."""
+"""One run of `tipforce dump`: from a source through filters and decoder to stdout, and the final report."""
 
 import os
 import sys
@@ -37,7 +37,7 @@ class Tally:
     def add(self, key: Key, samples: Samples) -> None:
         """Count a block's samples of one message."""
         self.frames[key] = self.frames.get(key, 0) + len(samples.row)
-        if COUNTER in samples.columns and 1 <= samples.message.transmission_type <= 240:  # cyclic: none is left out
+        if COUNTER in samples.columns and 1 <= samples.message.transmission_type <= 240:  # cyclic: sends every sample
             counter = samples.columns[COUNTER]
             joined = np.concatenate((self._last.get(key, counter[:0]), counter))
             self.lost[key] = self.lost.get(key, 0) + lost_samples(joined)
@@ -45,7 +45,7 @@ class Tally:
 
 
 class Session:
-    """What a run prints and what it counts."""
+    """Output and counters of a run."""
 
     def __init__(self, args: Namespace, targets: tuple[Target, ...]) -> None:
         self._args = args
@@ -62,9 +62,9 @@ class Session:
             self._writer = TextWriter(text, aligned=not args.log)
 
     def show(self, block: CandumpBlock) -> bool:
-        """Print a block; False once all the frames that were asked for are shown."""
+        """Print a block; return False when the requested number of frames is printed."""
         if self._needs_time and not block.timed:
-            raise InputError("the text has no timestamps, and -t and -L show them: record it with candump -L, or -ta")
+            raise InputError("the text has no timestamps, which -t and -L need: record it with candump -L, or -ta")
         if self._left is not None:
             block = block.head(self._left)
             self._left -= len(block)
@@ -79,12 +79,12 @@ class Session:
 
 
 def dump(args: Namespace) -> int:
-    """Print frames until the source ends, or -n or -T ends it. 0, or 1 for a bad line with --strict.
+    """Print frames until the source ends, or -n or -T ends it; return 0, or 1 for a bad line with --strict.
 
-    Raises InputError for targets that are not usable, EnvironmentLackError when a bus can't be opened or fails.
+    Raises InputError for unusable targets, EnvironmentLackError if a bus cannot be opened or fails.
     """
     if args.log and (args.errors or args.ascii) and not args.json:
-        raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no room for words; leave one out")
+        raise InputError(f"-L and -{'e' if args.errors else 'a'}: the log format has no field for text; leave one out")
     source, targets = split_targets(args.targets)
     session = Session(args, targets)
     if source is not None:
@@ -110,20 +110,20 @@ def _dump_text(args: Namespace, source: Path | str, targets: tuple[Target, ...],
             print(f"tipforce dump: {error}", file=sys.stderr)
             return 1
         finally:
-            if counts[0] or not parser.bad:  # else all that there is to tell is the error
+            if counts[0] or not parser.bad:  # otherwise the error is the whole report
                 _report(args, session, parser.dropped, parser)
     return 0
 
 
 def _counted(blocks: Iterable[CandumpBlock], counts: list[int]) -> Iterator[CandumpBlock]:
-    """The blocks, their frames added to ``counts[0]``."""
+    """Yield the blocks, and add their frames to ``counts[0]``."""
     for block in blocks:
         counts[0] += len(block)
         yield block
 
 
 def _check_readable(name: str, frames: int, parser: CandumpParser) -> None:
-    """Raises InputError where there is text and none of it is a frame."""
+    """Raises InputError for text without a frame."""
     if parser.bad and not frames:
         from tipforce_tools.cli.empty_log import TEXT, no_frame
 
@@ -143,7 +143,7 @@ def _dump_buses(args: Namespace, targets: tuple[Target, ...], session: Session) 
 
 
 def _live_blocks(receiver: "ReceiverGroup", args: Namespace) -> Iterator[CandumpBlock]:
-    """What arrives, as soon as it does, until nothing has come for --timeout. With -D, an interface may go down."""
+    """Yield frames as they arrive, until none arrives for --timeout. With -D, an interface may go down."""
     timeout_s = None if args.timeout_ms is None else args.timeout_ms / 1000
     while True:
         try:
@@ -178,7 +178,7 @@ def _count(number: int, what: str) -> str:
 
 
 def _report(args: Namespace, session: Session, dropped: int, parser: CandumpParser | None) -> None:
-    """Say on stderr what was left out, and with -v what was counted."""
+    """Report on stderr the frames left out, and with -v the counts."""
     notes = []
     if parser is not None and parser.bad:
         reasons = ", ".join(f"{count} {reason}" for reason, count in parser.bad.items())

@@ -1,4 +1,4 @@
-"""What candump's positional arguments say: a channel and the filters of its socket, or where text comes from."""
+"""Positional arguments as in candump: a channel and the filters of its socket, or a source of text."""
 
 import re
 from collections.abc import Sequence
@@ -22,19 +22,19 @@ _ERROR_FILTER = re.compile(r"#(?:0[xX])?([0-9A-Fa-f]{1,8})")
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """A channel, and which of its frames are wanted."""
+    """A channel and the filters of its frames."""
 
     channel: str
     selection: Selection = field(default_factory=Selection)
 
 
 def parse_target(text: str) -> Target:
-    """`vcan0,181:7FF,182~7FF,#FF,j` as a Target. Raises InputError naming the filter that is not one."""
+    """Parse `vcan0,181:7FF,182~7FF,#FF,j`. Raises InputError naming an invalid filter."""
     channel, *rules = text.split(",")
     filters: list[Filter] = []
     join, error_mask = False, 0
     if not channel:
-        raise InputError(f"{text!r}: no channel before the first comma; for instance vcan0,181:7FF, or any,181:7FF")
+        raise InputError(f"{text!r}: no channel before the first comma; write vcan0,181:7FF, or any,181:7FF")
     for rule in rules:
         match, error = _FILTER.fullmatch(rule), _ERROR_FILTER.fullmatch(rule)
         if match is not None:
@@ -56,7 +56,7 @@ def _filter(id_digits: str, mask_digits: str, inverse: bool) -> Filter:
 
 
 def select(block: CandumpBlock, targets: Sequence[Target]) -> CandumpBlock:
-    """The frames of a text that some target asks for: all with no target; a bare channel takes all of its frames."""
+    """Return the frames of a text that a target selects: all without targets; a bare channel selects all its frames."""
     if not targets:
         return block
     names = block.names
@@ -78,10 +78,10 @@ def _wanted(
 
 
 def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target, ...]]:
-    """Where text comes from (a file, STDIN, or None: from buses), and the channels.
+    """Return the source of the text (a file, STDIN, or None: buses), and the channels.
 
-    Filters behind a file hold for all that it has: `run.log,181:7FF` is `run.log any,181:7FF`. Raises InputError for
-    two sources, for a directory, and for a file that is not there.
+    Filters after a file apply to all its frames: `run.log,181:7FF` is `run.log any,181:7FF`. Raises InputError for
+    two sources, a directory, and a missing file.
     """
     sources: list[Path | str] = []
     targets: list[Target] = []
@@ -96,7 +96,7 @@ def split_targets(texts: Sequence[str]) -> tuple[Path | str | None, tuple[Target
         elif path.is_file() or path.is_fifo():
             sources.append(path)
         elif path.is_dir():
-            raise InputError(f"{text}: is a directory; name one log in it")
+            raise InputError(f"{text}: is a directory; name a log in it")
         elif path.suffix in {".log", ".txt"} or ("/" in text and "," not in text and not path.exists()):
             raise InputError(f"{text}: no such file")
         else:

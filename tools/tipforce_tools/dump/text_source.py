@@ -1,4 +1,4 @@
-"""candump's text from a file descriptor: large blocks where there is much, at once what there is where it is live."""
+"""candump text from a file descriptor: large blocks from a file, each line at once from a live source."""
 
 import os
 import select
@@ -8,13 +8,13 @@ from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 
 CHUNK_BYTES = 1 << 18
-_LONGEST_LINE_BYTES = 1 << 16  # more without a line end is no text, and must not fill the memory
+_LONGEST_LINE_BYTES = 1 << 16  # a longer line is not text; bounds the memory
 
 
 def text_blocks(descriptor: int, parser: CandumpParser, timeout_ms: int | None = None) -> Iterator[CandumpBlock]:
-    """Blocks of frames until the text ends, or until nothing has come for ``timeout_ms``.
+    """Yield blocks of frames until the text ends, or until nothing arrives for ``timeout_ms``.
 
-    Raises BadLineError at a bad line, if ``parser`` is strict; the frames before it come first.
+    Raises BadLineError at a bad line if ``parser`` is strict, after the frames before it.
     """
     rest = b""
     while _ready(descriptor, timeout_ms):

@@ -1,4 +1,4 @@
-"""What gauges on the beams' faces read: the difference of displacement between a gauge's ends over its length.
+"""Readings of gauges on the beams' faces: the difference of displacement between a gauge's ends over its length.
 
 A glued gauge averages the strain along its grid. Next to a re-entrant corner strain is infinite at a point, its
 average over a length is not.
@@ -34,7 +34,7 @@ class Face(NamedTuple):
     def displacement(self, s_m: npt.ArrayLike) -> FloatArray:
         """Return the displacement along the face (..., 3) at s_m (...), which lie on the face."""
         side, t = self._side(s_m)
-        # Both ends of a side of 1e-9 m nearly agree: the middle's departure from their mean is the small term.
+        # Both ends of a side of 1e-9 m nearly agree: the deviation of the middle from their mean is the small term.
         start, end = self.ends[side], self.ends[side + 1]
         bulge = self.middles[side] - 0.5 * (start + end)
         t = t[..., np.newaxis]
@@ -80,7 +80,7 @@ def face(solution: Solution, gauge: GaugePosition) -> Face:
 def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: float = GAUGE_LENGTH_M) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive, averaged over the length of each gauge.
 
-    gauges: places of their middles, or points of Table 1, which stand for nearest_place(). gauge_length_m: 0 for the
+    gauges: positions of their middles, or points of Table 1, replaced by nearest_place(). gauge_length_m: 0 for the
     strain at the point, which converges away from corners only. Raises InputError for a gauge that reaches beyond
     its face, into a corner or fillet.
     """
@@ -91,10 +91,10 @@ def strain_matrix(solution: Solution, gauges: Sequence[Gauge], gauge_length_m: f
 
 
 def nearest_place(outline: Outline, point: str, gauge_length_m: float = GAUGE_LENGTH_M) -> GaugePosition:
-    """Return where a gauge fits nearest to a point of Table 1: half its length from the end of the beam, and from
-    the side of the joint, of which Table 1 knows no width, or from the fillet there.
+    """Return the nearest position of a gauge to a point of Table 1: half its length from the end of the beam, and from
+    the side of the joint, which has no width in Table 1, or from the fillet there.
 
-    At L and R the gauge ends at the leg, even where the face runs on under it. Raises InputError for an unknown point.
+    At L and R the gauge ends at the leg, even if the face continues under it. Raises InputError for an unknown point.
     """
     spot, g = place(outline.geometry, point), outline.geometry
     fillet = outline.fillet_m
@@ -130,7 +130,7 @@ def _row(solution: Solution, gauge: Gauge, length_m: float) -> FloatArray:
 
 
 def _line(outline: Outline, gauge: GaugePosition) -> tuple[int, float]:
-    """The axis along a face, and the face's place on the other."""
+    """Return the axis along a face, and the face's position on the other axis."""
     g = outline.geometry
     if gauge.beam not in ("H", "V") or gauge.side not in ("left", "right") or gauge.face not in ("lower", "upper"):
         raise InputError(f"gauge {gauge!r}: allowed are beam H or V, side left or right, face lower or upper")
@@ -146,7 +146,7 @@ def _coordinate(outline: Outline, gauge: GaugePosition) -> float:
 
 
 def _span(outline: Outline, gauge: GaugePosition) -> tuple[float, float]:
-    """Both ends of the straight part of a face, along its axis."""
+    """Return both ends of the straight part of a face, along its axis."""
     g, fillet = outline.geometry, outline.fillet_m
     if gauge.beam == "V":
         bottom = outline.foot_m + (fillet if outline.fixture_depth_m > 0.0 else 0.0)

@@ -1,6 +1,6 @@
-"""Where a number goes as the mesh is refined: observed order, Richardson's limit, and an error for it.
+"""Convergence of a number with mesh refinement: observed order, Richardson's limit, and its error.
 
-And what theory says of a corner: the exponent of its singularity.
+Also the theoretical exponent of the singularity at a corner.
 """
 
 from __future__ import annotations
@@ -26,10 +26,10 @@ class Limit(NamedTuple):
 
     value: float
     error: float
-    """An estimate: 1.25 times the finest value's distance from its limit (Roache's grid convergence index), where no
-    order above 3, that of P2, is believed; where no order can be seen, the larger of the last two changes."""
+    """An estimate: 1.25 times the finest value's distance from its limit (Roache's grid convergence index), with the
+    order limited to 3, that of P2; without an observable order, the larger of the last two changes."""
     order: float
-    """NaN: the differences do not shrink with one sign, and the value is the finest one."""
+    """NaN: the differences do not decrease with one sign, and the value is the finest one."""
 
 
 def extrapolate(values: Sequence[float]) -> Limit:
@@ -52,7 +52,7 @@ def extrapolate(values: Sequence[float]) -> Limit:
 def extrapolate_matrix(values: Sequence[FloatArray]) -> tuple[FloatArray, float]:
     """Return the limit of the last three matrices, n, 2 n, 4 n, and its error, relative in the Frobenius norm.
 
-    One ratio for all entries: entry by entry it would divide by differences that are all rounding. Raises
+    One ratio for all entries: entry by entry it would divide by differences that are only rounding. Raises
     InputError for fewer than three.
     """
     if len(values) < 3:
@@ -79,7 +79,7 @@ def corner_exponent(material_angle_rad: float, mode: str) -> float:
     def mismatch(exponent: float) -> float:
         return math.sin(exponent * w) + sign * exponent * math.sin(w)
 
-    # lambda = 1 is a root of the sliding family, but only a rotation; singular is what lies below it.
+    # lambda = 1 is a root of the sliding family, but only a rotation; singular roots are below it.
     low, high = 0.5, 1.0 - 1e-9
     if mismatch(low) * mismatch(high) > 0.0:
         raise InputError(f"material angle {math.degrees(w):g} degrees: the {mode} mode is not singular there")

@@ -1,8 +1,8 @@
-"""Triangles for an outline: a grid of lines in x and y, its cells outside of the body left out, then bent to fit.
+"""Triangles for an outline: a grid of lines in x and y without the cells outside of the body, mapped to its shape.
 
 Around a re-entrant corner the cells form rings, ring k of m as far from the corner as (k / m)^grading: cells shrink
-towards it in both directions alike, and none gets long and thin. The grid stays what it is, so a graded mesh has
-as many unknowns as the uniform one (grading = 1), and the mesh of 2 n contains the nodes of that of n.
+towards it equally in both directions, and none becomes long and thin. The topology of the grid is unchanged, so a
+graded mesh has as many unknowns as the uniform one (grading = 1), and the mesh of 2 n contains the nodes of that of n.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ GRADING = 4.0
 (size of the smallest cell)^0.5445, so the order is 0.5445 times the grading. 5.5 would give 3, the most that P2 can;
 up to 2e5 unknowns its wide outer rings still make condition numbers twice as wrong, strains a third less."""
 PATCH_M = 0.3e-3
-"""How far the rings of a corner reach where no other dimension limits them."""
+"""Extent of the rings of a corner if no other dimension limits them."""
 RINGS = 2
-"""Rings of a corner per cell of the other blocks: the corners make most of the error, the rest most of the cells."""
+"""Rings of a corner per cell of the other blocks: corners cause most of the error, the rest has most of the cells."""
 MOST_CELLS = 32
 SMALLEST = 1e-9
-"""The smallest cell against the reach of its rings: below, coordinates near 15 mm run out of digits."""
+"""Smallest cell relative to the extent of its rings: below, coordinates near 15 mm lack digits."""
 
 
 @dataclass(frozen=True, slots=True)
 class Resolution:
-    """How fine a mesh is. Raises InputError for values out of range."""
+    """Resolution of a mesh. Raises InputError for values out of range."""
 
     cells: int = 4
     """n: the corners have 2 n rings, half a beam's thickness 2 n cells, the middle of a beam 6 n."""
@@ -49,7 +49,7 @@ class Resolution:
         if (RINGS * self.cells) ** -self.grading < SMALLEST:
             raise InputError(
                 f"cells = {self.cells!r} with grading = {self.grading!r}: allowed are corner cells not below "
-                f"{SMALLEST:g} of their rings' reach; take fewer cells or less grading"
+                f"{SMALLEST:g} of their rings' extent; choose fewer cells or less grading"
             )
 
 
@@ -70,7 +70,7 @@ class Triangles:
 
 
 class Grid(NamedTuple):
-    """Lines before they are bent."""
+    """Grid lines before the mapping."""
 
     xs: FloatArray
     ys: FloatArray
@@ -114,7 +114,7 @@ def _joined(blocks: Sequence[FloatArray]) -> FloatArray:
 
 
 def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    """The blocks from a corner on: its rings or its fillet, then the rest up to ``reach``."""
+    """Return the blocks from a corner: its rings or its fillet, then the rest up to ``reach``."""
     edge, far = corner + sign * _patch(radius, reach), corner + sign * reach
     blocks = [_even(corner, edge, RINGS * n)]
     if edge != far:
@@ -123,12 +123,12 @@ def _from_corner(corner: float, sign: float, radius: float, reach: float, n: int
 
 
 def _patch(radius: float, reach: float) -> float:
-    """How far rings or fillet reach: over all of a short block, such as half of the slit."""
+    """Return the extent of rings or fillet: the whole of a short block, such as half of the slit."""
     return radius if radius > 0.0 else PATCH_M if reach > 2.0 * PATCH_M else reach
 
 
 def _to_corner(corner: float, sign: float, radius: float, reach: float, n: int) -> list[FloatArray]:
-    """The same blocks in the other direction, ending in the corner."""
+    """Return the same blocks in the other direction, ending in the corner."""
     return [block[::-1] for block in reversed(_from_corner(corner, sign, radius, reach, n))]
 
 
@@ -149,13 +149,13 @@ def _x_lines(outline: Outline, resolution: Resolution) -> FloatArray:
 
 
 def _middle(start: float, end: float, between: float, n: int) -> list[FloatArray]:
-    """The middle of a beam in two blocks, 6 n cells together, each at least n."""
+    """Return the middle of a beam in two blocks, 6 n cells together, each at least n."""
     share = min(5, max(1, round(6.0 * (between - start) / (end - start))))
     return [_even(start, between, share * n), _even(between, end, (6 - share) * n)]
 
 
 def _y_lines(outline: Outline, resolution: Resolution) -> tuple[FloatArray, int]:
-    """The lines, and how many cells lie below the tip. In the tip heights are those at x = a."""
+    """Return the lines, and the number of cells below the tip. In the tip heights are those at x = a."""
     g, n, fillet, foot = outline.geometry, resolution.cells, outline.fillet_m, outline.foot_m
     half_h1, bottom, depth = 0.5 * g.h1_m, outline.tip_bottom_m, outline.fixture_depth_m
     near_joint = _to_corner(-half_h1, -1.0, fillet, fillet + NEAR_M, n)
@@ -165,7 +165,7 @@ def _y_lines(outline: Outline, resolution: Resolution) -> tuple[FloatArray, int]
     middle_of_slit = half_h1 + 0.5 * outline.slit_m
     slit_lower = _from_corner(half_h1, 1.0, outline.slit_fillet_m, 0.5 * outline.slit_m, n)
     slit_upper = _to_corner(bottom, -1.0, outline.slit_fillet_m, 0.5 * outline.slit_m, n)
-    # Both halves meet in the same rounded number.
+    # Both halves end at the same rounded number.
     slit_lower[-1][-1] = slit_upper[0][0] = middle_of_slit
     lines = _joined(
         [
@@ -196,7 +196,7 @@ def _solid(outline: Outline, grid: Grid) -> npt.NDArray[np.bool_]:
 
 
 def _bent(outline: Outline, resolution: Resolution, grid: Grid) -> FloatArray:
-    """The nodes (2, count) in their places: rings round sharp corners, faces in fillets, the tip under its arc."""
+    """Return the mapped nodes (2, count): rings around sharp corners, faces in fillets, the tip under its arc."""
     x, y = (values.ravel() for values in np.meshgrid(grid.xs, grid.ys, indexing="ij"))
     row = np.tile(np.arange(len(grid.ys)), len(grid.xs))
     points = np.stack([x, y])
@@ -213,7 +213,7 @@ def _bent(outline: Outline, resolution: Resolution, grid: Grid) -> FloatArray:
 
 
 def _rings(corner: Corner, points: FloatArray, grid: Grid, resolution: Resolution) -> FloatArray:
-    """How far nodes move towards a sharp corner: the rings take part, in all blocks around it."""
+    """Return the displacement of nodes towards a sharp corner: of the rings in all blocks around it."""
     offset = points - np.array([[corner.x_m], [corner.y_m]])
     ratio = np.zeros_like(offset)
     count = RINGS * resolution.cells
@@ -222,7 +222,7 @@ def _rings(corner: Corner, points: FloatArray, grid: Grid, resolution: Resolutio
         below, above = lines[at] - lines[at - count], lines[at + count] - lines[at]
         ratio[axis] = np.abs(offset[axis]) / np.where(offset[axis] < 0.0, below, above)
     ring = ratio.max(axis=0)
-    # Nodes on the outermost ring stay; 1e-9 is less than any cell and more than rounding.
+    # Nodes on the outermost ring stay; 1e-9 is smaller than any cell and larger than rounding.
     inside = (ring < 1.0 - 1e-9) & (ring > 1e-9)
     shrink = np.where(inside, np.where(inside, ring, 1.0) ** (resolution.grading - 1.0) - 1.0, 0.0)
     result: FloatArray = offset * shrink
@@ -230,14 +230,14 @@ def _rings(corner: Corner, points: FloatArray, grid: Grid, resolution: Resolutio
 
 
 def _towards_fillet(corner: Corner, points: FloatArray) -> FloatArray:
-    """How far nodes move where both faces of a corner bend onto an arc: all of it on the faces, 0 deeper inside."""
+    """Return the displacement of nodes that maps both faces of a corner onto an arc: full on the faces, 0 inside."""
     radius = corner.radius_m
     u, v = (points[0] - corner.x_m) * corner.free_x, (points[1] - corner.y_m) * corner.free_y
     inside = (u <= radius) & (v <= radius) & ((u <= 0.0) | (v <= 0.0))
     fade = np.clip(1.0 + np.minimum(u, 0.0) / corner.depth_x_m, 0.0, 1.0) * np.clip(
         1.0 + np.minimum(v, 0.0) / corner.depth_y_m, 0.0, 1.0
     )
-    # The face along u goes to the half of the arc from 225 to 270 degrees, seen from its middle (radius, radius).
+    # The face along u maps to the half of the arc from 225 to 270 degrees around its centre (radius, radius).
     from_u, from_v = np.clip(u, 0.0, radius), np.clip(v, 0.0, radius)
     angle = 1.25 * math.pi + 0.25 * math.pi * (from_u - from_v) / radius
     move_u = radius * (1.0 + np.cos(angle)) - from_u

@@ -1,4 +1,4 @@
-"""The outline of the fingertip body that the finite elements mesh: stated here, because the paper's figure 2 is not.
+"""The outline of the fingertip body for the finite-element mesh; the paper does not state that of its figure 2.
 
 x to the right, y away from the fixture, the origin in the middle of the horizontal beam, symmetric about x = 0.
 """
@@ -17,7 +17,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 
 NEAR_M = 1e-3
-"""The blocks next to a corner of a beam are as long as a gauge, so that gauges end on nodes of the mesh."""
+"""Length of the blocks next to a corner of a beam: that of a gauge, so that gauges end on nodes of the mesh."""
 
 
 class Corner(NamedTuple):
@@ -31,12 +31,12 @@ class Corner(NamedTuple):
     radius_m: float
     """0: sharp."""
     depth_x_m: float
-    """How far into the material, along x, the mesh gives way for a fillet."""
+    """Depth into the material, along x, of the mesh deformation for a fillet."""
     depth_y_m: float
 
 
 class Rectangle(NamedTuple):
-    """A part of the body, all but the tip, which is bounded by an arc above."""
+    """A rectangular part of the body; the tip, bounded by an arc above, is not one."""
 
     left_m: float
     right_m: float
@@ -49,7 +49,7 @@ class Outline:
     """The body's cross-section. Raises InputError, naming the field, for a body that cannot be built or meshed.
 
     The two beams are those of ``geometry``. A slit of constant width separates the horizontal beam from the tip; at
-    its ends legs of the tip hold the beam. The lower face of the beam runs on under the legs unless leg_below_m is
+    its ends legs of the tip hold the beam. The lower face of the beam continues under the legs unless leg_below_m is
     given. The tip is bounded by an arc around the origin above vertical sides.
     """
 
@@ -57,14 +57,14 @@ class Outline:
     slit_m: float = 0.25e-3
     """The width of the cutting line, section 4.2."""
     leg_m: float = 2e-3
-    """Thickness of a leg, outside of a. Not in the paper, but that "r should be slightly larger than a"."""
+    """Thickness of a leg, outside of a. The paper states only that "r should be slightly larger than a"."""
     leg_below_m: float = 0.0
-    """How far a leg reaches below the beam's lower face: 0, or more than the 1 mm next to the corner."""
+    """Extent of a leg below the beam's lower face: 0, or more than the 1 mm next to the corner."""
     tip_side_m: float = 2e-3
     """Height of the tip's straight sides above the slit; the arc begins there."""
     fixture_half_width_m: float = 9e-3
     fixture_depth_m: float = 4e-3
-    """Below the vertical beam's foot; its lower face is clamped. 0: the foot itself is clamped."""
+    """Height of the block below the vertical beam's foot; its lower face is clamped. 0: the foot itself is clamped."""
     fillet_m: float = 0.0
     """Radius at the joint and at the foot. Where a leg reaches below the beam the corner stays sharp."""
     slit_fillet_m: float = 0.0
@@ -170,4 +170,4 @@ class Outline:
 
 
 STATED = Outline()
-"""The outline that the documents and reports use unless they name another."""
+"""The default outline of documents and reports."""

@@ -19,13 +19,13 @@ from tipforce_tools.fem.outline import STATED, Outline
 Plane = Literal["stress", "strain"]
 
 POISSON_RATIO = 0.29
-"""Of steel; the paper names none."""
+"""Value of steel; the paper states none."""
 HOW_TO_INSTALL = 'pip install "tipforce[fem]"'
 
 
 @dataclass(frozen=True, slots=True)
 class Patch:
-    """A part of the tip's arc that takes the load: a contact, where the whole arc is the statically equivalent one."""
+    """The loaded part of the tip's arc: a contact; a load on the whole arc is statically equivalent."""
 
     theta_rad: float
     half_angle_rad: float = math.radians(5.0)
@@ -37,12 +37,12 @@ class Patch:
 
 @dataclass(frozen=True, slots=True)
 class Model:
-    """What is solved for. Raises InputError for an unknown plane or a Poisson's ratio out of range."""
+    """Parameters of the solution. Raises InputError for an unknown plane or a Poisson's ratio out of range."""
 
     outline: Outline = STATED
     resolution: Resolution = field(default_factory=Resolution)
     plane: Plane = "stress"
-    """stress: a thin slice; strain: no strain along z, as in the middle of a wide beam."""
+    """stress: plane stress of a thin slice; strain: no strain along z, as in the middle of a wide beam."""
     poisson_ratio: float = POISSON_RATIO
     patch: Patch | None = None
     """None: the load is spread over the whole arc."""
@@ -76,7 +76,7 @@ class Solution:
 
     @property
     def scale(self) -> float:
-        """1 / (E width): what turns the stored displacements into metres per newton."""
+        """1 / (E width): factor from the stored displacements to metres per newton."""
         g = self.model.outline.geometry
         return 1.0 / g.youngs_modulus_pascals / g.width_m
 
@@ -84,7 +84,7 @@ class Solution:
 def solve(model: Model) -> Solution:
     """Mesh, assemble, factorise once, solve for three loads.
 
-    Raises InputError where the patch holds no side of the mesh, EnvironmentLackError without scikit-fem.
+    Raises InputError if the patch contains no side of the mesh, EnvironmentLackError without scikit-fem.
     """
     try:
         from scipy.sparse.linalg import splu
@@ -139,13 +139,13 @@ def _stiffness(basis: Any, model: Model) -> Any:
 def _clamped(model: Model, mesh: Any, basis: Any, sides: Any) -> Any:
     outline = model.outline
     bottom = outline.foot_m - outline.fixture_depth_m
-    # Lines of the mesh at the bottom are this very number, no rounding.
+    # Lines of the mesh at the bottom equal this number exactly.
     held = sides[(mesh.p[1, mesh.facets[:, sides]] <= bottom).all(axis=0)]
     return basis.get_dofs(held).all()
 
 
 def _loads(model: Model, mesh: Any, basis: Any, sides: Any) -> FloatArray:
-    """Loads (unknowns, 3): tractions on the arc, w (p + q (-y, x)), whose resultants are exactly F1, F2, F3 = 1."""
+    """Return loads (unknowns, 3): tractions on the arc, w (p + q (-y, x)), with resultants exactly F1, F2, F3 = 1."""
     from skfem import FacetBasis, LinearForm
 
     x, y = mesh.p[:, mesh.facets[:, sides]]
@@ -169,7 +169,7 @@ def _loads(model: Model, mesh: Any, basis: Any, sides: Any) -> FloatArray:
     everything = np.arange(basis.N)
     resultants = _resultant(basis, everything, trial)
     if not np.linalg.cond(resultants / model.outline.tip_radius_m ** np.array([[0], [0], [1]])) < 1e12:
-        raise InputError(f"{patch!r} holds too few sides of the mesh: allowed is a wider patch or a finer mesh")
+        raise InputError(f"{patch!r} contains too few sides of the mesh: use a wider patch or a finer mesh")
     # F = (Fy, M / r, Fx), equation (16).
     wanted = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, model.outline.geometry.r_m, 0.0]])
     result: FloatArray = trial @ np.linalg.solve(resultants, wanted)

@@ -1,4 +1,4 @@
-"""Log files one after the other: what is recorded, counted, and where a new file begins."""
+"""Write frames to one or more log files in sequence, and count them."""
 
 from __future__ import annotations
 
@@ -12,17 +12,17 @@ from tipforce_tools.log.writers import LogWriter, format_suffix, open_writer
 
 
 def default_name(second: float) -> str:
-    """The file name that candump -l gives a log that begins at this time, in seconds since 1970."""
+    """Return the file name of candump -l for a log that begins at this time, in seconds since 1970."""
     return time.strftime("candump-%Y-%m-%d_%H%M%S.log", time.localtime(second))
 
 
 class Recorder:
-    """Writes blocks to ``path``, or with a limit to numbered files: run-0001.log, run-0002.log... A context manager."""
+    """Write blocks to ``path``, or with a limit to numbered files: run-0001.log, run-0002.log... A context manager."""
 
     def __init__(
         self, path: Path, *, limit_bytes: int | None = None, limit_s: float | None = None, overwrite: bool = False
     ) -> None:
-        """Opens the first file. Raises InputError when it is there already or can't be made, or has no known format."""
+        """Open the first file. Raises InputError if it exists, cannot be created, or has no known format."""
         format_suffix(path)
         self._path = path
         self._limit_bytes = limit_bytes
@@ -40,7 +40,7 @@ class Recorder:
         self._writer.close()
 
     def write(self, block: CandumpBlock) -> None:
-        """Append a block, in the next file if this one is full or old enough. Raises OSError when the disk is full."""
+        """Append a block, to the next file if this one is full or old enough. Raises OSError if the disk is full."""
         if not len(block):
             return
         if self._is_over():
@@ -60,7 +60,7 @@ class Recorder:
             stem, dot, suffixes = path.name.partition(".")
             path = path.with_name(f"{stem}-{len(self.paths) + 1:04d}{dot}{suffixes}")
         if path.exists() and not self._overwrite:
-            raise InputError(f"{path} is there already: give another name, or --overwrite")
+            raise InputError(f"{path} exists: choose another name, or add --overwrite")
         try:
             writer = open_writer(path)
         except OSError as error:

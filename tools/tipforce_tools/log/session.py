@@ -1,4 +1,4 @@
-"""One run of `tipforce log`: from the buses to the file, until something ends it."""
+"""One run of `tipforce log`: from the buses to the file, until an end condition."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup
 
 TICK_S = 0.02
-"""Frames of so long are written together: it saves work, and the socket's buffer holds many times as much."""
+"""Period of writes: saves work, and the socket's buffer holds many times as much."""
 
-_SLICE_S = 0.2  # how long a signal waits at most
-_LAST_S = 0.5  # for what the buses still hold when a signal comes
+_SLICE_S = 0.2  # maximum delay of a signal
+_LAST_S = 0.5  # time to read pending frames after a signal
 
 
 def record(args: Namespace) -> int:
-    """Record until -n, -T, --seconds or a signal. 0, or 130 after a signal."""
+    """Record until -n, -T, --seconds or a signal; return 0, or 130 after a signal."""
     source, targets = split_targets(args.targets)
     if source is not None:
-        raise InputError(f"{source}: log records from buses; `tipforce replay` plays a file")
+        raise InputError(f"{source}: allowed are buses; `tipforce replay` reads a file")
     path = Path(args.output or default_name(time.time()))
     with (
         StopSignals() as stop,
@@ -67,7 +67,7 @@ def _record(args: Namespace, receiver: ReceiverGroup, recorder: Recorder, stop: 
         recorder.write(block)
         if recorder.frames == args.count:
             return
-    # What had come until then is recorded, too.
+    # Frames received until then are recorded, too.
     end_s = time.monotonic() + _LAST_S
     while time.monotonic() < end_s and len(block := receiver.receive_block(0)):
         recorder.write(block if args.count is None else block.head(args.count - recorder.frames))

@@ -1,4 +1,4 @@
-"""Frames to a file: candump's log format by ourselves, every other format by python-can's writers."""
+"""Write frames to a file: candump's log format directly, every other format with python-can's writers."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _DRAIN_S = 60.0
 
 
 class LogWriter(Protocol):
-    """A log file that is being written."""
+    """A log file opened for writing."""
 
     def write(self, block: CandumpBlock) -> None:
-        """Append the frames of a block; a killed process loses one second of a .gz at most. Raises OSError."""
+        """Append the frames of a block; a killed process loses at most one second of a .gz. Raises OSError."""
 
     def close(self) -> None:
-        """Write what is left and close the file. Raises OSError."""
+        """Write pending frames and close the file. Raises OSError."""
 
 
 def open_writer(path: Path) -> LogWriter:
-    """A writer of the format that the suffix names. Raises InputError for another suffix."""
+    """Return a writer of the format of the suffix. Raises InputError for another suffix."""
     suffix = format_suffix(path)
     if suffix in CANDUMP_SUFFIXES:
         return CandumpWriter(path)
@@ -38,7 +38,7 @@ def open_writer(path: Path) -> LogWriter:
 
 
 def format_suffix(path: Path) -> str:
-    """`.log` of run.log and of run.log.gz. Raises InputError for a format that can't be written."""
+    """Return `.log` for run.log and run.log.gz. Raises InputError for a format that cannot be written."""
     suffixes = [suffix.lower() for suffix in path.suffixes]
     zipped = suffixes[-1:] == [_ZIP]
     suffix = "".join(suffixes[:-1][-1:] if zipped else suffixes[-1:])
@@ -49,17 +49,17 @@ def format_suffix(path: Path) -> str:
     known = sorted({*MESSAGE_WRITERS, *CANDUMP_SUFFIXES})
     if suffix not in known or (zipped and suffix in {".blf", ".db", ".mf4"}):
         raise InputError(
-            f"{path}: the suffix says which format, and {path.suffix or 'none'} is not one: "
-            f"allowed are {', '.join(known)}, and behind .log, .asc, .csv, .trc and .txt also .gz"
+            f"{path}: unknown format {path.suffix or '(no suffix)'}: "
+            f"allowed are {', '.join(known)}, and .gz after .log, .asc, .csv, .trc and .txt"
         )
     return suffix
 
 
 class CandumpWriter:
-    """candump's log format: one line a frame as `candump -L` has it. Wireshark and canplayer open it."""
+    """candump's log format: one line per frame as in `candump -L`. Wireshark and canplayer read it."""
 
     def __init__(self, path: Path) -> None:
-        # Names are not aligned: the width would change when a longer one comes.
+        # Names are not aligned: the width would change with a longer one.
         self._format = CandumpFormat(log=True, align=False)
         zipped = path.suffix.lower() == _ZIP
         self._file = _gzip_file(path) if zipped else _plain_file(path)
@@ -84,7 +84,7 @@ class CandumpWriter:
 def _gzip_file(path: Path) -> BinaryIO:
     import gzip
 
-    return gzip.open(path, "wb", compresslevel=6)  # type: ignore[return-value]  # a file for all that is done here
+    return gzip.open(path, "wb", compresslevel=6)  # type: ignore[return-value]  # has all methods used here
 
 
 def _plain_file(path: Path) -> BinaryIO:
@@ -92,10 +92,10 @@ def _plain_file(path: Path) -> BinaryIO:
 
 
 class PythonCanWriter:
-    """Any format that python-can writes."""
+    """A writer for any format of python-can."""
 
     def __init__(self, path: Path) -> None:
-        """Raises EnvironmentLackError for a format that needs a package that is not there."""
+        """Raises EnvironmentLackError for a format that needs a missing package."""
         import can
 
         try:
@@ -117,7 +117,7 @@ class PythonCanWriter:
 
 
 def _drain(writer: can.io.generic.MessageWriter) -> None:
-    """Wait until python-can's SQLite writer has taken all messages: its stop() throws the others away."""
+    """Wait until python-can's SQLite writer has written all messages: its stop() discards the rest."""
     waiting = getattr(writer, "buffer", None)
     if waiting is None or not hasattr(waiting, "empty"):
         return
@@ -125,4 +125,4 @@ def _drain(writer: can.io.generic.MessageWriter) -> None:
     while not waiting.empty() and time.monotonic() < end:
         time.sleep(0.01)
     if not waiting.empty():
-        raise OSError(f"the database took longer than {_DRAIN_S:g} s; {waiting.qsize()} frames are not in it")
+        raise OSError(f"the database needs more than {_DRAIN_S:g} s; {waiting.qsize()} frames are not written")

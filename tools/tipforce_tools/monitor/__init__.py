@@ -1,1 +1,1 @@
-"""`tipforce monitor`: a live table of nodes; what is known of them (state) apart from how it is shown (display)."""
+"""`tipforce monitor`: a live table of nodes; the state is separate from the display."""

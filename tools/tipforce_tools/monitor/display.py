@@ -1,4 +1,4 @@
-"""What a monitor knows, as a table for people and as records for programs."""
+"""Display of a monitor's state: a table, or JSON records."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 _DIGITS = {"N": 3, "degree": 2}
 _UNITS = {"degree": "deg"}
 WIDE = 120
-"""Characters that the whole table wants."""
+"""Width of the whole table in characters."""
 _WIDE_ONLY = frozenset({"Hz", "period ms p50/p99/max"})
 _NARROW = {"node": 8, "age": 6, "P": 8, "phi": 10, "theta": 10, "NMT": 11, "last EMCY": 5, "lost": 4}
 COLUMNS = ("node", "Hz", "period ms p50/p99/max", "age", *QUANTITIES, "status", "NMT", "last EMCY", "lost")
 
 
 def record(buses: Sequence[BusView], t_s: float | None, bitrate: int) -> dict[str, Any]:
-    """One JSON record: all buses at a time in seconds."""
+    """Return one JSON record: all buses at a time in seconds."""
     return {"t": t_s, "buses": [_bus_record(bus, bitrate) for bus in buses]}
 
 
@@ -34,7 +34,7 @@ def _bus_record(bus: BusView, bitrate: int) -> dict[str, Any]:
 
 
 def headline(bus: BusView, bitrate: int) -> str:
-    """The line above a bus' table."""
+    """Return the line above a bus's table."""
     low, high = (100 * bits / bitrate for bits in (bus.least_bits_hz, bus.worst_bits_hz))
     errors = f", {bus.errors} error frames" if bus.errors else ""
     load = f"load {low:.0f} to {high:.0f} % of {bitrate / 1000:g} kbit/s"
@@ -42,7 +42,7 @@ def headline(bus: BusView, bitrate: int) -> str:
 
 
 def cells(node: NodeView) -> tuple[str, ...]:
-    """One row, in the order of COLUMNS."""
+    """Return one row, in the order of COLUMNS."""
     periods = node.periods
     regular = f"{periods.p50_ms:.2f}/{periods.p99_ms:.2f}/{periods.max_ms:.2f}" if periods else "-"
     age = "-" if node.age_s is None else f"{'STALE ' if node.stale else ''}{_seconds(node.age_s)}"
@@ -50,13 +50,13 @@ def cells(node: NodeView) -> tuple[str, ...]:
     emcy = f"{emergency.code:04X}h {emergency.text}, {_seconds(emergency.age_s)} ago" if emergency else "-"
     nmt = f"{node.nmt}, heartbeat lost" if node.nmt_lost else node.nmt or "no heartbeat"
     readings = (shown(node.readings[name]) for name in QUANTITIES)
-    # A node that has gone quiet has no status now, either.
+    # A silent node has no present status, either.
     status = "STALE" if node.stale else " ".join(node.status) or "-"
     return shown_id(node.node_id), f"{node.rate_hz:.1f}", regular, age, *readings, status, nmt, emcy, str(node.lost)
 
 
 def shown(reading: Reading) -> str:
-    """`4.398 N`, `unknown: no contact`, `STALE, last 2.0 s ago`."""
+    """Return `4.398 N`, `unknown: no contact`, `STALE, last 2.0 s ago`."""
     if reading.value is not None:
         return f"{reading.value:.{_DIGITS.get(reading.unit, 3)}f} {_UNITS.get(reading.unit, reading.unit)}"
     return f"STALE, {reading.reason}" if reading.stale else f"unknown: {reading.reason}"
@@ -67,7 +67,7 @@ def _seconds(seconds: float) -> str:
 
 
 def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
-    """Lines of text, columns as wide as they must be."""
+    """Yield lines of text with columns of minimum width."""
     for bus in buses:
         yield headline(bus, bitrate)
         rows = [COLUMNS, *(cells(node) for node in bus.nodes)]
@@ -75,11 +75,11 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
         for row in rows:
             yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
         if not bus.nodes:
-            yield "no node has said anything yet"
+            yield "no node found yet"
 
 
 def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE) -> Group:
-    """The same for a terminal of ``width`` characters: a narrow one has no lines, no rate, and no periods."""
+    """Return the table for a terminal of ``width`` characters: a narrow one has no borders, no rate, and no periods."""
     from rich.console import Group
     from rich.table import Table
     from rich.text import Text

@@ -1,4 +1,4 @@
-"""One run of `tipforce monitor`: from a source through the monitor to the screen, until something ends it."""
+"""One run of `tipforce monitor`: from a source through the monitor to the screen, until an end condition."""
 
 from __future__ import annotations
 
@@ -31,13 +31,13 @@ if TYPE_CHECKING:
 
 BITRATE = 1_000_000
 _SCREEN_S, _LINE_S = 0.25, 1.0
-_SLICE_S = 0.1  # how long a key or a signal waits at most
+_SLICE_S = 0.1  # maximum delay of a key or a signal
 
 Show = Callable[[Monitor, int | None], None]
 
 
 def monitor(args: Namespace) -> int:
-    """Show the nodes until the source ends, q, a signal, or --once. 0, or 130 after a signal."""
+    """Show the nodes until the source ends, q, a signal, or --once; return 0, or 130 after a signal."""
     log_name, targets = split_targets(args.targets)
     watched = Monitor(args.gauges, args.nodes)
     screen = sys.stdout.isatty() and not args.json and args.once is None
@@ -61,7 +61,7 @@ def monitor(args: Namespace) -> int:
 
 
 class Loop:
-    """Feeds the monitor, and shows it at each interval of the frames' own clock: a log gives the same lines."""
+    """Update the monitor, and show it at each interval of the frames' clock, so that a log gives the same lines."""
 
     def __init__(
         self, once_s: float | None, interval_s: float, show: Show | None, clock: Callable[[], float] = time.monotonic
@@ -73,12 +73,12 @@ class Loop:
         self.shown = 0
 
     def run(self, watched: Monitor, source: Source, stopped: Callable[[], bool]) -> None:
-        """Until the source ends, ``stopped`` says so, or --once is over."""
+        """Run until the source ends, ``stopped`` is true, or --once is over."""
         begun_s, first_ns, due_ns = self._clock(), None, 0
         while not source.ended and not stopped():
             try:
                 frames, names = source.take(_SLICE_S)
-            except InterfaceDownError:  # it may come up again; until then all grows stale
+            except InterfaceDownError:  # it may recover; until then all values become stale
                 continue
             watched.feed(frames, names)
             now_ns = source.now_ns()
@@ -86,7 +86,7 @@ class Loop:
                 if self._once_ns is not None and (self._clock() - begun_s) * 1e9 >= self._once_ns:
                     return
                 continue
-            if first_ns is None or now_ns < first_ns:  # or the clock of a recording was set back
+            if first_ns is None or now_ns < first_ns:  # or a recording with a clock set back
                 first_ns = int(frames["t_ns"][0]) if len(frames) else now_ns
                 due_ns = first_ns + self._interval_ns
             if self._once_ns is not None and now_ns - first_ns >= self._once_ns:
@@ -102,22 +102,22 @@ def _source(
 ) -> tuple[Source, LogReader | None]:
     if name is None:
         if args.follow or args.speed != math.inf:
-            raise InputError("--follow and --speed are for logs: name one")
+            raise InputError("--follow and --speed: need a log")
         return BusSource(opened.enter_context(open_targets(targets, args))), None
     if targets:
-        raise InputError(f"{targets[0].channel}: a channel beside the log {name}; --nodes selects from a log")
+        raise InputError(f"{targets[0].channel}: not allowed with the log {name}; --nodes selects from a log")
     from tipforce.host.logs.reader import open_log
 
     log = open_log(name, follow=args.follow)
     if name == STDIN or args.follow:
-        return PipeSource(log), log  # not closed: its thread may be reading
+        return PipeSource(log), log  # not closed: its thread may read
     opened.enter_context(log)
     step_ns = round((args.once or interval_s) * 1e9)
     return LogSource(log, args.speed, step_ns), log
 
 
 def _lines(args: Namespace) -> Show:
-    """Prints the state: a JSON line, or the plain table."""
+    """Print the state: a JSON line, or the plain table."""
 
     def show(watched: Monitor, now_ns: int | None) -> None:
         bitrate = getattr(args, "bitrate", BITRATE)
@@ -125,7 +125,7 @@ def _lines(args: Namespace) -> Show:
         if args.json:
             common.print_json(display.record(buses, None if now_ns is None else now_ns / 1_000_000_000, bitrate))
         else:
-            print("\n".join(display.plain(buses, bitrate)) or "no frame has come")
+            print("\n".join(display.plain(buses, bitrate)) or "no frames received")
         sys.stdout.flush()
 
     return show
@@ -133,7 +133,7 @@ def _lines(args: Namespace) -> Show:
 
 @contextmanager
 def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
-    """The live table; the last one stays on the screen."""
+    """Show the live table; the last one stays on the screen."""
     from rich.live import Live
 
     live: Live
@@ -150,7 +150,7 @@ def _screen(args: Namespace, interval_s: float) -> Iterator[Show]:
 
 @contextmanager
 def _keys(screen: bool, stdin_taken: bool) -> Iterator[Callable[[], bool]]:
-    """Whether q was pressed; keys are read one by one from the terminal, also where stdin is the log."""
+    """Read keys one by one from the terminal, also if stdin is the log; yield a test whether q was pressed."""
     try:
         import termios
         import tty

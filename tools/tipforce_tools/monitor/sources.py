@@ -1,4 +1,4 @@
-"""Where the frames of a monitor come from: buses, a log, a pipe; each gives what has come within a time."""
+"""Sources of a monitor: buses, a log, a pipe; each returns the frames received within a time."""
 
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ _WAITING_BLOCKS = 64
 
 
 class Source(Protocol):
-    """``take`` waits for frames, but not longer than it is told; ``ended`` says that no more will come."""
+    """``take`` waits for frames up to a timeout; ``ended``: no more frames will arrive."""
 
     ended: bool
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """FRAME array (k,), k may be 0, and the names of the interfaces."""
+        """Return a FRAME array (k,), k may be 0, and the names of the interfaces."""
 
     def now_ns(self) -> int | None:
-        """The time now by the clock of the frames; None before the first."""
+        """Return the present time on the clock of the frames; None before the first."""
 
 
 class _Elapsed:
-    """The clock of frames goes on while none come: adapters and recordings have clocks of their own."""
+    """The clock of the frames, extrapolated while none arrive: adapters and recordings have their own clocks."""
 
     def __init__(self, clock: Clock) -> None:
         self._clock = clock
@@ -71,7 +71,7 @@ class BusSource:
 
 
 class PipeSource:
-    """A log that grows, or stdin: read by a thread, because it blocks. Frames without times get that of arrival."""
+    """A growing log, or stdin: read by a thread, because it blocks. Frames without times get that of arrival."""
 
     def __init__(self, log: LogReader, clock: Clock = time.monotonic) -> None:
         self.ended = False
@@ -88,12 +88,12 @@ class PipeSource:
                 self._arrived.put(frames)
         except TipforceError as error:
             self._arrived.put(error)
-        except (OSError, ValueError):  # closed under the reader
+        except (OSError, ValueError):  # closed by the reader's caller
             pass
         self._arrived.put(None)
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """See Source. Raises what the reader raised."""
+        """See Source. Raises the errors of the reader."""
         try:
             item = self._arrived.get(timeout=timeout_s)
         except queue.Empty:
@@ -112,9 +112,9 @@ class PipeSource:
 
 
 class LogSource:
-    """A log in its own time, ``speed`` times as fast: infinite is as fast as it is read.
+    """A log with its recorded timing, ``speed`` times as fast; infinite: without waiting.
 
-    A step gives the frames of ``step_ns`` at most, so that a table of any time of the log can be shown.
+    A step returns the frames of at most ``step_ns``, so that a table of any time of the log can be shown.
     """
 
     def __init__(
@@ -134,7 +134,7 @@ class LogSource:
         self._now_ns: int | None = None
 
     def take(self, timeout_s: float) -> tuple[FrameArray, Sequence[str]]:
-        """See Source. Raises what the reader raises."""
+        """See Source. Raises the errors of the log's reader."""
         if not len(self._waiting):
             self._waiting = next(self._blocks, self._waiting)
         if not len(self._waiting):
@@ -150,7 +150,7 @@ class LogSource:
         return frames, self._log.channels
 
     def _reached(self, first_ns: int, timeout_s: float) -> int:
-        """The time of the log by now, after waiting for its next frame, but not longer than told."""
+        """Return the present time of the log, after waiting for its next frame up to the timeout."""
         assert self._start is not None
         start_ns, start_s = self._start
         due_s = start_s + (first_ns - start_ns) * 1e-9 / self._speed

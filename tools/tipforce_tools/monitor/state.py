@@ -1,4 +1,4 @@
-"""What is known of the nodes on one bus: a state machine that is fed frames and asked for a snapshot at a time."""
+"""State of the nodes on one bus: a state machine that processes frames and returns snapshots."""
 
 from __future__ import annotations
 
@@ -32,10 +32,10 @@ STALE_NS = 500_000_000
 QUANTITIES = ("P", "phi", "theta")
 FLAGS = tuple(name for name, _ in STATUS_BITS)
 
-# Stuff bits are not known without the bits themselves: none at least, one in four at most (ISO 11898-1).
+# The number of stuff bits depends on the data: at least none, at most one in four (ISO 11898-1).
 _LEAST_BITS = np.array([[47 + 8 * n for n in range(9)], [67 + 8 * n for n in range(9)]])
 _WORST_BITS = _LEAST_BITS + np.array([[(33 + 8 * n) // 4 for n in range(9)], [(53 + 8 * n) // 4 for n in range(9)]])
-# Why a quantity has no value, the first that holds: (flag, what it must be, reason, from which of QUANTITIES on).
+# Reasons for a missing quantity, the first that applies: (flag, its value, reason, first of QUANTITIES concerned).
 _REASONS = (
     ("fault", True, "front-end fault", 0),
     ("stale", True, "no new sample", 0),
@@ -49,7 +49,7 @@ _REASONS = (
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A quantity: its value, or None and why there is none. ``stale``: it has not come for too long."""
+    """A quantity: its value, or None and the reason. ``stale``: not received for too long."""
 
     value: float | None
     unit: str
@@ -69,7 +69,7 @@ class Emergency:
 
 @dataclass(frozen=True, slots=True)
 class NodeView:
-    """One row. ``age_s`` is of the last sample, None where none has come."""
+    """One row. ``age_s``: age of the last sample, None without one."""
 
     node_id: int
     rate_hz: float
@@ -86,7 +86,7 @@ class NodeView:
 
 @dataclass(frozen=True, slots=True)
 class BusView:
-    """A bus: frames and bits per second (at least, at most) and its nodes."""
+    """A bus: frames and bits per second (minimum, maximum) and its nodes."""
 
     name: str
     frames_hz: float
@@ -109,7 +109,7 @@ class _Node:
 
 
 class BusMonitor:
-    """One bus. ``node_ids`` None watches all of them; only those that have said something get a row."""
+    """One bus. ``node_ids`` None monitors all nodes; only those that have sent frames get a row."""
 
     def __init__(self, name: str = "", gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
         self.name = name
@@ -122,7 +122,7 @@ class BusMonitor:
         self._errors = 0
 
     def feed(self, frames: FrameArray) -> None:
-        """Take FRAME array (k,), in the order in which it came."""
+        """Process a FRAME array (k,) in the order of arrival."""
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
@@ -144,7 +144,7 @@ class BusMonitor:
         self._traffic.add(frames["t_ns"], ones, _LEAST_BITS[extended, length], _WORST_BITS[extended, length])
 
     def _take_services(self, frames: FrameArray) -> None:
-        """Heartbeats and EMCY, of which there are few."""
+        """Process heartbeats and EMCY, of which there are few."""
         function = frames["can_id"] & FUNCTION_MASK
         chosen = frames[((function == HEARTBEAT_BASE) | (function == EMCY_BASE)) & (frames["length"] > 0)]
         for frame in chosen:
@@ -167,7 +167,7 @@ class BusMonitor:
                 node.flags[signal.name] = bool(last)
             else:
                 node.values[signal.name] = float(last), signal.unit, t_ns
-        # Samples are counted by one message: that with the contact, as soon as there is one.
+        # Samples are counted by one message: that of the contact, as soon as it is received.
         better = "P" in samples.columns and samples.message.transmission_type <= 240
         if not node.source or (better and node.source != name and "P" not in node.source):
             node.source = name
@@ -176,7 +176,7 @@ class BusMonitor:
             node.samples.add(samples.t_ns)
 
     def view(self, now_ns: int) -> BusView:
-        """What is known at a time of the frames' own clock."""
+        """Return the state at a time on the clock of the frames."""
         frames_hz, least, worst = self._traffic.sums(now_ns)
         lost = self._counters.lost_by_node()
         nodes = tuple(_view(key, self._nodes[key], lost.get(key, 0), now_ns) for key in sorted(self._nodes))
@@ -217,9 +217,9 @@ def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
 
 
 def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
-    """The state, and whether the heartbeat has been missing for three of its periods.
+    """Return the NMT state, and whether the heartbeat has been missing for three of its periods.
 
-    A boot-up message tells no state that lasts: the node leaves it at once, and only a heartbeat says for which.
+    A boot-up message does not show a lasting state: the node leaves it at once, and only a heartbeat shows the next.
     """
     last_ns = node.heartbeats.last_ns
     if node.nmt is None or last_ns is None:
@@ -233,7 +233,7 @@ def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
 
 
 class Monitor:
-    """All buses of a source, by the names of their interfaces."""
+    """All buses of a source by interface name."""
 
     def __init__(self, gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
         self._gauges = gauges
@@ -243,7 +243,7 @@ class Monitor:
         self.frames = 0
 
     def feed(self, frames: FrameArray, names: Iterable[str]) -> None:
-        """Take FRAME array (k,) whose ``channel`` indexes ``names``."""
+        """Process a FRAME array (k,) whose ``channel`` indexes ``names``."""
         if not len(frames):
             return
         self.frames += len(frames)
@@ -257,6 +257,6 @@ class Monitor:
             self._buses[name].feed(frames[channel == number])
 
     def views(self, now_ns: int | None = None) -> tuple[BusView, ...]:
-        """All buses at a time (None: that of the newest frame)."""
+        """Return all buses at a time (None: that of the newest frame)."""
         now = self.newest_ns if now_ns is None else now_ns
         return () if now is None else tuple(bus.view(now) for bus in self._buses.values())

@@ -1,4 +1,4 @@
-"""The last seconds of something that repeats: rates, periods and loads are taken from here."""
+"""The last seconds of repeating events: rates, periods and loads."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 from tipforce.arrays import IntArray
 
 WINDOW_NS = 2_000_000_000
-_LEAST_NS = 100_000_000  # a shorter time says little of a rate
+_LEAST_NS = 100_000_000  # minimum time for a rate
 MOST = 65_536  # events kept: a full bus for more than the window
 
 
 @dataclass(frozen=True, slots=True)
 class Periods:
-    """Times between events in milliseconds: the middle, the 99th percentile, the longest."""
+    """Times between events in milliseconds: median, 99th percentile, maximum."""
 
     p50_ms: float
     p99_ms: float
@@ -30,7 +30,7 @@ class Window:
         self._numbers: IntArray = np.zeros((columns, 0), dtype=np.int64)
 
     def add(self, t_ns: IntArray, *numbers: IntArray) -> None:
-        """Take events (k,) and their numbers (k,). A clock that jumped back by more than the window starts anew."""
+        """Add events (k,) and their numbers (k,). A clock set back by more than the window restarts it."""
         if not len(t_ns):
             return
         if len(self._t_ns) and t_ns[-1] < self._t_ns[-1] - WINDOW_NS:
@@ -48,11 +48,11 @@ class Window:
 
     @property
     def last_ns(self) -> int | None:
-        """The newest event."""
+        """Time of the newest event."""
         return int(self._t_ns[-1]) if len(self._t_ns) else None
 
     def rate_hz(self, now_ns: int) -> float:
-        """Events per second: by their periods while they go on, falling to 0 once they end."""
+        """Return events per second: from their periods while they continue, decreasing to 0 after they end."""
         recent = self._t_ns[self._t_ns > now_ns - WINDOW_NS]
         if len(recent) < 2 or recent[-1] <= recent[0]:
             return 0.0
@@ -62,14 +62,14 @@ class Window:
         return (len(recent) - 1) * 1e9 / span_ns
 
     def periods(self) -> Periods | None:
-        """How regular the events are; None for fewer than two. Times that go back by a little count as 0."""
+        """Return the periods of the events; None for fewer than two. Times that step back slightly count as 0."""
         if len(self._t_ns) < 2:
             return None
         periods = np.maximum(np.diff(self._t_ns), 0) * 1e-6
         return Periods(*(float(value) for value in (*np.percentile(periods, (50, 99)), periods.max())))
 
     def sums(self, now_ns: int) -> list[float]:
-        """The numbers per second, over what was seen of the window before ``now_ns``."""
+        """Return the numbers per second, over the observed part of the window before ``now_ns``."""
         recent = self._t_ns > now_ns - WINDOW_NS
         if not recent.any():
             return [0.0] * len(self._numbers)

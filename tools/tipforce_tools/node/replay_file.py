@@ -17,7 +17,7 @@ _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
 
 
 def open_replay(text: str, gauges: int, speed: float = 1.0, loop: bool = False, bits: int = 16) -> ReplaySource:
-    """The recording ``FILE``, or ``FILE@ID`` for one node of a log. Raises InputError naming file and place.
+    """Read the recording ``FILE``, or ``FILE@ID`` for one node of a log. Raises InputError naming file and place.
 
     A CSV file needs ``t_s`` and SG1..SGn in microstrain; a log needs the gauge PDOs (0x180 + node-id) of three
     gauges. Counts are those of a converter of ``bits`` bits with a full scale of 3276.8 microstrain.
@@ -47,12 +47,12 @@ def _split(text: str) -> tuple[str, int | None]:
     except ValueError:
         found = 0
     if not 1 <= found <= 127:
-        raise InputError(f"replay:{text}: {number!r} after @ is no node-id, allowed are 1 to 127")
+        raise InputError(f"replay:{text}: {number!r} after @: allowed are node-ids from 1 to 127")
     return path, found
 
 
 def _looks_like_csv(path: str) -> bool:
-    """A header with a gauge column; what cannot be read is said by the reader of the file."""
+    """Return whether the file has a header with a gauge column; the reader of the file reports an unreadable file."""
     try:
         with open(path, encoding="utf-8", errors="replace") as file:
             head = file.readline()
@@ -69,7 +69,7 @@ def _from_csv(path: str) -> tuple[FloatArray, FloatArray, FloatArray | None]:
     data = read_measurements(path, loads=False)
     check_one_node(path, data)
     if data.t_s is None:
-        raise InputError(f"replay:{path}: there is no column t_s; a replay needs the time of each row in seconds")
+        raise InputError(f"replay:{path}: column t_s is missing; a replay needs the time of each row in seconds")
     if data.bad:
         raise InputError(f"replay:{path}: {data.bad[0]}")
     return data.t_s, 1e6 * data.strain, data.temperature_degC
@@ -97,19 +97,19 @@ def _from_log(path: str, node_id: int | None) -> tuple[FloatArray, FloatArray, N
                 values.setdefault(found_id, []).append(strain)
     if node_id is None and len(times) > 1:
         ids = ", ".join(str(found) for found in sorted(times))
-        raise InputError(f"replay:{path}: holds gauges of the nodes {ids}; name one as {path}@{min(times)}")
+        raise InputError(f"replay:{path}: contains gauges of the nodes {ids}; choose one: {path}@{min(times)}")
     chosen = node_id if node_id is not None else next(iter(times), None)
     if chosen not in times:
         whose = "" if node_id is None else f" of node {node_id}"
         raise InputError(
-            f"replay:{path}: no gauge PDO{whose} in it, and no CSV header with SG1; "
+            f"replay:{path}: no gauge PDO{whose}, and no CSV header with SG1; "
             "a recording is a CSV file with t_s,SG1,SG2,SG3 or a candump log with frames 0x180 + node-id"
         )
     return np.concatenate(times[chosen]), np.concatenate(values[chosen]), None
 
 
 def _counts(row: list[float], per_microstrain: float, ends: tuple[int, int]) -> tuple[int, ...] | None:
-    """A row in counts; None where a gauge is unknown. What a PDO shows at its end (+-3276.7) was saturated."""
+    """Return a row in counts; None if a gauge is unknown. The limits of a PDO (+-3276.7) mean saturation."""
     from tipforce.fingertip.source import convert
 
     if any(value - value != 0.0 for value in row):

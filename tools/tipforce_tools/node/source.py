@@ -1,4 +1,4 @@
-"""What `tipforce node --source` names: a simulated finger, Linux converters, a recording."""
+"""Sources of `tipforce node --source`: a simulated finger, Linux converters, a recording."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _HRTIMER = "tipforce"
 
 
 class Wanted(NamedTuple):
-    """One DEVICE of the flag: which device, and which of its channels (empty for all)."""
+    """One DEVICE of the flag: the device, and its channels (empty for all)."""
 
     uri: str
     """``ip:HOST`` of a remote board, empty for this machine."""
@@ -29,7 +29,7 @@ class Wanted(NamedTuple):
 
 
 def parse_devices(text: str) -> list[Wanted]:
-    """``iio:device0/voltage1,0-0051,ip:192.168.0.5/adc/voltage0``. Raises InputError for an empty part."""
+    """Parse ``iio:device0/voltage1,0-0051,ip:192.168.0.5/adc/voltage0``. Raises InputError for an empty part."""
     found = []
     for part in text.split(","):
         uri, rest = "", part.strip()
@@ -38,17 +38,17 @@ def parse_devices(text: str) -> list[Wanted]:
         device, _, channel = rest.removeprefix("iio:").partition("/")
         if not device or "/" in channel or not (not uri or uri[3:]):
             raise InputError(
-                f"--source iio:{text}: {part!r} is no device; write device0, a name, 0-0050, or device0/voltage1, "
-                "and ip:HOST/DEVICE for another board"
+                f"--source iio:{text}: {part!r} is not a device; write device0, a name, 0-0050, or device0/voltage1, "
+                "or ip:HOST/DEVICE for another board"
             )
         found.append(Wanted(uri, device, channel))
     return found
 
 
 def open_iio(args: argparse.Namespace, gauges: int, bridge: BridgeTable | None, root: Path | None = None) -> IioSource:
-    """The devices that ``--source iio:...`` names, as one gauge source.
+    """Return the devices of ``--source iio:...`` as one gauge source.
 
-    Raises InputError, EnvironmentLackError for what is not there, does not fit together or may not be read.
+    Raises InputError and EnvironmentLackError for devices that are missing, incompatible or not readable.
     """
     from tipforce.sources import iio_sysfs
     from tipforce.sources.iio import IioSource
@@ -62,8 +62,8 @@ def open_iio(args: argparse.Namespace, gauges: int, bridge: BridgeTable | None, 
     parts, scales, names, ends = _parts(args, bridge, root)
     if len(names) != gauges:
         raise InputError(
-            f"--source {args.source}: {len(names)} channels ({', '.join(names)}), and layout {args.layout} has "
-            f"{gauges} gauges; name channels as device0/voltage0"
+            f"--source {args.source}: {len(names)} channels ({', '.join(names)}), but layout {args.layout} has "
+            f"{gauges} gauges; select channels: device0/voltage0"
         )
     if bridge.count_range is not None:
         ends = [bridge.count_range]
@@ -134,12 +134,12 @@ def _scale(path: Path, channel: str) -> ChannelScale:
     except PermissionError:
         raise
     except OSError as error:
-        return ChannelScale(None, 0.0, f"the kernel does not tell its scale ({error.strerror}: no reference regulator)")
+        return ChannelScale(None, 0.0, f"the kernel does not state its scale ({error.strerror}: no regulator)")
     return ChannelScale(scale, offset, "" if scale is not None else "the driver states no scale")
 
 
 def _flush(args: argparse.Namespace, local: dict[Device, list[str]], parts: list[Part], root: Path) -> None:
-    """Open what was collected for one device."""
+    """Open the selected channels of one device."""
     from tipforce.sources.iio_sysfs import PolledDevice
 
     for device, channels in local.items():
@@ -152,7 +152,7 @@ def _flush(args: argparse.Namespace, local: dict[Device, list[str]], parts: list
 
 
 def _buffered(args: argparse.Namespace, device: Device, channels: list[str], trigger: str) -> Part:
-    """By the buffer; where nothing insists on it and the kernel refuses, polled, and that is said."""
+    """Open buffered capture; if it is optional and the kernel refuses it, poll and log a warning."""
     from tipforce.sources.iio_buffer import BufferedDevice
     from tipforce.sources.iio_sysfs import PolledDevice
 
@@ -166,7 +166,7 @@ def _buffered(args: argparse.Namespace, device: Device, channels: list[str], tri
 
 
 def _trigger(args: argparse.Namespace, device: Device, root: Path) -> str | None:
-    """The trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
+    """Return the trigger for buffered capture: the one named, the device's own, or a timer; None for polling."""
     from tipforce.sources import iio_buffer
 
     if args.trigger:
@@ -196,11 +196,11 @@ def _add_remote(wanted: Wanted, parts: list[Part], scales: list[ChannelScale], n
             scale, offset = remote.attribute(k, "scale"), remote.attribute(k, "offset") or 0.0
             scales.append(ChannelScale(scale, offset, "" if scale is not None else "the driver states no scale"))
         except OSError as error:
-            scales.append(ChannelScale(None, 0.0, f"the board does not tell its scale ({error.strerror})"))
+            scales.append(ChannelScale(None, 0.0, f"the board does not state its scale ({error.strerror})"))
 
 
 def _supply(bridge: BridgeTable, root: Path) -> Callable[[], bool] | None:
-    """Whether the measured excitation is off; None where nothing measures it."""
+    """Return a check whether the measured excitation is out of tolerance; None without a measurement."""
     if bridge.supply is None:
         return None
     from tipforce.sources import iio_sysfs

@@ -1,1 +1,1 @@
-"""`tipforce plot`: a log as a picture."""
+"""`tipforce plot`: plots of a log."""

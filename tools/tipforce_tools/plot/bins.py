@@ -1,4 +1,4 @@
-"""Samples of any length of time in a bounded number of bins, which keep the extremes: no peak is lost."""
+"""Reduce samples of any time span to a bounded number of bins, which keep the extremes."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ BINS = 4096
 _FIRST_WIDTH_NS = 1000
 
 Array = npt.NDArray[Any]
-Reduced = Mapping[str, tuple[np.ufunc, Any]]  # by column: how samples of a bin become one, and what an empty bin has
+Reduced = Mapping[str, tuple[np.ufunc, Any]]  # by column: reduction of a bin, and value of an empty bin
 
 
 class Bins:
-    """Columns of samples from ``start_ns`` on, reduced per bin; bins grow by powers of two as time goes on.
+    """Columns of samples from ``start_ns``, reduced per bin; bins grow by powers of two with time.
 
-    ``count`` (BINS,) tells how many samples each holds, ``first_ns`` and ``last_ns`` when.
+    ``count`` (BINS,): number of samples in each; ``first_ns``, ``last_ns``: their times.
     """
 
     def __init__(self, start_ns: int, columns: Reduced) -> None:
@@ -35,7 +35,7 @@ class Bins:
         self._columns = {name: np.full(BINS, empty) for name, (_, empty) in self._how.items()}
 
     def add(self, t_ns: npt.NDArray[np.int64], **columns: Array) -> None:
-        """Take samples (k,) in time order; one that is earlier counts at the time of the one before."""
+        """Add samples (k,) in time order; an earlier one gets the time of its predecessor."""
         if not len(t_ns):
             return
         place = np.maximum.accumulate(np.maximum(t_ns - self.start_ns, 0))
@@ -56,6 +56,6 @@ class Bins:
             self._columns[name] = np.concatenate((how(pairs[:, 0], pairs[:, 1]), np.full(BINS // 2, empty)))
 
     def filled(self) -> dict[str, Array]:
-        """The columns of the bins that hold something."""
+        """Return the columns of the non-empty bins."""
         there = self._columns["count"] > 0
         return {name: column[there] for name, column in self._columns.items()}

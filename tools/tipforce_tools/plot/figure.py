@@ -1,4 +1,4 @@
-"""The picture: a column of panels for each finger, drawn for paper: no panel needs colour to be read."""
+"""The figure: a column of panels per finger, readable without colour."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-COLUMNS = 5  # fingers beside each other; more go below
+COLUMNS = 5  # fingers side by side; more are placed below
 _STATUS = "status"
 _TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges": "strain", "temperature": "temperature"}
 _UNITS = {"degree": "deg", "microstrain": "microstrain", "degC": "deg C"}
@@ -37,14 +37,14 @@ _BARS = (
     ("beyond_first_order", "u beyond first order", ".."),
 )
 _LEGEND_COLUMNS = 4
-_EPOCH_NS = 10**17  # 1973; before it the times are no dates
+_EPOCH_NS = 10**17  # 1973; earlier times are not dates
 LOST = "lost samples"
-_BEYOND = 7.0  # degrees that an axis of the whole circle shows beyond 180: a line at 180 is seen on both sides
+_BEYOND = 7.0  # degrees beyond 180 on a full-circle axis, which shows a line at 180 on both sides
 
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How the picture looks. ``size_inches`` None: by what is on it."""
+    """Style of the figure. ``size_inches`` None: by its content."""
 
     title: str | None = None
     size_inches: tuple[float, float] | None = None
@@ -53,7 +53,7 @@ class Look:
 
 @dataclass(frozen=True, slots=True)
 class _Frame:
-    """What all fingers share: the time, which angles have the whole circle, the rows of the strip."""
+    """Settings shared by all fingers: the time, angles on a full-circle axis, the rows of the strip."""
 
     start_ns: int
     length_s: float
@@ -63,7 +63,7 @@ class _Frame:
 
 
 def import_matplotlib(*, screen: bool) -> Any:
-    """pyplot, on the screen or for files alone. Raises EnvironmentLackError where it is not installed."""
+    """Return pyplot, for the screen or for files only. Raises EnvironmentLackError if it is not installed."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -76,7 +76,7 @@ def import_matplotlib(*, screen: bool) -> Any:
 
 
 def draw(fingers: Fingers, look: Look, plt: Any) -> Figure:
-    """The figure of all fingers."""
+    """Draw the figure of all fingers."""
     named = fingers.named()
     panels = _panels([finger for _, finger in named])
     rows = [*panels, *([_STATUS] if look.status else [])]
@@ -122,7 +122,7 @@ def _default_title(fingers: Fingers) -> str:
 
 
 def _panels(fingers: Sequence[Finger]) -> list[str]:
-    """The panels that any finger has something for, from the contact down."""
+    """Return the panels with data of any finger, from the contact down."""
     found: list[str] = []
     for finger in fingers:
         for signal in finger.traces:
@@ -134,7 +134,7 @@ def _panels(fingers: Sequence[Finger]) -> list[str]:
 
 
 def panel_of(signal: str) -> str:
-    """Where a signal is drawn: gauges together, forces together, all else alone."""
+    """Return the panel of a signal: one for gauges, one for forces, one for each other signal."""
     if signal[:2] == "SG" and signal[2:].isdigit():
         return "gauges"
     return "force" if signal in {"F1", "F2", "F3"} else signal
@@ -178,7 +178,7 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
         if len(signals) > 1:
             _legend_above(ax, len(signals))
         if not signals or all(finger.traces[signal].line() is None for signal in signals):
-            text = "unknown all the time" if signals else "not in the log"
+            text = "always unknown" if signals else "not in the log"
             ax.text(0.5, 0.5, text, transform=ax.transAxes, ha="center", va="center", fontsize=8, color="0.4")
     lost = f", {finger.lost.total} samples lost" if finger.lost.total else ""
     axes[0].set_title(f"{name}{lost}", fontsize=9, pad=_title_pad(axes[0]))
@@ -188,7 +188,7 @@ def _draw_finger(axes: Sequence[Axes], rows: Sequence[str], name: str, finger: F
 
 
 def _legend_above(ax: Axes, count: int) -> None:
-    """The names of ``count`` lines above their panel: inside it, a line at the gauges' limit would lie below them."""
+    """Draw the names of ``count`` lines above their panel: inside it, they would cover a line at the gauges' limit."""
     ax.legend(
         loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1, borderpad=0.1, frameon=False, fontsize=7,
         ncols=min(count, _LEGEND_COLUMNS), handlelength=2.2, columnspacing=1.2,
@@ -196,7 +196,7 @@ def _legend_above(ax: Axes, count: int) -> None:
 
 
 def _title_pad(ax: Axes) -> float:
-    """Points between a panel and its title: room for a legend between them."""
+    """Return the distance in points between a panel and its title, which leaves space for a legend."""
     legend = ax.get_legend()
     return 6.0 if legend is None else 8.0 + 12.0 * math.ceil(len(legend.get_texts()) / _LEGEND_COLUMNS)
 
@@ -208,7 +208,7 @@ def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, s
     turns: tuple[float, ...] = (0.0,)
     if whole:
         t, mean, low, high, band_low, band_high = wrapped(line.starts, x, *columns)
-        turns = (0.0, -TURN, TURN)  # the parts of bands beyond 180 come back at -180
+        turns = (0.0, -TURN, TURN)  # the parts of bands beyond 180 continue at -180
     else:
         t, mean, low, high, band_low, band_high = broken(line.starts, x, *columns)
     has_band = bool(np.isfinite(band_low).any())
@@ -218,7 +218,7 @@ def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, s
         if bool((line.high > line.low).any()):
             ax.fill_between(t, low + turn, high + turn, color=ink, alpha=0.5, linewidth=0.5)
     ax.plot(t, mean, color=ink, linestyle=style, linewidth=0.9, label=signal if panel_of(signal) != signal else "")
-    # A line of one point has no length.
+    # A line of one point is invisible.
     alone = line.starts & np.append(line.starts[1:], True)
     if alone.any():
         y = line.mean[alone] - (TURN * np.ceil((line.mean[alone] - TURN / 2) / TURN) if whole else 0.0)
@@ -229,13 +229,13 @@ def _draw_line(ax: Axes, signal: str, line: Line, number: int, *, whole: bool, s
 
 
 def _span(lines: Sequence[Line]) -> float:
-    """From the lowest to the highest of all lines, bands included."""
+    """Return the minimum and maximum of all lines, with bands."""
     high = max(np.fmax(line.high, line.band_high).max() for line in lines)
     return float(high - min(np.fmin(line.low, line.band_low).min() for line in lines))
 
 
 def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:
-    """The same limits in a row, so that fingers compare; an angle that turns round has the whole circle."""
+    """Set equal limits in a row, so that fingers are comparable; an angle that wraps gets the full circle."""
     from matplotlib.ticker import FuncFormatter, MultipleLocator
 
     drawn = [ax for ax in axes if ax.get_visible() and ax.has_data()]
@@ -257,13 +257,13 @@ def _share_limits(axes: Sequence[Axes], panel: str, *, whole: bool) -> None:
 
 
 def _angle(value: float) -> str:
-    """190 is -170; 180 and -180 keep their signs on an axis of the whole circle."""
+    """Format 190 as -170; 180 and -180 keep their signs on a full-circle axis."""
     shown = value if abs(value) <= TURN / 2 else value - TURN * math.ceil((value - TURN / 2) / TURN)
     return f"{shown:g}"
 
 
 def _draw_status(ax: Axes, finger: Finger, frame: _Frame) -> None:
-    """A row for each thing that happened to any finger, so that fingers compare."""
+    """Draw a row per kind of event of any finger, so that fingers are comparable."""
     bars = {name: runs for flags in finger.flags.values() for name, runs in flags.bars().items()}
     for number, (name, _, hatch) in enumerate(frame.bars):
         if name == LOST:
@@ -272,7 +272,7 @@ def _draw_status(ax: Axes, finger: Finger, frame: _Frame) -> None:
             continue
         spans = [((begin - frame.start_ns) * 1e-9, max(end - begin, 1) * 1e-9) for begin, end in bars.get(name, [])]
         face = "0.55" if name == "contact" else "#f2c9b8"
-        # The edge is seen however short the bar is.
+        # The edge keeps short bars visible.
         ax.broken_barh(spans, (number - 0.35, 0.7), facecolor=face, edgecolor="0.15", linewidth=0.6, hatch=hatch)
     ax.set_yticks(range(len(frame.bars)), [label for _, label, _ in frame.bars], fontsize=7)
     ax.set_ylim(len(frame.bars) - 0.5, -0.5)

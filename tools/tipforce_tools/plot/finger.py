@@ -1,4 +1,4 @@
-"""Tables of samples to what is drawn of each finger."""
+"""Convert tables of samples to the traces of each finger."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from tipforce_tools.cli.common import shown_id
 from tipforce_tools.plot.traces import Flags, Lost, Trace
 
 _UNCERTAINTY_OF = {"P": "u_P", "phi": "u_phi", "theta": "u_theta"}
-_HELD_NS = 3_000_000_000  # an uncertainty holds for so long: TPDO4 comes once a second
+_HELD_NS = 3_000_000_000  # validity of an uncertainty: TPDO4 is sent once a second
 INVERTED = {"calibrated": "not calibrated"}
-"""The flags whose absence is worth a bar."""
+"""The flags whose absence is drawn as a bar."""
 
 
 class Finger:
-    """One node of one bus. ``traces`` and ``units`` by signal; the ``computed`` ones are made from its gauges."""
+    """One node of one bus. ``traces`` and ``units`` by signal; ``computed`` ones are computed from its gauges."""
 
     def __init__(self, name: str, start_ns: int, wanted: Collection[str] | None, computed: Collection[str]) -> None:
         self.name = name
@@ -32,7 +32,7 @@ class Finger:
         self._held: dict[str, tuple[int, float]] = {}
 
     def add(self, table: Table, rows: npt.NDArray[np.intp]) -> None:
-        """Take the rows of a table that are this finger's."""
+        """Add the rows of a table that belong to this finger."""
         t_ns = table.t_ns[rows]
         columns = {column.signal: column for column in table.columns}
         flags: dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]] = {}
@@ -52,7 +52,7 @@ class Finger:
             self._take_flags(t_ns, flags)
 
     def _there(self, table: Table, column: Column, rows: npt.NDArray[np.intp]) -> npt.NDArray[np.bool_]:
-        """Which rows have a value, known or not. A computed one is there where its gauges are."""
+        """Return a mask of the rows with the signal, known or not. A computed one needs its gauges."""
         name = "SG1_ue" if column.signal in self._computed and "SG1_ue" in table.values else column.name
         there = np.ones(len(rows), dtype=np.bool_)
         if name in table.absent:
@@ -86,7 +86,7 @@ class Finger:
         rows: npt.NDArray[np.intp],
         t_ns: npt.NDArray[np.int64],
     ) -> npt.NDArray[np.float64] | None:
-        """The standard uncertainty at each row: its own, or the last that was sent, while that is not old."""
+        """Return the standard uncertainty at each row: its own, or the last one sent while it is valid."""
         column = columns.get(_UNCERTAINTY_OF.get(signal, ""))
         if column is None and _UNCERTAINTY_OF.get(signal, "") not in self._held:
             return None
@@ -106,7 +106,7 @@ class Finger:
     def _take_flags(
         self, t_ns: npt.NDArray[np.int64], flags: dict[str, tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]]
     ) -> None:
-        """Flags that come at other times have bins of their own: status with each sample, faults with TPDO4."""
+        """Bin flags with different times separately: status with each sample, faults with TPDO4."""
         for group in ("status", "health"):
             chosen = {name: both for name, both in flags.items() if (name in _STATUS) == (group == "status")}
             if chosen:
@@ -124,7 +124,7 @@ _STATUS = frozenset(
 
 
 class Fingers:
-    """All fingers of a recording, by channel and node."""
+    """All fingers of a recording by channel and node."""
 
     def __init__(self, wanted: Collection[str] | None, computed: Collection[str]) -> None:
         self._wanted, self._computed = wanted, computed
@@ -135,7 +135,7 @@ class Fingers:
         self._channels: tuple[str, ...] = ()
 
     def add(self, table: Table) -> None:
-        """Take a table."""
+        """Add a table."""
         if not len(table):
             return
         if self.start_ns is None:
@@ -150,7 +150,7 @@ class Fingers:
             self._by_key[key].add(table, np.flatnonzero(table.key == key))
 
     def named(self) -> list[tuple[str, Finger]]:
-        """With a title each, in the order of channels and node-ids."""
+        """Return the fingers with titles, in the order of channels and node-ids."""
         several = len({key >> NODE_BITS for key in self._by_key}) > 1
         found = []
         for key, finger in sorted(self._by_key.items()):

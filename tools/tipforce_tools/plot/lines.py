@@ -1,4 +1,4 @@
-"""Points of lines that do not cross what is unknown, and of angles that leave at 180 and come back at -180."""
+"""Points of lines with gaps at unknown values, and of angles that wrap from 180 to -180."""
 
 from __future__ import annotations
 
@@ -10,19 +10,19 @@ TURN = 360.0
 
 
 def broken(starts: BoolArray, *columns: FloatArray) -> tuple[FloatArray, ...]:
-    """The columns (k,) with a NaN before each point that starts a line."""
+    """Return the columns (k,) with a NaN before each point that starts a line."""
     at = np.flatnonzero(starts[1:]) + 1
     return tuple(np.insert(column.astype(np.float64), at, np.nan) for column in columns)
 
 
 def wrapped(starts: BoolArray, x: FloatArray, mean: FloatArray, *others: FloatArray) -> tuple[FloatArray, ...]:
-    """Angles (k,) in degrees that may go on over many turns, as (x, mean, others...) with ``mean`` within -180..180.
+    """Wrap unwrapped angles (k,) in degrees: return (x, mean, others...) with ``mean`` within -180..180.
 
-    Where a line crosses 180, it is continued beyond it, and begun anew a turn lower from beyond -180: with the axis
-    cut at both, it leaves on one side and comes back on the other. ``others`` are shifted as ``mean`` is.
+    A line that crosses 180 continues beyond it, and starts again one turn lower from below -180: with the axis clipped
+    at both limits, it leaves on one side and enters on the other. ``others`` are shifted with ``mean``.
     """
     turn = np.ceil((mean - TURN / 2) / TURN)
-    crossing = np.flatnonzero((np.diff(turn) != 0) & ~starts[1:]) + 1  # the point behind each
+    crossing = np.flatnonzero((np.diff(turn) != 0) & ~starts[1:]) + 1  # the point after each
     shift = TURN * turn
 
     def inserted(column: FloatArray, shifts: FloatArray | None) -> FloatArray:

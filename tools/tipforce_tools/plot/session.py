@@ -1,4 +1,4 @@
-"""One run of `tipforce plot`: from logs to the picture, and the report at the end."""
+"""One run of `tipforce plot`: from logs to the figure, and the final report."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
 
 
 def plot(args: Namespace) -> int:
-    """Draw. 0. Raises InputError for what is not usable, EnvironmentLackError without matplotlib."""
+    """Draw; return 0. Raises InputError for unusable input, EnvironmentLackError without matplotlib."""
     path = None if args.output is None else Path(args.output)
     if path is None and not args.show:
-        raise InputError("-o FILE.png, .svg or .pdf tells where the picture goes; or --show")
+        raise InputError("no output: add -o FILE.png, .svg or .pdf, or --show")
     if path is not None and path.suffix.lower() not in FORMATS:
         raise InputError(f"-o {path}: allowed are the suffixes {', '.join(FORMATS)}")
     plt = figure.import_matplotlib(screen=args.show)
@@ -60,7 +60,7 @@ def plot(args: Namespace) -> int:
 
 
 def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset[str]]:
-    """The layouts, and what makes the contact from gauges, with the signals that it gives."""
+    """Return the layouts, and the estimator of the contact from gauges, with its signals."""
     layouts = choice.layouts(args)
     if not args.calibration:
         return layouts, None, frozenset()
@@ -74,7 +74,7 @@ def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset
 
 
 def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:
-    """The signals of the panels that are wanted. Raises InputError for a name that there is not."""
+    """Return the signals of the requested panels. Raises InputError for an unknown name."""
     found: set[str] = set()
     for name in wanted:
         if name == GAUGES:
@@ -90,17 +90,17 @@ def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int)
     if not count:
         flags = choice.narrowing_flags(args)
         why = f" (of {counted(frames, 'frame')}, with {flags})" if flags else ""
-        raise InputError(f"{', '.join(names)}: no PDO of a fingertip in it{why}, so there is nothing to draw")
+        raise InputError(f"{', '.join(names)}: no PDO of a fingertip{why}, so there is nothing to draw")
     if not fingers.timed:
-        raise InputError(f"{', '.join(names)}: no timestamps, so there is nothing to draw over; candump -L writes them")
+        raise InputError(f"{', '.join(names)}: no timestamps, which a plot needs; candump -L writes them")
     if count > MOST_FINGERS:
-        raise InputError(f"{count} nodes: a picture has room for {MOST_FINGERS}; choose with --nodes")
+        raise InputError(f"{count} nodes: allowed are at most {MOST_FINGERS} in a plot; choose with --nodes")
 
 
 def _write(args: Namespace, drawn: Figure, path: Path | None, plt: Any) -> None:
     try:
         if path is not None:
-            # No date inside: the same log gives the same file.
+            # No date, so that the same log gives the same file.
             metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
             drawn.savefig(path, dpi=args.dpi, metadata=metadata)
         if args.show:

@@ -1,4 +1,4 @@
-"""What is drawn of one finger: its quantities over time with their bands, flags, lost samples; in bounded memory."""
+"""Traces of one finger, in bounded memory: quantities over time with bands, flags, lost samples."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from tipforce.arrays import FloatArray, IntArray
 from tipforce_tools.plot.bins import Array, Bins
 
 COVERAGE = 2.0
-"""Standard uncertainties to either side that a band shows: 95 %."""
+"""Half width of a band in standard uncertainties: 95 %."""
 _TURN = 360.0
-_PERIODS = 5.0  # a silence of so many periods is a gap
+_PERIODS = 5.0  # a pause of this many periods is a gap
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Line:
     """A quantity, (k,) each: ``mean`` with ``low`` and ``high``; the band (NaN where its uncertainty is unknown).
 
-    ``starts``: there is a gap, or something unknown, before. Angles go on over a full turn.
+    ``starts``: preceded by a gap or an unknown value. Angles are unwrapped.
     """
 
     t_ns: IntArray
@@ -34,7 +34,7 @@ class Line:
 
 
 class Trace:
-    """Collects one quantity; ``angle`` in degrees is followed over the jump from 180 to -180."""
+    """Collects one quantity; an ``angle`` in degrees is unwrapped at the jump from 180 to -180."""
 
     def __init__(self, start_ns: int, *, angle: bool = False) -> None:
         self.unknown = 0
@@ -49,12 +49,12 @@ class Trace:
             },
         )  # fmt: skip
         self._last: tuple[int, float] | None = None  # the last known value
-        self._broken = True  # something unknown has come since
+        self._broken = True  # an unknown value has arrived since
         self._start_ns = start_ns
         self._period_ns = 0.0
 
     def add(self, t_ns: IntArray, values: FloatArray, uncertainty: FloatArray | None = None) -> None:
-        """Take samples (k,), NaN for unknown, and their standard uncertainties (k,)."""
+        """Add samples (k,), NaN for unknown, and their standard uncertainties (k,)."""
         known = np.flatnonzero(np.isfinite(values))
         self.unknown += len(values) - len(known)
         if len(t_ns) > 1:
@@ -75,20 +75,20 @@ class Trace:
         u = np.full(len(x), np.nan) if uncertainty is None else COVERAGE * uncertainty[known]
         self.banded = self.banded or bool(np.isfinite(u).any())
         low, high = np.where(np.isfinite(u), x - u, np.inf), np.where(np.isfinite(u), x + u, -np.inf)
-        key = 2 * np.maximum(t - self._start_ns, 0) + ~gap  # the first of a bin, and whether there is a gap before it
+        key = 2 * np.maximum(t - self._start_ns, 0) + ~gap  # the first of a bin, and whether a gap precedes it
         self._bins.add(t, low=x, high=x, total=x, band_low=low, band_high=high, key=key)
 
     def _unwrapped(self, x: FloatArray, gap: npt.NDArray[np.bool_]) -> FloatArray:
         start = x[0] if self._last is None or gap[0] else self._last[1]
         x = np.asarray(np.unwrap(np.concatenate(([start], x)), period=_TURN)[1:])
-        # Behind each gap it starts within -180..180 again.
+        # After each gap it starts within -180..180 again.
         run = np.cumsum(gap)
         turns = np.where(gap, np.ceil((x - _TURN / 2) / _TURN), 0.0)
         first = np.concatenate(([0.0], turns[gap]))
         return np.asarray(x - _TURN * first[run])
 
     def line(self) -> Line | None:
-        """What there is to draw; None where no value is known."""
+        """Return the trace to draw; None without a known value."""
         found = self._bins.filled()
         if not len(found["count"]):
             return None
@@ -102,14 +102,14 @@ class Trace:
 
 
 class Flags:
-    """Collects when flags are set: at most 63, by name."""
+    """Collects the times of set flags: at most 63, by name."""
 
     def __init__(self, start_ns: int) -> None:
         self._bins = Bins(start_ns, {"set": (np.bitwise_or, 0)})
         self._names: list[str] = []
 
     def add(self, t_ns: IntArray, flags: Mapping[str, npt.NDArray[np.bool_]]) -> None:
-        """Take samples (k,) of flags."""
+        """Add samples (k,) of flags."""
         bits = np.zeros(len(t_ns), dtype=np.int64)
         for name, is_set in flags.items():
             if name not in self._names:
@@ -118,13 +118,13 @@ class Flags:
         self._bins.add(t_ns, set=bits)
 
     def bars(self) -> dict[str, list[tuple[int, int]]]:
-        """By name, for those that were ever set: from when to when, in nanoseconds."""
+        """Return by name, for flags that were set: start and end times in nanoseconds."""
         found = self._bins.filled()
         if not len(found["count"]):
             return {}
         first, last = found["first_ns"], found["last_ns"]
         usual_ns = (last[-1] - first[0]) / max(int(found["count"].sum()) - 1, 1)
-        # A flag holds until the next sample, unless that comes late.
+        # A flag holds until the next sample, unless that is late.
         until = np.append(first[1:], last[-1])
         until = np.where(until - last > np.maximum(_PERIODS * usual_ns, self._bins.width_ns), last, until)
         bars = {}
@@ -146,7 +146,7 @@ def _runs(is_set: npt.NDArray[np.bool_], first: Array, until: Array) -> list[tup
 
 
 class Lost:
-    """Collects lost samples: where, and how many in all."""
+    """Collects lost samples: times, and total number."""
 
     def __init__(self, start_ns: int) -> None:
         self.total = 0
@@ -154,7 +154,7 @@ class Lost:
         self._last: int | None = None
 
     def add(self, t_ns: IntArray, counter: IntArray) -> None:
-        """Take the counters (k,) of samples that follow SYNC, unwrapped."""
+        """Add the unwrapped counters (k,) of samples that follow SYNC."""
         if not len(counter):
             return
         missing = np.maximum(np.diff(counter, prepend=counter[0] if self._last is None else self._last) - 1, 0)
@@ -164,5 +164,5 @@ class Lost:
         self._bins.add(t_ns[there], lost=missing[there])
 
     def times_ns(self) -> IntArray:
-        """When the first sample behind each loss came; losses close together count as one."""
+        """Return the time of the first sample after each loss; losses close together count as one."""
         return np.asarray(self._bins.filled()["first_ns"])

@@ -1,4 +1,4 @@
-"""One run of `tipforce replay`: frames of a log onto buses, in the log's own time."""
+"""One run of `tipforce replay`: send the frames of a log to buses, with the recorded timing."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ from tipforce_tools.cli.listening import StopSignals, counted, resolved_options
 from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.replay.source import STDIN, log_blocks
 
-_SLICE_S = 0.2  # how long a signal waits at most
+_SLICE_S = 0.2  # maximum delay of a signal
 _VIRTUAL = ("virtual", "udp_multicast")
 
 
 class Frame(NamedTuple):
-    """One frame that is to be sent: ``due_s`` after the start; ``fd`` in place of length and data."""
+    """One frame to send: ``due_s`` after the start; ``fd`` instead of length and data."""
 
     due_s: float
     name: str
@@ -40,7 +40,7 @@ class Frame(NamedTuple):
 
 
 class Clock:
-    """When frames are due: the log's own steps, none backwards and none longer than a given gap, times a speed."""
+    """Due times of frames: the steps of the log, none backwards and none longer than a given gap, scaled by a speed."""
 
     def __init__(self, speed: float, max_gap_s: float | None) -> None:
         self._per_ns = 0.0 if speed == np.inf else 1e-9 / speed
@@ -49,7 +49,7 @@ class Clock:
         self._due_s = 0.0
 
     def due_s(self, t_ns: int) -> float:
-        """Seconds after the start, for the next frame of the log."""
+        """Return the due time of the next frame of the log, in seconds after the start."""
         step_ns = 0 if self._last_ns is None else max(t_ns - self._last_ns, 0)
         if self._longest_ns is not None:
             step_ns = min(step_ns, self._longest_ns)
@@ -58,12 +58,12 @@ class Clock:
         return self._due_s
 
     def begin_again(self) -> None:
-        """The log starts anew: its first frame is due with its last."""
+        """Restart the log: its first frame is due with its last."""
         self._last_ns = None
 
 
 class Buses:
-    """The buses that are sent on, opened when the first frame for one comes, and what could not be sent."""
+    """The output buses, opened with the first frame for each, and the counts of frames left out."""
 
     def __init__(self, args: Namespace, opened: ExitStack) -> None:
         self._args = args
@@ -77,13 +77,13 @@ class Buses:
         self._only = self._options.get("channel") if not args.assignments else None
         self.sent = 0
         self.left_out: Counter[str] = Counter()
-        # What is known before the log is read is asked for and opened now, not in the middle.
+        # Buses known before reading the log are confirmed and opened now, not during the replay.
         known = [str(self._only)] if self._only else [one for some in self._targets_of.values() for one in some]
         for target in dict.fromkeys(known):
             self._open(target)
 
     def send(self, frame: Frame) -> None:
-        """Send one frame where it goes, or count why not. Raises EnvironmentLackError when the bus fails."""
+        """Send one frame to its bus, or count the reason. Raises EnvironmentLackError if the bus fails."""
         if self._only:
             self._send(frame, self._only)
         elif not self._targets_of:
@@ -97,7 +97,7 @@ class Buses:
     def _send(self, frame: Frame, target: str) -> None:
         sender = self._senders.get(target) or self._open(target)
         if frame.can_id & ERROR_FLAG and not self._virtual(target):
-            self.left_out["error frames, which only a virtual bus carries"] += 1
+            self.left_out["error frames, which only a virtual bus can send"] += 1
             return
         try:
             if frame.fd is None:
@@ -120,11 +120,11 @@ class Buses:
 
 
 def replay(args: Namespace) -> int:
-    """Send all frames of the log. 0, 1 if it had bad lines and --strict, 130 after a signal."""
+    """Send all frames of the log; return 0, 1 for bad lines with --strict, or 130 after a signal."""
     if args.log == STDIN and args.loop != 1:
-        raise InputError("--loop: stdin can be read once only; give a file")
+        raise InputError("--loop: stdin can be read only once; pass a file")
     if args.assignments and getattr(args, "channel", None):
-        raise InputError("-c sends all frames to one bus, WRITE=LOG assigns them: give one of the two")
+        raise InputError("-c and WRITE=LOG: allowed is one of them: -c sends all frames to one bus")
     parser = CandumpParser(strict=args.strict)
     late_s = [0.0]
     with StopSignals() as stop, ExitStack() as opened:
@@ -142,7 +142,7 @@ def replay(args: Namespace) -> int:
             print(f"tipforce replay: {error}", file=sys.stderr)
             return 1
         except InputError:
-            started = buses.sent > 0  # else there is nothing to tell but the error
+            started = buses.sent > 0  # otherwise the error is the whole report
             raise
         finally:
             if started:
@@ -151,7 +151,7 @@ def replay(args: Namespace) -> int:
 
 
 def _check_readable(name: str, buses: Buses, parser: CandumpParser) -> None:
-    """Raises InputError where there is text and none of it is a frame."""
+    """Raises InputError for text without a frame."""
     if parser.bad and not buses.sent and not buses.left_out:
         from tipforce_tools.cli.empty_log import MESSAGES, PACKED, TEXT, no_frame
 
@@ -159,14 +159,14 @@ def _check_readable(name: str, buses: Buses, parser: CandumpParser) -> None:
 
 
 def _frames(args: Namespace, parser: CandumpParser) -> Iterator[Frame]:
-    """All frames in order, as often as --loop says. Raises InputError for a log without time stamps or frames."""
+    """Yield all frames in order, --loop times. Raises InputError for a log without timestamps or frames."""
     clock = Clock(args.speed, args.max_gap)
     for _ in islice(count(), args.loop):
         clock.begin_again()
         empty = True
         for block in log_blocks(args.log, parser):
             if not block.timed:
-                raise InputError(f"{args.log} has no time stamps: record it with candump -L or `tipforce log`")
+                raise InputError(f"{args.log} has no timestamps: record it with candump -L or `tipforce log`")
             empty = empty and not len(block)
             yield from _block_frames(block, clock)
         if empty:
@@ -192,7 +192,7 @@ def _fd_frame(one: FdFrame, block: CandumpBlock, clock: Clock) -> Frame:
 
 
 def _wait_until(due_s: float, stop: StopSignals) -> bool:
-    """Sleep until ``due_s`` of the monotonic clock; False when a signal came."""
+    """Sleep until ``due_s`` of the monotonic clock; return False after a signal."""
     while not stop.stopped:
         rest_s = due_s - time.monotonic()
         if rest_s <= 0:
@@ -202,7 +202,7 @@ def _wait_until(due_s: float, stop: StopSignals) -> bool:
 
 
 def _report(args: Namespace, buses: Buses, parser: CandumpParser, seconds: float, late_s: float) -> None:
-    late = f", the latest {late_s * 1000:.1f} ms after its time" if args.verbose else ""
+    late = f", at most {late_s * 1000:.1f} ms late" if args.verbose else ""
     common.note(args, f"tipforce replay: {counted(buses.sent, 'frame')} sent in {seconds:.1f} s{late}")
     for reason, number in buses.left_out.items():
         common.note(args, f"tipforce replay: {counted(number, 'frame')} left out: {reason}")

@@ -1,4 +1,4 @@
-"""A log of any format as blocks that keep every kind of frame: classic, remote, error and CAN FD frames."""
+"""Read a log of any format as blocks with every kind of frame: classic, remote, error and CAN FD frames."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tipforce_tools.dump.text_source import text_blocks
 STDIN = "-"
 _CHUNK_BYTES = 1 << 18
 _BLOCK_FRAMES = 4096
-_TEXT_SUFFIXES = {"", ".log", ".txt"}  # python-can's reader of .log knows no error frames and no CAN FD flags
+_TEXT_SUFFIXES = {"", ".log", ".txt"}  # python-can's reader of .log supports neither error frames nor CAN FD flags
 
 
 def log_blocks(name: str, parser: CandumpParser) -> Iterator[CandumpBlock]:
-    """The frames of a log, in bounded memory: candump's text (.gz and .zst, too), or what python-can reads.
+    """Yield the frames of a log in bounded memory: candump text (also .gz and .zst), or a format of python-can.
 
     ``parser`` counts the bad lines of text; if it is strict, BadLineError is raised at the first, after the frames
-    before it. Raises InputError for a file that can't be read.
+    before it. Raises InputError for a file that cannot be read.
     """
     if name == STDIN:
         return text_blocks(sys.stdin.fileno(), parser)
@@ -81,5 +81,5 @@ def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
                 yield message_block(chunk, names)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
-    except Exception as error:  # python-can's readers raise whatever a broken file makes them meet
+    except Exception as error:  # python-can's readers raise any exception on a damaged file
         raise InputError(f"{path}: {error}") from error

@@ -112,7 +112,7 @@ def _state(block: Block, row: int, k: int, word: Word) -> FingerState:
 
 def _silent(since_ns: int) -> FingerState:
     nan = float("nan")
-    return FingerState("silent", "no answer", "", since_ns, 0, (nan, nan, nan), (nan, nan, nan), ())
+    return FingerState("silent", "no response", "", since_ns, 0, (nan, nan, nan), (nan, nan, nan), ())
 
 
 def _unknown_reason(status: int) -> str:
