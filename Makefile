@@ -1,25 +1,25 @@
-# Each target sets up all that it needs (tools/bootstrap.sh: .venv, and for `test` the system packages).
+# Each target installs what it needs (tools/bootstrap.sh: .venv, and for `test` the system packages).
 SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test oldest report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
-help: ## this list
+help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
 
-demo: bootstrap-demo ## the main job with no hardware
+demo: bootstrap-demo ## run the demo; needs no hardware
 	@.venv/bin/tipforce demo
 
-# tests/vcan needs a kernel with vcan: this one, or else User-mode Linux. Last, so its summary is the last line.
-test: lint ## style, types, imports, all tests, and the tests on a real vcan
+# tests/vcan needs a kernel with vcan: this one, or else User-mode Linux. Last, so that its summary is the last line.
+test: lint ## check style, types and imports, run all tests, also on a real vcan
 	$(PYTHON) -m pytest -n auto --dist=worksteal
 	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
 
-oldest: ## the tests that use canopen, with the oldest one that pyproject.toml allows; a venv of its own
+oldest: ## run the tests that use canopen with the oldest version that pyproject.toml allows, in a separate venv
 	@tests/oldest.sh
 
-lint: bootstrap-test ## style, types and imports
+lint: bootstrap-test ## check style, types and imports
 	@$(MAKE) --no-print-directory -j2 --output-sync=target lint-style lint-types lint-imports
 
 lint-style:
@@ -32,13 +32,13 @@ lint-types:
 lint-imports:
 	.venv/bin/lint-imports --no-logo
 
-report: bootstrap-test ## error against run time and extreme cases: build/report/index.html, within ten minutes
+report: bootstrap-test ## write the report on errors, run times and extreme cases to build/report/index.html; ten minutes
 	.venv/bin/tipforce report -o build/report
 
-docs: bootstrap-test ## the documentation site: build/site/index.html
+docs: bootstrap-test ## build the documentation site: build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --strict --quiet
 
-long: bootstrap-test ## the full counts of every long check, and the reports; about two hours
+long: bootstrap-test ## run every long check at full size, and write the reports; about two hours
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.micropython
@@ -62,7 +62,7 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
 	mv build/conformance.md docs/conformance.md
 
-generate: bootstrap-test ## write the committed files that come from the object dictionary
+generate: bootstrap-test ## write the committed files generated from the object dictionary
 	@$(PYTHON) -m tipforce.dictionary.generate
 
 clean: ## remove .venv, caches and build results

@@ -1,8 +1,8 @@
 #!/bin/bash
-# Set up what `make demo` and `make test` need, and nothing when it is there already.
-#   tools/bootstrap.sh demo   .venv with tipforce in it
-#   tools/bootstrap.sh test   the same with the developers' tools, MicroPython, and the system packages for these
-# Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others are told how.
+# Install what `make demo` and `make test` need, if it is missing.
+#   tools/bootstrap.sh demo   .venv with tipforce
+#   tools/bootstrap.sh test   the same with development tools, MicroPython, and their system packages
+# Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; other users get the command.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export PATH="$PATH:/usr/sbin:/sbin" PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 DEBIAN_FRONTEND=noninteractive
@@ -17,20 +17,20 @@ die() {
     exit 1
 }
 
-# logged STEP COMMAND...: one line for the step; its output goes to the log, whose end is shown if it fails.
+# logged STEP COMMAND...: print the step; write its output to the log, and show the end of the log on failure.
 logged() {
     say "$1"
     mkdir -p .venv
     if ! "${@:2}" </dev/null >"$log" 2>&1; then
         tail -n 40 "$log" >&2
-        die "failed: ${*:2} (all of it in $log)"
+        die "failed: ${*:2} (full output in $log)"
     fi
 }
 
 apt_install() {
-    command -v apt-get >/dev/null || die "missing: $*. This is no Debian or Ubuntu: install what corresponds"
+    command -v apt-get >/dev/null || die "missing: $*. Not a Debian or Ubuntu system: install the corresponding packages"
     if [ "$(id -u)" != 0 ]; then
-        die "missing: $*. Type: sudo apt-get update && sudo apt-get install -y $*"
+        die "missing: $*. Run: sudo apt-get update && sudo apt-get install -y $*"
     fi
     logged "apt-get update" apt-get update
     logged "apt-get install $*" apt-get install -y --no-install-recommends "$@"
@@ -47,7 +47,7 @@ find_python() {
     return 1
 }
 
-# Trying tells more than asking for packages: a Python from elsewhere needs no python3-venv.
+# Try instead of checking packages: a Python from another source needs no python3-venv.
 try_venv() { "$1" -m venv --clear .venv </dev/null >/dev/null 2>&1 && .venv/bin/python -m pip --version >/dev/null 2>&1; }
 
 make_venv() {
@@ -55,16 +55,16 @@ make_venv() {
     if ! python=$(find_python); then
         command -v python3 >/dev/null || apt_install python3 python3-venv
         python=$(find_python) || die "tipforce needs Python 3.11 or newer, and python3 is $(python3 -V 2>&1)." \
-            "Install one as python3.11 (to python3.14); it is found by that name"
+            "Install one; it is found as python3.11 to python3.14"
     fi
-    say "a virtual environment in .venv, with $("$python" -V)"
+    say "creating a virtual environment in .venv, with $("$python" -V)"
     try_venv "$python" && return
     version=$("$python" -c 'import sys; print("python%d.%d" % sys.version_info[:2])')
     [ "$python" = python3 ] && apt_install python3-venv || apt_install "$version-venv"
     try_venv "$python" || die "$python -m venv .venv does not work: run it to see why"
 }
 
-# The stamp holds the folder: a moved checkout has scripts that point to the old place.
+# The stamp holds the folder: scripts in a moved checkout point to the old path.
 fresh() { [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ] && [ -x .venv/bin/python ]; }
 
 install_project() {
@@ -87,7 +87,7 @@ kernel_has_vcan() {
     unshare "${as_root[@]}" --net ip link add dev vcan0 type vcan 2>/dev/null
 }
 
-# It lies in .venv, so what makes .venv anew, or removes it, does so with this too.
+# It is in .venv, so it is removed and recreated with .venv.
 have_micropython() { [ "$(cat .venv/micropython/stamp 2>/dev/null)" = "$micropython" ]; }
 
 install_micropython() {
@@ -105,11 +105,11 @@ install_system_packages() {
     if ! command -v linux.uml >/dev/null && ! kernel_has_vcan; then
         missing+=(user-mode-linux)
     fi
-    command -v gcc >/dev/null || missing+=(gcc libc6-dev) # compiles what tipforce export c writes
-    # MicroPython runs under Node.js; npm is needed to fetch it only.
+    command -v gcc >/dev/null || missing+=(gcc libc6-dev) # compiles the output of tipforce export c
+    # MicroPython runs under Node.js; npm is needed only to fetch it.
     command -v node >/dev/null || missing+=(nodejs)
     have_micropython || command -v npm >/dev/null || missing+=(npm)
-    # The tests drive the web page in it, and nothing else needs it.
+    # Only the tests of the web page need it.
     command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null ||
         missing+=(chromium)
     [ ${#missing[@]} = 0 ] || apt_install "${missing[@]}"

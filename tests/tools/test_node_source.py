@@ -35,7 +35,7 @@ WRONG = [
     ("iio:,", BRIDGE, "'' is not a device"),
     ("iio:ip:/adc", BRIDGE, "'ip:/adc' is not a device"),
     ("iio:device0/voltage7", BRIDGE, "no channel 'voltage7'; it has voltage0, voltage1"),
-    ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), and layout"),
+    ("iio:device0", BRIDGE, "2 channels (iio:device0/voltage0, iio:device0/voltage1), but layout"),
     ("iio:device0,device0/voltage1", BRIDGE, "a channel is named twice"),
     ("iio:device0,device1", BRIDGE, "the range of counts is 0 to 4095, 0 to 255; all gauges need one range"),
     ("iio:device0,device2", BRIDGE, "the driver does not state its range of counts"),

@@ -120,8 +120,8 @@ def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(capsys: pytest.C
     [
         ("--gauges 2", "2 gauges: allowed are 3 to 5"),
         ("--starts 0", "0 starts: allowed is 1 or more"),
-        ("--envelope 30", "--envelope '30': write two numbers"),
-        ("--envelope a,b", "--envelope 'a,b': write two numbers"),
+        ("--envelope 30", "--envelope '30': expected two numbers"),
+        ("--envelope a,b", "--envelope 'a,b': expected two numbers"),
         ("--envelope 30,nan", "limit envelope_y_m = nan"),
         ("--pad 20,10", "pad from 20.0 to 10.0 degrees"),
         ("--load nan", "load = nan N: allowed"),

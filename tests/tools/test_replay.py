@@ -187,8 +187,8 @@ def test_a_signal_ends_an_endless_loop(log: Path) -> None:
         (["missing.blf"], "missing.blf: No such file"),
         (["broken.log.gz"], "broken.log.gz: "),
         (["untimed.log"], "no timestamps"),
-        (["-", "--loop", "2"], "stdin can be read once"),
-        (["run.log", "-c", "x", "a=b"], "give one of the two"),
+        (["-", "--loop", "2"], "stdin can be read only once"),
+        (["run.log", "-c", "x", "a=b"], "allowed is one of them"),
     ],
 )
 def test_usage_errors(

@@ -61,7 +61,7 @@ class Walk:
                 self._todo.appendleft(EXTRA_TARE)
 
     def run(self) -> Outcome:
-        """Execute the remaining steps; return "done", "quit" by the user, or "refused" (no good capture with --auto)."""
+        """Execute the remaining steps; return "done", "quit" by the user, or "refused" (--auto, no good capture)."""
         with self._self_loading():
             while self._todo:
                 step = self._todo[0]

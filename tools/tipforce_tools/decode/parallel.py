@@ -81,8 +81,7 @@ def _received(piece: Piece, process: Any, items: Any, progress: Progress | None,
             if process.is_alive() or not items.empty():
                 continue
             raise EnvironmentLackError(
-                f"{piece.name}: the decoding process ended with {process.exitcode}: too little memory? "
-                "Try --jobs 1"
+                f"{piece.name}: the decoding process ended with {process.exitcode}: too little memory? Try --jobs 1"
             ) from None
         if isinstance(item, Exception):
             raise item

@@ -38,7 +38,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--once", type=_seconds, metavar="S", help="print one table after S seconds, and end")
     parser.add_argument(
-        "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default inf: no waiting)"
+        "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default: no waiting)"
     )
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
     common.add_bus_arguments(parser)

@@ -34,9 +34,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     paper.add_argument("--heartbeat", type=float, default=1.0, metavar="S", help="period, 0 for none (default 1)")
     paper.add_argument("--limit", type=float, default=80.0, metavar="PERCENT", help="default %(default)g")
     live = parser.add_argument_group("live bus")
-    live.add_argument(
-        "--seconds", type=float, default=2.0, metavar="S", help="listening time (default %(default)g)"
-    )
+    live.add_argument("--seconds", type=float, default=2.0, metavar="S", help="listening time (default %(default)g)")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 

@@ -39,9 +39,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce node`."""
     parser.epilog = EPILOG
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
-    parser.add_argument(
-        "--source", default="sim", help=f"source of the gauge readings: {KINDS} (default %(default)s)"
-    )
+    parser.add_argument("--source", default="sim", help=f"source of the gauge readings: {KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="file of stored parameters; without it 1010h refuses")
     parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)")

@@ -1,4 +1,4 @@
-"""Code on MicroPython's WebAssembly build under Node.js, where both are there."""
+"""Run code on MicroPython's WebAssembly build under Node.js, if both are installed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from tipforce.errors import EnvironmentLackError
 
 MODULE = Path(sys.prefix) / "micropython/node_modules/@micropython/micropython-webassembly-pyscript/micropython.mjs"
-HEAP_BYTES = 64 << 20  # this build collects garbage between runs alone
+HEAP_BYTES = 64 << 20  # this build collects garbage only between runs
 TIMEOUT_S = 120
 _LAST_CHARACTERS = 200
 _LAUNCHER = """
@@ -35,15 +35,15 @@ process.stdout.write(lines.map((line) => line + "\\n").join(""));
 
 
 def run(files: Mapping[str, str], calls: Sequence[str]) -> list[str]:
-    """Run ``calls`` one after the other with ``files`` in the root of the file system; the lines that they print.
+    """Run ``calls`` in sequence with ``files`` in the root of the file system; return the lines printed.
 
-    Raises EnvironmentLackError where Node.js or MicroPython is missing, and where the code fails.
+    Raises EnvironmentLackError if Node.js or MicroPython is missing, or the code fails.
     """
     node = shutil.which("node")
     if node is None:
         raise EnvironmentLackError("Node.js, which runs MicroPython here, is not installed (apt: nodejs)")
     if not MODULE.exists():
-        raise EnvironmentLackError("MicroPython is not installed in this environment: tools/bootstrap.sh test does it")
+        raise EnvironmentLackError("MicroPython is not installed in this environment: run tools/bootstrap.sh test")
     job = {"files": dict(files), "calls": list(calls), "heap": HEAP_BYTES, "module": str(MODULE)}
     command = [node, "--input-type=module", "-e", _LAUNCHER]
     try:

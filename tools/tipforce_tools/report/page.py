@@ -1,4 +1,4 @@
-"""The report as one HTML page that needs nothing else: no script, no network, readable on a phone and on paper."""
+"""The report as one self-contained HTML page: no script, no network, readable on a phone and on paper."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tipforce_tools.report.study import Study
 
 
 def write(report: Report, directory: Path) -> list[Path]:
-    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError where the disk refuses."""
+    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError if a file cannot be written."""
     items: list[Study | Judged | LeftOut] = [*report.studies, *report.cases, *report.left_out]
     records = [text.head_record(report), *map(text.record, items)]
     lines = "".join(json_line(one) + "\n" for one in records)
@@ -35,7 +35,7 @@ def write(report: Report, directory: Path) -> list[Path]:
 
 
 def style() -> str:
-    """The page's one style sheet, with the plots' colours on light and on dark paper."""
+    """Return the style sheet of the page, with the colours of the plots for light and dark mode."""
     light = [*((name, pair[0]) for name, pair in plots.COLOURS.items()), ("grid", plots.GRID), ("band", plots.BAND)]
     dark = [*((name, pair[1]) for name, pair in plots.COLOURS.items()), ("grid", "#3a4046"), ("band", "#9aa3ab")]
     rules = "".join(_colour_rules(name, value) for name, value in light)
@@ -51,7 +51,7 @@ def _colour_rules(name: str, value: str) -> str:
 
 
 def html(report: Report) -> str:
-    """The page. Raises EnvironmentLackError without matplotlib."""
+    """Return the page. Raises EnvironmentLackError without matplotlib."""
     sheet = style()
     digest = base64.b64encode(hashlib.sha256(sheet.encode()).digest()).decode()
     policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"

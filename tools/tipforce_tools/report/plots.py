@@ -1,4 +1,4 @@
-"""One work-precision plot per study, as SVG that an HTML page takes in: no script, no style, no address."""
+"""One work-precision plot per study, as SVG to embed in an HTML page: no script, no style, no URL."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 INK, GRID, PAPER, BAND = "#222222", "#d4d4d4", "#ffffff", "#8a8a8a"
-# Okabe and Ito's palette, told apart with any colour vision; yellow is too pale on white. Each with its shade on black.
+# Okabe and Ito's palette, for any colour vision; yellow is too pale on white. Each with its shade on black.
 COLOURS = {
     "blue": ("#0072b2", "#4fb3f0"),
     "vermillion": ("#d55e00", "#ff8b3d"),
@@ -31,7 +31,7 @@ _HUES = tuple(light for light, _ in COLOURS.values())
 _LINES = ("-", "--", "-.", ":")
 _MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", "*", ">", "h")
 CLASSES = {light: name for name, (light, _) in COLOURS.items()} | {GRID: "grid", PAPER: "paper", BAND: "band"}
-"""Colour in the SVG -> class, so that the page can give it another colour in the dark."""
+"""Colour in the SVG -> class, so that the page can change it in dark mode."""
 _WIDTH_INCH, _AXES_INCH, _LEGEND_LINE_INCH = 4.6, 3.6, 0.21
 _ZERO_BELOW = 0.1  # an error of zero is drawn at this fraction of the smallest other
 _KEPT_STYLE = {"fill", "stroke"}
@@ -49,12 +49,12 @@ _STYLE = {
 
 
 def plotting() -> AbstractContextManager[None]:
-    """The style of the report. Raises EnvironmentLackError without matplotlib, on entry."""
+    """Apply the style of the report. Raises EnvironmentLackError without matplotlib, on entry."""
     return figures.plotting(_STYLE, "report")
 
 
 def figure(study: Study) -> Figure:
-    """Error against time, both logarithmic, with quartiles, the reference's own error, and a legend below."""
+    """Draw error against time, both logarithmic, with quartiles, the error of the reference, and a legend below."""
     from matplotlib.figure import Figure
 
     lines = len(study.series) + 1  # and the band
@@ -72,7 +72,7 @@ def figure(study: Study) -> Figure:
 
 
 def _folded(text: str) -> str:
-    """On two lines where one is longer than the axis."""
+    """Split a title longer than the axis into two lines."""
     if len(text) < 46:
         return text
     middle = min((match.start() for match in re.finditer(" ", text)), key=lambda at: abs(at - len(text) / 2))
@@ -80,7 +80,7 @@ def _folded(text: str) -> str:
 
 
 def _floor(study: Study) -> float:
-    """Where an error of zero is drawn."""
+    """Return the position of an error of zero."""
     errors = [error for one in study.series for point in one.points for error in (point.error, point.rms_error)]
     return _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
 
@@ -116,7 +116,7 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
 
 
 def _widen(axes: Axes) -> None:
-    """At least two decades each way: a log axis over less has hardly a number on it."""
+    """Show at least two decades on each axis: a shorter log axis has almost no labels."""
     for low_high, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
         low, high = low_high
         short = 2.0 - math.log10(high / low)
@@ -125,7 +125,7 @@ def _widen(axes: Axes) -> None:
 
 
 def _draw_reference(axes: Axes, study: Study) -> None:
-    """A band up to the reference's own error, where that is not so far below the points as to squeeze them."""
+    """Draw a band up to the error of the reference, unless that is too far below the points."""
     own = study.reference_error
     low, high = axes.get_ylim()
     if own < low / 1e3:
@@ -142,7 +142,7 @@ def _draw_zero(axes: Axes, study: Study, floor: float) -> None:
 
 
 def svg(study: Study) -> str:
-    """The plot as an <svg> element for a page; identifiers carry the study's key, so that pages can hold many."""
+    """Return the plot as an <svg> element; identifiers contain the study's key, so that a page can hold many."""
     with plotting():
         drawn = figure(study)
         out = io.StringIO()
@@ -151,13 +151,13 @@ def svg(study: Study) -> str:
 
 
 def save(study: Study, path: Path) -> None:
-    """The plot as a file of its own, .svg or .png. Raises InputError where the disk refuses."""
+    """Write the plot to a file, .svg or .png. Raises InputError if it cannot be written."""
     with plotting():
         figures.save(figure(study), path, transparent=False, facecolor=PAPER)
 
 
 def _inlined(text: str, key: str) -> str:
-    """Without what only a file of its own needs, with attributes in place of styles, which a strict CSP forbids."""
+    """Return the SVG without its file header, with attributes instead of styles, which a strict CSP forbids."""
     text = text[text.index("<svg") :]
     text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text, flags=re.DOTALL)
     head, body = text.split(">", 1)
@@ -173,7 +173,7 @@ def _inlined(text: str, key: str) -> str:
 
 
 def _attributes(style: re.Match[str]) -> str:
-    """`style="fill: #abc; stroke-width: 2"` as presentation attributes, with a class for each known colour."""
+    """Convert `style="fill: #abc; stroke-width: 2"` to presentation attributes, with a class for each known colour."""
     attributes: dict[str, str] = {}
     classes: list[str] = []
     for declaration in style[1].split(";"):

@@ -1,4 +1,4 @@
-"""Runs the studies and the extreme cases. What is missing, or fails, is a line in the report, not the end of it."""
+"""Run the studies and the extreme cases. A missing package or a failure is a line in the report, not its end."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tipforce_tools.report.study import Effort, Study
 
 STUDIES: dict[str, tuple[str, str]] = {
     "structure": ("tipforce_tools.report.studies.structure", "structure models: beams, frame, finite elements"),
-    "integrators": ("tipforce_tools.report.studies.integrators", "time integration: smooth, step, tap, stiff impact"),
+    "integrators": ("tipforce_tools.report.studies.integrators", "integrators: smooth load, step, tap, stiff impact"),
     "estimators": ("tipforce_tools.report.studies.estimators", "arithmetic of the estimator"),
     "fits": ("tipforce_tools.report.studies.fits", "calibration fits against the number of loads"),
     "decoders": ("tipforce_tools.report.studies.decoders", "decoders of CAN frames"),
-    "scenes": ("tipforce_tools.report.scene_costs", "what each part of a scene costs"),
+    "scenes": ("tipforce_tools.report.scene_costs", "cost of each part of a scene"),
 }
-"""Key -> (module with STEPS and studies(effort, advance), what it compares)."""
+"""Key -> (module with STEPS and studies(effort, advance), subject)."""
 STABILITY = "stability"
 CASES_MODULE = "tipforce_tools.report.stability.all"
 _EXTRAS = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}
@@ -33,7 +33,7 @@ Advance = Callable[[], None]
 
 @dataclass(frozen=True, slots=True)
 class Judged:
-    """One extreme case and what was seen."""
+    """One extreme case and its observation."""
 
     case: Case
     observed: Observed
@@ -41,7 +41,7 @@ class Judged:
 
 @dataclass(frozen=True, slots=True)
 class LeftOut:
-    """A part that did not run; ``failed`` where that is a fault, not a missing package."""
+    """A part that did not run; ``failed``: because of a fault, not a missing package."""
 
     key: str
     reason: str
@@ -50,7 +50,7 @@ class LeftOut:
 
 @dataclass(slots=True)
 class Report:
-    """All that a report shows."""
+    """The content of a report."""
 
     date: str
     effort: Effort
@@ -60,13 +60,13 @@ class Report:
     left_out: list[LeftOut] = field(default_factory=list)
 
     def sound(self) -> bool:
-        """Every claim held and nothing failed; what was left out for want of a package does not count."""
+        """Whether every claim held and nothing failed; parts left out for a missing package do not count."""
         return all(one.observed.held for one in self.cases) and not any(one.failed for one in self.left_out)
 
 
 @dataclass(frozen=True, slots=True)
 class Selection:
-    """What to run: keys of STUDIES, and patterns of case keys (none: no cases)."""
+    """Selection: keys of STUDIES, and patterns of case keys (none: no cases)."""
 
     studies: tuple[str, ...]
     cases: tuple[str, ...]
@@ -75,7 +75,7 @@ class Selection:
 def selected(only: str | None) -> Selection:
     """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
 
-    Raises InputError for a word that names nothing.
+    Raises InputError for an unknown word.
     """
     if only is None:
         return Selection(tuple(STUDIES), ("*",))
@@ -104,19 +104,19 @@ def _require_case(word: str) -> None:
 
 
 def all_cases() -> list[Case]:
-    """Every extreme case. Raises ImportError where a package for one of them is missing."""
+    """Return every extreme case. Raises ImportError if a package for one of them is missing."""
     found: list[Case] = importlib.import_module(CASES_MODULE).cases()
     return found
 
 
 def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
-    """The cases that one of the patterns names."""
+    """Return the cases that match one of the patterns."""
     wanted = tuple(patterns)
     return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in wanted)]
 
 
 class Run:
-    """One run: first what is there to do (so that progress has a length), then ``report``."""
+    """One run: first the list of steps (the length of the progress bar), then ``report``."""
 
     def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
         self.report = Report(date, effort, machine())
@@ -131,7 +131,7 @@ class Run:
         self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
 
     def items(self, advance: Advance) -> Iterator[Study | Judged | LeftOut]:
-        """Run all; each study and case as it is done. The studies come first and alone, because they are timed."""
+        """Run all; yield each study and case when done. The studies run first and alone, because they are timed."""
         yield from self.report.left_out
         for key, module in self._modules:
             before = len(self.report.left_out)
@@ -161,28 +161,28 @@ class _Lack:
 
 
 def _guarded(work: Callable[[], Any]) -> Any:
-    """What ``work`` returns, or the lack that kept it from doing so."""
+    """Return the result of ``work``, or the lack that prevented it."""
     try:
         return work()
     except ModuleNotFoundError as error:
         return _lack_of_module(error)
     except TipforceError as error:
         return _Lack(str(error), failed=not isinstance(error, EnvironmentLackError))
-    except Exception as error:  # a fault in one study must not cost the others
+    except Exception as error:  # a fault in one study must not end the others
         return _Lack(_told(error), failed=True)
 
 
 def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
     name = (error.name or "").split(".")[0]
     if name in ("tipforce", "tipforce_tools"):
-        return _Lack(f"it is not part of this installation ({error.name})", failed=True)
+        return _Lack(f"not part of this installation ({error.name})", failed=True)
     hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else (
         'pip install "tipforce[report]"')  # fmt: skip
     return _Lack(f"{name} is not installed: {hint}", failed=False)
 
 
 def _observed(case: Case) -> Observed:
-    """A case that breaks did not hold; one that wants a package that is not there is left out."""
+    """Run a case: an exception means that it did not hold; a missing package means that it is left out."""
     try:
         return case.check()
     except (ModuleNotFoundError, EnvironmentLackError):
@@ -197,7 +197,7 @@ def _told(error: Exception) -> str:
 
 
 def machine() -> dict[str, str]:
-    """What the times depend on: processor, system, versions."""
+    """Return what the times depend on: processor, system, versions."""
     import os
     from importlib.metadata import PackageNotFoundError, version
 
@@ -218,7 +218,7 @@ def machine() -> dict[str, str]:
 
 
 def _processor() -> str:
-    """The name in /proc/cpuinfo where there is one: platform.processor() is often empty on Linux."""
+    """Return the name in /proc/cpuinfo if present: platform.processor() is often empty on Linux."""
     try:
         with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
             names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]

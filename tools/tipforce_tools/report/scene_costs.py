@@ -1,4 +1,4 @@
-"""What each part of a scene costs, the smallest scene beside the one that names everything: a table of the report."""
+"""Cost of each part of a scene, for the smallest scene and the one with all parts: a table of the report."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ class SceneCost:
     part: str
     built: bool
     us_per_sample: float | None
-    """Processor time with the part less without it. None: left out, or it cannot be taken away alone."""
+    """Difference of processor time with and without the part. None: left out, or not removable alone."""
     ms_per_run: float | None
-    """The same for what a run does once."""
+    """The same for work done once per run."""
     import_ms: float | None
-    """Of the modules that the part loads. None: left out."""
+    """Import time of the part's modules. None: left out."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """The study of the report: each scene with its parts taken away one after the other, down to the bare nodes."""
+    """Return the study of the report: each scene with its parts removed in sequence, down to the bare nodes."""
     from msgspec.structs import replace
 
     from tipforce.scene.schema import read_scene
@@ -40,7 +40,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     for name in SCENES:
         path = _folder() / f"{name}.toml"
         scene = read_scene(path)
-        # A picture takes longer than all the rest and does not grow with the samples.
+        # A plot takes longer than all other parts and does not grow with the samples.
         ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
         found = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
         settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
@@ -71,9 +71,9 @@ def scene_costs(
     scenes: Sequence[str] = SCENES,
     samples: int | None = None,
 ) -> list[SceneCost]:
-    """Measure; rows by scene, then by part in the order of `tipforce scene explain`.
+    """Measure; return rows by scene, then by part in the order of `tipforce scene explain`.
 
-    Raises EnvironmentLackError where the folder scenes/ is not there: it belongs to the source tree, not to a wheel.
+    Raises EnvironmentLackError without the folder scenes/, which is in the source tree, not in a wheel.
     """
     from tipforce.scene.schema import read_scene
     from tipforce_tools.scene.cost import part_costs, total
@@ -95,5 +95,5 @@ def scene_costs(
 def _folder() -> Path:
     found = Path(__file__).parents[3] / "scenes"
     if not found.is_dir():
-        raise EnvironmentLackError(f"{found}: no such folder; run this in a clone of the source, where scenes/ is")
+        raise EnvironmentLackError(f"{found}: no such folder; run this in a clone of the source, which has it")
     return found

@@ -1,4 +1,4 @@
-"""Error against run time: what a study is made of, and how a method is timed."""
+"""Error against run time: the data of a study, and the timing of a method."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from statistics import quantiles
 
 @dataclass(frozen=True, slots=True)
 class Effort:
-    """How much a study may do: ``quick`` (all studies together within a minute) or full (ten minutes, two cores)."""
+    """Effort of a study: ``quick`` (all studies together within a minute) or full (ten minutes, two cores)."""
 
     quick: bool = False
     seed: int = 20261121
 
     def pick(self, quick: int, full: int) -> int:
-        """A count for this effort."""
+        """Return the count for this effort."""
         return quick if self.quick else full
 
 
@@ -32,18 +32,18 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Point:
-    """One setting of one method: its error against the reference, and what it costs."""
+    """One setting of one method: its error against the reference, and its time."""
 
     setting: str
     error: float
     timing: Timing
     rms_error: float | None = None
-    """Root mean square, where ``error`` is the largest."""
+    """Root mean square, if ``error`` is the maximum."""
 
 
 @dataclass(frozen=True, slots=True)
 class Series:
-    """One method, from coarse to fine. A method without a setting to turn has one point."""
+    """One method, from coarse to fine. A method without a setting has one point."""
 
     method: str
     points: tuple[Point, ...]
@@ -56,18 +56,18 @@ class Study:
     key: str
     title: str
     error_unit: str
-    """What the error is, with its unit: "relative error of the condition number"."""
+    """The kind of error, with its unit: "relative error of the condition number"."""
     work_unit: str
-    """What the time is per: "s per load case"."""
+    """The unit of time: "s per load case"."""
     reference: str
-    """What the errors are against."""
+    """The reference of the errors."""
     reference_error: float
-    """The error of the reference itself, in the same unit: points below it say nothing."""
+    """The error of the reference itself, in the same unit: points below it are not significant."""
     series: tuple[Series, ...]
     left_out: dict[str, str] = field(default_factory=dict)
     """Methods that did not run, with the reason and what to install."""
     remarks: tuple[str, ...] = ()
-    """What a reader should take away, each one sentence that these very numbers support."""
+    """Conclusions, one sentence each, supported by these numbers."""
 
 
 def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:
@@ -87,7 +87,7 @@ def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s
 
 
 def quartiles(seconds: Sequence[float]) -> Timing:
-    """What several runs, at least two, took per unit of work."""
+    """Return the timing of several runs, at least two, per unit of work."""
     first, median, third = quantiles(seconds, n=4, method="inclusive")
     return Timing(median, first, third, len(seconds))
 

@@ -18,33 +18,33 @@ _TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (0.0, "ns"))
 
 
 def shown_time(seconds: float) -> str:
-    """Seconds with three digits and a unit that fits: 4.57 us."""
+    """Format seconds with three digits and a suitable unit: 4.57 us."""
     unit, name = next((unit, name) for unit, name in _TIME_UNITS if seconds >= unit)
     return f"{seconds / (unit or 1e-9):.3g} {name}"
 
 
 def shown_error(error: float) -> str:
-    """Two digits: 4.2e-12, 0."""
+    """Format with two digits: 4.2e-12, 0."""
     return f"{error:.1e}" if error else "0"
 
 
 def shown_quartiles(point: Point) -> str:
-    """The range in which the middle half of the runs lies."""
+    """Return the interquartile range of the runs."""
     return f"{shown_time(point.timing.first_quartile_s)} - {shown_time(point.timing.third_quartile_s)}"
 
 
 def has_rms(study: Study) -> bool:
-    """Whether any point tells a root mean square beside its error."""
+    """Return whether any point has a root mean square besides its error."""
     return any(point.rms_error is not None for one in study.series for point in one.points)
 
 
 def headline(report: Report) -> str:
-    """Date and effort."""
+    """Return date and effort."""
     return f"{report.date}, {'quick' if report.effort.quick else 'full'} run, seed {report.effort.seed}"
 
 
 def summary(report: Report) -> str:
-    """How many studies, cases by outcome, and what did not hold."""
+    """Return the number of studies, of cases by outcome, and the claims that did not hold."""
     counts = Counter(one.case.outcome for one in report.cases if one.observed.held)
     failed = [one.case.key for one in report.cases if not one.observed.held]
     parts = [_counted(len(report.studies), "study", "studies"), _counted(len(report.cases), "extreme case")]
@@ -61,7 +61,7 @@ def _counted(count: int, one: str, many: str = "") -> str:
 
 
 def print_report(console: Console, report: Report) -> None:
-    """All of it."""
+    """Print the whole report."""
     from rich.markup import escape
 
     console.print(f"[bold]tipforce report[/bold], {headline(report)}")
@@ -102,7 +102,7 @@ def _print_study(console: Console, study: Study) -> None:
 
 
 def cells(study: Study, method: str, point: Point) -> list[str]:
-    """One row of a study's table."""
+    """Return one row of a study's table."""
     row = [method, point.setting, shown_error(point.error)]
     if has_rms(study):
         row.append("" if point.rms_error is None else shown_error(point.rms_error))
@@ -127,7 +127,7 @@ def _print_cases(console: Console, cases: list[Judged]) -> None:
 
 
 def head_record(report: Report) -> dict[str, Any]:
-    """The first JSON line: date, effort and machine."""
+    """Return the first JSON line: date, effort and machine."""
     return {
         "record": "report",
         "date": report.date,
@@ -138,7 +138,7 @@ def head_record(report: Report) -> dict[str, Any]:
 
 
 def record(item: Study | Judged | LeftOut) -> dict[str, Any]:
-    """A study, a case, or what was left out, as a JSON line."""
+    """Return a study, a case, or a part left out as a JSON record."""
     if isinstance(item, Study):
         return {"record": "study", **asdict(item)}
     if isinstance(item, Judged):
@@ -149,7 +149,7 @@ def record(item: Study | Judged | LeftOut) -> dict[str, Any]:
             "situation": case.situation,
             "outcome": case.outcome,
             "claim": case.claim,
-            "held": bool(item.observed.held),  # a comparison of numpy numbers gives no bool of JSON
+            "held": bool(item.observed.held),  # numpy's bool is not a bool of JSON
             "figures": item.observed.figures,
         }
     return {"record": "left out", "key": item.key, "reason": item.reason, "failed": item.failed}

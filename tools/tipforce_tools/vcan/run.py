@@ -84,9 +84,7 @@ def _check(command: Sequence[str], interfaces: Sequence[str], timeout_s: float |
         raise InputError("no command to run: add one after --, for example `tipforce vcan -- ip -br link`")
     for name in interfaces:
         if re.fullmatch(r"[A-Za-z][\w.-]{0,14}", name, re.ASCII) is None:
-            raise InputError(
-                f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -"
-            )
+            raise InputError(f"--interfaces: {name!r}: allowed are a letter, then up to 14 letters, digits, . _ or -")
     if not interfaces or len(set(interfaces)) != len(interfaces):
         raise InputError(f"--interfaces {','.join(interfaces)}: expected distinct names, for example vcan0,vcan1")
     if timeout_s is not None and not 0 < timeout_s < float("inf"):

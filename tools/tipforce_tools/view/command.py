@@ -46,13 +46,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--no-bring-up", action="store_true", help="with a hand file: only listen, change nothing")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show only these: 1,2,5-9")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 to 8 (default 3)")
-    parser.add_argument(
-        "--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it"
-    )
+    parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
     group = parser.add_argument_group("log or scene")
-    group.add_argument(
-        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="first second to show"
-    )
+    group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help="first second to show")
     group.add_argument("--to", dest="end_s", type=float, metavar="S", help="last second to show")
     add_server_arguments(parser)
     common.add_bus_arguments(parser)

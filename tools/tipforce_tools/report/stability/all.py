@@ -10,11 +10,11 @@ AREAS = (
     "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
     "integrators", "impact",
 )  # fmt: skip
-"""Modules of this folder, in the order of the report."""
+"""Modules of this package, in the order of the report."""
 
 
 def cases() -> list[Case]:
-    """All cases, area by area. An area's modules are imported here, not with this file."""
+    """Return all cases by area. The modules of the areas are imported here, not with this file."""
     found: list[Case] = []
     for area in AREAS:
         found += importlib.import_module(f"tipforce_tools.report.stability.{area}").cases()

@@ -1,4 +1,4 @@
-"""Extreme calibrations on the node: impossible, ill-conditioned, spoilt, huge and tiny ones, and tares."""
+"""Extreme calibrations on the node: impossible, ill-conditioned, corrupted, huge and tiny ones, and tares."""
 
 from __future__ import annotations
 
@@ -20,17 +20,17 @@ _GROUP = 4
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("calibration.staged_not_finite", "NaN or an infinity staged by SDO in every REAL32 of the record",
-             "refused", "staging is accepted, commit refuses with 06090030h, what is active stays", _not_finite),
+             "refused", "staging is accepted, commit refuses with 06090030h, the active record stays", _not_finite),
         Case("calibration.condition", "C with condition numbers from 10 to 1e14, and singular; limit 1e4", "refused",
              "up to the limit commit accepts, above it refuses with 06090031h and nothing changes", _condition),
         Case("calibration.impossible_noise", "2106h: a negative variance; correlations of 5; three of -0.9", "refused",
              "commit refuses with 06090030h: else u would be 0 and theta would count as resolved", _impossible),
         Case("calibration.possible_noise", "2106h: all 0; fully correlated; variances 1e-30 to 1e-6 in one record",
              "pass", "commit accepts each: REAL32's rounding does not count as impossible", _possible),
-        Case("calibration.flipped_in_transit", "each of the 848 bits of a record flipped on its way, CRC as sent",
+        Case("calibration.flipped_in_transit", "each of the 848 bits of a record flipped in transit, CRC as sent",
              "refused", "commit refuses every one with 06040043h; the active CRC stays", _flipped_in_transit),
         Case("calibration.flipped_in_store", "each bit of a stored calibration flipped before the start", "flagged",
              "the node starts uncalibrated (bit 1 clear, P unknown) with EMCY 6320h, for every one", _flipped_in_store),
@@ -40,21 +40,21 @@ def cases() -> list[Case]:
              "P reads 32.767 N with 6150h 03h, 6130h holds 3.4e34 N; theta is unresolved", _huge),
         Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "bounded",
              "commit accepts, condition 1; P is below a millinewton and reads 0; no contact is claimed", _tiny),
-        Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; offsets of 3000 microstrain beside it",
-             "bounded", "what is left is right within one count (1 mN); F is carried in double precision", _tare_huge),
+        Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain",
+             "bounded", "the rest is right within one count (1 mN); F is computed in double precision", _tare_huge),
         Case("calibration.tare_saturated", "a tare while a gauge is saturated, or while the sample is stale", "refused",
-             "08000022h, and the tare before stays", _tare_saturated),
+             "08000022h, and the previous tare stays", _tare_saturated),
         Case("calibration.scaling_points_equal", "6120h = 6122h: both scaling points at one field value", "refused",
              "06090030h in each of the three forms, and the scaling stays", _points_equal),
         Case("calibration.scaling_denormal", "6122h = 1.4e-45 counts beside 6120h = 0: a gain of 2e48", "flagged",
-             "the gauge and P stand at the end of INTEGER16 with 6150h 03h; 6130h is infinite, not wrong", _denormal),
+             "the gauge and P are at the limit of INTEGER16 with 6150h 03h; 6130h is infinite, not wrong", _denormal),
         Case("calibration.locked", "staged writes and commit with the write lock 2105h:2 set", "refused",
              "08000022h for each, the record and its CRC stay", _locked),
     ]  # fmt: skip
 
 
 def _refused(finger: rig.Talk, record: bytes, code: int) -> bool:
-    """Staged, refused at commit with a code, and nothing active has changed."""
+    """Check that a record is refused at commit with a code, and the active one is unchanged."""
     before = finger.active()
     return finger.stage(record) == 0 and finger.commit() == code and finger.active() == before
 
@@ -77,7 +77,7 @@ def _not_finite() -> Observed:
 
 
 def _conditioned(kappa: float) -> list[list[float]]:
-    """A rotated matrix with singular values 1e4, 1e4 and 1e4 / kappa; its rows are as REAL32 holds them."""
+    """Return a rotated matrix with singular values 1e4, 1e4 and 1e4 / kappa, its rows rounded to REAL32."""
     left, _ = np.linalg.qr(np.array([[2.0, 1.0, 0.5], [-1.0, 3.0, 1.0], [0.5, -1.0, 2.0]]))
     right, _ = np.linalg.qr(np.array([[1.0, 2.0, -1.0], [0.5, 1.0, 3.0], [2.0, -1.0, 0.3]]))
     C: list[list[float]] = (1e4 * left @ np.diag([1.0, 1.0, 1.0 / kappa]) @ right).tolist()
@@ -92,7 +92,7 @@ def _condition() -> Observed:
         verdicts.append((finger.stage(record) or finger.commit()) == 0)
         if not verdicts[-1] and not _refused(finger, record, codes.TOO_HIGH):
             return Observed(False, f"condition {kappa:g}: not refused as it should be")
-    # Beyond 1e7 REAL32 no longer holds a rotated matrix; a graded one it does, exactly.
+    # Beyond 1e7 REAL32 cannot represent a rotated matrix, but a graded one exactly.
     exact = []
     for tiny in (2.0**-20, 2.0**-46, 0.0):
         finger = rig.simulated()
@@ -192,7 +192,7 @@ def _cut_store() -> Observed:
     for length in range(1, len(data)):
         memory.blobs["calibration"] = data[:length]
         caught += _uncalibrated(_started(memory))
-    memory.blobs["calibration"] = b""  # what a restore of defaults leaves: no damage
+    memory.blobs["calibration"] = b""  # the state after a restore of defaults: no damage
     empty = _started(memory)
     held = caught == len(data) - 1 and not empty.emcy() and not empty.sync().status & scalar.CALIBRATED
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")

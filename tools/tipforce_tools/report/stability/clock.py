@@ -1,4 +1,4 @@
-"""Extreme times: counters and clocks that wrap, go back or stand still, and sample rates beside the SYNC's."""
+"""Extreme times: counters and clocks that wrap, step back or stop, and sample rates that differ from that of SYNC."""
 
 from __future__ import annotations
 
@@ -26,38 +26,38 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("clock.counter_wrap", "the 8-bit sample counter over 1000 SYNCs, 40 frames lost in 5 gaps", "pass",
              "unwrapped it counts every sample; lost_samples() says 40", _counter),
         Case("clock.counter_full_turn", "255 and 256 frames lost in a row: a turn of the 8-bit counter", "bounded",
-             "NOT visible in the counter; the gap is in the receive times; up to 254 in a row are counted", _full_turn),
+             "NOT visible in the counter; visible in the receive times; up to 254 in a row are counted", _full_turn),
         Case("clock.microseconds_wrap", "1013h, the 32-bit microseconds of CiA 301, written as 0xFFFFFFFF", "pass",
              "1 us later it reads 0, after 2^32 us the same again", _high_resolution),
-        Case("clock.long_run", "the node's clock at 2^31, 2^32, 2^53 us (285 years) and beside them", "pass",
-             "SYNCs are answered, the heartbeat keeps its period, nothing wraps", _long_run),
+        Case("clock.long_run", "the node's clock at and near 2^31, 2^32, 2^53 us (285 years)", "pass",
+             "the node responds to SYNC, the heartbeat keeps its period, nothing wraps", _long_run),
         Case("clock.time_of_day", "TIME for 2038-01-19, 2106-02-07 and the last day of 16 bits, 2163-06-06", "pass",
-             "network time in milliseconds equals the calendar's, and runs on over the wrap", _time_of_day),
+             "network time in milliseconds equals the calendar's, and continues over the wrap", _time_of_day),
         Case("clock.time_of_day_impossible", "TIME with 86400000 ms or more after midnight, or 5 and 7 bytes",
-             "refused", "the message is passed over, the time known before runs on", _impossible_time),
+             "refused", "the message is discarded, the previous time continues", _impossible_time),
         Case("clock.log_2038", "candump stamps 2^31 - 1, 2^31, 2^32 and 9223372035 s (2262)", "pass",
-             "read to the nanosecond; lines written and read again are the same", _log_2038),
+             "read to the nanosecond; lines written and read again are equal", _log_2038),
         Case("clock.log_beyond", "candump stamps of 9223372037 s, 11 digits, -1, NaN, 1e9, and dates of 9999",
              "refused", "each is a bad line with its number and reason; the good ones around it count", _log_beyond),
         Case("clock.log_backwards", "a log whose clock falls by 1 hour in the middle", "pass",
-             "frames keep their order and their stamps; the counter says that nothing is lost", _log_backwards),
+             "frames keep their order and timestamps; the counter shows no loss", _log_backwards),
         Case("clock.rows_backwards", "measurement rows with one jump back of 10 s in 100", "refused",
              "the fewest rows that restore the order are bad, each with the reason", _rows_backwards),
         Case("clock.live_backwards", "the node's clock falls by 10 s, with and without SYNC; then by 1 us, 1000 times",
-             "pass", "values stay live: the next read shows the new load; heartbeats go on within a period",
+             "pass", "values stay live: the next read shows the new load; heartbeats continue within a period",
              _live_backwards),
         Case("clock.slept", "the node's process sleeps for an hour in OPERATIONAL", "pass",
-             "one heartbeat, no burst; the next read shows the load of now", _slept),
+             "one heartbeat, no burst; the next read shows the present load", _slept),
         Case("clock.sync_twice_rate", "SYNC at twice the rate of the converter (250 us against 500 us)", "flagged",
              "every second PDO pair has bit 3, all unknown, and repeats the counter; the others are right",
              _twice_rate),
         Case("clock.sync_burst", "100 SYNCs within one microsecond", "flagged",
-             "one sample; 99 answers have bit 3 and its counter, none shows a value", _burst),
+             "one sample; 99 responses have bit 3 and its counter, none shows a value", _burst),
         Case("clock.sample_period", "6114h = 0, 1, 99, 1000001, 2^32 - 1 us; then 1 s", "refused",
              "06090032h or 06090031h, the period stays; at 1 s every SYNC in between has bit 3", _period),
     ]  # fmt: skip

@@ -18,7 +18,7 @@ _EPSILON = 2.0**-52
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("contact.no_load", "F = 0 exactly", "flagged",
              "P is 0 and phi and theta are unknown, on the host and in the node's PDO", _no_load),
@@ -30,7 +30,7 @@ def cases() -> list[Case]:
         Case("contact.overflow", "P = 2.4e308 N, beyond the largest float", "flagged",
              "P is infinite, never a wrong number, and both angles are right", _overflow),
         Case("contact.not_finite", "NaN or an infinity in one of F1, F2, F3, among 1000 good rows", "flagged",
-             "all five results of that row are NaN, the other rows do not change, nothing is raised", _not_finite),
+             "all five results of that row are NaN, the other rows do not change, no exception", _not_finite),
         Case("contact.exactly_tangential", "|F2| = P exactly: (3, 5, 4) N times 2^-1000 to 2^1000, both signs", "pass",
              "theta is phi -+ 90 degrees to rounding, the load counts as on the tip", _exactly_tangential),
         Case("contact.nearly_tangential", "|F2| = P (1 - 2^-k), k to 52, force along an axis", "pass",
@@ -133,7 +133,7 @@ def _nearly_tangential() -> Observed:
 
 
 def _cosine_error(found: estimate.Contact, F: tuple[float, float, float]) -> float:
-    """Relative error of pi/2 - delta where that is no difference of rounded numbers: by the sine of the gap."""
+    """Return the relative error of pi/2 - delta without a difference of rounded numbers: by the sine of the gap."""
     exact = _exact_cosine(*F) / math.hypot(F[0], F[2])
     # delta itself is rounded to 1 unit of 1.57: the gap cannot be known better than that.
     return max(0.0, abs(math.cos(float(found.delta_rad)) - exact) - 2.0 * _EPSILON) / max(exact, _EPSILON)
@@ -199,7 +199,7 @@ def _node_agrees() -> Observed:
 
 
 def _exact(F1: float, F2: float, F3: float) -> tuple[Fraction, Fraction]:
-    """hypot(F1, F3) and what |F2| exceeds it by, to 60 digits."""
+    """Return hypot(F1, F3) and the excess of |F2| over it, to 60 digits."""
     with localcontext() as context:
         context.prec = 60
         square = Fraction(F1) ** 2 + Fraction(F3) ** 2

@@ -1,4 +1,4 @@
-"""Extreme structures and steps: stiffness ratios to 1e8, no damping and far too much, steps from 1 ns to 1 s."""
+"""Extreme structures and steps: stiffness ratios to 1e8, no damping and extreme damping, steps from 1 ns to 1 s."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ from tipforce_tools.report.stability.case import Case, Observed, refusal
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("dynamics.stiffness_ratio", "h2 / h1 from 1/316 to 1e6: omega^2 of the modes as 1 to 5e8", "pass",
              "every 1 / omega^2 is a root of the exact characteristic polynomial of mass and compliance within 1e-10",
              _ratio),
         Case("dynamics.light_joint", "a joint of 1e-6 to 1e-12 of the tip's mass: 6 modes, omega^2 ratios to 1e12",
-             "refused", "up to 1e12 the static response is right within 1e-6; beyond, InputError says too much",
+             "refused", "up to 1e12 the static response is right within 1e-6; beyond, InputError names the limit",
              _light_joint),
         Case("dynamics.thickness", "h1 from 1e-6 mm to 10 mm: lowest frequencies from 4e-7 Hz to 9 kHz", "pass",
              "the elastic force at rest equals the load within 1e-12", _thickness),
@@ -59,7 +59,7 @@ def cases() -> list[Case]:
 
 
 def _polynomial(mass: FloatArray, compliance: FloatArray) -> list[Fraction]:
-    """Coefficients, from the constant on, of det(mass compliance - x), exactly."""
+    """Return the exact coefficients of det(mass compliance - x), the constant first."""
     M, C = ([[Fraction(value) for value in row] for row in a.tolist()] for a in (mass, compliance))
     A = [[sum((M[i][k] * C[k][j] for k in range(3)), Fraction(0)) for j in range(3)] for i in range(3)]
     minors = sum((A[i][i] * A[j][j] - A[i][j] * A[j][i] for i in range(3) for j in range(i)), Fraction(0))
@@ -69,7 +69,7 @@ def _polynomial(mass: FloatArray, compliance: FloatArray) -> list[Fraction]:
 
 
 def _root_error(p: list[Fraction], x: float) -> float:
-    """Newton's step from x, relative: how far the nearest root is."""
+    """Return the relative Newton step from x, an estimate of the distance to the nearest root."""
     y = Fraction(x)
     value = p[0] + y * (p[1] + y * (p[2] + y * p[3]))
     slope = p[1] + y * (2 * p[2] + y * 3 * p[3])
@@ -91,7 +91,7 @@ def _ratio() -> Observed:
 
 
 def _static_error(found: Modes) -> float:
-    """How far the elastic forces under a load at rest are from the load, relative."""
+    """Return the relative difference of the elastic forces under a load at rest from the load."""
     identity = np.eye(3)
     return float(max(np.abs(shape @ found.load_shape - identity).max()
                      for shape in (found.force_shape, found.vertical_force_shape)))  # fmt: skip
@@ -140,7 +140,7 @@ def _no_damping() -> Observed:
 
 
 def _step_response(x: float, zeta: float) -> float:
-    """1 - exp decay of one mode from rest under a constant load, from exact rates; zeta >= 1."""
+    """Return 1 - exp decay of one mode from rest under a constant load, from exact rates; zeta >= 1."""
     gamma = math.sqrt(float((Fraction(zeta) - 1) * (Fraction(zeta) + 1)))
     slow, fast = 1.0 / (zeta + gamma), zeta + gamma
     if gamma * x < 1e-3:  # both rates nearly equal: sinh(y) / y by its series
@@ -174,13 +174,13 @@ def _impossible_damping() -> Observed:
 
 
 def _ramp(modes_: Modes, steps: int, total_s: float) -> stepping.State:
-    """The state after a ramp of total_s in so many steps, from rest."""
+    """Return the state after a ramp of total_s in equal steps, from rest."""
     F = np.linspace(0.0, 1.0, steps + 1)[:, np.newaxis] * np.array([0.3, -0.4, 0.8])
     return stepping.respond(modes_, F, total_s / steps).end
 
 
 def _difference(one: stepping.State, other: stepping.State) -> float:
-    """Relative to the largest of the state."""
+    """Return the difference relative to the largest element of the state."""
     a, b = (np.concatenate(state) for state in (one, other))
     return float(np.abs(a - b).max() / np.abs(b).max())
 

@@ -1,4 +1,4 @@
-"""Filters and front ends at their ends: extreme constants, long runs, gaps, noise of nothing and of everything."""
+"""Filters and front ends at their limits: extreme constants, long runs, gaps, zero and extreme noise."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("filter.constants", "61A1h = 0, 257 and 65535 for a moving average; unknown types 3, 99, 255", "refused",
              "06090032h, 06090031h, 06090030h; filter and constant stay", _constants),
@@ -35,21 +35,21 @@ def cases() -> list[Case]:
         Case("filter.long_run", "a moving average of 256 over 200000 full-scale 24-bit readings of random sign",
              "pass", "the last mean is exact: sums are integers, nothing accumulates", _long_run),
         Case("filter.first_order_settles", "first-order filters of 2, 1000 and 65535 on a constant full-scale input",
-             "pass", "the output is the input to the last bit, 100000 readings on", _settles),
+             "pass", "after 100000 readings the output equals the input to the last bit", _settles),
         Case("filter.repeating_65535", "a repeating average of 65535 conversions: 6.5 s to its first output", "flagged",
              "until then P and gauges are unknown with bit 3; then the mean is right", _repeating),
         Case("filter.saturated", "one saturated reading inside a moving average of 256", "flagged",
-             "that SYNC has bit 2 and P unknown, and the average begins anew: no value has a part of it", _saturated),
-        Case("filter.silence", "the converter falls silent inside a first-order filter of 1000", "flagged",
+             "that SYNC has bit 2 and P unknown, and the average restarts: no value contains the reading", _saturated),
+        Case("filter.silence", "the converter stops inside a first-order filter of 1000", "flagged",
              "every SYNC from then on has bit 3 and all unknown, after 100 ms bit 7 too", _silence),
         Case("front_end.noise", "white noise of 1e6 microstrain, 300 times the range", "flagged",
-             "nearly every sample has a gauge at its end: bit 2, P unknown; the others are inside the range", _noise),
+             "nearly every sample has a gauge at its limit: bit 2, P unknown; the others are inside the range", _noise),
         Case("front_end.noise_impossible", "noise of 0, negative, NaN or infinite; 1/f limits that do not rise",
              "refused", "ValueError names the argument; without noise no random numbers are drawn", _impossible),
         Case("front_end.signal_not_finite", "strain of NaN, +-infinity and +-1e300 into 16 and 24 bits", "flagged",
-             "the converter stands at an end: saturated, never a number in between", _not_finite),
+             "the converter is at a limit: saturated, never a number in between", _not_finite),
         Case("front_end.bridge_pole", "a quarter bridge at and beyond the strain that leaves no resistance",
-             "flagged", "it shows the end of the range, no change of sign, no division by zero", _pole),
+             "flagged", "it shows the limit of the range, no change of sign, no division by zero", _pole),
         Case("front_end.temperature", "tip temperatures of -400 to 400 degC, NaN and infinity", "flagged",
              "2122h is unknown where INTEGER16 cannot hold it, else right within 0.005 degC", _temperature),
     ]  # fmt: skip

@@ -1,4 +1,4 @@
-"""Calibration fits from readings that decide too little, or contradict each other, or come in extreme units."""
+"""Calibration fits from readings that are insufficient, contradictory, or in extreme units."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ _P = 4.4
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("fit.too_few_loads", "1, 2 or 3 loads and one tare: fewer than the 4 unknowns of a gauge", "refused",
-             "InputError names what the rows cannot show, or that nothing is left to estimate the noise from", _few),
+             "InputError names what the rows cannot show, or that no rows remain to estimate the noise", _few),
         Case("fit.collinear_loads", "20 loads of 4.4 N, all with one direction and place, and 10 tares", "refused",
-             "InputError names the directions that no row sees and a load that would", _collinear),
+             "InputError names the directions that no row determines and a load that would", _collinear),
         Case("fit.plane_of_loads", "60 loads through the tip's centre, any direction: F2 = 0 in every row", "refused",
              "InputError says that F2 is 0 N in every row", _plane),
         Case("fit.no_tare", "3 loads of 4.4 N, 10 times each, with offsets, no unloaded reading", "refused",
-             "InputError says that an offset cannot be told from a sensitivity, and asks for tare rows", _no_tare),
+             "InputError says that offset and sensitivity are not distinguishable, and requests tare rows", _no_tare),
         Case("fit.dead_gauge", "SG2 reads noise only", "refused", "InputError says SG2 responds to no load", _dead),
         Case("fit.twin_gauges", "SG3 doubles SG1: the layout has rank 2", "refused",
              "InputError says that the gauges together do not respond along one direction", _twins),
@@ -38,7 +38,7 @@ def cases() -> list[Case]:
         Case("fit.time_backwards", "row times that fall once by 1 s", "refused", "InputError names the two rows",
              _backwards),
         Case("fit.saturated_rows", "9 or more of 48 rows at the converter's limit", "flagged",
-             "these rows are named and left out; C is as if they had never been taken", _saturated),
+             "these rows are named and left out; C equals that without them", _saturated),
         Case("fit.outliers", "4 of 48 rows with two gauges swapped by mistake", "flagged",
              "these rows are named and left out; C stays within 4 standard uncertainties", _outliers),
         Case("fit.units", "loads and strains times 1e-6, 1, 1e6 and 1e12", "pass",
@@ -53,7 +53,7 @@ def cases() -> list[Case]:
 def _readings(
     rows: slice | None = None, noise: float = _NOISE, A: FloatArray | None = None, tares: int = 10, repeats: int = 1
 ) -> Readings:
-    """The paper's 19 grooves (or some of them), unloaded readings before and after, offsets."""
+    """Return readings in the paper's 19 grooves (or some of them), unloaded readings before and after, offsets."""
     grooves = paper_grooves()
     which = rows or slice(None)
     phi, theta = (np.tile(a[which], repeats) for a in (grooves.phi_rad, grooves.theta_rad))
@@ -66,7 +66,7 @@ def _readings(
 
 
 def _refusal(readings: Readings, model: Model | None = None) -> str:
-    """What fit_calibration says; empty where it says nothing."""
+    """Return the error text of fit_calibration; empty without an error."""
     try:
         fit_calibration(readings, model)
     except InputError as error:
@@ -150,7 +150,7 @@ def _saturated() -> Observed:
 
 
 def _sigmas(found: Fit) -> float:
-    """Largest error of C in its own standard uncertainties."""
+    """Return the largest error of C in its standard uncertainties."""
     C = np.linalg.inv(strain_matrix(FABRICATED, "III"))
     return float((np.abs(found.C - C) / found.C_uncertainty).max())
 

@@ -1,4 +1,4 @@
-"""Gauges that are saturated, stuck, open, silent, swapped, or lost: what the node and the host notice of it."""
+"""Gauges that are saturated, stuck, open, silent, swapped, or lost: detection by the node and the host."""
 
 from __future__ import annotations
 
@@ -23,24 +23,24 @@ _HUSHED = (rig.UNKNOWN,) * 3
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("gauge.saturated", "3 gauges, SG1 at either end of its converter", "flagged",
              "SG1 reads +-3276.7 with 6150h 03h or 05h, P and the angles are unknown, bit 2, EMCY 5010h", _saturated),
         Case("gauge.open", "3 gauges, the wire of SG2 is broken", "flagged",
              "everything is unknown, bit 7, 2124h bit 10, EMCY 5030h", _open),
-        Case("gauge.stuck", "SG1 repeats itself while the load doubles; noise 3 counts", "flagged",
-             "from the 33rd reading on all is unknown: bit 7, 2124h bit 9, EMCY 5030h", _stuck),
-        Case("gauge.stuck_without_noise", "SG1 repeats itself; its calibrated noise is below one count", "bounded",
+        Case("gauge.stuck", "SG1 reads a constant while the load doubles; noise 3 counts", "flagged",
+             "from the 33rd reading all values are unknown: bit 7, 2124h bit 9, EMCY 5030h", _stuck),
+        Case("gauge.stuck_without_noise", "SG1 reads a constant; its calibrated noise is below one count", "bounded",
              "NOT detected by the node; F is off by SG1's column of C times the strain it misses, no more",
              _stuck_without_noise),
-        Case("gauge.silent", "the converter gives nothing any more", "flagged",
+        Case("gauge.silent", "the converter delivers no more samples", "flagged",
              "the first SYNC has bit 3 and all unknown; after 100 ms bit 7, 2124h bit 8, EMCY 5030h", _silent),
-        Case("gauge.eight_five_lost", "8 gauges, 5 of them saturated, the other 3 see F1, F2, F3", "pass",
-             "the force is right from the 3 that are left; bit 2 and 2124h name the lost ones", _five_lost),
-        Case("gauge.eight_no_rank", "8 gauges, 5 saturated, the 3 left see F1 twice and F2", "flagged",
-             "P and both angles are unknown: rank 3 is gone", _no_rank),
-        Case("gauge.eight_all_lost", "all 8 gauges saturated", "flagged", "P is unknown, nothing is raised", _all_lost),
+        Case("gauge.eight_five_lost", "8 gauges, 5 of them saturated, the other 3 respond to F1, F2, F3", "pass",
+             "the force from the remaining 3 is right; bit 2 and 2124h name the lost ones", _five_lost),
+        Case("gauge.eight_no_rank", "8 gauges, 5 saturated, the other 3 respond to F1 twice and F2", "flagged",
+             "P and both angles are unknown: the rank is below 3", _no_rank),
+        Case("gauge.eight_all_lost", "all 8 gauges saturated", "flagged", "P is unknown, no exception", _all_lost),
         Case("gauge.swapped_six", "6 gauges, each pair of them swapped, load 1 N", "flagged",
              "host parity.detect() says fault in most contacts where a swap costs 5 % of the force or more, for every "
              "pair; not in all: the difference of two readings may look like a force", _swapped_six),
@@ -48,21 +48,21 @@ def cases() -> list[Case]:
              "NOT detectable by node or host: every reading of 3 gauges fits some force; F is off by at most "
              "sqrt(2) |C| times the difference of the two readings", _swapped_three),
         Case("gauge.swapped_control_load", "3 gauges swapped, the paper's 10 grooves as control loads of 4.4 N",
-             "flagged", "every swap shows: some control load comes out wrong by more than 10 standard uncertainties",
+             "flagged", "every swap is detected: a control load is wrong by more than 10 standard uncertainties",
              _swapped_control),
         Case("gauge.drift", "SG3 drifts by 1 microstrain/s for 20 s under no load, noise 3 counts", "bounded",
-             "F is off by 0.01 N per second as C says, not more; a tare takes it off", _drift),
+             "F is off by 0.01 N per second, as C predicts, not more; a tare removes it", _drift),
     ]  # fmt: skip
 
 
 class Fixed(Source):
-    """A source that gives the same counts anew at every call."""
+    """A source that returns the same counts as a new sample at every call."""
 
     def __init__(self, counts: Sequence[int]) -> None:
         self.counts = tuple(counts)
 
     def read(self, now_us: int) -> Reading:
-        """The counts, room temperature, no fault."""
+        """Return the counts, room temperature, no fault."""
         del now_us
         return Reading(self.counts, 0, 2300)
 
@@ -179,7 +179,7 @@ def _all_lost() -> Observed:
 
 
 def _pairs(n: int) -> list[list[int]]:
-    """The order of the gauges with two of them swapped, for each pair."""
+    """Return the order of the gauges with two of them swapped, for each pair."""
     found = []
     for i in range(n):
         for k in range(i + 1, n):
@@ -220,7 +220,7 @@ def _swapped_three() -> Observed:
         off = float(np.linalg.norm(C @ V[order] - F))
         moved = float(np.abs(V[order] - V).max())
         worst, least = max(worst, off / (math.sqrt(2.0) * float(np.linalg.norm(C, 2)) * moved)), min(least, off)
-        # Whatever three gauges read, there is a force that reads so: no residual is left to look at.
+        # Any reading of three gauges corresponds to a force: there is no residual.
         if np.abs(A @ (C @ V[order]) - V[order]).max() > 1e-12 * np.abs(V).max():
             return Observed(False, "a residual shows")
     held = worst <= 1.0 and least > 0.01

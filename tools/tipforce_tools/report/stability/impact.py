@@ -20,23 +20,23 @@ _MASS_KG, _SPEED = 0.02, 0.1
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("impact.linear_rigid", "linear contact of 1e5 to 1e8 N/m on rigid ground, 1 mg to 100 kg", "pass",
              "peak v sqrt(k m), duration pi sqrt(m / k) and rebound speed v within 1e-12", _linear_rigid),
         Case("impact.hertz_rigid", "Hertzian contact of 1e5 to 1e8 N/m^1.5 on rigid ground, 1 g and 1 kg", "pass",
              "peak, duration and rebound speed equal the closed form within 1e-11", _hertz_rigid),
-        Case("impact.linear_energy", "the undamped fingertip struck with 1e5 to 1e8 N/m; it rings and is hit again",
-             "bounded", "body, structure and contact together keep their energy within 1e-9", _linear_energy),
-        Case("impact.hertz_energy", "the same with 1e5 to 1e8 N/m^1.5", "bounded", "energy is kept within 1e-9",
+        Case("impact.linear_energy", "impact of 1e5 to 1e8 N/m on the undamped fingertip; it rings and is hit again",
+             "bounded", "the energy of body, structure and contact is conserved within 1e-9", _linear_energy),
+        Case("impact.hertz_energy", "the same with 1e5 to 1e8 N/m^1.5", "bounded", "energy is conserved within 1e-9",
              _hertz_energy),
         Case("impact.contact_force", "the same linear impacts, force sampled every 10 us", "pass",
-             "the contact only presses: no sample is below zero, and none is above zero outside its touches", _presses),
+             "the contact only pushes: no sample is below zero, and none is above zero outside its contacts", _presses),
         Case("impact.fixed_steps", "1e8 N/m in steps of 1 us to 100 us by Newmark, against the event-accurate run",
              "bounded", "the error of the elastic force falls from step to step, and stays above that of events",
              _fixed_steps),
         Case("impact.stop", "the finger drives against a stop of infinite mass at 1 mm/s to 1 m/s", "pass",
-             "peak force scales with the speed within 1e-9: the system is linear while in touch", _stop),
+             "peak force scales with the speed within 1e-9: the system is linear while in contact", _stop),
         Case("impact.mass_ratio", "bodies of 1e-9 to 1e3 kg on the fingertip, 1e8 N/m", "bounded",
              "the first peak is within 0.1 % of v sqrt(k m), m the reduced mass of body and free tip: beams are soft "
              "beside the contact", _light),
@@ -79,19 +79,19 @@ def _hertz_rigid() -> Observed:
 
 
 def _total(found: Impact, structure: Modes, striker: Striker) -> float:
-    """Energy at the end, with what an open contact holds: nothing."""
+    """Return the energy at the end; an open contact has none."""
     return energy(structure, found.structure) + 0.5 * striker.mass_kg * found.body_speed_m_s**2
 
 
 def _kept(exponent: float) -> tuple[float, int]:
-    """Largest relative change of the energy, and number of touches."""
+    """Return the largest relative change of the energy, and the number of touches."""
     structure, worst, touches = modes(FABRICATED), 0.0, 0
     for k in _STIFFNESSES:
         striker = Striker(_MASS_KG, _SPEED, k, exponent)
         found = impact(structure, striker, 0.02)
         until = next((one.end_s for one in reversed(found.touches) if math.isfinite(one.end_s)), 0.02)
         touches += len(found.touches)
-        # Just after the last touch that has ended nothing is held by the contact.
+        # Just after the end of the last touch the contact has no energy.
         found = impact(structure, striker, until * (1.0 + 1e-9))
         worst = max(worst, abs(_total(found, structure, striker) / (0.5 * _MASS_KG * _SPEED**2) - 1.0))
     return worst, touches

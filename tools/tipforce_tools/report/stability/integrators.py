@@ -1,4 +1,4 @@
-"""Integrators for comparison, taken beyond what they are good for: their failures must not look like answers."""
+"""Integrators for comparison beyond their range of validity: their failures must not look like results."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from tipforce_tools.report.stability.case import Case, Observed
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("integrator.rk4_unstable", "RK4 with steps 1 % below and 1 % above its limit, undamped, 8000 steps",
-             "flagged", "below the limit it decays, above it grows past 1e10 or becomes infinite: nobody takes it "
-             "for an answer", _rk4),
+             "flagged", "below the limit it decays, above it grows past 1e10 or becomes infinite: it cannot be taken "
+             "for a result", _rk4),
         Case("integrator.implicit_long_steps", "Newmark and generalised-alpha with steps of 1000 periods", "bounded",
              "the response to a step load stays below twice the static one: stable, though not exact", _implicit),
-        Case("integrator.times_impossible", "times that stand still, fall, are NaN, or a single one", "refused",
+        Case("integrator.times_impossible", "times that are equal, fall, or are NaN, or a single one", "refused",
              "InputError of every method says that times must rise strictly", _times),
     ]  # fmt: skip
 
@@ -39,7 +39,7 @@ def _rk4() -> Observed:
 
 
 def _impulse(until_s: float) -> integrators.Load:
-    """1 N along F1 and F3 until a time, then nothing."""
+    """Return 1 N along F1 and F3 until a time, then 0."""
     return lambda time_s: np.array([1.0, 0.0, 1.0]) * (time_s < until_s)
 
 

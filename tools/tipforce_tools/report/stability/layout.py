@@ -21,7 +21,7 @@ _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("layout.thickness", "h1 from 1e-6 mm to 10 mm, h2 = 1.63 h1, all 8 gauge points", "pass",
              "the frame, solved by stiffness, equals Table 1 within 1e-10 of each gauge's largest coefficient",
@@ -48,12 +48,12 @@ def cases() -> list[Case]:
              "calibration_matrix() refuses once rank 3 is lost to rounding; before, C A = I within 1e-16 x condition",
              _rank_2),
         Case("layout.merit_of_rank_2", "the design figures of a layout of rank 2", "flagged",
-             "uncertainties and condition number are infinite: it never wins", _merit),
+             "uncertainties and condition number are infinite: it is never selected", _merit),
     ]  # fmt: skip
 
 
 def _off(geometry: Geometry) -> float:
-    """Largest difference of frame and Table 1, relative to each gauge's largest coefficient."""
+    """Return the largest difference of frame and Table 1, relative to each gauge's largest coefficient."""
     table = strain_matrix(geometry, POINTS)
     frame = Frame(geometry, EULER_BERNOULLI).strain_matrix(POINTS)
     return float((np.abs(frame - table).max(axis=1) / np.abs(table).max(axis=1)).max())
@@ -82,7 +82,7 @@ def _models() -> Observed:
             table, frame = strain_matrix(geometry, POINTS), Frame(geometry, model).strain_matrix(POINTS)
             held &= bool(np.isfinite(frame).all())
             offs.append(float(np.abs(frame - table).max() / np.abs(table).max()))
-        # 1e-12: below it is rounding.
+        # Below 1e-12 is rounding.
         held &= offs[0] <= 1e-5 and all(a <= b + 1e-12 for a, b in itertools.pairwise(offs))
         figures.append(f"{name} {offs[0]:.0e} to {offs[-1]:.0e}")
     return Observed(held, "; ".join(figures))
@@ -116,7 +116,7 @@ def _impossible() -> Observed:
 
 
 def _twisted(e: float) -> tuple[list[list[float]], Fraction]:
-    """[[1, 1, 0], [1, 1 + e, 0], [0, 0, 1]] and the square of its condition number's larger part, exactly."""
+    """Return [[1, 1, 0], [1, 1 + e, 0], [0, 0, 1]] and its exact s1^2 + s2^2 of rows 0, 1."""
     trace = 2 + (1 + Fraction(e)) ** 2 + 1  # of A A^T without the 1 of the last row: s1^2 + s2^2
     return [[1.0, 1.0, 0.0], [1.0, 1.0 + e, 0.0], [0.0, 0.0, 1.0]], trace
 
@@ -151,7 +151,7 @@ def _graded() -> Observed:
 
 
 def _across(rows: list[list[Fraction]]) -> Fraction:
-    """Square of the length of row 1 orthogonal to rows 0 and 2, which are orthogonal to each other."""
+    """Return the squared length of row 1 orthogonal to rows 0 and 2, which are orthogonal to each other."""
 
     def dot(a: list[Fraction], b: list[Fraction]) -> Fraction:
         return sum((x * y for x, y in zip(a, b, strict=True)), Fraction(0))

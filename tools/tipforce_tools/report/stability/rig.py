@@ -1,6 +1,6 @@
-"""A simulated node with a fake clock, and the little SDO and SYNC that the extreme cases need to talk to it.
+"""A simulated node with a fake clock, and minimal SDO and SYNC clients for the extreme cases.
 
-The gauges are easy: 100 microstrain per newton, so one count is 1 mN; gauges 1, 2, 3 see F1, F2, F3.
+Simple gauges: 100 microstrain per newton, so one count is 1 mN; gauges 1, 2, 3 respond to F1, F2, F3.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tipforce.sources.simulated import SimulatedSource
 NODE_ID = 5
 UNKNOWN = table.UNKNOWN_I16
 PUSH = (1.0, 175.0, 10.0)
-"""P, phi, theta: within the friction cone of a push, theta in the middle of the pad."""
+"""P, phi, theta: inside the friction cone of a push, theta in the middle of the pad."""
 PERIOD_US = 500
 OPERATIONAL = bytes((codes.NMT_START, NODE_ID))
 _PDOS = tuple(base + NODE_ID for base in codes.TPDO_BASES[:2])
@@ -33,7 +33,7 @@ Load = tuple[float, float, float]
 
 
 class Sync(NamedTuple):
-    """What TPDO1 and TPDO2 of one SYNC say."""
+    """Values of TPDO1 and TPDO2 of one SYNC."""
 
     gauges: tuple[int, ...]
     """SG1, SG2, SG3, 0.1 microstrain."""
@@ -44,28 +44,28 @@ class Sync(NamedTuple):
 
 
 class Memory:
-    """Where a node stores; the bytes can be spoilt."""
+    """Store of a node; its bytes can be corrupted."""
 
     def __init__(self) -> None:
         self.blobs: dict[str, bytes] = {}
 
     def save(self, group: str, data: bytes) -> bool:
-        """Keep one group."""
+        """Store one group."""
         self.blobs[group] = data
         return True
 
     def load(self, group: str) -> bytes | None:
-        """What was kept."""
+        """Return the stored groups."""
         return self.blobs.get(group)
 
 
 def strain_per_newton(n: int = 3) -> list[list[float]]:
-    """Gauges 1, 2, 3 see F1, F2, F3; 4, 5, 6 the same compressed; 7, 8 are again like 1, 2."""
+    """Return A: gauges 1, 2, 3 respond to F1, F2, F3; 4, 5, 6 to the same with opposite sign; 7, 8 equal 1, 2."""
     return [[(1e-4, -1e-4)[k // 3 % 2] if column == k % 3 else 0.0 for column in range(3)] for k in range(n)]
 
 
 def matrix(n: int = 3) -> list[list[float]]:
-    """C, N per unit strain: the mean over the gauges that see the same force."""
+    """Return C, N per unit strain: the mean over the gauges that respond to the same force."""
     rows = [[one[column] * 1e8 for one in strain_per_newton(n)] for column in range(3)]
     return [[value / sum(map(bool, row)) for value in row] for row in rows]
 
@@ -77,7 +77,7 @@ def record(
     variance: Sequence[float] | None = None,
     tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0),
 ) -> bytes:
-    """A complete record. ``variance``: upper triangle of the gauges' covariance; below one count if None."""
+    """Return a complete record. ``variance``: upper triangle of the gauges' covariance; below one count if None."""
     rows = C if C is not None else matrix(n)
     noise = variance or [8.1e-15 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
@@ -86,9 +86,9 @@ def record(
 
 
 class Talk:
-    """One device, OPERATIONAL and silent but for SYNC. ``others`` holds what it sent that no call returned.
+    """One device, OPERATIONAL, that sends only on SYNC. ``others`` holds frames that no call returned.
 
-    ``keep``: also what it sent when it started.
+    ``keep``: also the frames sent at the start.
     """
 
     def __init__(self, device: Device, now_us: int = 1_000_000, keep: bool = False) -> None:
@@ -103,13 +103,13 @@ class Talk:
             self.others.clear()
 
     def step(self, frames: Iterable[Frame] = ()) -> list[Frame]:
-        """One step now; what it sends, which is also kept in ``others``."""
+        """Run one step; return the frames sent, which ``others`` also holds."""
         sent, self.due_us = self.device.step(self.now_us, frames)
         self.others += sent
         return sent
 
     def sync(self, after_us: int = 1000) -> Sync:
-        """A SYNC after some time. Raises InputError where the two PDOs are not there, or of two samples."""
+        """Send a SYNC after some time. Raises InputError if the two PDOs are missing, or of two samples."""
         self.now_us += after_us
         sent = dict(self.step([(codes.SYNC_COB_ID, b"")]))
         try:
@@ -122,7 +122,7 @@ class Talk:
         return Sync(one[:3], two[:3], one[3], one[4])
 
     def emcy(self) -> list[int]:
-        """Codes of the EMCY messages sent since the last call."""
+        """Return the codes of the EMCY messages sent since the last call."""
         found = [frame for frame in self.others if frame[0] == codes.EMCY_BASE + NODE_ID]
         self.others = [frame for frame in self.others if frame[0] != codes.EMCY_BASE + NODE_ID]
         return [struct.unpack_from("<H", data)[0] for _, data in found]
@@ -132,18 +132,18 @@ class Talk:
         answers = [data for can_id, data in sent if can_id == codes.SDO_RESPONSE_BASE + NODE_ID]
         self.others = [frame for frame in self.others if frame[0] != codes.SDO_RESPONSE_BASE + NODE_ID]
         if len(answers) != 1:
-            raise InputError(f"{len(answers)} answers to one SDO request")
+            raise InputError(f"{len(answers)} responses to one SDO request")
         return answers[0]
 
     def upload(self, index: int, sub: int = 0) -> bytes | int:
-        """What an SDO upload of at most four bytes reads, or the abort code."""
+        """Upload at most four bytes by SDO; return the data or the abort code."""
         answer = self._request(struct.pack("<BHB4x", 0x40, index, sub))
         if answer[0] == 0x80:
             return int.from_bytes(answer[4:], "little")
         return answer[4 : 8 - (answer[0] >> 2 & 3)]
 
     def download(self, index: int, sub: int, data: bytes) -> int:
-        """Write by SDO: 0, or the abort code."""
+        """Write by SDO; return 0, or the abort code."""
         if 0 < len(data) <= 4:
             head = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub)
             return _abort(self._request(head + data + bytes(4 - len(data))))
@@ -157,7 +157,7 @@ class Talk:
         return _abort(answer)
 
     def get(self, kind: str, index: int, sub: int = 0) -> float:
-        """A number by SDO; ``kind`` is struct's letter. Raises InputError for an abort."""
+        """Read a number by SDO; ``kind`` is struct's letter. Raises InputError for an abort."""
         data = self.upload(index, sub)
         if isinstance(data, int):
             raise InputError(f"{index:04X}h:{sub}: abort {data:08X}")
@@ -165,26 +165,26 @@ class Talk:
         return value
 
     def put(self, kind: str, index: int, sub: int, value: float) -> int:
-        """Write a number by SDO: 0, or the abort code."""
+        """Write a number by SDO; return 0, or the abort code."""
         return self.download(index, sub, struct.pack("<" + kind, value))
 
     def stage(self, data: bytes, crc: int | None = None) -> int:
-        """Write the staged record and its CRC; 0 or the abort code of the first that is refused."""
+        """Write the staged record and its CRC; return 0 or the abort code of the first refused write."""
         expected = binascii.crc32(data) if crc is None else crc
         refused = self.download(indices.CALIBRATION_STAGED_RECORD, 0, data)
         return refused or self.put("I", indices.CALIBRATION_CHECK, 1, expected)
 
     def commit(self) -> int:
-        """2104h: 0 or the abort code."""
+        """Commit by 2104h; return 0 or the abort code."""
         return self.put("I", indices.CALIBRATION_COMMIT, 0, table.SIGNATURE_COMMIT)
 
     def active(self) -> tuple[int, int]:
-        """CRC-32 and generation of the active calibration."""
+        """Return CRC-32 and generation of the active calibration."""
         return int(self.get("I", indices.CALIBRATION_CHECK, 3)), int(self.get("I", indices.CALIBRATION_CHECK, 4))
 
 
 class SimulatedTalk(Talk):
-    """The same with its simulated source at hand."""
+    """A rig with access to its simulated source."""
 
     def __init__(self, device: Device, source: SimulatedSource) -> None:
         super().__init__(device)
@@ -202,7 +202,7 @@ def simulated(
     noise_microstrain: float = 0.0,
     memory: Memory | None = None,
 ) -> SimulatedTalk:
-    """A calibrated simulated node; ``calibration`` is the record to commit, the matching one if None."""
+    """Return a calibrated simulated node; ``calibration`` is the record to commit, the matching one if None."""
     source = SimulatedSource(strain_per_newton(n), noise_microstrain, seed=7)
     source.load = load
     hooks = {} if memory is None else {"save": memory.save, "load": memory.load}
@@ -215,7 +215,7 @@ def simulated(
 
 
 def with_source(source: Source, n: int = 3) -> Talk:
-    """A calibrated node with a source of one's own."""
+    """Return a calibrated node with the given source."""
     talk = Talk(fingertip_node(NODE_ID, source, n))
     abort = talk.stage(record(n)) or talk.commit()
     if abort:
@@ -225,7 +225,7 @@ def with_source(source: Source, n: int = 3) -> Talk:
 
 
 def forces(load: Load) -> tuple[float, float, float]:
-    """F1, F2, F3 of a load P, phi, theta (degrees)."""
+    """Return F1, F2, F3 of a load P, phi, theta (degrees)."""
     P, phi, delta = load[0], math.radians(load[1]), math.radians(load[1] - load[2])
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
 

@@ -19,14 +19,14 @@ _LIMITS = estimate.Limits(0.05, 0.02, -180.0, 180.0)
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("uncertainty.no_noise", "covariance of F exactly 0, load oblique, and exactly tangential", "pass",
              "u of P, phi and theta are 0, not NaN, and theta counts as resolved", _no_noise),
         Case("uncertainty.enormous_noise", "noise of 1e-6 to 1e6 times the load", "flagged",
              "u_theta grows with the noise; from 30 degrees on status bit 4 is set, on host and node alike", _enormous),
         Case("uncertainty.node_enormous_noise", "a node whose gauge noise is 100 times the load", "flagged",
-             "status bit 4 is set, theta is unknown, 2107h has u_P; 2123h stands at its end, 65.534 N", _node_enormous),
+             "status bit 4 is set, theta is unknown, 2107h has u_P; 2123h is at its limit, 65.534 N", _node_enormous),
         Case("uncertainty.scale", "F and its standard deviations times 2^-800 to 2^500: squares out of range", "pass",
              "relative uncertainties do not change, to rounding", _scale),
         Case("uncertainty.not_finite", "NaN or infinity in F or in its covariance", "flagged",
@@ -95,7 +95,7 @@ def _scale() -> Observed:
         scaled = estimate.standard_uncertainties(np.ldexp(F, power), _times(B @ B.T, 2 * power), pull=False)
         scaled[:, 0] = np.ldexp(scaled[:, 0], -power)
         worst = max(worst, float(np.abs(scaled / one - 1.0).max())) if abs(power) <= 500 else worst
-        if power == -800:  # the covariance itself is 0 then: so must u be, not NaN
+        if power == -800:  # the covariance underflows to 0: u must be 0, not NaN
             worst = max(worst, float(np.abs(scaled).max()))
     return Observed(worst <= 1e-12, f"largest relative change {worst:.1e}")
 
@@ -130,7 +130,7 @@ def _tangential() -> Observed:
 
 
 def _spread(F: FloatArray, sigma: float, seed: int = 7) -> float:
-    """Root mean square deviation of theta from its true value under noise."""
+    """Return the root mean square deviation of theta from its true value under noise."""
     draws = F + sigma * np.random.default_rng(seed).standard_normal((_DRAWS, 3))
     true = float(estimate.contacts(F, pull=False).theta_rad)
     off = estimate.contacts(draws, pull=False).theta_rad - true
@@ -148,7 +148,7 @@ def _tangential_flag() -> Observed:
             bits = estimate.status(estimate.contacts(F, pull=False), u, estimate.miss_uncertainties(F, K), _LIMITS)
             large = bool(u[0, 2] > math.radians(30.0))
             bit_4, holds = bool(bits[0] & scalar.THETA_UNRESOLVED), bool(first_order.first_order_holds(F, K)[0, 2])
-            # The bend of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
+            # The curvature of asin over one standard uncertainty: u(x) / cos^2, u(x) = sigma sqrt(1 + x^2) here.
             bend = sigma * math.sqrt(2.0 - cosine * cosine) / max(cosine * cosine, 1e-300)
             wrong += bit_4 != large or holds != (bend <= 0.25)
             flagged, warned = flagged + bit_4, warned + (not holds)

@@ -1,4 +1,4 @@
-"""Extreme frames and values on the wire: REAL32 at its ends, integers that do not fit, frames of a wrong length."""
+"""Extreme frames and values on the wire: REAL32 at its limits, integer overflow, frames of wrong length."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-_FREE_COB_ID = codes.TIME_COB_ID + 35  # of no service
+_FREE_COB_ID = codes.TIME_COB_ID + 35  # not used by any service
 _RPDO_COB_ID = codes.RPDO_BASES[0] + rig.NODE_ID
 _GAUGES_COB_ID, _CONTACT_COB_ID, _FORCE_COB_ID = (base + rig.NODE_ID for base in codes.TPDO_BASES[:3])
 _WATCHED = 0x60  # a node-id
@@ -33,32 +33,32 @@ _STAGED = (
 
 
 def cases() -> list[Case]:
-    """All of this area."""
+    """Return the cases of this area."""
     return [
         Case("wire.real32_not_finite", "NaN and both infinities by SDO to every REAL32 setting of the node", "refused",
              "06090030h for each (staged calibration values aside), and the setting stays", _not_finite),
         Case("wire.real32_denormal", "every power of 2 from 2^-149 to 2^-126 by SDO, and back", "pass",
              "settings keep denormals bit for bit", _denormal),
         Case("wire.real32_overflow", "a process value of 3.4e42: beyond REAL32, gauge offset 3.4e38 times C", "flagged",
-             "6130h is infinite, INTEGER16 and INTEGER32 stand at their ends, 6150h is 03h", _overflow),
+             "6130h is infinite, INTEGER16 and INTEGER32 are at their limits, 6150h is 03h", _overflow),
         Case("wire.integer16_overflow", "33 to 45 N on a node with gauges of a fifth of the usual strain", "flagged",
              "7130h reads 32767 with 6150h 03h (-32767, 05h); 9130h and 6130h still have the value", _integer16),
         Case("wire.unknown", "-32768, -32767, 0 and 32767 in every measured signal of every TPDO", "flagged",
              "the decoder gives NaN for -32768 and for nothing else", _unknown),
         Case("wire.real32_nan_pdo", "a PDO with 6130h remapped, carrying quiet, signalling NaN and infinities",
-             "flagged", "NaN stays NaN, infinities stay, no warning, the counter beside it is whole", _real32_pdo),
+             "flagged", "NaN stays NaN, infinities stay, no warning, the counter of that PDO is right", _real32_pdo),
         Case("wire.short_pdo", "TPDOs of every length below their mapping, down to 0 bytes", "flagged",
-             "none is decoded, each is counted as malformed; a longer one counts by its first bytes", _short),
+             "none is decoded, each is counted as malformed; of a longer one the first bytes are decoded", _short),
         Case("wire.short_rpdo", "a command RPDO of 0 and of 1 byte", "flagged",
-             "EMCY 8210h once, the command does not run; the next whole one does and cures it", _short_rpdo),
-        Case("wire.no_data", "frames of length 0 to every identifier the node listens to", "pass",
-             "nothing is raised, no state or sample changes, the next SYNC is answered as ever", _no_data),
+             "EMCY 8210h once, the command does not run; the next complete one runs and clears the error", _short_rpdo),
+        Case("wire.no_data", "frames of length 0 to every identifier that the node receives", "pass",
+             "no exception, no state or sample changes, the node responds to the next SYNC", _no_data),
         Case("wire.same_cob_id", "another node sends with this node's COB-ID; one identifier given to two messages",
-             "flagged", "the node reports EMCY 8150h once; the host's decoder refuses the second owner", _same_cob_id),
+             "flagged", "the node reports EMCY 8150h once; the host's decoder refuses the second one", _same_cob_id),
         Case("wire.foreign", "29-bit, remote and error frames with the bits of a PDO identifier", "pass",
              "the decoder ignores all of them", _foreign),
         Case("wire.noise", "20000 frames of random identifier, length and bytes, seeded", "pass",
-             "host and node raise nothing, the calibration stays, a SYNC is answered", _noise),
+             "host and node raise nothing, the calibration stays, the node responds to SYNC", _noise),
     ]  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Decoders of the contact PDO, on the same frames: this one, a loop with struct, cantools, canopen."""
+"""Decoders of the contact PDO on the same frames: tipforce, a loop with struct, cantools, canopen."""
 
 from __future__ import annotations
 
@@ -34,11 +34,11 @@ class _Result:
     error: float
     """Largest |value - raw x resolution| over the values that are known, in steps of the resolution."""
     unknown_shown: int
-    """Unknown values that came out as numbers."""
+    """Number of unknown values decoded as numbers."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """One study: all decoders on every frame."""
+    """Return one study: all decoders on every frame."""
     message = next(m for m in tpdo_messages(GAUGES) if m.name == "Contact")
     data = _frames(np.random.default_rng([effort.seed, 2]), BATCHES[-1])
     exact = [struct.unpack_from("<hhh", one) for one in data]
@@ -68,7 +68,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
 
 def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
-    """Contact PDOs with every raw value alike, one in fifty of each signal unknown."""
+    """Return contact PDOs with uniform raw values, one in fifty of each signal unknown."""
     limits = np.array([0x7FFF, 18000, 18000])
     raw = rng.integers(-limits, limits, size=(count, 3), endpoint=True)
     raw[rng.random(raw.shape) < 0.02] = UNKNOWN
@@ -78,7 +78,7 @@ def _frames(rng: np.random.Generator, count: int) -> list[bytes]:
 
 
 def _judge(rows: Rows, exact: list[tuple[int, ...]], message: Message) -> _Result:
-    """Against raw / divisor as a fraction, which is what the resolution of 0.001 N and 0.01 degree means."""
+    """Compare with raw / divisor as a fraction, the definition of the resolution of 0.001 N and 0.01 degree."""
     divisors = [round(1 / signal.scale) for signal in message.signals[: len(MEASURED)]]
     worst, shown = Fraction(0), 0
     for row, raws in zip(rows, exact, strict=True):
@@ -102,17 +102,17 @@ def _measured(row: dict[str, Any]) -> tuple[Value, ...]:
 
 
 def _known(value: object) -> Value:
-    """cantools gives an unknown value as the name "unknown", the others as NaN, if they know of it at all."""
+    """Normalise unknown values: cantools returns the name "unknown", others NaN, if they support it."""
     return value if isinstance(value, float) and not math.isnan(value) else None
 
 
 def _others(message: Message) -> dict[str, Callable[[bytes], dict[str, Any]]]:
-    """A function for each that gives all signals of one frame by name."""
+    """Return a function per decoder that returns all signals of one frame by name."""
     return {BY_HAND: _by_hand(message), CANTOOLS: _cantools(message), CANOPEN: _canopen(message)}
 
 
 def _by_hand(message: Message) -> Callable[[bytes], dict[str, Any]]:
-    """What somebody writes who knows the layout."""
+    """Return a decoder written with struct for the known layout."""
     flags = [(signal.name, 1 << signal.start_bit - 48) for signal in message.signals if signal.bits == 1]
     layout = struct.Struct("<hhhBB")
 
@@ -132,7 +132,7 @@ def _by_hand(message: Message) -> Callable[[bytes], dict[str, Any]]:
 
 
 def _cantools(message: Message) -> Callable[[bytes], dict[str, Any]]:
-    """cantools with the .dbc that `tipforce export dbc` writes."""
+    """Return a decoder of cantools with the .dbc of `tipforce export dbc`."""
     import cantools
 
     from tipforce.dictionary.dbc import dbc_text
@@ -148,7 +148,7 @@ def _cantools(message: Message) -> Callable[[bytes], dict[str, Any]]:
 
 
 def _canopen(message: Message) -> Callable[[bytes], dict[str, Any]]:
-    """The PDO variables of canopen; an EDS has no factors, so that they are set by hand, and knows of no unknown."""
+    """Return a decoder with canopen's PDO variables; an EDS has no factors, set here, and no unknown value."""
     import io
 
     import canopen

@@ -1,7 +1,7 @@
-"""The estimator in integers, as a microcontroller without a floating-point unit would do it, for many samples at once.
+"""The estimator in integers, as on a microcontroller without a floating-point unit, vectorised over samples.
 
-int64 arrays stand for the registers; where a register is narrower, the sum wraps as it does there. Angles are binary:
-2^32 to a turn.
+int64 arrays represent the registers; the sum in a narrower register wraps as in hardware. Angles are binary: 2^32 per
+turn.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ class Format:
 
 
 def prepared(C: FloatArray, form: Format) -> tuple[IntArray, float]:
-    """(coefficients, newtons that 1 in their sum with readings stands for): the largest fills the format."""
+    """Return (coefficients, newtons per unit of their sum with readings): the largest coefficient fills the format."""
     per_count = C * (LSB_MICROSTRAIN * 1e-6 * 2.0 ** (COUNT_BITS - form.reading_bits))
     unit = float(np.abs(per_count).max()) / ((1 << form.coefficient_bits - 1) - 1)
     return np.rint(per_count / unit).astype(np.int64), unit
 
 
 def estimate(coefficients: IntArray, unit_newtons: float, counts: IntArray, form: Format) -> Estimate:
-    """P in newtons and theta in degrees of counts (k, 3) of the 24-bit converter, a push."""
+    """Return P in newtons and theta in degrees of counts (k, 3) of the 24-bit converter, for a push."""
     readings = _shifted(counts, COUNT_BITS - form.reading_bits)
     sums = readings @ coefficients.T
     if form.accumulator_bits == 32:
@@ -61,7 +61,7 @@ def estimate(coefficients: IntArray, unit_newtons: float, counts: IntArray, form
 
 
 def square_root(value: IntArray) -> IntArray:
-    """The integer square root of (k,) numbers from 0 to 2^62, rounded down."""
+    """Return the integer square root of (k,) numbers from 0 to 2^62, rounded down."""
     root: IntArray = np.sqrt(value.astype(np.float64)).astype(np.int64)
     root -= root * root > value
     root += (root + 1) * (root + 1) <= value
@@ -69,7 +69,7 @@ def square_root(value: IntArray) -> IntArray:
 
 
 def cordic(iterations: int) -> Arctangent:
-    """atan2 by shifts and additions alone: each iteration turns by atan(2^-k) towards the x-axis."""
+    """Compute atan2 by shifts and additions only: each iteration rotates by atan(2^-k) towards the x-axis."""
     angles = [round(np.arctan(2.0**-k) * TURN / (2.0 * np.pi)) for k in range(iterations)]
 
     def arctangent(y: IntArray, x: IntArray) -> IntArray:
@@ -87,7 +87,7 @@ def cordic(iterations: int) -> Arctangent:
 
 
 def table(size: int) -> Arctangent:
-    """atan2 from a table of size + 1 angles over one octant, with linear interpolation."""
+    """Compute atan2 from a table of size + 1 angles over one octant, with linear interpolation."""
     entries = np.rint(np.arctan(np.arange(size + 1) / size) * TURN / (2.0 * np.pi)).astype(np.int64)
     step_bits = _RATIO_BITS - (size.bit_length() - 1)  # size is a power of two
 
@@ -108,12 +108,12 @@ def table(size: int) -> Arctangent:
 
 
 def _normalised(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
-    """Both shifted left until the larger fills 29 bits: CORDIC grows its vector by 1.65, and a register has 32."""
+    """Shift both left until the larger fills 29 bits: CORDIC lengthens its vector by 1.65, and a register has 32."""
     exponent = np.frexp(np.maximum(np.abs(x), np.abs(y)).astype(np.float64))[1]
     shift = np.maximum(0, 29 - exponent)
     return x << shift, y << shift
 
 
 def _shifted(value: IntArray, bits: int) -> IntArray:
-    """value / 2^bits, rounded to the nearest."""
+    """Return value / 2^bits, rounded to the nearest."""
     return (value + (1 << bits - 1)) >> bits if bits else value

@@ -1,4 +1,4 @@
-"""Random contacts as counts of a 24-bit converter, and what P, phi and theta are exactly for these counts."""
+"""Random contacts as counts of a 24-bit converter, and the exact P, phi and theta of these counts."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ LSB_MICROSTRAIN = RANGE_MICROSTRAIN / 2 ** (COUNT_BITS - 1)  # 2^-13: a count is
 _FILLED = 0.98  # of the converter's range, at most
 DIGITS = 50
 REFERENCE_ERROR = 1e-42
-"""Of the reference, in newtons and in degrees: of 50 digits the root near tangency and the degrees lose some."""
+"""Error of the reference, in newtons and in degrees: the root near tangency and the degrees lose some of 50 digits."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Contacts:
-    """Counts and the exact answer for them, rounded once to what float64 and a remainder can hold."""
+    """Counts and their exact result, rounded once to a float64 and a remainder."""
 
     C: FloatArray
     """(3, 3), newtons per unit strain: these floats are taken as exact."""
@@ -34,16 +34,16 @@ class Contacts:
     P_newtons: list[Decimal]
     theta_deg: list[Decimal]
     full_scale_newtons: float
-    """The smallest load that fills the converter."""
+    """The smallest load that uses the converter's full range."""
 
 
 def near(rng: np.random.Generator, k: int) -> FloatArray:
-    """|cos(delta)| of k contacts: everywhere on the tip, but 0.1 away from tangency."""
+    """Return |cos(delta)| of k contacts: anywhere on the tip, at least 0.1 from tangency."""
     return rng.uniform(0.1, 1.0, k)
 
 
 def tangent(rng: np.random.Generator, k: int) -> FloatArray:
-    """|cos(delta)| of k contacts that nearly slide along the surface: 0.001 to 0.1, each decade alike."""
+    """Return |cos(delta)| of k contacts with nearly tangential force: 0.001 to 0.1, log-uniform."""
     cosine: FloatArray = 10.0 ** rng.uniform(-3.0, -1.0, k)
     return cosine
 
@@ -54,7 +54,7 @@ def contacts(
     cosines: Callable[[np.random.Generator, int], FloatArray] = near,
     corners: bool = False,
 ) -> Contacts:
-    """k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
+    """Return k pushes in any direction: half from a hundredth of the converter's range to all of it, half above 50 %.
 
     corners: also those with every gauge at an end of the converter's range.
     """
@@ -72,7 +72,7 @@ def contacts(
 
 
 def _corners(C: FloatArray) -> IntArray:
-    """The counts (c, 3) with every gauge at an end of its range, of those that a contact can give: |F2| < P."""
+    """Return the counts (c, 3) with every gauge at a limit of its range that a contact can cause: |F2| < P."""
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     F = signs @ C.T
     possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
@@ -81,14 +81,14 @@ def _corners(C: FloatArray) -> IntArray:
 
 
 def _full_scale(A: FloatArray) -> float:
-    """The largest strain of a gauge per newton is that for F2 = P or F2 = -P beside the best phi: search it."""
+    """Search the largest strain of a gauge per newton: that for F2 = P or F2 = -P at the best phi."""
     phi, sine = np.meshgrid(np.linspace(-np.pi, np.pi, 721), np.linspace(-1.0, 1.0, 3))
     F = np.stack((np.sin(phi), sine, np.cos(phi)), axis=-1)
     return float(RANGE_MICROSTRAIN * 1e-6 / np.abs(F @ A.T).max())
 
 
 def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:
-    """P in newtons and theta in degrees: the paper's equation (16) inverted with 50 digits, with no regard to cost."""
+    """Return P in newtons and theta in degrees: the paper's equation (16) inverted with 50 digits."""
     with localcontext() as context:
         context.prec = DIGITS
         lsb = Decimal(LSB_MICROSTRAIN) * Decimal("1e-6")
@@ -108,7 +108,7 @@ def _exact(C: FloatArray, counts: list[int]) -> tuple[Decimal, Decimal]:
 
 
 def arctan2(y: Decimal, x: Decimal) -> Decimal:
-    """The angle of (x, y) in radians, in the precision of the context."""
+    """Return the angle of (x, y) in radians, in the precision of the context."""
     if abs(y) > abs(x):
         return (pi() / 2).copy_sign(y) - _arctan(x / y)
     if x > 0:
@@ -117,7 +117,7 @@ def arctan2(y: Decimal, x: Decimal) -> Decimal:
 
 
 def _arctan(t: Decimal) -> Decimal:
-    """atan(t) = 2 atan(t / (1 + sqrt(1 + t^2))), five times; then the series."""
+    """Compute atan(t) = 2 atan(t / (1 + sqrt(1 + t^2))), five times; then the series."""
     for _ in range(5):
         t = t / (1 + (1 + t * t).sqrt())
     term, total, k = t, t, 1
@@ -132,7 +132,7 @@ _PI: list[Decimal] = []
 
 
 def pi() -> Decimal:
-    """pi by Machin's formula, once."""
+    """Return pi by Machin's formula, computed once."""
     if not _PI:
         with localcontext() as context:
             context.prec = DIGITS + 10
@@ -141,7 +141,7 @@ def pi() -> Decimal:
 
 
 def _inverse_arctan(n: int) -> Decimal:
-    """atan(1 / n)."""
+    """Return atan(1 / n)."""
     term = Decimal(1) / n
     total, k = term, 1
     while abs(term) > Decimal(10) ** (-DIGITS - 12):
@@ -152,6 +152,6 @@ def _inverse_arctan(n: int) -> Decimal:
 
 
 def errors(found: FloatArray, exact: list[Decimal], period: float = 0.0) -> FloatArray:
-    """found - exact, (k,), as the difference of exact numbers; angles the shorter way round a period."""
+    """Return found - exact, (k,), as the difference of exact numbers; angles wrapped to half a period."""
     difference = np.array([float(Decimal(f) - e) for f, e in zip(found.tolist(), exact, strict=True)])
     return difference - period * np.rint(difference / period) if period else difference

@@ -1,4 +1,4 @@
-"""The ways to compute P and theta from counts: each prepared once, then a function of nothing that can be timed."""
+"""Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ def bulk_float64(given: Contacts) -> Method:
 
 
 def single_precision(given: Contacts, factored: bool) -> Method:
-    """The formula alone in float32, with no scaling and no check.
+    """Return the bare formula in float32, without scaling and checks.
 
     factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and S the larger and smaller of |F1|, |F3|; else P^2 - F2^2.
     """
@@ -63,7 +63,7 @@ def single_precision(given: Contacts, factored: bool) -> Method:
 
 
 def on_the_node(given: Contacts, form: str) -> Method:
-    """What a node under CPython does for each sample: REAL32 C, doubles, and the object as ``form`` sends it."""
+    """Return the computation of a node under CPython per sample: REAL32 C, doubles, and the object in ``form``."""
     values = [*np.float32(given.C).ravel().tolist(), *[0.0] * 3, *[0.0] * 4, *[0.0] * 6]
     active = Active(b"", [*values, 0.015, -180.0, 180.0, 0.0, 0.0, 0.0], 3)
     gain, counts = LSB_MICROSTRAIN, given.counts.tolist()
@@ -123,9 +123,9 @@ _SHOWN = 'print("out", binascii.hexlify(b"".join([struct.pack("<2d", f[0], f[2])
 
 
 def on_micropython(given: Contacts, effort: Effort) -> tuple[Estimate, Timing]:
-    """The node's scalar estimator on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
+    """Return the node's scalar estimator on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
     counts = given.counts
-    repeats = max(1, 2000 // len(counts))  # its clock has milliseconds, and a sample takes some 30 microseconds
+    repeats = max(1, 2000 // len(counts))  # its clock has a resolution of 1 ms, and a sample takes about 30 us
     files = {
         "/scalar.py": Path(scalar.__file__).read_text(encoding="utf-8"),
         "/C": _base64(np.float32(given.C).astype("<f4").tobytes()),

@@ -32,7 +32,7 @@ INT32_TABLE = "int32 C, arctangent table"
 _REFERENCE = f"the formula in decimal arithmetic with {DIGITS} digits, on the same counts and the same float64 C"
 _INTEGERS = "The times of the integer methods are those of numpy on this machine, not of a microcontroller."
 
-# (method, setting) -> how to prepare it. MicroPython is not here: it times itself.
+# (method, setting) -> its preparation. Not MicroPython, which times itself.
 _METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
     FLOAT64: {"float64 C": methods.bulk_float64},
     FLOAT32: {"float32 C": lambda given: methods.single_precision(given, True)},
@@ -62,11 +62,11 @@ class _Found:
 
 
 _Ran = tuple[dict[str, list[_Found]], dict[str, str]]
-"""What each method found, setting by setting, and which did not run and why."""
+"""Results of each method by setting, and the methods that did not run, with the reason."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """P and theta away from tangency, and theta near it."""
+    """Return the studies of P and theta away from tangency, and of theta near it."""
     rng = np.random.default_rng([effort.seed, 1])
     k = effort.pick(400, 4000)
     usual = contacts(rng, k, near, corners=True)
@@ -82,7 +82,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
 
 def _run(given: Contacts, effort: Effort, advance: Callable[[], None]) -> _Ran:
-    """All methods on these contacts, timed."""
+    """Run all methods on these contacts, timed."""
     found: dict[str, list[_Found]] = {}
     for method, setting, work in _prepared(given):
         found.setdefault(method, []).append(_Found(setting, work(), timed(work, effort, units=len(given.counts))))
@@ -97,7 +97,7 @@ def _run(given: Contacts, effort: Effort, advance: Callable[[], None]) -> _Ran:
 
 
 def _run_again(given: Contacts, effort: Effort, before: _Ran, advance: Callable[[], None]) -> _Ran:
-    """The same methods on other contacts; the work is the same, so are the times."""
+    """Run the same methods on other contacts; the work, and so the times, are the same."""
     known, left_out = before
     found: dict[str, list[_Found]] = {}
     for method, setting, work in _prepared(given):
@@ -168,7 +168,7 @@ def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
     def error(estimate: methods.Estimate) -> FloatArray:
         return errors(estimate[0], given.P_newtons) / given.full_scale_newtons
 
-    # The arctangent has no part in P: one setting of the integers is enough.
+    # P does not depend on the arctangent: one setting of the integers is enough.
     kept = {method: settings for method, settings in found.items() if method != INT32_TABLE}
     series = _series({**kept, INT32: kept[INT32][-1:]}, error)
     worst = _worst(series)

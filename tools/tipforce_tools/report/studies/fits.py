@@ -41,7 +41,7 @@ Fitted = tuple[FloatArray, FloatArray]
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """Noise and offset alone; and with outliers."""
+    """Return two studies: noise and offset only; and with outliers."""
     found = []
     for share, key, title in (
         (0.0, "fits", "Calibration fits: noise and offset"),
@@ -86,7 +86,7 @@ def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, 
 
 
 def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
-    """``loads`` grooves, x and y in turn, with random weights; a tare for every three of them; in random order."""
+    """Return ``loads`` grooves, alternately x and y, with random weights; a tare per three loads; in random order."""
     grooves = paper_grooves()
     along_x, along_y = (rng.permutation(np.flatnonzero(kind)) for kind in (grooves.along_x, ~grooves.along_x))
     groove = np.stack((np.resize(along_x, loads), np.resize(along_y, loads)), axis=-1).ravel()[:loads]
@@ -123,7 +123,7 @@ _METHODS: dict[str, Callable[[_Rig], Fitted]] = {LINEAR: _linear, AFFINE: _affin
 
 
 def _error(found: Fitted, rig: _Rig) -> float:
-    """Root mean square force error on unseen loads, newtons."""
+    """Return the root mean square force error on unseen loads, newtons."""
     C, offset = found
     F = unseen_forces(np.random.default_rng(4), UNSEEN)
     off = (F @ rig.A.T + rig.offset_strain - offset) @ C.T - F
@@ -131,7 +131,7 @@ def _error(found: Fitted, rig: _Rig) -> float:
 
 
 def _timing(fit: Callable[[_Rig], Fitted], rigs: list[_Rig], effort: Effort) -> Timing:
-    """Over several sensors: how long the full fit takes depends on the data."""
+    """Time the fits of several sensors: the time of the full fit depends on the data."""
     each = [timed(lambda rig=rig: fit(rig), effort, at_least_s=0.002).seconds for rig in rigs[: effort.pick(2, 9)]]  # type: ignore[misc]
     return quartiles(each)
 

@@ -38,13 +38,13 @@ class _Task:
     reference: str
     reference_error: float
     held: Callable[[int], FloatArray] | None
-    """Substeps between samples -> elastic forces at the samples by the held step; None where it does not apply."""
+    """Substeps between samples -> elastic forces at the samples by the held step; None if it does not apply."""
     exact: Callable[[], FloatArray] | None
     """A method without a setting."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
-    """Run all four; errors are the largest error of the elastic force over its largest value."""
+    """Return all four studies; errors are the largest error of the elastic force over its largest value."""
     found = []
     for task in (_smooth, _step, _tap, _impact):
         found.append(_study(task(), effort))
@@ -131,7 +131,7 @@ def _impact() -> _Task:
     body, striker, duration = modes(FABRICATED, 0.01), Striker(0.01, 0.3, 1e7), 4e-3
     t = np.linspace(0.0, duration, _SAMPLES + 1)
     wanted = impact(body, striker, duration, t).elastic_newtons
-    # The same run by another way through time: only the times of begin and end are shared.
+    # The same run with other time steps: only the start and end times are shared.
     other = impact(body, striker, duration, np.sort(np.append(t, t[1:] - 0.3 * t[1]))).elastic_newtons[
         [0, *range(2, 81, 2)]
     ]
@@ -146,7 +146,7 @@ def _impact() -> _Task:
 
 
 def _held(body: object, load: Load, duration_s: float) -> Callable[[int], FloatArray]:
-    """The held step, sampling the load itself as its user must: that is part of the time."""
+    """Run the held step with the sampling of the load, which its user needs, too: that is part of the time."""
     import numpy as np
 
     from tipforce.sensor.dynamics.first_order_hold import respond
@@ -172,7 +172,7 @@ def _study(task: _Task, effort: Effort) -> Study:
             ))
         )  # fmt: skip
     if task.exact is not None:
-        # It is the reference: its error is what the reference's own is.
+        # It is the reference: its error is that of the reference.
         itself = _point(task, effort, "the reference", task.exact)
         series.append(Series("events (exact)", (replace(itself, error=max(itself.error, task.reference_error)),)))
     series += [_fixed(task, effort, name) for name in _FIXED]
@@ -239,7 +239,7 @@ def _point(task: _Task, effort: Effort, setting: str, run: Callable[[], FloatArr
     once_s = (time.perf_counter_ns() - started) * 1e-9
     with np.errstate(over="ignore", invalid="ignore"):
         error = float(np.abs(found - task.wanted).max() / np.abs(task.wanted).max())
-    # A run that grew a thousandfold has no error worth a number; it is shown as infinite, not hidden.
+    # The error of a run that grew a thousandfold is meaningless; it is shown as infinite, not hidden.
     error = error if error < 1e3 else math.inf
     if once_s > (0.03 if effort.quick else 0.1):
         per_s = once_s / task.duration_s

@@ -52,7 +52,7 @@ class _Found:
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     """Return two studies, of the condition numbers and of the strain matrix; they share models, runs and times.
 
-    Without scikit-fem there is no reference, so both come back without series and with what to install.
+    Without scikit-fem there is no reference: both are returned without series, with the package to install.
     """
     try:
         import scipy.sparse.linalg  # noqa: F401
@@ -82,7 +82,7 @@ _TITLES = {
 
 
 def _conditions(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
-    """Error of a model: the largest of the three cases."""
+    """Return the error of a model: the largest of the three cases."""
 
     def error(matrix: FloatArray) -> float:
         return max(
@@ -167,7 +167,7 @@ def _distance(matrix: FloatArray, other: FloatArray) -> float:
 
 
 def _beam_models() -> dict[str, Matrix]:
-    """Models without a mesh. All but the first have their gauges where the finite elements have them."""
+    """Return models without a mesh. All but the first have the gauge positions of the finite elements."""
     from tipforce.sensor.design.published import GAUGE_LENGTH_M
     from tipforce.sensor.structure.gauge_shift import position_matrix
     from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
