@@ -32,7 +32,7 @@ lint-types:
 lint-imports:
 	.venv/bin/lint-imports --no-logo
 
-report: bootstrap-test ## write the report on errors, run times and extreme cases to build/report/index.html; ten minutes
+report: bootstrap-test ## write build/report/index.html: error against run time, extreme cases; ten minutes
 	.venv/bin/tipforce report -o build/report
 
 docs: bootstrap-test ## build the documentation site: build/site/index.html

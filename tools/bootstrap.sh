@@ -2,7 +2,7 @@
 # Install what `make demo` and `make test` need, if it is missing.
 #   tools/bootstrap.sh demo   .venv with tipforce
 #   tools/bootstrap.sh test   the same with development tools, MicroPython, and their system packages
-# Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; other users get the command.
+# Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others get the command.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 export PATH="$PATH:/usr/sbin:/sbin" PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT=1 DEBIAN_FRONTEND=noninteractive
@@ -28,7 +28,7 @@ logged() {
 }
 
 apt_install() {
-    command -v apt-get >/dev/null || die "missing: $*. Not a Debian or Ubuntu system: install the corresponding packages"
+    command -v apt-get >/dev/null || die "missing: $*. Not Debian or Ubuntu: install the corresponding packages"
     if [ "$(id -u)" != 0 ]; then
         die "missing: $*. Run: sudo apt-get update && sudo apt-get install -y $*"
     fi

@@ -106,12 +106,12 @@ def test_the_rate_of_a_node_that_stops_falls() -> None:
     ("status", "reasons"),
     [
         (0, ("not calibrated",) * 3),
-        (CALIBRATED, ("the node says so", "no contact", "no contact")),
+        (CALIBRATED, ("unknown to the node", "no contact", "no contact")),
         (CALIBRATED | 0x80, ("front-end fault",) * 3),
         (CALIBRATED | 0x08, ("no new sample",) * 3),
         (CALIBRATED | CONTACT | 0x04, ("gauge saturated",) * 3),
-        (CALIBRATED | CONTACT | 0x10, ("the node says so", "the node says so", "unresolved")),
-        (CALIBRATED | CONTACT | 0x20, ("the node says so", "the node says so", "misses the tip")),
+        (CALIBRATED | CONTACT | 0x10, ("unknown to the node", "unknown to the node", "unresolved")),
+        (CALIBRATED | CONTACT | 0x20, ("unknown to the node", "unknown to the node", "misses the tip")),
     ],
 )
 def test_the_unknown_says_why(status: int, reasons: tuple[str, ...]) -> None:

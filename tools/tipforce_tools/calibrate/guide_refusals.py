@@ -42,7 +42,7 @@ def refusals(capture: Capture, limits: Limits) -> list[Refusal]:
         if std > limits.std_microstrain:
             quiet.append(Refusal(
                 f"not quiet: SG{k + 1} scatters by {std:.1f} microstrain, allowed are {limits.std_microstrain:g}",
-                "let the weight come to rest; keep hands and fans away (--max-std)",
+                "wait until the weight is at rest; avoid contact and air flow (--max-std)",
             ))  # fmt: skip
         elif abs(drift) > max(limits.drift_microstrain, 4.0 * u):
             quiet.append(Refusal(

@@ -143,7 +143,7 @@ class Dut(Frames):
         return value
 
     def integer(self, kind: str, index: int, sub: int = 0) -> int:
-        """The same for an integer."""
+        """Upload an integer."""
         return int(self.number(kind, index, sub))
 
     def put(self, kind: str, index: int, sub: int, value: float) -> None:

@@ -45,7 +45,7 @@ class CoreLink:
         self._step([])
 
     def now_us(self) -> int:
-        """The fake clock."""
+        """Return the fake time in microseconds."""
         return self._now_us
 
     def send(self, can_id: int, data: bytes) -> None:

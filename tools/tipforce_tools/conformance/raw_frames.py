@@ -39,7 +39,7 @@ class Link(Protocol):
         """Return the next frame, or None if none arrived until then."""
 
     def now_us(self) -> int:
-        """The bus's clock."""
+        """Return the time of the bus in microseconds."""
 
 
 def text(can_id: int, data: bytes) -> str:

@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence[str | GaugePosition]) -> Section:
-    """One record per value. Raises InputError for an unknown name or an impossible range."""
+    """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]

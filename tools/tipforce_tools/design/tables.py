@@ -242,7 +242,7 @@ def ranking_section(geometry: Geometry) -> Section:
 
 _RANKED = [
     "The paper finds three smallest cases and the others several times larger. Mirrored layouts tie, L, T, S_H (mirror "
-    "R, U, K_H) stands between II and III and ties with II in the thin limit, and the next level, 3.62, is 1.3 times "
+    "R, U, K_H) is between II and III and ties with II in the thin limit, and the next level, 3.62, is 1.3 times "
     "case III, not several times.",
     "The order of the cases depends on the question. Unit rows (noise in proportion to each gauge's range) reverse "
     "it: III < II < I. Equal absolute noise on every gauge gives I < II < III: sqrt(trace(C C^T)), newtons per "

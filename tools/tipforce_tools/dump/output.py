@@ -24,7 +24,7 @@ class Writer(Protocol):
     """Formats a block of frames and its decoded values, with line ends."""
 
     def text(self, block: CandumpBlock, decoded: Decoded) -> str:
-        """The text of a block."""
+        """Return the text of a block."""
 
 
 class TextWriter:
@@ -35,7 +35,7 @@ class TextWriter:
         self._aligned = aligned
 
     def text(self, block: CandumpBlock, decoded: Decoded) -> str:
-        """The text of a block."""
+        """Return the text of a block."""
         lines = self._format.lines(block)
         lengths = block.frames["length"].tolist()
         positions = block.positions()
@@ -51,7 +51,7 @@ class JsonWriter:
     """One JSON object per frame."""
 
     def text(self, block: CandumpBlock, decoded: Decoded) -> str:
-        """The text of a block."""
+        """Return the text of a block."""
         frames = block.frames
         data = frames["data"].tobytes()
         records = []
@@ -116,7 +116,7 @@ def _words(samples: Samples) -> list[str]:
 
 
 def _kinds(samples: Samples) -> tuple[list[Signal], list[Signal]]:
-    """The flags; and the numbers except the counter."""
+    """Return the flags, and the numbers except the counter."""
     signals = [signal for signal in samples.message.signals if signal.name in samples.columns]
     flags = [signal for signal in signals if signal.bits == 1]
     return flags, [signal for signal in signals if signal.bits > 1 and signal.name != COUNTER]

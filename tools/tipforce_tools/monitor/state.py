@@ -213,7 +213,7 @@ def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
     for flag, bad, reason, first in _REASONS:
         if number >= first and node.flags.get(flag, not bad) == bad:
             return Reading(None, unit, reason)
-    return Reading(None, unit, "the node says so")
+    return Reading(None, unit, "unknown to the node")
 
 
 def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:

@@ -112,7 +112,7 @@ def _write(job: Run, args: argparse.Namespace) -> None:
     from tipforce_tools.report.page import write
 
     page, *others = write(job.report, args.output)
-    common.note(args, f"written: {page}, and {len(others)} files beside it")
+    common.note(args, f"written: {page}, and {len(others)} more files")
 
 
 @contextmanager

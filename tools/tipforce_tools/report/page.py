@@ -77,8 +77,7 @@ def html(report: Report) -> str:
 _HOW_TO_READ = (
     "Down is more exact, left is faster. Each point is a setting of a method, at the median time of its runs; the bar "
     "across it spans the quartiles. A dotted line leads from the largest error down to the root mean square. Errors "
-    "within a shaded band are not told apart from the error of the reference; without a band that error is far below "
-    "the plot."
+    "within a shaded band are not distinguishable from that of the reference; without a band it is far below the plot."
 )
 _OUTCOMES = (
     "pass: right to rounding. bounded: the error has a stated bound. flagged: the value is marked as unknown. refused: "

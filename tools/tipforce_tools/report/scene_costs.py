@@ -59,7 +59,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
                 f"The scene that names everything takes {whole / least:.0f} times as long per sample as the static.",
                 "A sample is one node at one SYNC; processor time of a whole run, building included.",
                 "Each row takes one more part away. Without the contact in the nodes there is no P, so no error.",
-                "A filter makes the converter work all the time and not at SYNCs alone: that is in its own step.",
+                "With a filter the converter runs continuously, not only at SYNCs: its own step includes that.",
             ),
         )
     ]  # fmt: skip

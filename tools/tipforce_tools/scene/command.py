@@ -12,7 +12,7 @@ ACTIONS = {
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
-    """The action."""
+    """Add the action."""
     actions.add_action(parser, "scene", ACTIONS)
 
 

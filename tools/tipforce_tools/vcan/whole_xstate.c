@@ -1,9 +1,9 @@
-/* Preloaded into User-mode Linux: ptrace() for a processor whose XSAVE area is larger than the kernel program expects.
+/* Preloaded into User-mode Linux: ptrace() for a processor with a larger XSAVE area than the kernel program expects.
  *
- * linux.uml 6.1 and 6.12 keep 2696 bytes of a process's floating-point state. PTRACE_SETREGSET takes the whole area or
- * answers EFAULT, and with AMX the whole is 11008 bytes: linux.uml panics at its first process. So this reads the whole
- * area, and gives or replaces the beginning of it that the caller asked for. Where 2696 bytes are enough, it changes
- * nothing.
+ * linux.uml 6.1 and 6.12 store 2696 bytes of a process's floating-point state. PTRACE_SETREGSET accepts only the whole
+ * area, otherwise it returns EFAULT, and with AMX the area has 11008 bytes: linux.uml panics at its first process. This
+ * function reads the whole area, and returns or replaces the part that the caller requested, its beginning. If 2696
+ * bytes are enough, it changes nothing.
  */
 #define _GNU_SOURCE
 #include <dlfcn.h>

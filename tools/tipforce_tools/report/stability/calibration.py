@@ -46,7 +46,7 @@ def cases() -> list[Case]:
              "08000022h, and the previous tare stays", _tare_saturated),
         Case("calibration.scaling_points_equal", "6120h = 6122h: both scaling points at one field value", "refused",
              "06090030h in each of the three forms, and the scaling stays", _points_equal),
-        Case("calibration.scaling_denormal", "6122h = 1.4e-45 counts beside 6120h = 0: a gain of 2e48", "flagged",
+        Case("calibration.scaling_denormal", "6122h = 1.4e-45 counts with 6120h = 0: a gain of 2e48", "flagged",
              "the gauge and P are at the limit of INTEGER16 with 6150h 03h; 6130h is infinite, not wrong", _denormal),
         Case("calibration.locked", "staged writes and commit with the write lock 2105h:2 set", "refused",
              "08000022h for each, the record and its CRC stay", _locked),

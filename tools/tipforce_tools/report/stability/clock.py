@@ -29,7 +29,7 @@ def cases() -> list[Case]:
     """Return the cases of this area."""
     return [
         Case("clock.counter_wrap", "the 8-bit sample counter over 1000 SYNCs, 40 frames lost in 5 gaps", "pass",
-             "unwrapped it counts every sample; lost_samples() says 40", _counter),
+             "unwrapped it counts every sample; lost_samples() returns 40", _counter),
         Case("clock.counter_full_turn", "255 and 256 frames lost in a row: a turn of the 8-bit counter", "bounded",
              "NOT visible in the counter; visible in the receive times; up to 254 in a row are counted", _full_turn),
         Case("clock.microseconds_wrap", "1013h, the 32-bit microseconds of CiA 301, written as 0xFFFFFFFF", "pass",
@@ -248,7 +248,7 @@ def _twice_rate() -> Observed:
     alternate = all(one != other for one, other in itertools.pairwise(stale))
     return Observed(
         hushed and right and repeats and alternate,
-        f"{sum(stale)} of 200 stale, counter goes on by {counts[-1] - counts[0]}",
+        f"{sum(stale)} of 200 stale, counter advances by {counts[-1] - counts[0]}",
     )
 
 

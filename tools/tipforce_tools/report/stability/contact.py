@@ -41,7 +41,7 @@ def cases() -> list[Case]:
              "flagged", "status bit 5 is set and theta is unknown; P and phi stay", _misses),
         Case("contact.only_F2", "F1 = F3 = 0 and F2 = 1 N: a force without direction", "flagged",
              "P is the projection F2 / 2 and both angles are unknown", _only_F2),
-        Case("contact.angle_wrap", "phi and theta at +-180 degrees, and up to 1e-13 degrees beside", "pass",
+        Case("contact.angle_wrap", "phi and theta at +-180 degrees, and within 1e-13 degrees of it", "pass",
              "angles lie in (-180, 180] and jump by one turn only; the PDO shows 180.00, never -180.00", _angle_wrap),
         Case("contact.node_agrees", "10000 loads of any size, 1000 of them tangential within 1e-12", "pass",
              "the node's formulas give the host's numbers, within 8 units in the last place", _node_agrees),

@@ -42,8 +42,8 @@ def cases() -> list[Case]:
              "P and both angles are unknown: the rank is below 3", _no_rank),
         Case("gauge.eight_all_lost", "all 8 gauges saturated", "flagged", "P is unknown, no exception", _all_lost),
         Case("gauge.swapped_six", "6 gauges, each pair of them swapped, load 1 N", "flagged",
-             "host parity.detect() says fault in most contacts where a swap costs 5 % of the force or more, for every "
-             "pair; not in all: the difference of two readings may look like a force", _swapped_six),
+             "host parity.detect() reports a fault in most contacts where a swap costs 5 % of the force or more, "
+             "for every pair; not in all: the difference of two readings may look like a force", _swapped_six),
         Case("gauge.swapped_three", "3 gauges, each pair of them swapped after the calibration", "bounded",
              "NOT detectable by node or host: every reading of 3 gauges fits some force; F is off by at most "
              "sqrt(2) |C| times the difference of the two readings", _swapped_three),

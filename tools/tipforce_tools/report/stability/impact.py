@@ -39,7 +39,7 @@ def cases() -> list[Case]:
              "peak force scales with the speed within 1e-9: the system is linear while in contact", _stop),
         Case("impact.mass_ratio", "bodies of 1e-9 to 1e3 kg on the fingertip, 1e8 N/m", "bounded",
              "the first peak is within 0.1 % of v sqrt(k m), m the reduced mass of body and free tip: beams are soft "
-             "beside the contact", _light),
+             "compared with the contact", _light),
         Case("impact.impossible", "mass or stiffness 0, negative or NaN; speed 0; time inf; samples out of order",
              "refused", "InputError names the value", _impossible),
         Case("impact.softest", "beams of 1 nm struck with 1e8 N/m, 100000 s: time scales as 1 to 1e11", "pass",

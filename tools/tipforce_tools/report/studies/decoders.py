@@ -24,7 +24,7 @@ _AT_A_TIME = 1000  # frames per timed call of the others
 STEPS = len(BATCHES) + 3
 
 Value = float | None
-"""None: the decoder says that the value is unknown."""
+"""None: the decoder reports the value as unknown."""
 Rows = list[tuple[Value, ...]]
 """P, phi, theta of each frame."""
 
@@ -190,9 +190,9 @@ def _study(series: list[Series], results: dict[str, _Result], count: int) -> Stu
     ]
     for method, result in results.items():
         if result.unknown_shown:
-            remarks.append(f"{method}: {result.unknown_shown} unknown values (raw {UNKNOWN}) came out as numbers.")
+            remarks.append(f"{method}: {result.unknown_shown} unknown values (raw {UNKNOWN}) were decoded as numbers.")
     silent = [method for method, result in results.items() if not result.unknown_shown]
-    remarks.append(f"Every unknown value was told as unknown by: {', '.join(silent)}.")
+    remarks.append(f"Every unknown value was reported as unknown by: {', '.join(silent)}.")
     return Study(
         key="decoders",
         title="Decoders of the contact PDO",

@@ -276,5 +276,5 @@ def _remarks(task: _Task, series: list[Series]) -> list[str]:
             f"{method} ({point.setting}) reaches 1e-3 with the least time, {seconds:.2g} s per simulated second."
         )
     if task.key == "integrators-step" and all(p.error < 1e-9 for p in series[0].points):
-        found.append("The held step is exact at every step: a load that stands is a straight line.")
+        found.append("The held step is exact at every step: a constant load is a straight line.")
     return found

@@ -149,7 +149,7 @@ def _beams_against_meshes(found: dict[str, list[_Found]], error: Callable[[Float
     beams = {method: error(points[0].matrix) for method, points in found.items() if not method.startswith("FE")}
     best = min(beams, key=lambda method: beams[method])
     return (
-        f"No beam model knows the corners: the best, {best}, stays {beams[best]:.1%} off, where gauges fit; Table 1 at "
+        f"No beam model includes the corners: the best, {best}, is {beams[best]:.1%} off, where gauges fit; Table 1 at "
         f"its points is {beams['Table 1, at its points']:.0%} off."
     )
 
