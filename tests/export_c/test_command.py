@@ -42,7 +42,7 @@ def test_export_c_that_cannot_be(export: Export, tmp_path: Path) -> None:
         (["c"], "--output: `export c` writes several files; name a folder"),
         (["c", "-o", tmp_path / "file"], f"--output {tmp_path / 'file'}: File exists"),
         (["c", "--gauges", 2, "-o", tmp_path / "x"], "number of gauges: 2"),
-        (["dcf"], "--node-id: a DCF is that of one node; for example --node-id 5"),
+        (["dcf"], "--node-id: a DCF belongs to one node; add it, for example --node-id 5"),
         (["dcf", "--node-id", 5, "--settings", tmp_path / "absent.toml"], "absent.toml: No such file"),
     ):
         code, out, err = export(*words)

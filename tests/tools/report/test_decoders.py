@@ -21,7 +21,7 @@ def test_all_decoders_agree_to_rounding_and_one_shows_unknown_values(monkeypatch
     # 2^-53 of at most 32767 steps; one more rounding where a decoder multiplies by 0.001.
     for one in found.series:
         assert all(0.0 <= point.error <= 2.0**-52 * 32768 for point in one.points), one.method
-    shown = [remark for remark in found.remarks if "came out as numbers" in remark]
+    shown = [remark for remark in found.remarks if "decoded as numbers" in remark]
     assert len(shown) == 1
     assert shown[0].startswith(decoders.CANOPEN)
 
