@@ -30,7 +30,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("log", metavar="LOG", help="a log file, or - for candump text on stdin")
     parser.add_argument("assignments", nargs="*", type=_assignment, metavar="WRITE=LOG", help="interfaces")
     parser.add_argument("--speed", type=_speed, default=1.0, metavar="X", help="times recorded speed (inf: no waiting)")
-    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of repetitions, or inf (default: 1)")
+    parser.add_argument("--loop", type=_loop, default=1, metavar="N", help="number of passes, or inf (default: 1)")
     parser.add_argument("--max-gap", type=_gap, metavar="S", help="shorten gaps of the log that are longer than S")
     parser.add_argument("--strict", action="store_true", help="end at the first bad line of candump text")
     common.add_confirm_argument(parser)

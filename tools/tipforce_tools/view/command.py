@@ -48,8 +48,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of each finger, 3 to 8 (default 3)")
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="gauge layout of fingers that do not report it")
     group = parser.add_argument_group("log or scene")
-    group.add_argument("--from", dest="start_s", type=float, default=0.0, metavar="S", help="first second to show")
-    group.add_argument("--to", dest="end_s", type=float, metavar="S", help="last second to show")
+    group.add_argument(
+        "--from", dest="start_s", type=float, default=0.0, metavar="S", help="start, seconds from its beginning"
+    )
+    group.add_argument("--to", dest="end_s", type=float, metavar="S", help="end, likewise")
     add_server_arguments(parser)
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)

@@ -121,7 +121,7 @@ class Watcher:
             self._new_collector()
 
     def _new_collector(self) -> None:
-        """Collect the PDOs that all fingers send; if there is none, those that most send."""
+        """Collect the PDOs that all fingers send; if there are none, the one that most fingers send."""
         sets = [names for names in self._heard.values() if names]
         count = Counter(name for names in sets for name in names)
         messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
