@@ -63,7 +63,7 @@ def test_a_hand_with_a_finger_that_is_not_there() -> None:
             tipforce.Hand.open(NAMES, bus=bus)
         with tipforce.Hand.open(NAMES, bus=bus, need_all=False) as hand:
             row = next(iter(hand.rows(5.0)))
-    assert row["middle"].reason == "no answer"
+    assert row["middle"].reason == "no response"
     assert math.isnan(row["middle"].P_newtons)
 
 

@@ -36,7 +36,7 @@ class Status(enum.IntFlag):
 
 
 _NO_MEASUREMENT = (
-    (Status.NO_ANSWER, "no answer"),
+    (Status.NO_ANSWER, "no response"),
     (Status.STALE, "no new sample"),
     (Status.FAULT, "front-end fault"),
     (Status.SATURATED, "gauge saturated"),
