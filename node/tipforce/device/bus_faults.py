@@ -1,6 +1,6 @@
-"""What the CAN controller says of itself, as SocketCAN error frames (linux/can/error.h): passive, overrun, bus-off.
+"""Bus faults that the CAN controller reports as SocketCAN error frames (linux/can/error.h): passive, overrun, bus-off.
 
-And another node that uses this node's identifiers. Each is said once by EMCY, and the device goes on.
+Also detects another node that uses this node's identifiers. An EMCY reports each fault once; the device continues.
 """
 
 from . import codes
@@ -15,14 +15,14 @@ if TYPE_CHECKING:
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100  # error classes, in the identifier
 OVERFLOW, PASSIVE, WARNING, ACTIVE = 0x03, 0x30, 0x0C, 0x40  # of a controller error, in data byte 1
 TRANSMIT_OVERFLOW = codes.ERROR_FLAG | CONTROLLER, b"\0\x02\0\0\0\0\0\0"
-"""The frame by which a loop says that its transmit queue was full."""
+"""Error frame by which a loop reports that its transmit queue was full."""
 
 FIRST_RESTART_US, LAST_RESTART_US = 100000, 10000000  # bus-off recovery backs off from one to the other
-OVERRUN_QUIET_US = 1000000  # an overrun is over when none came for so long
+OVERRUN_QUIET_US = 1000000  # an overrun has ended when none occurred for this time
 
 
 class BusFaults:
-    """Watches the bus; ``off`` is true while the controller is off the bus and nothing can be sent."""
+    """Monitor the bus; ``off`` is true while the controller is bus-off and cannot send."""
 
     __slots__ = ("_back_us", "_device", "_overrun_until_us", "_restart_at_us", "_wait_us", "due_us", "off")
 
@@ -36,7 +36,7 @@ class BusFaults:
         self.due_us = codes.NEVER_US
 
     def receive(self, can_id: int, data: bytes) -> None:
-        """Act on an error frame."""
+        """Process an error frame."""
         detail = data[1] if len(data) > 1 and can_id & CONTROLLER else 0
         if can_id & BUS_OFF:
             self._went_off()
@@ -52,16 +52,16 @@ class BusFaults:
         self._schedule()
 
     def heard(self) -> None:
-        """A frame came: whatever the controller said last, the bus is back."""
+        """Handle the first data frame after a fault: the bus has recovered, whatever the controller last reported."""
         self._came_back()
         self._schedule()
 
     def collision(self, can_id: int) -> "Callable[[bytes], None]":
-        """Handler of an identifier that only this node may send."""
+        """Return the handler of an identifier that only this node may send."""
         return lambda _data: self._device.emcy.raise_error(COB_ID_COLLISION, COMMUNICATION, can_id)
 
     def expire(self, now_us: int) -> None:
-        """Ask the loop to restart the controller, or say that an overrun is over."""
+        """Request a restart of the controller, or report the end of an overrun."""
         if self._restart_at_us <= now_us:
             self._device.requests.append(("bus-restart", 0, 0))
             self._wait_us = min(2 * self._wait_us, LAST_RESTART_US)
@@ -75,7 +75,7 @@ class BusFaults:
         if not self.off:
             self.off = True
             if self._device.now_us - self._back_us > LAST_RESTART_US:
-                self._wait_us = FIRST_RESTART_US  # the bus was well for long: this is a new trouble
+                self._wait_us = FIRST_RESTART_US  # the bus was free of faults for long: this is a new fault
             self._restart_at_us = self._device.now_us + self._wait_us
             self._device.communication_failed()
 

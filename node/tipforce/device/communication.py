@@ -1,4 +1,4 @@
-"""Indices of the communication area (CiA 301, 7.5.2), declared here alone, under the standard's names."""
+"""Indices of the communication area (CiA 301, 7.5.2), declared only here, under the standard's names."""
 
 FIRST, LAST = 0x1000, 0x1FFF
 
@@ -12,14 +12,14 @@ COB_ID_EMCY, EMCY_INHIBIT_TIME = 0x1014, 0x1015
 CONSUMER_HEARTBEAT, PRODUCER_HEARTBEAT = 0x1016, 0x1017
 IDENTITY, SYNC_OVERFLOW, VERIFY_CONFIGURATION = 0x1018, 0x1019, 0x1020
 STORED_EDS, EDS_FORMAT, ERROR_BEHAVIOUR, SDO_SERVER = 0x1021, 0x1022, 0x1029, 0x1200
-MANDATORY = (DEVICE_TYPE, ERROR_REGISTER, IDENTITY)  # in every device
+MANDATORY = (DEVICE_TYPE, ERROR_REGISTER, IDENTITY)  # mandatory in every device
 NMT_STARTUP = 0x1F80  # CiA 302-2
 
-# PDO parameters: the first object of each run, and the last that a run may have.
+# PDO parameters: the first object of each range, and the last allowed.
 RPDO, LAST_RPDO, RPDO_MAPPING, LAST_RPDO_MAPPING = 0x1400, 0x15FF, 0x1600, 0x17FF
 TPDO, LAST_TPDO, TPDO_MAPPING, LAST_TPDO_MAPPING = 0x1800, 0x19FF, 0x1A00, 0x1BFF
-MAPPING = RPDO_MAPPING - RPDO  # from the communication parameter of a PDO to its mapping
+MAPPING = RPDO_MAPPING - RPDO  # from a PDO's communication parameter to its mapping parameter
 
-# The areas behind (7.4.1, table 35): of the manufacturer, and of the device profiles.
+# The areas above (7.4.1, table 35): manufacturer-specific, and device profiles.
 FIRST_MANUFACTURER, LAST_MANUFACTURER = 0x2000, 0x5FFF
 FIRST_PROFILE, LAST_PROFILE = 0x6000, 0x9FFF

@@ -7,7 +7,7 @@ _NIBBLE = (
 
 
 def crc16_by_nibbles(data: "bytes | bytearray", crc: int = 0) -> int:
-    """Continue ``crc`` over ``data``. Sixteen entries instead of 256: a microcontroller has little memory to spare."""
+    """Continue ``crc`` over ``data``. The table has 16 entries instead of 256 to save memory on a microcontroller."""
     for byte in data:
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte >> 4]
         crc = (crc << 4 & 0xFFFF) ^ _NIBBLE[crc >> 12 ^ byte & 15]
@@ -16,10 +16,10 @@ def crc16_by_nibbles(data: "bytes | bytearray", crc: int = 0) -> int:
 
 try:
     from binascii import crc_hqx
-except ImportError:  # MicroPython has none
+except ImportError:  # MicroPython has no binascii.crc_hqx
     crc_hqx = None  # type: ignore[assignment]
 
 
 def crc16(data: "bytes | bytearray", crc: int = 0) -> int:
-    """Continue ``crc`` over ``data``, with the interpreter's own function where it has one."""
+    """Continue ``crc`` over ``data``, with the interpreter's function if it has one."""
     return crc_hqx(data, crc) if crc_hqx is not None else crc16_by_nibbles(data, crc)

@@ -1,6 +1,6 @@
 """EMCY producer (CiA 301, 7.2.7): objects 1001h, 1003h, 1014h and 1015h.
 
-An error is raised once and cured once; between the two it is active and its bits stand in the error register.
+An error is raised once and cleared once; in between it is active and sets its bits in the error register.
 """
 
 import struct
@@ -12,17 +12,17 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
-# Error codes (table 26) and the bits that each sets in the error register (table 48) besides bit 0, generic.
+# Error codes (table 26) and the bits that each sets in the error register (table 48) in addition to bit 0, generic.
 GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04, 0x08, 0x10, 0x20, 0x80
 NO_ERROR = 0x0000
 CAN_OVERRUN, ERROR_PASSIVE, HEARTBEAT_LOST, BUS_OFF_RECOVERED = 0x8110, 0x8120, 0x8130, 0x8140
 COB_ID_COLLISION, PDO_LENGTH, SYNC_LENGTH, RPDO_TIMEOUT = 0x8150, 0x8210, 0x8240, 0x8250
 HISTORY_LENGTH = 8
-MAX_WAITING = 64  # messages held back by the inhibit time or by STOPPED; memory stays bounded whatever the errors do
+MAX_WAITING = 64  # limit of messages queued by the inhibit time or in STOPPED: bounds memory
 
 
 class Emcy:
-    """Raises and cures errors; ``register`` is what 1001h shows."""
+    """Raise and clear errors; ``register`` is the value of 1001h."""
 
     __slots__ = ("_active", "_device", "_free_us", "_history", "_waiting", "due_us", "register")
 
@@ -38,10 +38,10 @@ class Emcy:
         od.writers[communication.COB_ID_EMCY] = self._write_cob_id
 
     def reset(self, whole: bool) -> None:
-        """Forget what waits, and each active error whose watcher starts anew with this reset.
+        """Discard queued messages and each active error whose monitor restarts with this reset.
 
-        The bus controller goes on through any reset, the application through one of communication: what they reported
-        still holds. The history stays until power goes or 1003h:0 is written with 0.
+        The bus controller is not affected by any reset, the application not by a communication reset: errors that they
+        reported stay active. The history stays until power-off or until 0 is written to 1003h:0.
         """
         lowest = CAN_OVERRUN if whole else 0
         self._active = {key: bits for key, bits in self._active.items() if lowest <= key[0] <= ERROR_PASSIVE}
@@ -51,7 +51,7 @@ class Emcy:
         self.due_us = codes.NEVER_US
 
     def raise_error(self, code: int, bits: int, detail: int = 0) -> None:
-        """Report an error that is not active yet; ``detail`` (16 bits) tells errors of one code apart."""
+        """Report an error that is not active yet; ``detail`` (16 bits) distinguishes errors of one code."""
         key = (code, detail)
         if key in self._active:
             return
@@ -60,30 +60,30 @@ class Emcy:
         self.report(code, detail)
 
     def cure(self, code: int, detail: int = 0) -> None:
-        """Report that an active error is gone: code 0000h, the cured code and its detail in the data."""
+        """Report that an active error has ended: code 0000h, with the cleared code and its detail in the data."""
         if not self._active or self._active.pop((code, detail), None) is None:
             return
         self._update_register()
         self._queue(struct.pack("<HBHHx", 0, self.register, code, detail))
 
     def cure_all_but(self, code: int, details: "list[int]") -> None:
-        """Cure the active errors of a code whose detail is not in ``details``: nobody watches for their end."""
-        for found, detail in sorted(self._active):  # in one order everywhere: MicroPython's dicts keep none
+        """Clear the active errors of a code whose detail is not in ``details``: they are no longer monitored."""
+        for found, detail in sorted(self._active):  # the same order everywhere: MicroPython's dicts are unordered
             if found == code and detail not in details:
                 self.cure(code, detail)
 
     def report(self, code: int, detail: int = 0) -> None:
-        """Report an event that has no end of its own: history and message, no bit in the register."""
+        """Report an event that has no end: history entry and message, no bit in the register."""
         self._history.insert(0, code | detail << 16)
         del self._history[HISTORY_LENGTH:]
         self._queue(struct.pack("<HBHHx", code, self.register, detail, 0))
 
     def allowed(self) -> None:
-        """The NMT state or 1014h changed: what waits may be due now."""
+        """Check after a change of the NMT state or of 1014h whether queued messages are due."""
         self._schedule()
 
     def expire(self, now_us: int) -> None:
-        """Send the next message that waited."""
+        """Send the next queued message."""
         if self._waiting and self._may_send():
             od = self._device.od
             self._device.send(od.integer(communication.COB_ID_EMCY) & codes.STANDARD_MASK, self._waiting.pop(0))
@@ -101,7 +101,7 @@ class Emcy:
     def _may_send(self) -> bool:
         cob_id = self._device.od.integer(communication.COB_ID_EMCY)
         valid = cob_id & codes.STANDARD_MASK and not cob_id & codes.COB_ID_INVALID
-        # While the bus is off a message would be lost: it waits.
+        # While the controller is bus-off a message would be lost, so it stays queued.
         talking = self._device.nmt.state in (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
         return bool(valid) and talking and not self._device.bus_faults.off
 
@@ -111,7 +111,7 @@ class Emcy:
             self.register |= bits
 
     def is_empty(self, sub: int) -> bool:
-        """True for an entry of 1003h that holds no error: it is not there to be read (7.5.2.4)."""
+        """Return True for an entry of 1003h that holds no error: it cannot be read (7.5.2.4)."""
         return len(self._history) < sub <= HISTORY_LENGTH
 
     def _read_history(self, sub: int) -> "Value":
@@ -130,7 +130,7 @@ class Emcy:
         if new & codes.COB_ID_RESERVED:
             return codes.INVALID_VALUE
         if not new & codes.COB_ID_INVALID:
-            # As for a PDO: an identifier that is in use is changed only after it was made invalid (7.5.2.17).
+            # As for a PDO: an identifier in use can be changed only after it was made invalid (7.5.2.17).
             used = not old & codes.COB_ID_INVALID and new & codes.STANDARD_MASK != old & codes.STANDARD_MASK
             if used or codes.restricted(new & codes.STANDARD_MASK):
                 return codes.INVALID_VALUE

@@ -1,4 +1,4 @@
-"""Node guarding and life guarding (CiA 301, 7.2.8.3.2.1): objects 100Ch and 100Dh; heartbeat excludes it."""
+"""Node guarding and life guarding (CiA 301, 7.2.8.3.2.1): objects 100Ch and 100Dh; a heartbeat disables it."""
 
 from . import codes, communication
 from .emcy import COMMUNICATION, HEARTBEAT_LOST
@@ -7,11 +7,11 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-MASTER = 0  # detail of the EMCY: the node that is missing is the one that guards
+MASTER = 0  # detail of the EMCY: the lost node is the one that guards
 
 
 class NodeGuarding:
-    """Answers the master's remote frames with state and toggle bit; misses them when they stop."""
+    """Respond to the master's remote frames with state and toggle bit; report when they stop."""
 
     __slots__ = ("_device", "_toggle", "due_us")
 
@@ -21,15 +21,15 @@ class NodeGuarding:
         self.due_us = codes.NEVER_US
 
     def reset(self) -> None:
-        """After a boot-up: toggle 0, nobody is missed before the first remote frame."""
+        """Restart after a boot-up: toggle bit 0, no life guarding before the first remote frame."""
         self._toggle = 0
         self.due_us = codes.NEVER_US
 
     def receive(self, _data: bytes) -> None:
-        """A remote frame on 0x700 + node-id."""
+        """Respond to a remote frame on 0x700 + node-id."""
         od = self._device.od
         if od.integer(communication.PRODUCER_HEARTBEAT):
-            return  # with a heartbeat there is no guarding (7.2.8.3.2.2)
+            return  # a device that sends heartbeats does not support guarding (7.2.8.3.2.2)
         self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, bytes((self._toggle | self._device.nmt.state,)))
         self._toggle ^= 0x80
         life_ms = od.integer(communication.GUARD_TIME) * od.integer(communication.LIFE_TIME_FACTOR)
@@ -37,12 +37,12 @@ class NodeGuarding:
         self._device.emcy.cure(HEARTBEAT_LOST, MASTER)
 
     def expire(self, _now_us: int) -> None:
-        """The life time is over without a remote frame."""
+        """Report a life time that elapsed without a remote frame."""
         self.due_us = codes.NEVER_US
         od = self._device.od
         if od.integer(communication.PRODUCER_HEARTBEAT) or not od.integer(communication.GUARD_TIME) * od.integer(
             communication.LIFE_TIME_FACTOR
         ):
-            return  # guarding was switched off since the last remote frame
+            return  # guarding was disabled since the last remote frame
         self._device.emcy.raise_error(HEARTBEAT_LOST, COMMUNICATION, MASTER)
         self._device.communication_failed()

@@ -9,7 +9,7 @@ if TYPE_CHECKING:
 
 
 class HeartbeatProducer:
-    """Sends the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
+    """Send the NMT state every 1017h milliseconds; the boot-up message counts as the first heartbeat."""
 
     __slots__ = ("_device", "due_us")
 
@@ -19,16 +19,16 @@ class HeartbeatProducer:
         device.od.writers[communication.PRODUCER_HEARTBEAT] = self._write_period
 
     def reset(self) -> None:
-        """Start anew from the present 1017h, after a boot-up."""
+        """Restart with the present value of 1017h after a boot-up."""
         self._restart(self._device.od.integer(communication.PRODUCER_HEARTBEAT))
 
     def expire(self, now_us: int) -> None:
-        """Send one heartbeat; late calls do not shift the ones that follow."""
+        """Send one heartbeat; late calls do not shift the following ones."""
         period_us = 1000 * self._device.od.integer(communication.PRODUCER_HEARTBEAT)
         self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, bytes((self._device.nmt.state,)))
         self.due_us += period_us
         if self.due_us <= now_us:
-            # The process slept over one or more periods: go on from now, without a burst.
+            # The process was suspended for one or more periods: continue from now, without a burst.
             self.due_us = now_us + period_us
 
     def _write_period(self, _sub: int, value: "Value") -> int:

@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 
 
 class HeartbeatConsumer:
-    """Watches up to four nodes; each from its first heartbeat on."""
+    """Monitor up to four nodes, each from its first heartbeat on."""
 
     __slots__ = ("_deadlines", "_device", "_lost", "_periods", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
         self._periods: "dict[int, int]" = {}  # node-id -> microseconds
-        self._deadlines: "dict[int, int]" = {}  # node-id -> when its heartbeat is missing
+        self._deadlines: "dict[int, int]" = {}  # node-id -> time at which its heartbeat is overdue
         self._lost: "list[int]" = []
         self.due_us = codes.NEVER_US
         device.od.writers[communication.CONSUMER_HEARTBEAT] = self._write
 
     def reset(self) -> None:
-        """Take 1016h as it stands; nobody is watched before a first heartbeat."""
+        """Apply the present value of 1016h; monitoring of a node starts with its first heartbeat."""
         self._periods = {}
         for sub in self._device.od.subs(communication.CONSUMER_HEARTBEAT)[1:]:
             node_id, period_ms = _split(self._device.od.integer(communication.CONSUMER_HEARTBEAT, sub))
@@ -38,18 +38,18 @@ class HeartbeatConsumer:
         self._schedule()
 
     def forget(self) -> None:
-        """A reset: every watch starts anew."""
+        """Reset all monitoring."""
         self._deadlines = {}
         self._lost = []
         self.reset()
 
     def routes(self) -> "list[tuple[int, Callable[[bytes], None]]]":
-        """(can_id, handler) of each heartbeat to listen to."""
+        """Return (can_id, handler) of each monitored heartbeat."""
         return [(codes.HEARTBEAT_BASE + node_id, self._route(node_id)) for node_id in self._periods]
 
     def expire(self, now_us: int) -> None:
         """Report each node whose heartbeat is overdue."""
-        for node_id in sorted(self._deadlines):  # one order everywhere: MicroPython's dicts keep none
+        for node_id in sorted(self._deadlines):  # the same order everywhere: MicroPython's dicts are unordered
             if self._deadlines[node_id] <= now_us:
                 del self._deadlines[node_id]
                 self._lost.append(node_id)
@@ -92,5 +92,5 @@ class HeartbeatConsumer:
 
 
 def _split(word: int) -> "tuple[int, int]":
-    """(node-id, milliseconds) of an entry of 1016h."""
+    """Return (node-id, milliseconds) of an entry of 1016h."""
     return word >> 16 & 0xFF, word & 0xFFFF

@@ -1,4 +1,4 @@
-"""LSS slave (CiA 305): node-id and bit rate set over the bus, and the services by which a master finds devices."""
+"""LSS slave (CiA 305): set node-id and bit rate over the bus; let a master find devices."""
 
 import struct
 
@@ -8,7 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-GROUP = "lss"  # what ``save`` and ``load`` call the stored node-id and bit rate
+GROUP = "lss"  # group name of the stored node-id and bit rate in ``save`` and ``load``
 BIT_RATES = {0: 1000000, 1: 800000, 2: 500000, 3: 250000, 4: 125000, 6: 50000, 7: 20000, 8: 10000}  # table 0
 DEFAULT_BIT_RATE_INDEX = 0
 _STORED = "<BB"
@@ -17,7 +17,7 @@ _OK, _OUT_OF_RANGE, _STORE_UNSUPPORTED, _STORE_FAILED = 0, 1, 1, 2
 
 
 class LssSlave:
-    """State of LSS: waiting or configuration; ``pending_node_id`` becomes the node-id at the next reset."""
+    """LSS state, waiting or configuration; ``pending_node_id`` becomes the node-id at the next reset."""
 
     __slots__ = (
         "_bit_rate_index", "_configuring", "_device", "_identified", "_matched", "_position", "pending_node_id",
@@ -34,7 +34,7 @@ class LssSlave:
 
     @property
     def bit_rate(self) -> int:
-        """Bits a second as configured: 1 Mbit/s until a loop that knows better, a stored one or a master says so."""
+        """Configured bit rate in bit/s: 1 Mbit/s until the loop, the store or a master sets another one."""
         return BIT_RATES[self._bit_rate_index]
 
     @bit_rate.setter
@@ -44,18 +44,18 @@ class LssSlave:
                 self._bit_rate_index = index
 
     def restore(self, blob: "bytes | None") -> None:
-        """Take the stored node-id and bit rate, if there are any."""
+        """Apply the stored node-id and bit rate, if any."""
         if blob is not None and len(blob) == struct.calcsize(_STORED):
             node_id, index = struct.unpack(_STORED, blob)
             if _valid_node_id(node_id) and index in BIT_RATES:
                 self.pending_node_id, self._bit_rate_index = node_id, index
 
     def leave(self) -> None:
-        """A reset: back to the waiting state."""
+        """Return to the waiting state after a reset."""
         self._configuring = False
 
     def receive(self, data: bytes) -> None:
-        """Act on a request of the master; it always has 8 bytes."""
+        """Process a request of the master; it always has 8 bytes."""
         if len(data) != 8:
             return
         service = data[0]
@@ -82,11 +82,11 @@ class LssSlave:
         elif mode == 0:
             leaving, self._configuring = self._configuring, False
             if leaving and self._device.node_id == codes.LSS_UNCONFIGURED != self.pending_node_id:
-                # An unconfigured device that was given a node-id boots as soon as it leaves configuration (6.3.2).
+                # An unconfigured device that received a node-id boots when it leaves the configuration state (6.3.2).
                 self._device.reset(False)
 
     def _select(self, part: int, number: int) -> None:
-        """Switch state selective: four numbers in a row must be those of 1018h."""
+        """Switch state selective: four consecutive numbers must match those of 1018h."""
         self._matched = self._matched + 1 if self._matched == part and number == self._identity(part) else 0
         if part == 0 and self._matched == 0 and number == self._identity(0):
             self._matched = 1
@@ -127,7 +127,7 @@ class LssSlave:
     # --- identify (6.6) -------------------------------------------------------------------------------------
 
     def _identify(self, part: int, number: int) -> None:
-        """Vendor, product, revision low, high, serial low, high, in this order, each a condition."""
+        """Check vendor, product, revision low and high, serial low and high in this order; each is a condition."""
         own = self._identity((0, 1, 2, 2, 3, 3)[part])
         holds = number == own if part < 2 else number <= own if part % 2 == 0 else own <= number
         if part == 0:
@@ -138,7 +138,7 @@ class LssSlave:
             self._answer(codes.LSS_IDENTIFIED)
 
     def _fastscan(self, number: int, bits_left: int, part: int, following: int) -> None:
-        """Fastscan (6.6.4): the master guesses 1018h bit by bit; an unconfigured device says yes."""
+        """Fastscan (6.6.4): the master searches 1018h bit by bit; an unconfigured device confirms a match."""
         if self._device.node_id != codes.LSS_UNCONFIGURED or self._configuring:
             return
         if bits_left == codes.LSS_START_FASTSCAN:

@@ -1,4 +1,4 @@
-"""NMT slave (CiA 301, 7.2.8): the state, and what a master's command does to it."""
+"""NMT slave (CiA 301, 7.2.8): the state machine and the master's commands."""
 
 from . import codes, communication
 
@@ -16,7 +16,7 @@ SELF_START_OFF = 4  # 1F80h bit 2 (CiA 302-2)
 
 
 class Nmt:
-    """Holds ``state``; the device asks it what is allowed now."""
+    """Hold ``state``; the services of the device depend on it."""
 
     __slots__ = ("_device", "state")
 
@@ -26,7 +26,7 @@ class Nmt:
         device.od.writers[communication.NMT_STARTUP] = self._write_startup
 
     def boot(self) -> None:
-        """Send the boot-up message and leave INITIALISING (7.2.8.3.3), as 1F80h says."""
+        """Send the boot-up message and leave INITIALISING (7.2.8.3.3) as 1F80h specifies."""
         self._device.send(codes.HEARTBEAT_BASE + self._device.node_id, b"\0")
         self.enter(codes.PRE_OPERATIONAL)
         od = self._device.od
@@ -35,7 +35,7 @@ class Nmt:
             self.enter(codes.OPERATIONAL)
 
     def receive(self, data: bytes) -> None:
-        """Act on an NMT command frame; one for another node, or of another shape, is ignored."""
+        """Process an NMT command frame; ignore one for another node or of wrong length."""
         if len(data) != 2 or data[1] not in (0, self._device.node_id):
             return
         command = data[0]
@@ -47,11 +47,11 @@ class Nmt:
             self._device.reset(False)
 
     def enter(self, state: int) -> None:
-        """Change the state and tell the services that depend on it."""
+        """Change the state and notify the services that depend on it."""
         if state != self.state:
             self.state = state
             self._device.state_changed()
 
     def _write_startup(self, _sub: int, value: "Value") -> int:
-        # Only bit 2 concerns a slave; bit 0 would make this device the NMT master, which it is not.
+        # Only bit 2 applies to a slave; bit 0 would make this device the NMT master, which it does not support.
         return 0 if value in (0, SELF_START_OFF) else codes.INVALID_VALUE

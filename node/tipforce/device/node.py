@@ -27,39 +27,39 @@ _TALKING = (codes.PRE_OPERATIONAL, codes.OPERATIONAL)
 
 
 class Application:
-    """What a device does besides CANopen. Every method may be overridden; this one does nothing.
+    """Functions of a device beyond CANopen. Every method may be overridden; this class does nothing.
 
-    ``live`` holds the indices whose values change by themselves: ``refresh`` is called before one is uploaded.
-    ``due_us`` is when ``expire`` is wanted.
+    ``live`` holds the indices of values that change on their own: ``refresh`` is called before one is uploaded.
+    ``expire`` is called at ``due_us``.
     """
 
     live: "frozenset[int]" = frozenset()
     due_us = codes.NEVER_US
 
     def on_reset(self, now_us: int) -> None:
-        """All parameters are restored; the boot-up message is about to go out."""
+        """Handle a reset: all parameters are restored; the boot-up message follows."""
 
     def on_settings(self) -> None:
-        """A PDO parameter or the NMT state is another one."""
+        """Handle a change of a PDO parameter or of the NMT state."""
 
     def on_sync(self, now_us: int) -> None:
-        """A SYNC came: latch what the PDOs are to carry."""
+        """Handle a SYNC: latch the values that the PDOs carry."""
 
     def refresh(self, now_us: int) -> None:
-        """A live value is about to be read outside a SYNC (SDO upload, event-driven PDO)."""
+        """Update the live values before a read outside a SYNC (SDO upload, event-driven PDO)."""
 
     def expire(self, now_us: int) -> None:
-        """``due_us`` has come."""
+        """Handle the time ``due_us``."""
 
 
 class Device:
-    """One node. Call ``step`` with the frames that came and with the time; send what it returns.
+    """One CANopen node. Call ``step`` with the received frames and the time; send the frames that it returns.
 
-    ``now_us`` is a count of microseconds that never wraps. Should it go back, the device goes on from where it was, and
-    its own time stays ahead from then on. ``requests`` collects what the loop
-    must do for the device, as (what, value, milliseconds); the loop empties it: ("reset-node", 0, 0) and
-    ("reset-communication", 0, 0) have been done and are only told, ("bit-rate", bit/s, delay) asks for a switch of
-    the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) asks to bring the controller back after bus-off.
+    ``now_us`` is a count of microseconds that never wraps. If it goes back, the device continues from its last time,
+    and its own time stays ahead from then on. ``requests`` collects requests to the loop, (name, value, milliseconds);
+    the loop empties it: ("reset-node", 0, 0) and ("reset-communication", 0, 0) only report a reset that was done,
+    ("bit-rate", bit/s, delay) requests a switch of the bus (CiA 305, 6.4.4), ("bus-restart", 0, 0) requests a restart
+    of the controller after bus-off.
     """
 
     def __init__(
@@ -71,7 +71,7 @@ class Device:
         self.od = od
         self.node_id = od.node_id
         self.now_us = 0
-        self._ahead_us = 0  # of the caller's clock: what that has gone back by
+        self._ahead_us = 0  # microseconds by which the caller's clock has gone back
         self.application: "Application | None" = None
         self.requests: "list[Request]" = []
         self._outbox: "list[Frame]" = []
@@ -96,7 +96,7 @@ class Device:
         )  # fmt: skip
 
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
-        """Take ``frames`` as (SocketCAN can_id, data); return the frames to send and the next due time."""
+        """Process ``frames``, (SocketCAN can_id, data); return the frames to send and the next due time."""
         now_us += self._ahead_us
         if now_us < self.now_us:
             self._ahead_us += self.now_us - now_us
@@ -107,7 +107,7 @@ class Device:
             self.lss.restore(self.storage.read_blob(lss.GROUP))
             self._restart(True)
         for can_id, data in frames:
-            # 29-bit and remote frames carry their flags above bit 28: only guarding has a route with a flag.
+            # 29-bit and remote frames have flags above bit 28: only guarding has a route with a flag.
             if can_id & codes.ERROR_FLAG:
                 self.bus_faults.receive(can_id, data)
                 continue
@@ -121,7 +121,7 @@ class Device:
         return sent, due_us - self._ahead_us
 
     def _expire(self, now_us: int) -> int:
-        """Run the services whose time has come; the next due time of all."""
+        """Run the services that are due; return the next due time of all."""
         due_us = codes.NEVER_US
         application = self.application
         if application is not None:
@@ -136,12 +136,12 @@ class Device:
         return due_us
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame; services call this. While the bus is off, a frame would be stale when the bus returns."""
+        """Queue a frame of a service. During bus-off it is dropped: it would be stale when the bus recovers."""
         if not self.bus_faults.off:
             self._outbox.append((can_id, data))
 
     def upload(self, index: int, sub: int) -> "bytes | int":
-        """What an SDO client reads, after the application had the chance to bring live values up to date."""
+        """Return the data for an SDO upload after the application has updated the live values."""
         if self.application is not None and index in self.application.live:
             self.application.refresh(self.now_us)
         if index == communication.ERROR_HISTORY and self.emcy.is_empty(sub):
@@ -149,12 +149,12 @@ class Device:
         return self.od.upload(index, sub)
 
     def reset(self, whole: bool) -> None:
-        """NMT reset: the communication area, or the whole node."""
+        """Execute an NMT reset of the communication area or of the whole node."""
         self.requests.append(("reset-node" if whole else "reset-communication", 0, 0))
         self._restart(whole)
 
     def state_changed(self) -> None:
-        """The NMT state is another one: what may be received and sent changes with it."""
+        """Apply a change of the NMT state: it determines which frames are received and sent."""
         if self.nmt.state == codes.OPERATIONAL:
             self.tpdos.started()
         else:
@@ -167,22 +167,22 @@ class Device:
         self.routes_changed()
 
     def settings_changed(self) -> None:
-        """Tell the application that PDOs may be other ones now."""
+        """Notify the application that the active PDOs may have changed."""
         if self.application is not None:
             self.application.on_settings()
 
     def communication_failed(self) -> None:
-        """Error behaviour (1029h:1) after a lost heartbeat, life guarding or bus-off; it concerns OPERATIONAL only."""
+        """Apply the error behaviour (1029h:1) after heartbeat loss, life guarding or bus-off, in OPERATIONAL only."""
         if self.nmt.state == codes.OPERATIONAL:
             behaviour = self.od.integer(communication.ERROR_BEHAVIOUR, 1)
             if behaviour != 1:
                 self.nmt.enter(codes.STOPPED if behaviour == 2 else codes.PRE_OPERATIONAL)
 
     def routes_changed(self) -> None:
-        """Work out anew which identifiers are listened to in this state (7.3.2.3, table 38)."""
+        """Rebuild the table of identifiers that are received in this state (7.3.2.3, table 38)."""
         routes: "dict[int, Callable[[bytes], None]]" = {}
         if self.node_id != codes.LSS_UNCONFIGURED:
-            # What only this node may send; a service that listens to the same identifier takes precedence.
+            # Identifiers that only this node may send; a service that receives the same identifier takes precedence.
             for can_id in self.tpdos.can_ids() + [
                 codes.SDO_RESPONSE_BASE + self.node_id,
                 codes.HEARTBEAT_BASE + self.node_id,

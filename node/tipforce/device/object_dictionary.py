@@ -1,4 +1,4 @@
-"""The object dictionary at run time: entries, their values, and the hooks by which services own their objects."""
+"""Object dictionary at run time: entries, their values, and hooks for the services that own objects."""
 
 import struct
 
@@ -27,10 +27,10 @@ REAL32_MAX = 3.4028234663852886e38
 
 
 def encode(kind: str, value: "Value") -> bytes:
-    """The bytes of ``value`` on the wire, little-endian; ``kind`` is struct's letter, "s" a string, "D" bytes.
+    """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes.
 
-    Integers are held to their type's range here, because MicroPython's struct wraps where CPython's raises;
-    a float beyond REAL32 becomes an infinity of its sign.
+    Integers are limited to their type's range here because MicroPython's struct wraps where CPython's raises;
+    a float beyond REAL32 becomes an infinity with its sign.
     """
     if kind == "D":
         return value  # type: ignore[return-value]
@@ -48,7 +48,7 @@ def encode(kind: str, value: "Value") -> bytes:
 
 
 def decode(kind: str, data: bytes) -> "Value":
-    """The value of ``data``, whose length the caller has checked."""
+    """Return the value of ``data``, whose length the caller has checked."""
     if kind == "D":
         return bytes(data)
     if kind == "s":
@@ -64,9 +64,9 @@ def _nearest_real32(limit: "int | float | None") -> "int | float | None":
 class ObjectDictionary:
     """Entries by index and sub-index, with their values.
 
-    A service that owns an object registers hooks for its index: ``readers[index](sub)`` gives the value in place
-    of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept, and an accepted value is
-    stored. ``sizes[index]`` is the one length that a DOMAIN or string object takes.
+    A service that owns an object registers hooks for its index: ``readers[index](sub)`` returns the value in place
+    of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
+    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts.
     """
 
     __slots__ = ("_entries", "node_id", "readers", "sizes", "values", "writers")
@@ -83,52 +83,52 @@ class ObjectDictionary:
         """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
         kind, access, flags, default, low, high = entry
         if kind == "f" and not (low is None and high is None):
-            # As a client can write them: 1e30 itself is no REAL32, its nearest one is above it.
+            # As a client can write them: 1e30 is not a REAL32; its nearest REAL32 is above it.
             entry = (kind, access, flags, default, _nearest_real32(low), _nearest_real32(high))
         self._entries.setdefault(index, {})[sub] = entry
         self.values[index << 8 | sub] = default + self.node_id if flags & ADD_NODE_ID else default  # type: ignore[operator]
 
     def find(self, index: int, sub: int) -> "Entry | int":
-        """The entry, or the abort code that says why there is none."""
+        """Return the entry, or the abort code if it does not exist."""
         subs = self._entries.get(index)
         if subs is None:
             return codes.NO_OBJECT
         return subs.get(sub, codes.NO_SUB)
 
     def subs(self, index: int) -> "list[int]":
-        """The sub-indices of an object in order; empty when there is no such object."""
+        """Return the sub-indices of an object in order; empty if the object does not exist."""
         return sorted(self._entries.get(index, ()))
 
     def indices(self, first: int, last: int) -> "list[int]":
-        """The indices from ``first`` to ``last`` inclusive that exist, in order."""
+        """Return the existing indices from ``first`` to ``last`` inclusive, in order."""
         return sorted(i for i in self._entries if first <= i <= last)
 
     def default(self, index: int, sub: int) -> "Value":
-        """The default, with the node-id added where the entry says so."""
+        """Return the default, plus the node-id if the entry has that flag."""
         entry = self._entries[index][sub]
         if entry[2] & ADD_NODE_ID:
             return entry[3] + self.node_id  # type: ignore[operator]
         return entry[3]
 
     def restore_defaults(self, first: int, last: int) -> None:
-        """Every value of the objects ``first`` to ``last`` back to its default."""
+        """Reset every value of the objects ``first`` to ``last`` to its default."""
         for index in self.indices(first, last):
             for sub in self._entries[index]:
                 self.values[index << 8 | sub] = self.default(index, sub)
 
     def get(self, index: int, sub: int = 0) -> "Value":
-        """The present value of an entry that exists."""
+        """Return the present value of an existing entry."""
         reader = self.readers.get(index)
         if reader is not None and (sub or self._entries[index][0][1] != "const"):
             return reader(sub)
         return self.values[index << 8 | sub]
 
     def integer(self, index: int, sub: int = 0) -> int:
-        """The stored value of an integer entry; 0, which switches most services off, where there is no such entry."""
+        """Return the stored value of an integer entry; 0, which disables most services, if the entry does not exist."""
         return self.values.get(index << 8 | sub, 0)  # type: ignore[return-value]
 
     def upload(self, index: int, sub: int) -> "bytes | int":
-        """What an SDO upload reads: the bytes, or an abort code."""
+        """Return the bytes for an SDO upload, or an abort code."""
         entry = self.find(index, sub)
         if isinstance(entry, int):
             return entry
@@ -137,7 +137,7 @@ class ObjectDictionary:
         return encode(entry[0], self.get(index, sub))
 
     def writable(self, index: int, sub: int, size: "int | None") -> int:
-        """Abort code of a write of ``size`` bytes that is about to start, 0 if it may; None is an unknown size."""
+        """Return the abort code for a write of ``size`` bytes (None: unknown) that is about to start; 0 if allowed."""
         entry = self.find(index, sub)
         if isinstance(entry, int):
             return entry
@@ -149,12 +149,12 @@ class ObjectDictionary:
         return codes.TOO_LONG if size > expected else codes.TOO_SHORT
 
     def expected_size(self, index: int, sub: int) -> "int | None":
-        """The only length that a write may have, None where any will do. The entry must exist."""
+        """Return the only length that a write may have, None if any is allowed. The entry must exist."""
         size = SIZES.get(self._entries[index][sub][0])
         return self.sizes.get(index) if size is None else size
 
     def download(self, index: int, sub: int, data: bytes) -> int:
-        """What an SDO download or an RPDO writes: 0 when taken, otherwise the abort code, and nothing has changed."""
+        """Write a value from an SDO download or an RPDO: 0, or the abort code of a rejected write."""
         abort = self.writable(index, sub, len(data))
         if abort:
             return abort
@@ -175,7 +175,7 @@ class ObjectDictionary:
         return 0
 
     def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":
-        """(index, sub, type) of each setting among the objects ``first`` to ``last``: what storing keeps."""
+        """Return (index, sub, type) of each setting among the objects ``first`` to ``last``: the values to store."""
         for index in self.indices(first, last):
             subs = self._entries[index]
             for sub in sorted(subs):
@@ -185,9 +185,9 @@ class ObjectDictionary:
 
 
 def check(entry: "Entry", value: "Value") -> int:
-    """Abort code of a value outside the entry's limits, 0 if it is inside."""
+    """Return the abort code of a value outside the entry's limits, 0 if it is inside."""
     kind, _access, flags, _default, low, high = entry
-    # inf - inf and nan - nan are both nan: one test for every value that is not finite.
+    # inf - inf and nan - nan are both nan: one test for every non-finite value.
     if kind == "f" and not flags & ANY_FLOAT and value - value != 0.0:  # type: ignore[operator]
         return codes.INVALID_VALUE
     if high is not None and value > high:  # type: ignore[operator]

@@ -1,4 +1,4 @@
-"""What TPDOs and RPDOs share (CiA 301, 7.5.2.33 to 7.5.2.38): two parameter objects and the rules for writing them."""
+"""Common part of TPDOs and RPDOs (CiA 301, 7.5.2.33 to 7.5.2.38): two parameter objects and their write rules."""
 
 import struct
 
@@ -17,10 +17,10 @@ _DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: pl
 
 
 class Pdo:
-    """One PDO: its number, its parameter objects, and what they say, compiled for speed.
+    """One PDO: its number, its parameter objects, and their contents compiled for speed.
 
     ``direction`` is the entry flag that a mapped object needs. ``changed()`` is called after each accepted write.
-    ``valid`` is bit 31 of the COB-ID; ``active`` says that there is also something to send or to receive.
+    ``valid`` is bit 31 of the COB-ID; ``active`` also requires a mapping that is not empty.
     """
 
     __slots__ = (
@@ -46,7 +46,7 @@ class Pdo:
         od.writers[mapping] = self._write_mapping
 
     def load(self) -> None:
-        """Compile the parameter objects as they stand; a mapping that cannot be used leaves the PDO silent."""
+        """Compile the present parameter objects; a PDO with an invalid mapping stays inactive."""
         cob_id = self._od.integer(self.communication, 1)
         self.can_id = cob_id & codes.STANDARD_MASK
         self.transmission = self._od.integer(self.communication, 2)
@@ -57,13 +57,13 @@ class Pdo:
         self.active = self.valid and usable and not codes.restricted(self.can_id)
 
     def parameter(self, sub: int) -> int:
-        """A communication parameter, 0 where this PDO has no such sub-index."""
+        """Return a communication parameter, 0 if this PDO has no such sub-index."""
         if isinstance(self._od.find(self.communication, sub), int):
             return 0
         return self._od.integer(self.communication, sub)
 
     def _compile(self, words: "list[int]") -> int:
-        """Take a mapping; the abort code of one that is refused, and then nothing has changed."""
+        """Apply a mapping; return the abort code of a rejected one, which changes nothing."""
         packing, keys = "<", []
         for word in words:
             letter = self._letter(word)
@@ -78,7 +78,7 @@ class Pdo:
         return 0
 
     def _letter(self, word: int) -> "str | int":
-        """struct's letter of a mapped entry, or the abort code of one that cannot be mapped here."""
+        """Return struct's letter of a mapped entry, or the abort code of an entry that cannot be mapped here."""
         index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         from_wire = self.direction != 1
         if from_wire and index in _DUMMY_LETTERS and not sub:
@@ -97,7 +97,7 @@ class Pdo:
         if sub == 1:
             abort = self._check_cob_id(number)
         elif sub == 2:
-            # 241-251 are reserved; 252 and 253 (sent on RTR) are refused because no TPDO answers to an RTR.
+            # 241-251 are reserved; 252 and 253 (sent on RTR) are rejected because TPDOs do not support RTR.
             abort = codes.INVALID_VALUE if 240 < number < 254 else 0
         elif sub in (3, 6) and self.valid:
             abort = codes.DEVICE_STATE
@@ -113,7 +113,7 @@ class Pdo:
             return codes.INVALID_VALUE
         if cob_id & codes.COB_ID_INVALID:
             return 0
-        # An existing PDO keeps its identifier; it must be made invalid first (7.5.2.35).
+        # A valid PDO keeps its identifier; it must be made invalid first (7.5.2.35).
         if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
             return codes.INVALID_VALUE
         return 0

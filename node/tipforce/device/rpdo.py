@@ -1,4 +1,4 @@
-"""Receive PDOs (CiA 301, 7.2.2): taken at once, or on the next SYNC for synchronous types."""
+"""Receive PDOs (CiA 301, 7.2.2): applied at once, or on the next SYNC for synchronous types."""
 
 from . import codes, communication
 from .emcy import COMMUNICATION, PDO_LENGTH, RPDO_TIMEOUT
@@ -18,12 +18,12 @@ class ReceivePdo(Pdo):
     __slots__ = ("deadline_us", "waiting")
 
     def load(self) -> None:
-        """Compile the parameters and forget what was waiting."""
+        """Compile the parameters and discard data that waits for a SYNC."""
         Pdo.load(self)
         self.forget()
 
     def forget(self) -> None:
-        """What waited for a SYNC is not to act at some later start; nothing is missed before a first reception."""
+        """Discard data that waits for a SYNC, so that a later start does not apply it; stop monitoring the deadline."""
         self.waiting = b""
         self.deadline_us = codes.NEVER_US
 
@@ -42,24 +42,24 @@ class ReceivePdos:
         ]
 
     def reset(self) -> None:
-        """Take the parameter objects as they stand, after a boot-up."""
+        """Apply the present parameter objects after a boot-up."""
         for pdo in self._pdos:
             pdo.load()
         self._schedule()
 
     def _changed(self) -> None:
-        """A PDO that moved to another identifier, or is not valid any more, has no error to end."""
+        """Clear the error of a PDO that has another identifier or is no longer valid."""
         for code in (PDO_LENGTH, RPDO_TIMEOUT):
             self._device.emcy.cure_all_but(code, self.can_ids())
         self._schedule()
         self._device.routes_changed()
 
     def can_ids(self) -> "list[int]":
-        """The identifiers that this device listens to for RPDOs."""
+        """Return the identifiers of the RPDOs that this device receives."""
         return [pdo.can_id for pdo in self._pdos if pdo.active]
 
     def receive(self, can_id: int, data: bytes) -> None:
-        """Take the frame of an RPDO. One that is shorter than its mapping changes nothing (7.2.2.5.1)."""
+        """Process the frame of an RPDO. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
         for pdo in self._pdos:
             if pdo.active and pdo.can_id == can_id:
                 if len(data) < pdo.length:
@@ -87,14 +87,14 @@ class ReceivePdos:
         self._schedule()
 
     def on_sync(self) -> None:
-        """Apply what synchronous RPDOs brought since the last SYNC."""
+        """Apply the data that synchronous RPDOs received since the last SYNC."""
         for pdo in self._pdos:
             if pdo.waiting:
                 data, pdo.waiting = pdo.waiting, b""
                 self._apply(pdo, data)
 
     def forget(self) -> None:
-        """The device is not operational any more."""
+        """Stop all RPDOs when the device leaves OPERATIONAL."""
         for pdo in self._pdos:
             pdo.forget()
         self._schedule()

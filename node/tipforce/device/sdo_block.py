@@ -1,4 +1,4 @@
-"""SDO block transfer, the server's side (CiA 301, 7.2.4.2.9 to 7.2.4.2.16): up to 127 segments for one answer."""
+"""SDO block transfer, server side (CiA 301, 7.2.4.2.9 to 7.2.4.2.16): up to 127 segments per response."""
 
 import struct
 
@@ -16,7 +16,7 @@ _WITH_CRC = 4
 
 
 class BlockDownload:
-    """The client writes. Segments out of order are passed over; the answer to a block says which came in order."""
+    """Block download. Segments out of order are discarded; the response to a block states the last one in order."""
 
     __slots__ = ("_buffer", "_ending", "_expected", "_limit", "_patience", "_server", "_size", "_with_crc")
 
@@ -32,11 +32,11 @@ class BlockDownload:
         server.answer(server.head(0xA0 | _WITH_CRC) + bytes((MAX_BLOCK,)))
 
     def takes(self, _command: int) -> bool:
-        """Every frame belongs to this transfer: a segment's first byte may look like any command."""
+        """Return True: every frame belongs to this transfer; a segment's first byte may look like any command."""
         return True
 
     def receive(self, data: bytes) -> None:
-        """A frame that came while this transfer runs."""
+        """Process a frame during this transfer."""
         if data[0] == _ABORT_BY_CLIENT:
             self._server.reset()
         elif self._ending:
@@ -45,7 +45,7 @@ class BlockDownload:
             self._segment(data)
 
     def expire(self) -> None:
-        """Nothing came for half the time-out: perhaps the last segment of a block was lost. Say once what is here."""
+        """Handle silence for half the time-out: the last segment of a block may be lost. Acknowledge once."""
         if self._ending or not self._patience:
             self._server.abort(codes.TIMEOUT)
             return
@@ -62,7 +62,7 @@ class BlockDownload:
             self._patience = True
             self._buffer += data[1:]
             self._ending = bool(last)
-            # The last segment may carry up to 7 bytes that do not count; how many is known at the end only.
+            # The last segment may contain up to 7 unused bytes; their number is known only at the end.
             if len(self._buffer) - (7 if last else 0) > self._limit:
                 self._server.abort(codes.TOO_LONG)
                 return
@@ -90,7 +90,7 @@ class BlockDownload:
 
 
 class BlockUpload:
-    """The client reads: blocks go out, the client says how far it could follow, the rest goes out again."""
+    """Block upload: send blocks; repeat the segments that the client did not acknowledge."""
 
     __slots__ = ("_block_size", "_crc", "_data", "_ending", "_offset", "_sent", "_server", "_started", "_with_crc")
 
@@ -104,15 +104,15 @@ class BlockUpload:
         self._crc = 0
         self._started = False
         self._ending = False
-        # Bit 1: the size stands in the answer; bit 2: this server computes the CRC.
+        # Bit 1: the response contains the size; bit 2: this server computes the CRC.
         server.answer(server.head(0xC0 | _WITH_CRC | 2) + struct.pack("<I", len(data)))
 
     def takes(self, command: int) -> bool:
-        """A frame of block upload or an abort; a client that begins another transfer has given this one up."""
+        """Return True for a frame of block upload or an abort; any other request ends this transfer."""
         return command & 0xE3 in (0xA1, 0xA2, 0xA3) or command >> 5 == 4
 
     def receive(self, data: bytes) -> None:
-        """A frame that came while this transfer runs."""
+        """Process a frame during this transfer."""
         command = data[0]
         if command >> 5 == 4:
             self._server.reset()
@@ -127,7 +127,7 @@ class BlockUpload:
             self._server.abort(codes.UNKNOWN_COMMAND)
 
     def expire(self) -> None:
-        """The client has been silent for too long."""
+        """Abort after the client's time-out."""
         self._server.abort(codes.TIMEOUT)
 
     def _send_block(self) -> None:
@@ -151,7 +151,7 @@ class BlockUpload:
             return
         self._block_size = block_size
         done = self._data[self._offset : self._offset + 7 * received]
-        if self._with_crc:  # otherwise 0 stands in its place (7.2.4.3.16)
+        if self._with_crc:  # otherwise the CRC field is 0 (7.2.4.3.16)
             self._crc = crc16(done, self._crc)
         self._offset += 7 * received
         if self._offset < len(self._data) or (received == 0 and not self._data):

@@ -9,15 +9,15 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-TIMEOUT_US = 1000000  # a client that says nothing for so long has lost its transfer
+TIMEOUT_US = 1000000  # a client that is silent for this time loses its transfer
 # Client command specifiers.
 _DOWNLOAD_SEGMENT, _DOWNLOAD, _UPLOAD, _UPLOAD_SEGMENT, _ABORT, _BLOCK_UPLOAD, _BLOCK_DOWNLOAD = 0, 1, 2, 3, 4, 5, 6
 _IDLE = 0
-MAX_DOWNLOAD_BYTES = 4096  # bound on memory where an object itself states no length
+MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 
 
 class SdoServer:
-    """The default SDO server: frames of 8 bytes in on 0x600 + id, answers out on 0x580 + id."""
+    """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
 
     __slots__ = ("_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us")
 
@@ -26,7 +26,7 @@ class SdoServer:
         self.reset()
 
     def reset(self) -> None:
-        """Forget any transfer."""
+        """Discard any transfer."""
         self._transfer = _IDLE
         self._block: "BlockDownload | BlockUpload | None" = None
         self._buffer: "bytes | bytearray" = b""
@@ -35,7 +35,7 @@ class SdoServer:
         self.due_us = codes.NEVER_US
 
     def receive(self, data: bytes) -> None:
-        """Act on a request. A frame that has not 8 bytes is no SDO and is ignored (7.2.4.3)."""
+        """Process a request. A frame without exactly 8 bytes is not an SDO and is ignored (7.2.4.3)."""
         if len(data) != 8:
             return
         if self._block is not None and self._block.takes(data[0]):
@@ -52,19 +52,19 @@ class SdoServer:
             self._upload_segment(data)
         else:
             if self._transfer == _IDLE:
-                # No transfer to name: answer with the multiplexer that the request itself carries.
+                # No transfer is active: respond with the multiplexer of the request.
                 self._name(data)
             self.abort(codes.UNKNOWN_COMMAND)
 
     def expire(self, _now_us: int) -> None:
-        """The client was silent for too long: end the transfer and say so."""
+        """Abort the transfer of a client that was silent for too long."""
         if self._block is not None:
             self._block.expire()
         else:
             self.abort(codes.TIMEOUT)
 
     def _begin(self, specifier: int, data: bytes) -> None:
-        """An initiate request: a transfer that was going on is given up (7.2.4.2)."""
+        """Process an initiate request; it ends an active transfer (7.2.4.2)."""
         self.reset()
         self._name(data)
         if specifier == _DOWNLOAD:
@@ -81,31 +81,31 @@ class SdoServer:
     def _name(self, data: bytes) -> None:
         self._index, self._sub = data[1] | data[2] << 8, data[3]
 
-    # --- what the block transfers use too -------------------------------------------------------------------
+    # --- shared with the block transfers --------------------------------------------------------------------
 
     def head(self, command: int) -> bytes:
-        """Command byte, index and sub-index of the transfer."""
+        """Return the command byte, index and sub-index of the transfer."""
         return struct.pack("<BHB", command, self._index, self._sub)
 
     def answer(self, data: bytes) -> None:
-        """Send an answer, filled up to 8 bytes, and wait for the client while a transfer goes on."""
+        """Send a response, padded to 8 bytes, and wait for the client while a transfer is active."""
         self._device.send(codes.SDO_RESPONSE_BASE + self._device.node_id, data + bytes(8 - len(data)))
         if self._transfer != _IDLE:
             self.wait()
 
     def wait(self) -> None:
-        """Give the client its time anew; a block download is asked after half of it what it lacks."""
+        """Restart the client's time-out; after half of it, a block download acknowledges what it has received."""
         patience_us = TIMEOUT_US // 2 if self._transfer == _BLOCK_DOWNLOAD else TIMEOUT_US
         self.due_us = self._device.now_us + patience_us
 
     def abort(self, code: int) -> None:
-        """End the transfer and tell the client why."""
+        """End the transfer and send the abort code to the client."""
         head = self.head(0x80)
         self.reset()
         self.answer(head + struct.pack("<I", code))
 
     def finish(self, data: bytes, confirmation: bytes) -> None:
-        """Hand the complete data over; confirm it, or abort if the object refuses it."""
+        """Write the complete data; confirm it, or abort if the object rejects it."""
         abort = self._device.od.download(self._index, self._sub, data)
         if abort:
             self.abort(abort)
@@ -146,7 +146,7 @@ class SdoServer:
         elif not 1 <= block_size <= MAX_BLOCK:
             self.abort(codes.BLOCK_SIZE)
         elif switch_bytes and len(data) <= switch_bytes:
-            # Protocol switch (pst): so little goes faster the other way (7.2.4.3.13); pst 0 forbids it.
+            # Protocol switch (pst): data this short is faster without blocks (7.2.4.3.13); pst 0 forbids the switch.
             self._upload_initiate(data)
         else:
             self._transfer = _BLOCK_UPLOAD
@@ -159,7 +159,7 @@ class SdoServer:
         if command & 2:
             self._download_expedited(data)
             return
-        # Bit 0 says that the size stands in the data; without it the size is known at the end only.
+        # Bit 0: the data contains the size; without it the size is known only at the end.
         if self._may_download(struct.unpack("<I", data[4:])[0] if command & 1 else None):
             self._transfer, self._buffer = _DOWNLOAD, bytearray()
             self.answer(self.head(0x60))
@@ -170,7 +170,7 @@ class SdoServer:
             self._block = BlockDownload(self, self._size, self._limit(), bool(data[0] & 4))
 
     def _may_download(self, size: "int | None") -> bool:
-        """Whether ``size`` bytes (None: unknown) may be written; if not, the client is told at once."""
+        """Return whether ``size`` bytes (None: unknown) may be written; if not, abort at once."""
         self._size = size
         abort = self._device.od.writable(self._index, self._sub, size)
         if not abort and size is not None and size > self._limit():
@@ -184,7 +184,7 @@ class SdoServer:
         if data[0] & 1:
             length = 4 - (data[0] >> 2 & 3)
         elif not self._device.od.writable(self._index, self._sub, None):
-            # No size stated: the object's own length decides, as far as four bytes can carry it.
+            # No size given: the object's own length decides, up to four bytes.
             length = min(4, self._device.od.expected_size(self._index, self._sub) or 4)
         self.finish(data[4 : 4 + length], self.head(0x60))
 

@@ -1,7 +1,7 @@
 """Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h.
 
-What a group holds is one byte string: CRC-32, then records of index, sub-index, length and data. Where it is kept is
-the caller's affair: ``save(group, data) -> bool`` and ``load(group) -> bytes | None`` are handed in.
+The content of a group is one byte string: CRC-32, then records of index, sub-index, length and data. The caller
+provides the memory as ``save(group, data) -> bool`` and ``load(group) -> bytes | None``.
 """
 
 import binascii
@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
     Group = tuple[str, Callable[[], bytes], Callable[[bytes | None], None]]
 
-ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds its own from 4
+ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds groups from 4 on
 _HEAD = "<HBH"
-_RESTORED = b""  # what is kept after a restore: nothing, so the defaults hold after the next reset
+_RESTORED = b""  # stored after a restore: empty, so the defaults apply after the next reset
 
 
 class Storage:
-    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is refused with 06060000h."""
+    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h."""
 
     __slots__ = ("_device", "_groups", "_load", "_save", "damaged")
 
@@ -45,10 +45,10 @@ class Storage:
         device.od.writers[communication.STORE_PARAMETERS] = self._write_store
         device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
         for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
-            device.od.readers[index] = lambda _sub: 1  # bit 0: stores on command, never by itself
+            device.od.readers[index] = lambda _sub: 1  # bit 0: stores on command, never autonomously
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
-        """A group of every setting among the objects ``first`` to ``last`` that differs from its default."""
+        """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""
         od = self._device.od
         self._groups[sub] = (
             name,
@@ -59,11 +59,11 @@ class Storage:
     def add_group(
         self, sub: int, name: str, dump: "Callable[[], bytes]", restore: "Callable[[bytes | None], None]"
     ) -> None:
-        """A group that the application serialises itself; ``restore(None)`` asks for its defaults."""
+        """Add a group that the application serialises; ``restore(None)`` requests its defaults."""
         self._groups[sub] = (name, dump, restore)
 
     def restore(self, subs: "list[int] | None" = None) -> None:
-        """Bring the groups (all, or those named) to what is stored, or to their defaults; done on each reset."""
+        """Set the groups (all, or those given) to their stored values or their defaults; called on each reset."""
         for sub in sorted(self._groups):
             if subs is None or sub in subs:
                 name, _dump, restore = self._groups[sub]
@@ -73,15 +73,15 @@ class Storage:
 
     @property
     def available(self) -> bool:
-        """True when there is somewhere to store."""
+        """Return True if parameters can be stored."""
         return self._save is not None
 
     def save_blob(self, name: str, data: bytes) -> bool:
-        """Store ``data`` under a name of its own, outside the groups of 1010h."""
+        """Store ``data`` under its own name, outside the groups of 1010h."""
         return self._save is not None and self._save(name, _with_crc(data))
 
     def read_blob(self, name: str) -> "bytes | None":
-        """What ``save_blob`` stored, empty if nothing was; None if it is damaged."""
+        """Return the data stored by ``save_blob``, empty if there is none, None if it is damaged."""
         blob = self._load(name) if self._load is not None else None
         if not blob:
             return b""
@@ -89,7 +89,7 @@ class Storage:
         return blob[4:] if sound else None
 
     def _read(self, name: str) -> "bytes | None":
-        """The stored bytes of a group, None where its defaults hold; a damaged one is noted."""
+        """Return the stored bytes of a group, None if its defaults apply; record a damaged group."""
         data = self.read_blob(name)
         if data is None:
             self.damaged.append(name)
@@ -121,7 +121,7 @@ def _with_crc(data: bytes) -> bytes:
 
 
 def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
-    """The settings that differ from their defaults, as records."""
+    """Return the settings that differ from their defaults, as records."""
     records = []
     for index, sub, kind in od.stored_entries(first, last):
         value = od.values[index << 8 | sub]
@@ -132,7 +132,7 @@ def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
 
 
 def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes | None") -> None:
-    """Defaults, then the records of ``data`` over them. A record that no longer fits the dictionary is passed over."""
+    """Set the defaults, then apply the records of ``data``. A record that no longer fits the dictionary is skipped."""
     od.restore_defaults(first, last)
     offset, size = 0, struct.calcsize(_HEAD)
     while data and offset + size <= len(data):

@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
 
 class SyncConsumer:
-    """On each SYNC the application latches one sample, then the synchronous PDOs go out."""
+    """SYNC consumer: the application latches one sample, then the synchronous PDOs are sent."""
 
     __slots__ = ("_device", "cob_id", "last_us")
 
@@ -22,11 +22,11 @@ class SyncConsumer:
         device.od.writers[communication.SYNC_OVERFLOW] = self._write_overflow
 
     def reset(self) -> None:
-        """Take 1005h as it stands."""
+        """Apply the present value of 1005h."""
         self.cob_id = self._device.od.integer(communication.COB_ID_SYNC) & codes.STANDARD_MASK
 
     def receive(self, data: bytes) -> None:
-        """Act on a SYNC frame: no data, or one byte with the counter when 1019h is set; any other is an error."""
+        """Process a SYNC frame: no data, or one counter byte if 1019h is set; other lengths are an error."""
         device = self._device
         if len(data) != (1 if device.od.integer(communication.SYNC_OVERFLOW) else 0):
             device.emcy.raise_error(SYNC_LENGTH, COMMUNICATION)
@@ -40,14 +40,14 @@ class SyncConsumer:
             device.tpdos.on_sync(data[0] if data else 0)
 
     def in_window(self) -> bool:
-        """True while synchronous RPDOs count: for 1007h microseconds after a SYNC, always where 1007h is 0."""
+        """Return True while synchronous RPDOs are valid: for 1007h microseconds after a SYNC, always if 1007h is 0."""
         window_us = self._device.od.integer(communication.SYNC_WINDOW)
         return not window_us or self._device.now_us - self.last_us <= window_us
 
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
         can_id = int(value) & codes.STANDARD_MASK
         if int(value) & codes.COB_ID_RESERVED or codes.restricted(can_id):
-            # Bit 30 would make this node the producer, bit 29 asks for a 29-bit identifier: neither is offered. Bit 31
+            # Bit 30 would make this node the producer, bit 29 requests a 29-bit identifier: neither is offered. Bit 31
             # has no meaning here.
             return codes.INVALID_VALUE
         self.cob_id = can_id

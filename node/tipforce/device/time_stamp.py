@@ -14,7 +14,7 @@ _DAY_MS = 86400000
 
 
 class TimeConsumer:
-    """Network time, known once a TIME message came; it runs on with the device's clock from there."""
+    """Network time, known after the first TIME message; between messages it follows the device's clock."""
 
     __slots__ = ("_device", "_high_us", "_received_us", "_unix_ms")
 
@@ -22,7 +22,7 @@ class TimeConsumer:
         self._device = device
         self._unix_ms = -1
         self._received_us = 0
-        self._high_us = 0  # what 1013h is ahead of the device's clock
+        self._high_us = 0  # offset of 1013h from the device's clock
         od = device.od
         od.writers[communication.COB_ID_TIME] = self._write_cob_id
         od.writers[communication.HIGH_RESOLUTION_TIME] = self._write_high_resolution
@@ -30,18 +30,18 @@ class TimeConsumer:
 
     @property
     def can_id(self) -> "int | None":
-        """The identifier to listen to, None while consuming is off."""
+        """Return the identifier to receive, None if the device does not consume TIME."""
         cob_id = self._device.od.integer(communication.COB_ID_TIME)
         return cob_id & codes.STANDARD_MASK if cob_id & codes.TIME_CONSUMER else None
 
     def unix_ms(self) -> "int | None":
-        """Network time in milliseconds since 1970, None before the first TIME message."""
+        """Return network time in milliseconds since 1970, None before the first TIME message."""
         if self._unix_ms < 0:
             return None
         return self._unix_ms + (self._device.now_us - self._received_us) // 1000
 
     def receive(self, data: bytes) -> None:
-        """TIME_OF_DAY: milliseconds after midnight in 28 bits, days since 1984-01-01 (7.1.6.5)."""
+        """Process TIME_OF_DAY: milliseconds after midnight in 28 bits, days since 1984-01-01 (7.1.6.5)."""
         if len(data) != 6:
             return
         ms, days = struct.unpack("<IH", data)
@@ -53,7 +53,7 @@ class TimeConsumer:
     def _write_cob_id(self, _sub: int, value: "Value") -> int:
         cob_id = int(value)
         if cob_id & codes.COB_ID_RESERVED or codes.restricted(cob_id & codes.STANDARD_MASK):
-            return codes.INVALID_VALUE  # bit 30: this device produces no TIME; 29-bit identifiers are not offered
+            return codes.INVALID_VALUE  # bit 30: this device produces no TIME; 29-bit identifiers are unsupported
         self._device.od.values[communication.COB_ID_TIME << 8] = cob_id
         self._device.routes_changed()
         return 0

@@ -1,4 +1,4 @@
-"""Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, on an event, or when the event timer runs out."""
+"""Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, on an event, or when the event timer elapses."""
 
 import struct
 
@@ -10,7 +10,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-_SYNCHRONOUS = 240  # the highest transmission type that follows SYNC
+_SYNCHRONOUS = 240  # the highest synchronous transmission type
 
 
 class TransmitPdo(Pdo):
@@ -19,7 +19,7 @@ class TransmitPdo(Pdo):
     __slots__ = ("_getters", "due_us", "event_us", "free_us", "inhibit_us", "pending", "sync_start", "syncs")
 
     def load(self) -> None:
-        """Compile the parameters, resolve where each mapped value comes from, and start the counters anew."""
+        """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
         self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in self.keys]
         self.inhibit_us = 100 * self.parameter(3)
@@ -31,7 +31,7 @@ class TransmitPdo(Pdo):
         self.due_us = codes.NEVER_US
 
     def pack(self) -> bytes:
-        """The data of this PDO now: one call, one sample, so that no PDO is ever torn."""
+        """Return the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
         stored = self._od.values
         values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
         if "f" in self.packing:
@@ -39,14 +39,14 @@ class TransmitPdo(Pdo):
         return struct.pack(self.packing, *values)
 
     def on_sync(self, counter: int) -> bool:
-        """Count a SYNC; True when this PDO is due on it."""
+        """Count a SYNC; return True if this PDO is due on it."""
         if self.transmission == 0:
             due, self.pending = self.pending, False
             return due
-        if self.sync_start and counter:  # without a counter in the SYNC the start value has no meaning
+        if self.sync_start and counter:  # if the SYNC has no counter, the start value has no meaning
             if self.syncs == 0 and counter != self.sync_start:
                 return False
-            # The SYNC that carries the start value counts as the first (7.5.2.37), and the PDO goes out with it.
+            # The SYNC with the start value counts as the first (7.5.2.37), and the PDO is sent on it.
             due = self.syncs % self.transmission == 0
             self.syncs = self.syncs % self.transmission + 1
             return due
@@ -58,7 +58,7 @@ class TransmitPdo(Pdo):
 
 
 class TransmitPdos:
-    """All TPDOs of a device. ``due_us`` is when the next event-driven one may have to go out."""
+    """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
 
     __slots__ = ("_device", "_pdos", "due_us")
 
@@ -71,21 +71,21 @@ class TransmitPdos:
         ]
 
     def reset(self) -> None:
-        """Take the parameter objects as they stand, after a boot-up."""
+        """Apply the present parameter objects after a boot-up."""
         for pdo in self._pdos:
             pdo.load()
         self._changed()
 
     def enabled(self, number: int) -> bool:
-        """True when TPDO ``number``, counted from 1, is sent at present."""
+        """Return True if TPDO ``number``, counted from 1, is active at present."""
         return self._pdos[number - 1].active
 
     def can_ids(self) -> "list[int]":
-        """The identifiers that this device sends TPDOs with."""
+        """Return the identifiers of the TPDOs that this device sends."""
         return [pdo.can_id for pdo in self._pdos if pdo.active]
 
     def mapped(self) -> "list[tuple[int, int, list[tuple[int, int]]]]":
-        """(number, transmission type, mapped (index, sub)) of each TPDO that is sent at present."""
+        """Return (number, transmission type, mapped (index, sub)) of each TPDO that is active at present."""
         return [(k + 1, pdo.transmission, pdo.keys) for k, pdo in enumerate(self._pdos) if pdo.active]
 
     def on_sync(self, counter: int) -> None:
@@ -95,7 +95,7 @@ class TransmitPdos:
                 self._device.send(pdo.can_id, pdo.pack())
 
     def request(self, number: int) -> None:
-        """An event of the application: send TPDO ``number`` as its type and inhibit time allow."""
+        """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow."""
         pdo = self._pdos[number - 1]
         pdo.pending = True
         if pdo.transmission > _SYNCHRONOUS and self._active(pdo):
@@ -103,7 +103,7 @@ class TransmitPdos:
             self._reschedule()
 
     def started(self) -> None:
-        """The device became operational: SYNCs count from here, every event-driven TPDO says its first values."""
+        """Start when the device enters OPERATIONAL: count SYNCs from here, send all event-driven TPDOs."""
         for pdo in self._pdos:
             pdo.syncs = 0
             pdo.pending = False
@@ -112,7 +112,7 @@ class TransmitPdos:
         self._reschedule()
 
     def stopped(self) -> None:
-        """The device is not operational any more: nothing is due."""
+        """Stop when the device leaves OPERATIONAL: nothing is due."""
         self.due_us = codes.NEVER_US
 
     def expire(self, now_us: int) -> None:
@@ -132,7 +132,7 @@ class TransmitPdos:
 
     def _changed(self) -> None:
         self._device.settings_changed()
-        self._device.routes_changed()  # an identifier that is left may be another node's
+        self._device.routes_changed()  # another node may use an identifier that is no longer used here
         for pdo in self._pdos:
             if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
                 pdo.due_us = self._device.now_us + pdo.event_us
