@@ -169,9 +169,9 @@ def test_node_outlives_its_interface_going_away_and_coming_back(own_bus: str, tm
     with running_node(tmp_path, channel=own_bus) as node:
         start_with_fast_heartbeats(own_bus)
         ip("del", own_bus)
-        wait_until(lambda: "goes on when it is up again" in node.stderr, "no word that the interface is gone")
+        wait_until(lambda: "continues when it is up again" in node.stderr, "no word that the interface is gone")
         time.sleep(0.2)
         ip("add", "dev", own_bus, "type", "vcan")
         ip("set", own_bus, "up")
         still_operational(own_bus, node)
-        assert node.stderr.count("goes on when it is up again") == 1
+        assert node.stderr.count("continues when it is up again") == 1

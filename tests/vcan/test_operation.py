@@ -98,7 +98,7 @@ def test_a_node_starts_from_a_torn_slot_with_the_settings_before(host: Connectio
     newest.write_bytes(newest.read_bytes()[:100])
     with running_node(tmp_path, "--store", str(path)) as node:
         assert client.verify_calibration(first) == []
-        assert f"{newest.name} is not what was stored" in node.stderr
+        assert f"{newest.name} is damaged" in node.stderr
 
 
 def test_a_clock_that_is_set_moves_nothing(bus: RawBus, tmp_path: Path) -> None:

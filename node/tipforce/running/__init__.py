@@ -1,4 +1,4 @@
-"""What runs any CANopen device on a bus: the loop, the ports, the parameter store."""
+"""Run any CANopen device on a bus: the loop, the ports, the parameter store."""
 
 from tipforce._lazy import lazy
 

@@ -1,4 +1,4 @@
-"""The loop that feeds devices: frames from a bus in, frames to it out, and the clock. One thread serves many nodes."""
+"""Run devices on a bus: pass received frames and the time in, send the frames that come out. One thread, many nodes."""
 
 from __future__ import annotations
 
@@ -13,31 +13,31 @@ from tipforce.device.node import Device
 Frame = tuple[int, bytes]
 
 _LOG = logging.getLogger(__name__)
-_IDLE_S = 0.2  # the longest wait: how soon a loop sees that it is asked to stop
+_IDLE_S = 0.2  # the longest wait: bounds the time until a loop notices a stop request
 
 
 class Port(Protocol):
-    """One connection to a bus: frames as (SocketCAN can_id, data). ports.py has them for SocketCAN and python-can."""
+    """One connection to a bus: frames as (SocketCAN can_id, data). ports.py has SocketCAN and python-can."""
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next frame, error frames included, or None when none came in time."""
+        """Return the next frame, error frames included, or None if none arrived in time."""
 
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames in order."""
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
-        """Do what a device asks of its bus: see ``Device.requests``."""
+        """Execute a device's request to its bus: see ``Device.requests``."""
 
 
 def now_us() -> int:
-    """Microseconds of the monotonic clock."""
+    """Return microseconds of the monotonic clock."""
     return time.monotonic_ns() // 1000
 
 
 def run(devices: Sequence[Device], port: Port, stop: Callable[[], bool] = lambda: False) -> None:
-    """Step ``devices`` on one bus until ``stop()`` is true, asked at least five times a second.
+    """Step ``devices`` on one bus until ``stop()``, called at least five times a second, returns true.
 
-    Each frame goes to every device. The time of day plays no part: the clock is the monotonic one.
+    Each frame goes to every device. The clock is the monotonic one; changes of the time of day have no effect.
     """
     frames: list[Frame] = []
     while not stop():
@@ -47,10 +47,10 @@ def run(devices: Sequence[Device], port: Port, stop: Callable[[], bool] = lambda
 
 
 def say_stopped(devices: Sequence[Device], port: Port) -> None:
-    """The last frame of each node that ends on purpose: a heartbeat with the NMT state STOPPED (04h).
+    """Return the last frame of each node that ends on purpose: a heartbeat with the NMT state STOPPED (04h).
 
-    A host sees at once that no more will come, where a node that was killed is missed only after its heartbeat time.
-    A node that has no node-id yet says nothing.
+    A host sees at once that the node has ended; it detects a killed node only after the heartbeat time.
+    A node without a node-id sends nothing.
     """
     for device in devices:
         if device.node_id != codes.LSS_UNCONFIGURED:

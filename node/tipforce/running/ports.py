@@ -1,4 +1,4 @@
-"""The doors to a bus that the loop knows: a raw SocketCAN socket, and any python-can bus."""
+"""Ports of the loop to a bus: a raw SocketCAN socket, and any python-can bus."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 _FULL_QUEUE_WAIT_S = 0.05
-_INTERFACE_LOST = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # down, removed, and what a send says after a removal
+_INTERFACE_LOST = (errno.ENETDOWN, errno.ENODEV, errno.ENXIO)  # down, removed, send after a removal
 _ERROR_FILTER, _ALL_ERRORS = 2, codes.EXTENDED_MASK  # CAN_RAW_ERR_FILTER and CAN_ERR_MASK of linux/can.h
 
 
 class SocketCanPort:
-    """A raw SocketCAN socket on ``interface``: the shortest way on Linux. Raises OSError if there is none.
+    """A raw SocketCAN socket on ``interface``, the fastest port on Linux. Raises OSError if it does not exist.
 
-    An interface that goes down (ENETDOWN) or away (ENODEV: an adapter is unplugged) is waited for; what a node sends
-    meanwhile is lost. That is logged once, and once more when a frame passes again.
+    The port waits for an interface that goes down (ENETDOWN) or is removed (ENODEV: an adapter is unplugged); frames
+    sent meanwhile are lost. It logs this once, and once more when a frame passes again.
     """
 
     def __init__(self, interface: str) -> None:
         self._interface = interface
-        self._overflow = False  # a frame was given up: the device is to hear of it
-        self._refused = False  # said so; a bus where nobody listens would fill a log in days
+        self._overflow = False  # a frame was dropped: the device must report it
+        self._refused = False  # logged already; a bus without listeners would otherwise fill a log in days
         self._lost = False  # frames do not pass at present
-        self._bound = True  # to an interface that exists
+        self._bound = True  # bound to an interface that exists
         self._socket = _bound_socket(interface)
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next classic frame or error frame, or None."""
+        """Return the next classic frame or error frame, or None."""
         if not self._bound:
             self._bind_again(timeout_s)
             return None
@@ -55,14 +55,14 @@ class SocketCanPort:
         try:
             can_id, length, data = CAN_FRAME.unpack(self._socket.recv(CAN_FRAME.size))
         except OSError as error:
-            # The kernel reports it once per change, so this does not spin.
+            # The kernel reports it once per change, so this is not a busy loop.
             self._lose(error)
             return None
         self._find()
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:
-        """Send frames; a full transmit queue is waited for shortly, then the frame is given up and logged."""
+        """Send frames; wait shortly for a full transmit queue, then drop the frame and log it."""
         for can_id, data in frames:
             frame = CAN_FRAME.pack(can_id, len(data), data)
             try:
@@ -75,7 +75,7 @@ class SocketCanPort:
                     self._find()
 
     def _send_again(self, frame: bytes, error: OSError) -> None:
-        """The second and last try of a frame, where one makes sense."""
+        """Send a frame a second and last time if the error may be temporary."""
         if error.errno == errno.ENOBUFS:
             # ENOBUFS is not cleared by poll() on CAN sockets: give the queue time to drain.
             time.sleep(_FULL_QUEUE_WAIT_S)
@@ -92,18 +92,18 @@ class SocketCanPort:
         self._overflow = self._overflow or error.errno == errno.ENOBUFS
         if not self._refused:
             self._refused = True
-            _LOG.warning("a frame was not sent: %s; this is said again when one has passed", error.strerror)
+            _LOG.warning("a frame was not sent: %s; no further warning until a frame passes", error.strerror)
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
-        """Restart the controller after bus-off, or switch the bit rate, as ``ip link`` does it; needs its rights."""
+        """Restart the controller after bus-off, or switch the bit rate, with ``ip link``; needs its privileges."""
         link = ["ip", "link", "set", self._interface]
         if what == "bus-restart":
-            _run([*link, "type", "can", "restart"], "the controller is restarted by `ip link set ... restart-ms 100`")
+            _run([*link, "type", "can", "restart"], "enable automatic restart: `ip link set ... restart-ms 100`")
         elif what == "bit-rate":
-            time.sleep(delay_ms / 1000)  # CiA 305, 6.4.4: the switch delay, in which nobody sends
-            _run([*link, "down"], "set it by hand")
-            _run([*link, "type", "can", "bitrate", str(value)], f"set it by hand to {value} bit/s")
-            _run([*link, "up"], "set it up by hand")
+            time.sleep(delay_ms / 1000)  # CiA 305, 6.4.4: the switch delay, in which no node sends
+            _run([*link, "down"], "set the bit rate manually")
+            _run([*link, "type", "can", "bitrate", str(value)], f"set the bit rate manually to {value} bit/s")
+            _run([*link, "up"], "set the interface up manually")
             time.sleep(delay_ms / 1000)
 
     def _lose(self, error: OSError) -> None:
@@ -111,7 +111,7 @@ class SocketCanPort:
             self._bound = False
         if not self._lost:
             self._lost = True
-            _LOG.warning("%s: %s; the node goes on when it is up again", self._interface, error.strerror)
+            _LOG.warning("%s: %s; the node continues when it is up again", self._interface, error.strerror)
 
     def _find(self) -> None:
         if self._lost:
@@ -119,7 +119,7 @@ class SocketCanPort:
             _LOG.warning("%s: up again", self._interface)
 
     def _bind_again(self, timeout_s: float) -> None:
-        """The interface was removed and one of its name may have come: a new socket, the old one lost its filter."""
+        """Bind a new socket after the interface was removed; the old socket lost its filter."""
         try:
             found = _bound_socket(self._interface)
         except OSError:
@@ -146,7 +146,7 @@ def _bound_socket(interface: str) -> socket.socket:
 
 
 def _run(command: list[str], remedy: str) -> None:
-    """A command of iproute2; what it could not do is said with what the user can do."""
+    """Run a command of iproute2; if it fails, log the reason and what the user can do."""
     try:
         done = subprocess.run(command, capture_output=True, text=True, timeout=5, check=False)
         complaint = done.stderr.strip() if done.returncode else ""
@@ -157,15 +157,15 @@ def _run(command: list[str], remedy: str) -> None:
 
 
 class PythonCanPort:
-    """Any python-can bus. One that fails is tried again; that is logged once, until a frame passes again."""
+    """Any python-can bus. The port retries a bus that fails; it logs this once, until a frame passes again."""
 
     def __init__(self, bus: can.BusABC) -> None:
         self._bus = bus
         self._failing = False
 
     def receive(self, timeout_s: float) -> Frame | None:
-        """The next classic frame, or None."""
-        import can  # python-can is slow to import and not needed where SocketCanPort serves
+        """Return the next classic frame, or None."""
+        import can  # python-can is slow to import; SocketCanPort does not need it
 
         try:
             message = self._bus.recv(timeout_s)
@@ -179,7 +179,7 @@ class PythonCanPort:
         return raw_can_id(message), bytes(message.data)
 
     def send(self, frames: Iterable[Frame]) -> None:
-        """Send frames; one that the bus refuses is given up."""
+        """Send frames; drop one that the bus rejects."""
         import can
 
         for can_id, data in frames:
@@ -190,13 +190,13 @@ class PythonCanPort:
                 self._fail("a frame was not sent", error)
 
     def request(self, what: str, value: int, delay_ms: int) -> None:
-        """Say what the device asks for: python-can has no call for it on every interface."""
+        """Log the request: python-can has no call for it on every interface."""
         if what == "bit-rate":
-            _LOG.warning("LSS asks for %d bit/s after %d ms: start the node again with -b %d", value, delay_ms, value)
+            _LOG.warning("LSS requests %d bit/s after %d ms: restart the node with -b %d", value, delay_ms, value)
         elif what == "bus-restart":
-            _LOG.warning("the controller is off the bus: restart it, or let its driver do so")
+            _LOG.warning("the controller is bus-off: restart it, or enable the restart in its driver")
 
     def _fail(self, what: str, error: can.CanError) -> None:
         if not self._failing:
             self._failing = True
-            _LOG.warning("%s: %s; the node goes on when the bus works again", what, error)
+            _LOG.warning("%s: %s; the node continues when the bus works again", what, error)

@@ -1,4 +1,4 @@
-"""Parameters on disk in two slots: each save replaces the older one as a whole, so a sound one is always left."""
+"""Store parameters on disk in two slots: each save replaces the older slot completely, so one slot is always intact."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _DAMAGED = b"\0"  # too short for a CRC: the device core reports the group as da
 
 
 class _Slot(NamedTuple):
-    """What a file holds. ``sound``: it is as it was written; if not, ``groups`` is what can still be read of it."""
+    """The content of a file. ``sound``: the CRC is correct; otherwise ``groups`` holds what can still be read."""
 
     path: Path
     sequence: int
@@ -28,12 +28,11 @@ class _Slot(NamedTuple):
 class FileStore:
     """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added.
 
-    Each is JSON: a sequence number, the groups (name -> hex), a CRC-32 over both. A save writes the slot with the lower
-    number: to a temporary file beside it that is flushed to the disk (fsync) and takes the name in one step (rename);
-    then the directory is flushed; ``save`` returns only then. A slot that is torn or corrupt is said once on the
-    log, and the other one holds. Without a sound slot the groups that can be read are given as they are: each has
-    a CRC of its own, which the device checks. Raises InputError if ``path`` is a directory or lies in a directory that
-    does not exist.
+    Each is JSON: a sequence number, the groups (name -> hex), a CRC-32 over both. A save replaces the slot with the
+    lower number: it writes a temporary file in the same directory, flushes it to the disk (fsync), renames it in one
+    step, then flushes the directory; only then does ``save`` return. A corrupt slot is logged once, and the other slot
+    applies. Without an intact slot the readable groups are returned unchanged: each has its own CRC, which the device
+    checks. Raises InputError if ``path`` is a directory or lies in a directory that does not exist.
     """
 
     def __init__(self, path: str | os.PathLike[str]) -> None:
@@ -44,10 +43,10 @@ class FileStore:
             raise InputError(f"store {self._path}: the directory {self._path.parent} does not exist; create it first")
         self._paths = self._path, self._path.with_name(self._path.name + ".2")
         self._temporary = self._path.with_name(self._path.name + ".new")
-        self._said: set[str] = set()  # each trouble once, until a save succeeds
+        self._said: set[str] = set()  # each fault is logged once, until a save succeeds
 
     def save(self, group: str, data: bytes) -> bool:
-        """Replace one group; False, with the reason in the log, when the disk refuses."""
+        """Replace one group; return False, with the reason in the log, if the disk rejects it."""
         try:
             slots = self._slots()
             newest = _newest(slots)
@@ -57,16 +56,16 @@ class FileStore:
             self._replace(self._target(slots), _text(sequence, groups))
         except OSError as error:
             self._say(
-                f"{error.strerror}; nothing was changed, and storing is refused (06060000h) until the disk takes it"
+                f"{error.strerror}; nothing was changed; stores are rejected (06060000h) until the disk accepts them"
             )
             with contextlib.suppress(OSError):
-                self._temporary.unlink()  # half a file on a full disk helps nobody
+                self._temporary.unlink()  # half a file on a full disk is useless
             return False
         self._said.clear()
         return True
 
     def load(self, group: str) -> bytes | None:
-        """What was stored for ``group``; None if nothing was, bytes that fail their CRC if the files are damaged."""
+        """Return the data stored for ``group``; None if absent, bytes with a wrong CRC if the files are damaged."""
         try:
             slots = self._slots()
         except OSError as error:
@@ -83,9 +82,9 @@ class FileStore:
             return _DAMAGED
 
     def _slots(self) -> list[_Slot]:
-        """The slots that there are.
+        """Return the existing slots.
 
-        Raises OSError if the disk does not give a file: what it holds must then not be replaced either.
+        Raises OSError if the disk does not return a file: its content must then not be replaced either.
         """
         found = []
         for path in self._paths:
@@ -94,14 +93,14 @@ class FileStore:
             except FileNotFoundError:
                 continue
             if not slot.sound:
-                self._say(f"{path.name} is not what was stored")
+                self._say(f"{path.name} is damaged")
             found.append(slot)
         if any(slot.sound for slot in found) and not all(slot.sound for slot in found):
-            self._say("the other slot holds: settings are those of the save before, or of the last one")
+            self._say("the other slot applies: settings are those of the previous or of the last save")
         return found
 
     def _target(self, slots: list[_Slot]) -> Path:
-        """Where the next save goes: the slot that is missing, then one that is damaged, then the older."""
+        """Return the path for the next save: the missing slot, else a damaged one, else the older one."""
         there = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
         return min(self._paths, key=lambda path: there.get(path, -1))
 
@@ -125,7 +124,7 @@ class FileStore:
 
 
 def _newest(slots: list[_Slot]) -> _Slot | None:
-    """The sound slot that was written last; without one, the one of which most can be read."""
+    """Return the intact slot that was written last; without one, the slot of which most can be read."""
     sound = [slot for slot in slots if slot.sound]
     if sound:
         return max(sound, key=lambda slot: slot.sequence)
@@ -139,7 +138,7 @@ def _text(sequence: int, groups: dict[str, str]) -> bytes:
 
 
 def _crc32(sequence: int, groups: dict[str, str]) -> str:
-    """Over a form of the content that no reformatting of the file changes."""
+    """Return a CRC-32 that does not depend on the formatting of the file."""
     return f"{binascii.crc32(json.dumps([sequence, groups], sort_keys=True).encode()):08x}"
 
 
@@ -147,7 +146,7 @@ def _parsed(path: Path, content: bytes) -> _Slot:
     try:
         found = json.loads(content)
         if isinstance(found, dict) and found and all(isinstance(text, str) for text in found.values()):
-            return _Slot(path, 0, found, True)  # the form before there were two slots: the groups alone
+            return _Slot(path, 0, found, True)  # earlier format without slots: only the groups
         sequence, groups = found["sequence"], found["groups"]
         readable = isinstance(groups, dict) and isinstance(sequence, int)
         sound = readable and found["crc32"] == _crc32(sequence, groups)
