@@ -100,9 +100,9 @@ def test_devices_are_found_by_number_name_label_and_place(tree: Tree) -> None:
     assert [device.number for device in iio_sysfs.devices(tree.root)] == ["iio:device0", "iio:device1", "iio:device10"]
     for wanted, number in (("device1", 1), ("iio:device1", 1), ("tip left", 1), ("0-0051", 1), ("ad7124-4", 10)):
         assert iio_sysfs.find(wanted, tree.root).number == f"iio:device{number}"
-    with pytest.raises(InputError, match=r"fits iio:device0 \(adc121c, 0-0050\); iio:device1 \(adc121c, tip left"):
+    with pytest.raises(InputError, match=r"matches iio:device0 \(adc121c, 0-0050\); iio:device1 \(adc121c, tip left"):
         iio_sysfs.find("adc121c", tree.root)
-    with pytest.raises(EnvironmentLackError, match=r"no such device; there are iio:device0 \(adc121c"):
+    with pytest.raises(EnvironmentLackError, match=r"no such device; allowed: iio:device0 \(adc121c"):
         iio_sysfs.find("nau7802", tree.root)
     with pytest.raises(EnvironmentLackError, match="none: `tipforce doctor`"):
         iio_sysfs.find("nau7802", tree.folder / "absent")
@@ -207,7 +207,7 @@ def test_a_device_that_is_gone_is_told_at_once_and_taken_up_again(
     assert not status & (STALE | FAULT)
     assert gauges == (0, 500, 100)
     assert [record.message for record in caplog.records] == [
-        "iio:device1: No such file or directory; the node goes on when it is back", "iio:device1: back",
+        "iio:device1: No such file or directory; the node continues when the device is back", "iio:device1: back",
     ]  # fmt: skip
 
 

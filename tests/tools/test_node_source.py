@@ -232,7 +232,7 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     assert "pip install 'tipforce[iio]'" in capsys.readouterr().err
     monkeypatch.setitem(sys.modules, "iio", types.SimpleNamespace(Context=Context))
     assert node(path, "--source", "iio:ip:board/dac") == 2
-    assert "no such device there; there are adc" in capsys.readouterr().err
+    assert "no such device; allowed: adc" in capsys.readouterr().err
     assert node(path, "--source", "iio:ip:board/adc") == 0
     source = source_of(devices[0])
     assert isinstance(source, IioSource)
@@ -252,7 +252,7 @@ def test_a_remote_board_by_a_stand_in_for_pylibiio(
     assert (reading.counts, source.faults) == ((0, 11, 20), 0)
     up[0] = False
     assert node(path, "--source", "iio:ip:board/adc") == 2
-    assert "does iiod run there? `iio_info -u ip:board`" in capsys.readouterr().err
+    assert "check that iiod runs there: `iio_info -u ip:board`" in capsys.readouterr().err
 
 
 def _gone(_self: object) -> str:

@@ -290,4 +290,4 @@ def test_the_log_says_each_outage_once(rig: Rig, iio_node: Command) -> None:
     rig.adcs.plug_in(ADDRESSES[1])
     rig.until(0x5030, True, NO_DATA)
     wait_until(lambda: iio_node.stderr.count(": back") == before + 1, "no word of a device that came back")
-    assert iio_node.stderr.count("the node goes on when it is back") == iio_node.stderr.count(": back")
+    assert iio_node.stderr.count("the node continues when the device is back") == iio_node.stderr.count(": back")

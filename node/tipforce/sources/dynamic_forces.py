@@ -1,4 +1,4 @@
-"""A load history as the gauges see it through the moving structure: what a simulated source takes as ``forces``."""
+"""Pass a load history through the dynamics of the structure: the ``forces`` of a simulated source."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -9,11 +9,11 @@ if TYPE_CHECKING:
 
 
 class DynamicForces:
-    """The elastic force under ``applied(now_us)``, stepped by ``step_us`` from the first time that is asked for on.
+    """The elastic force under ``applied(now_us)``, stepped by ``step_us`` from the time of the first call on.
 
-    ``dynamics`` is made for steps of ``step_us``, which is the sample period of the source (6114h) or a whole part of
-    it; between two steps the load counts as linear. It starts in equilibrium under the first load. Conversions that
-    nobody reads are stepped through all the same, so the force does not hang on how often the node is asked.
+    ``dynamics`` is built for steps of ``step_us``, which is the sample period of the source (6114h) or an integer
+    fraction of it; within a step the load is linear. It starts in equilibrium under the first load. Steps are also
+    computed for conversions that are not read, so the force does not depend on how often the node reads.
     """
 
     def __init__(self, dynamics: "DynamicLoad", applied: "Callable[[int], Forces]", step_us: int) -> None:
@@ -27,7 +27,7 @@ class DynamicForces:
         self._force: "Forces" = (0.0, 0.0, 0.0)
 
     def __call__(self, now_us: int) -> "Forces":
-        """F1, F2, F3 in newtons at the last step that is not after ``now_us``."""
+        """Return F1, F2, F3 in newtons at the last step that is not after ``now_us``."""
         if self._now_us < 0:
             self._now_us = now_us
             self._load = self._force = self._applied(now_us)

@@ -1,7 +1,7 @@
-"""The force that the gauges see when the load moves faster than the tip: the structure's modes, step by step.
+"""The elastic force at the gauges when the load changes faster than the tip follows: the structure's modes, stepped.
 
-Plain floats for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` makes the coefficients
-and holds the theory; for a load that is linear during a step the result is exact, whatever the length of the step.
+Plain floats, for a node's simulated source. ``tipforce.sensor.dynamics.first_order_hold`` computes the coefficients
+and documents the theory; for a load that is linear during a step the result is exact for any step length.
 """
 
 TYPE_CHECKING = False
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 class DynamicLoad:
-    """Modes at rest under no load. ``coefficients`` has one entry (load row, hold, force column) per mode.
+    """Modes at rest under zero load. ``coefficients`` has one entry (load row, hold, force column) per mode.
 
     Load row (3): modal load per newton of F1, F2, F3. Hold (8): p11, p12, p21, p22, start and end weight of the
     position, start and end weight of the velocity. Force column (3): F1, F2, F3 in newtons per modal position.
-    They belong to one length of step: ``held.node_coefficients(modes, step_s)``.
+    They are valid for one step length: ``held.node_coefficients(modes, step_s)``.
     """
 
     def __init__(self, coefficients: "Coefficients") -> None:
@@ -27,7 +27,7 @@ class DynamicLoad:
         self._velocities = [0.0] * len(coefficients)
 
     def settle(self, force: "Sequence[float]") -> None:
-        """Start in equilibrium under a force (F1, F2, F3) that has stood for long."""
+        """Start in equilibrium under a constant force (F1, F2, F3)."""
         f1, f2, f3 = force
         for k in range(len(self.coefficients)):
             row = self.coefficients[k][0]
@@ -35,7 +35,7 @@ class DynamicLoad:
             self._velocities[k] = 0.0
 
     def step(self, force_start: "Sequence[float]", force_end: "Sequence[float]") -> "Vector":
-        """The elastic force (F1, F2, F3) in newtons at the end of a step in which the load went from start to end."""
+        """Return the elastic force (F1, F2, F3) in newtons at the end of a step with a load from start to end."""
         a1, a2, a3 = force_start
         b1, b2, b3 = force_end
         f1 = f2 = f3 = 0.0

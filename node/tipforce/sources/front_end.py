@@ -1,9 +1,9 @@
-"""The front end of a simulated node: what lies between the strain of the gauges and the counts of the converter.
+"""Front end of a simulated node: the chain from the strain of the gauges to the counts of the converter.
 
-Bridge, amplifier, temperature, noise, conversion: each part exists only where it is named. All of them work on the
-signal in microstrain referred to the gauges, so volts come in once, as counts per microstrain.
+Bridge, amplifier, temperature, noise, conversion: only the configured parts are built. All of them work on the
+signal in microstrain referred to the gauges, so volts occur only once, as counts per microstrain.
 
-Errors here are ValueErrors that name the argument: this file keeps to the subset that MicroPython understands too.
+Errors here are ValueErrors that name the argument: this file keeps to the subset that MicroPython supports.
 """
 
 import math
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class Part(Protocol):
-        """Changes the signal of all gauges."""
+        """One part of the chain: change the signal of all gauges."""
 
         def apply(self, microstrains: list[float], now_us: int) -> None:
             """Change ``microstrains``, one value per gauge, in place."""
@@ -31,11 +31,11 @@ REFERENCE_DEGC = 23.0
 QUARTER, HALF, FULL = "quarter", "half", "full"
 _ARMS = {QUARTER: 0.25, HALF: 0.5, FULL: 1.0}
 _UNKNOWN_TEMPERATURE = -0x8000
-PER_DECADE = 2  # first-order processes of OneOverFNoise: between its ends the spectrum ripples by 0.1 %
+PER_DECADE = 2  # first-order processes of OneOverFNoise: between its ends the ripple of the spectrum is 0.1 %
 
 
 def _check(name: str, value: float, above: float = -math.inf) -> float:
-    """A finite number above a limit, or a ValueError that says which."""
+    """Return a finite number above a limit; raise ValueError otherwise."""
     if not (value > above and value - value == 0.0):
         raise ValueError("%s: %r, allowed is a finite number%s" % (
             name, value, "" if above == -math.inf else " above %g" % above))  # fmt: skip
@@ -47,7 +47,7 @@ class Bridge:
 
     The output in volts per volt of excitation, e the strain and k the gauge factor: quarter bridge
     k e / (4 + 2 k e), half (two gauges in neighbouring arms, one in tension and one in compression) k e / 2, full k e.
-    Only the quarter bridge is not linear: what it shows is e / (1 + k e / 2).
+    Only the quarter bridge is nonlinear: it measures e / (1 + k e / 2).
     """
 
     def __init__(self, kind: str = QUARTER, gauge_factor: float = 2.0, excitation_volts: float = 3.3) -> None:
@@ -59,7 +59,7 @@ class Bridge:
         self.volts_per_microstrain = 1e-6 * gauge_factor * _ARMS[kind] * excitation_volts
 
     def apply(self, microstrains: "list[float]", _now_us: int) -> None:
-        """What a quarter bridge shows; below -1/k, where no resistance would be left, it shows the lower end."""
+        """Return the strain that a quarter bridge measures; below -1/k (no resistance left) the lower limit."""
         half = 0.5e-6 * self.gauge_factor
         for k in range(len(microstrains)):
             loss = 1.0 + half * microstrains[k]
@@ -67,7 +67,7 @@ class Bridge:
 
 
 class Temperature:
-    """The temperature of the tip: one number, (seconds, degC) points joined by lines, or a function of seconds."""
+    """Temperature of the tip: one number, (seconds, degC) points joined by lines, or a function of seconds."""
 
     def __init__(self, trajectory: "Trajectory") -> None:
         self._constant: "float | None" = None
@@ -84,7 +84,7 @@ class Temperature:
                 raise ValueError("temperature: %r, allowed are points at increasing times" % (trajectory,))
 
     def degrees(self, now_us: int) -> float:
-        """Temperature in degC at a time; before the first point and after the last that of the point."""
+        """Return the temperature in degC at a time; before the first and after the last point it is constant."""
         if self._constant is not None:
             return self._constant
         if self._function is not None:
@@ -100,13 +100,13 @@ class Temperature:
         return before[1]
 
     def reading(self, now_us: int) -> int:
-        """What the node's own sensor shows, 0.01 degC (2122h); unknown where INTEGER16 cannot hold it."""
+        """Return the reading of the node's own sensor, 0.01 degC (2122h); unknown if INTEGER16 cannot hold it."""
         hundredths = 100.0 * self.degrees(now_us)
         return round(hundredths) if -32767.5 < hundredths < 32767.5 else _UNKNOWN_TEMPERATURE
 
 
 class ApparentStrain:
-    """Strain that gauges show because they are warm: so many microstrain per degC away from 23 degC, for each gauge."""
+    """Apparent strain of the gauges by temperature: microstrain per degC away from 23 degC, for each gauge."""
 
     def __init__(self, temperature: Temperature, microstrain_per_degC: "float | Sequence[float]") -> None:
         self._temperature = temperature
@@ -115,7 +115,7 @@ class ApparentStrain:
         self._each = [] if isinstance(given, (int, float)) else [_check("apparent_strain", one) for one in given]
 
     def apply(self, microstrains: "list[float]", now_us: int) -> None:
-        """Add it. Raises ValueError when there are not as many numbers as gauges."""
+        """Add the apparent strain. Raises ValueError if the number of values is not the number of gauges."""
         away = self._temperature.degrees(now_us) - REFERENCE_DEGC
         if self._one is None and len(self._each) != len(microstrains):
             raise ValueError("apparent_strain: %d numbers for %d gauges" % (len(self._each), len(microstrains)))
@@ -124,41 +124,41 @@ class ApparentStrain:
 
 
 class GainDrift:
-    """An amplifier whose gain changes by so many parts per million for each degC away from 23 degC."""
+    """An amplifier whose gain drifts by this many parts per million per degC away from 23 degC."""
 
     def __init__(self, temperature: Temperature, ppm_per_degC: float) -> None:
         self._temperature = temperature
         self._per_degC = 1e-6 * _check("gain_drift_ppm", ppm_per_degC)
 
     def apply(self, microstrains: "list[float]", now_us: int) -> None:
-        """Multiply by the gain relative to that at 23 degC."""
+        """Multiply by the gain relative to the gain at 23 degC."""
         gain = 1.0 + self._per_degC * (self._temperature.degrees(now_us) - REFERENCE_DEGC)
         for k in range(len(microstrains)):
             microstrains[k] *= gain
 
 
 class WhiteNoise:
-    """Noise that each conversion has anew, normal with this standard deviation in microstrain."""
+    """White noise, independent for each conversion, normal with this standard deviation in microstrain."""
 
     def __init__(self, microstrain: float, random: "Random") -> None:
         self._sigma = _check("white_noise", microstrain, 0.0)
         self._random = random
 
     def apply(self, microstrains: "list[float]", _now_us: int) -> None:
-        """Add it."""
+        """Add the noise."""
         for k in range(len(microstrains)):
             microstrains[k] += self._random.gauss(0.0, self._sigma)
 
 
 class OneOverFNoise:
-    """Noise of density ``a`` / sqrt(f) microstrain per square root of hertz, ``a`` that at 1 Hz, one-sided.
+    """Noise of density ``a`` / sqrt(f) microstrain per square root of hertz, one-sided, ``a`` the density at 1 Hz.
 
-    A sum of first-order (Ornstein-Uhlenbeck) processes of equal variance whose corner frequencies lie ``PER_DECADE``
-    to a decade from ``lowest_hz`` to ``highest_hz``. One of variance s^2 and corner f_c has the spectrum
+    A sum of first-order (Ornstein-Uhlenbeck) processes of equal variance with ``PER_DECADE`` corner frequencies per
+    decade from ``lowest_hz`` to ``highest_hz``. One of variance s^2 and corner f_c has the spectrum
     (2 s^2 / (pi f_c)) / (1 + (f / f_c)^2); corners a factor q apart add up to s^2 / (ln(q) f) between the ends, so
     s^2 = a^2 ln(q). A decade inside either end the spectrum is 3 % below 1/f, below ``lowest_hz`` it is flat, above
-    ``highest_hz`` it falls with 1/f^2. Each process
-    is stepped exactly from one conversion to the next, however far apart they are, and starts stationary.
+    ``highest_hz`` it falls with 1/f^2. Each process is stepped exactly from one conversion to the next, for any time
+    between them, and starts stationary.
     """
 
     def __init__(
@@ -194,7 +194,7 @@ class OneOverFNoise:
             microstrains[k] += self._sigma * sum(self._states[k])
 
     def _over(self, gap_us: int) -> "list[tuple[float, float]]":
-        """For each process the part of it that outlives a gap, and the part that is new after it."""
+        """Return for each process the part that remains after a gap, and the standard deviation of the new part."""
         if gap_us != self._gap_us:
             self._gap_us = gap_us
             kept = [math.exp(-2e-6 * math.pi * f * gap_us) for f in self.corners_hz]
@@ -203,16 +203,15 @@ class OneOverFNoise:
 
 
 class FrontEnd:
-    """Strain in microstrain to counts, through the parts that are named, in the order of the signal's way.
+    """Convert strain in microstrain to counts through the configured parts, in signal order.
 
     ``bits`` is 16 or 24. ``bridge`` (a ``Bridge``) and ``gain`` with ``reference_volts`` (None: the excitation, a
-    ratiometric converter) give the counts per microstrain; without ``gain`` it is matched to a full scale of
-    3276.8 microstrain. ``temperature`` (degC, see ``Temperature``) is what 2122h shows; ``apparent_strain``
-    (microstrain per degC, one or one per gauge) and ``gain_drift_ppm`` (per degC) need it. ``white_noise`` is in
-    microstrain, ``one_over_f`` in microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises ValueError for what
-    is not allowed.
+    ratiometric converter) set the counts per microstrain; without ``gain`` the full scale is 3276.8 microstrain.
+    ``temperature`` (degC, see ``Temperature``) is the value of 2122h; ``apparent_strain`` (microstrain per degC, one
+    or one per gauge) and ``gain_drift_ppm`` (per degC) need it. ``white_noise`` is in microstrain, ``one_over_f`` in
+    microstrain at 1 Hz, or (that, lowest Hz, highest Hz). Raises ValueError for arguments that are not allowed.
 
-    ``parts`` holds what changes the signal; ``converter`` is (bits, counts per microstrain).
+    ``parts`` holds the parts that change the signal; ``converter`` is (bits, counts per microstrain).
     """
 
     def __init__(
@@ -252,7 +251,7 @@ class FrontEnd:
     ) -> None:
         if white is None and one_over_f is None:
             return
-        import random  # only where there is noise
+        import random  # imported only if there is noise
 
         chance = random.Random(seed)
         if white is not None:
@@ -262,7 +261,7 @@ class FrontEnd:
             self.parts.append(OneOverFNoise(given[0], chance, *given[1:]))
 
     def counts(self, microstrains: "list[float]", now_us: int) -> "list[int]":
-        """The counts of one conversion. ``microstrains``, one per gauge, is changed."""
+        """Return the counts of one conversion. Changes ``microstrains``, one per gauge."""
         for part in self.parts:
             part.apply(microstrains, now_us)
         per_microstrain = self.converter[1]

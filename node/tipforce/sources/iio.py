@@ -1,10 +1,10 @@
-"""Gauges behind Linux Industrial I/O converters as a node's source: counts, or a fault, and never an old value.
+"""Gauges on Linux Industrial I/O converters as a node's source: counts, or a fault, and never a stale value.
 
-What each trouble becomes (2124h): a device that is gone or does not answer, or scans that do not come: no data
-(bit 8); time stamps that do not increase: frozen (bit 9); a gauge that stays at an end of the range: wire break
-(bit 10); a supply channel outside its tolerance: supply (bit 11). A gauge at an end of the range is saturated, and one
-whose value stands still while its noise is known to be a count or more is frozen: the application finds these two.
-A device that comes back is taken up again at the place where it was.
+Faults (2124h): a device that is removed or does not respond, or scans that do not arrive: no data (bit 8);
+time stamps that do not increase: frozen (bit 9); a gauge that stays at an end of the range: wire break (bit 10);
+a supply channel outside its tolerance: supply (bit 11). The application detects two more: a gauge at an end of the
+range is saturated; a gauge whose value is constant although its known noise is a count or more is frozen.
+A device that returns is opened again at the same place.
 """
 
 from __future__ import annotations
@@ -20,46 +20,46 @@ from tipforce.sources.iio_buffer import TimestampError
 from tipforce.sources.iio_sysfs import UNKNOWN_TEMPERATURE
 
 _LOG = logging.getLogger(__name__)
-WATCH_US = 40_000  # between two looks where no SYNC takes samples
-SILENT_US = 80_000  # a buffer that gave no scan for so long
-RETRY_US = 100_000  # between two tries to take a lost device up again
-WIRE_BREAK_US = 1_000_000  # a gauge that stays so long at an end of the range has a wire broken
+WATCH_US = 40_000  # between two checks if no SYNC takes samples
+SILENT_US = 80_000  # time-out of a buffer that delivers no scan
+RETRY_US = 100_000  # between two attempts to open a lost device again
+WIRE_BREAK_US = 1_000_000  # a gauge at an end of the range for this time has a broken wire
 TEMPERATURE_US = 1_000_000
 NO_DATA, FROZEN = 1 << table.FAULT_NO_DATA, 1 << table.FAULT_FROZEN
 WIRE_BREAK, SUPPLY = 1 << table.FAULT_WIRE_BREAK, 1 << table.FAULT_SUPPLY
 
 
 class Part(Protocol):
-    """One device: some of the gauges."""
+    """One device with some of the gauges."""
 
     polled: bool
-    """True when ``read`` makes the conversion, False when conversions come by themselves."""
+    """True if ``read`` starts the conversion, False if the device converts on its own."""
     name: str
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
-        """New counts of its channels, or None. Raises OSError."""
+        """Return new counts of its channels, or None. Raises OSError."""
 
     def reopen(self) -> None:
-        """Take a lost device up again. Raises OSError while it is lost."""
+        """Open a lost device again. Raises OSError while it is lost."""
 
     def temperature(self) -> int:
-        """0.01 degC, or -0x8000."""
+        """Return the temperature in 0.01 degC, or -0x8000."""
 
     def close(self) -> None:
-        """Release it."""
+        """Release the device."""
 
 
 def now_us() -> int:
-    """Microseconds of the monotonic clock."""
+    """Return microseconds of the monotonic clock."""
     return time.monotonic_ns() // 1000
 
 
 class IioSource(Source):
     """The channels of one or more devices, in the order of the gauges.
 
-    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is asked every 40 ms and says
-    whether the bridge's supply is out of its tolerance. ``scan_period_us`` is the time between scans of a buffer,
-    where it is known. ``clock`` tells how long a read took.
+    ``ends`` are the lowest and the highest count, the same for all. ``supply_fault`` is called every 40 ms and returns
+    whether the bridge supply is out of tolerance. ``scan_period_us`` is the time between scans of a buffer, if
+    known. ``clock`` measures the duration of a read.
     """
 
     watch_us = WATCH_US
@@ -86,7 +86,7 @@ class IioSource(Source):
         self._done_us = 0
         self._conversion = -1
         self._fresh: list[tuple[int, ...] | None] = [None] * len(parts)
-        self._retry_us: list[int | None] = [None] * len(parts)  # of a lost device: when to try again
+        self._retry_us: list[int | None] = [None] * len(parts)  # of a lost device: when to retry
         self._held: Reading | None = None
         self._read_us: int | None = None
         self._inside_us: list[int | None] = [None] * gauges
@@ -94,7 +94,7 @@ class IioSource(Source):
         self._supply, self._supply_us = 0, -WATCH_US
 
     def read(self, now_us: int) -> Reading | None:
-        """The counts of all gauges once every device has new ones; None otherwise, and ``faults`` says why."""
+        """Return the counts of all gauges once every device has new ones; else None, with the reason in ``faults``."""
         held, self._held = self._held, None
         if self._polled:
             conversion = now_us // self.period_us
@@ -110,11 +110,11 @@ class IioSource(Source):
         return Reading(counts, faults, self._temperature_now(now_us))
 
     def due_us(self, now_us: int) -> int:
-        """The next conversion; never before the last read was over, so that slow reads do not pile up."""
+        """Return the time of the next conversion, not before the end of the last read: slow reads must not queue up."""
         return max(now_us + self.period_us, self._done_us)
 
     def look(self, now_us: int) -> int | None:
-        """The faults of now, saturated gauges included; None when there is nothing new. The reading is kept."""
+        """Return the present faults, saturated gauges included; None if there is nothing new. The reading is kept."""
         reading = self.read(now_us)
         if reading is None:
             return self.faults or None
@@ -131,9 +131,9 @@ class IioSource(Source):
             part.close()
 
     def _counts(self, now_us: int) -> tuple[int, ...] | None:
-        """The counts of all devices, joined; None, with ``faults`` set, while one has none."""
+        """Return the joined counts of all devices; None, with ``faults`` set, while a device has none."""
         if self._read_us is None:
-            self._read_us = now_us  # silence is counted from the first call on
+            self._read_us = now_us  # the time-out starts with the first call
         faults = 0
         for k in range(len(self.parts)):
             if self._fresh[k] is None or self._polled:
@@ -142,14 +142,14 @@ class IioSource(Source):
             silent = now_us - self._read_us > self._silent_us
             self.faults = faults or self.faults & FROZEN or (NO_DATA if silent else 0)
             if faults:
-                self._fresh = [None] * len(self.parts)  # what the others gave is old when this one is back
+                self._fresh = [None] * len(self.parts)  # counts of the other devices are stale when this device returns
             return None
         found = tuple([count for fresh in self._fresh if fresh is not None for count in fresh])
         self._fresh = [None] * len(self.parts)
         return found
 
     def _ask(self, k: int, now_us: int) -> int:
-        """Let device ``k`` deliver into ``_fresh``; the fault it has, or 0."""
+        """Read device ``k`` into ``_fresh``; return its fault, or 0."""
         part = self.parts[k]
         self._fresh[k] = None
         lost_until_us = self._retry_us[k]
@@ -165,7 +165,7 @@ class IioSource(Source):
             return FROZEN
         except OSError as error:
             if lost_until_us is None:
-                _LOG.warning("%s: %s; the node goes on when it is back", part.name, error.strerror or error)
+                _LOG.warning("%s: %s; the node continues when the device is back", part.name, error.strerror or error)
             self._retry_us[k] = now_us + RETRY_US
             return NO_DATA
         if lost_until_us is not None:
@@ -190,7 +190,7 @@ class IioSource(Source):
         return self._supply
 
     def _temperature_now(self, now_us: int) -> int:
-        """Of the first device that has one. Read once a second: some converters stop for it."""
+        """Return the temperature of the first sensor, read once a second: some converters pause for it."""
         if now_us - self._temperature_us >= TEMPERATURE_US:
             self._temperature_us = now_us
             found = (part.temperature() for part in self.parts)

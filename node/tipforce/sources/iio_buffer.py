@@ -1,8 +1,8 @@
-"""Buffered capture of Linux Industrial I/O: a trigger starts each scan, the kernel stamps and keeps it.
+"""Buffered capture of Linux Industrial I/O: a trigger starts each scan; the kernel time-stamps and stores it.
 
-What the kernel's documentation (iio/iio_devbuf, iio/iio_configfs) asks for: choose the channels in ``scan_elements``,
-name the trigger, enable the buffer, read whole scans from ``/dev/iio:deviceN``. A scan holds the enabled channels in
-the order of their index, each aligned to its own size, the 64-bit time stamp last.
+The sequence follows the kernel's documentation (iio/iio_devbuf, iio/iio_configfs): select the channels in
+``scan_elements``, name the trigger, enable the buffer, read whole scans from ``/dev/iio:deviceN``. A scan holds the
+enabled channels in the order of their index, each aligned to its own size, the 64-bit time stamp last.
 """
 
 from __future__ import annotations
@@ -21,18 +21,18 @@ from tipforce.sources.iio_sysfs import Device, ScanType, at_same_place
 
 DEVICE_FILES = Path("/dev")
 HRTIMER = Path("/sys/kernel/config/iio/triggers/hrtimer")
-CLOCK = "monotonic"  # of the time stamps: the node's own, which no setting of the time of day moves
-_KEPT_SCANS = 1024  # in the kernel, and as many here: a loop that sleeps longer loses the oldest
+CLOCK = "monotonic"  # of the time stamps: the node's own clock, independent of the time of day
+_KEPT_SCANS = 1024  # in the kernel, and as many here: a loop that is suspended longer loses the oldest
 _CODES = {8: "b", 16: "h", 32: "i", 64: "q"}
 _STAMP = "timestamp"
 
 
 class TimestampError(OSError):
-    """Two scans whose time stamps do not increase: the capture stands still or repeats itself."""
+    """Two scans whose time stamps do not increase: the capture has stopped or repeats itself."""
 
 
 class Layout(NamedTuple):
-    """Where the wanted channels and the time stamp lie in a scan."""
+    """Positions of the wanted channels and of the time stamp in a scan."""
 
     size: int
     channels: tuple[tuple[int, ScanType], ...]
@@ -41,7 +41,7 @@ class Layout(NamedTuple):
 
 
 def layout_of(types: Sequence[tuple[str, int, ScanType]], wanted: Sequence[str]) -> Layout:
-    """The layout of a scan of (channel, index, type), all of them enabled."""
+    """Return the layout of a scan of (channel, index, type), all of them enabled."""
     offsets: dict[str, tuple[int, ScanType]] = {}
     end, widest = 0, 1
     for channel, _index, kind in sorted(types, key=lambda entry: entry[1]):
@@ -54,7 +54,7 @@ def layout_of(types: Sequence[tuple[str, int, ScanType]], wanted: Sequence[str])
 
 
 def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
-    """One channel of a scan: storage, shifted, cut to its bits, its sign extended."""
+    """Return one channel of a scan: shifted, masked to its bits, sign-extended."""
     code = (">" if kind.big_endian else "<") + _CODES[kind.storage_bits].upper()
     stored: int = struct.unpack_from(code, scan, offset)[0]
     found = stored >> kind.shift & (1 << kind.bits) - 1
@@ -64,9 +64,9 @@ def value_of(scan: bytes, offset: int, kind: ScanType) -> int:
 class BufferedDevice:
     """Channels of one device through its buffer. ``trigger`` is its name; empty for a device that needs none.
 
-    ``read`` gives the newest scan that is not later than the time it is asked for (where scans carry time stamps of
-    the monotonic clock), so that a filter that makes up for lost time sees each scan once. Raises
-    EnvironmentLackError where the device has no buffer, or where the kernel refuses the set-up.
+    ``read`` returns the newest scan that is not later than the requested time (if scans carry time stamps of the
+    monotonic clock), so that a filter that catches up processes each scan once. Raises EnvironmentLackError if the
+    device has no buffer or the kernel rejects the set-up.
     """
 
     polled = False
@@ -90,11 +90,11 @@ class BufferedDevice:
             self.reopen()
         except OSError as error:
             raise EnvironmentLackError(
-                f"iio {device}: buffered capture cannot be set up: {error}; as root, or `--capture poll`"
+                f"iio {device}: buffered capture cannot be set up: {error}; run as root, or use `--capture poll`"
             ) from error
 
     def reopen(self) -> None:
-        """Set the capture up and start it. Raises OSError while the device is not there."""
+        """Set up and start the capture. Raises OSError while the device is missing."""
         self.close()
         self.path = path = at_same_place(self.path)
         self._write("buffer/enable", "0")
@@ -102,7 +102,7 @@ class BufferedDevice:
         found = [(channel, int((path / "scan_elements" / f"in_{channel}_index").read_text()), kind)
                  for channel, kind in types if kind is not None]  # fmt: skip
         self._layout = layout_of(found, self.channels)
-        with contextlib.suppress(OSError):  # older kernels have one clock, the time of day
+        with contextlib.suppress(OSError):  # older kernels have only one clock, the time of day
             self._write("current_timestamp_clock", CLOCK)
         self._monotonic = self._layout.stamp is not None and self._clock() == CLOCK
         if self._trigger:
@@ -123,12 +123,12 @@ class BufferedDevice:
         return names
 
     def _enable(self, channel: str) -> ScanType | None:
-        """Switch a channel of the scan on or off as it is wanted; its type if it is."""
+        """Enable or disable a channel of the scan; return its type if it is wanted."""
         wanted = channel in self.channels or channel == _STAMP
         self._write(f"scan_elements/in_{channel}_en", "1" if wanted else "0")
         kind = iio_sysfs.scan_type(self.path, channel) if wanted else None
         if wanted and (kind is None or kind.storage_bits not in _CODES):
-            raise OSError(22, f"in_{channel}_type is of a form that is not known")
+            raise OSError(22, f"in_{channel}_type has an unknown format")
         return kind
 
     def _clock(self) -> str:
@@ -138,16 +138,16 @@ class BufferedDevice:
             return ""
 
     def _write(self, name: str, text: str) -> None:
-        fd = os.open(self.path / name, os.O_WRONLY | os.O_TRUNC)  # never create: sysfs has the file or it has not
+        fd = os.open(self.path / name, os.O_WRONLY | os.O_TRUNC)  # never create: sysfs either has the file or not
         try:
             os.write(fd, text.encode())
         finally:
             os.close(fd)
 
     def read(self, now_us: int) -> tuple[int, ...] | None:
-        """The newest scan up to ``now_us``, or None when there was none since the last call.
+        """Return the newest scan up to ``now_us``, or None if there was none since the last call.
 
-        Raises OSError when the device is gone, TimestampError for time stamps that do not increase.
+        Raises OSError if the device is removed, TimestampError for time stamps that do not increase.
         """
         if not self.path.is_dir():
             raise FileNotFoundError(2, "No such device")
@@ -158,7 +158,7 @@ class BufferedDevice:
         return found
 
     def _fetch(self) -> None:
-        """Take what the kernel has. A scan that is cut off waits for its rest."""
+        """Read the kernel's data. An incomplete scan waits for the rest."""
         size = self._layout.size
         while True:
             try:
@@ -185,7 +185,7 @@ class BufferedDevice:
         self._scans.append((stamp_us, tuple([value_of(scan, *place) for place in self._layout.channels])))
 
     def temperature(self) -> int:
-        """0.01 degC, or unknown; some drivers refuse it while the buffer runs."""
+        """Return the temperature in 0.01 degC, or unknown; some drivers reject the read while the buffer runs."""
         return iio_sysfs.temperature_of(self.path, self._temperature)
 
     def close(self) -> None:
@@ -198,7 +198,7 @@ class BufferedDevice:
 
 
 def triggers(root: Path = iio_sysfs.ROOT) -> dict[str, Path]:
-    """The triggers of the bus by name."""
+    """Return the triggers of the bus by name."""
     found = {}
     for entry in sorted(root.glob("trigger*")):
         with contextlib.suppress(OSError):
@@ -207,16 +207,16 @@ def triggers(root: Path = iio_sysfs.ROOT) -> dict[str, Path]:
 
 
 def own_trigger(device: Device, root: Path = iio_sysfs.ROOT) -> str | None:
-    """The data-ready trigger of a device, which drivers name after it (``NAME-devN``); None if it has none."""
+    """Return the data-ready trigger of a device, which drivers name ``NAME-devN``; None if it has none."""
     number = device.number.removeprefix("iio:device")
     names = [name for name in triggers(root) if name.endswith(f"-dev{number}") and name.startswith(device.name)]
     return names[0] if names else None
 
 
 def make_hrtimer(name: str, frequency_hz: float, root: Path = iio_sysfs.ROOT, configfs: Path = HRTIMER) -> str:
-    """A high-resolution timer trigger of that name and rate, made through configfs or found there.
+    """Return a high-resolution timer trigger of that name and rate, existing or created through configfs.
 
-    Raises EnvironmentLackError where the kernel has no such triggers, or refuses.
+    Raises EnvironmentLackError if the kernel has no such triggers, or rejects the request.
     """
     try:
         if not configfs.is_dir():

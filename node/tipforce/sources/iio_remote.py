@@ -1,7 +1,7 @@
-"""Converters of another board through libiio's network daemon (iiod), by the package ``pylibiio`` (extra ``iio``).
+"""Converters of another board through libiio's network daemon (iiod), with the package ``pylibiio`` (extra ``iio``).
 
-Polled as local ones are. Every exchange is a round trip over the network, so a reading of three channels takes
-milliseconds; libiio's own time-out bounds how long a dead link stops the node's loop.
+Polled like local ones. Every exchange is a round trip over the network, so a reading of three channels takes
+milliseconds; libiio's own time-out bounds how long a lost connection blocks the node's loop.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ TIMEOUT_MS = 50
 
 
 class RemoteDevice:
-    """Channels of one device of a remote context. Raises EnvironmentLackError without pylibiio or without an answer."""
+    """Channels of one device of a remote context. Raises EnvironmentLackError without pylibiio or a response."""
 
     polled = True
 
@@ -29,11 +29,11 @@ class RemoteDevice:
             self._connect()
         except OSError as error:
             raise EnvironmentLackError(
-                f"iio {uri}: {error.strerror or error}; does iiod run there? `iio_info -u {uri}`"
+                f"iio {uri}: {error.strerror or error}; check that iiod runs there: `iio_info -u {uri}`"
             ) from error
 
     def reopen(self) -> None:
-        """Connect anew. Raises OSError while that fails, or while the device or a channel is not there."""
+        """Connect again. Raises OSError while that fails, or while the device or a channel is missing."""
         try:
             self._connect()
         except InputError as error:
@@ -45,27 +45,27 @@ class RemoteDevice:
         device = context.find_device(self._device)
         if device is None:
             there = ", ".join(str(one.name or one.id) for one in context.devices) or "none"
-            raise InputError(f"iio {self.name}: no such device there; there are {there}")
+            raise InputError(f"iio {self.name}: no such device; allowed: {there}")
         inputs = {channel.id: channel for channel in device.channels if not channel.output}
         names = self.channels or tuple(sorted(name for name in inputs if name.startswith("voltage")))
         missing = [name for name in names if name not in inputs]
         if missing or not names:
-            raise InputError(f"iio {self.name}: no channel {missing or 'voltage'}; there are {', '.join(inputs)}")
+            raise InputError(f"iio {self.name}: no channel {missing or 'voltage'}; allowed: {', '.join(inputs)}")
         self.channels = names
         self._open = [inputs[name] for name in names]
         self._temperature = next((one for name, one in sorted(inputs.items()) if name.startswith("temp")), None)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
-        """The counts of all channels. Raises OSError."""
+        """Return the counts of all channels. Raises OSError."""
         return tuple([int(channel.attrs["raw"].value) for channel in self._open])
 
     def attribute(self, k: int, name: str) -> float | None:
-        """``scale`` or ``offset`` of channel ``k``; None if there is none. Raises OSError."""
+        """Return ``scale`` or ``offset`` of channel ``k``; None if there is none. Raises OSError."""
         attrs = self._open[k].attrs
         return float(attrs[name].value) if name in attrs else None
 
     def temperature(self) -> int:
-        """0.01 degC, or unknown."""
+        """Return the temperature in 0.01 degC, or unknown."""
         if self._temperature is None:
             return UNKNOWN_TEMPERATURE
         attrs = self._temperature.attrs
@@ -82,7 +82,7 @@ class RemoteDevice:
         return round(hundredths) if -32767.5 < hundredths < 32767.5 else UNKNOWN_TEMPERATURE
 
     def close(self) -> None:
-        """Let the connection go."""
+        """Close the connection."""
         self._open, self._temperature = [], None
 
 

@@ -1,8 +1,8 @@
-"""Linux Industrial I/O as sysfs shows it: which converters there are, their channels, scales and raw values.
+"""Linux Industrial I/O through sysfs: the present converters, their channels, scales and raw values.
 
 The kernel's contract is Documentation/ABI/testing/sysfs-bus-iio: (raw + offset) * scale is in millivolts for a voltage
-and in thousandths of a degree Celsius for a temperature. All functions take the root, so that a test can hand in a
-tree of its own. They raise OSError where the kernel gives an error, and InputError for a name that fits nothing.
+and in thousandths of a degree Celsius for a temperature. All functions take the root directory, so that a test can
+pass its own. They raise OSError if the kernel returns an error, and InputError for a name that matches nothing.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ class Device(NamedTuple):
     """One device of the bus."""
 
     number: str
-    """``iio:device0``: the kernel gives it in the order of appearance."""
+    """``iio:device0``: the kernel numbers devices in the order in which they appear."""
     name: str
-    """What the driver calls itself; several devices may have one name."""
+    """The driver's name; several devices may have the same name."""
     label: str
     """The device tree's label, empty if there is none."""
     place: str
-    """Where it is plugged in, such as ``0-0050`` (bus 0, address 50h): it stays when numbers change."""
+    """Where it is connected, such as ``0-0050`` (bus 0, address 50h): constant when numbers change."""
     path: Path
     """The real directory, place included: another device that gets the same number has another path."""
 
     def __str__(self) -> str:
-        """The number, and what else it answers to."""
+        """Return the number and the other names of the device."""
         others = dict.fromkeys(word for word in (self.name, self.label, self.place) if word)
         return f"{self.number} ({', '.join(others)})" if others else self.number
 
 
 class ScanType(NamedTuple):
-    """How a channel lies in a scan, of the form ``le:u12/16>>0``."""
+    """Format of a channel in a scan, such as ``le:u12/16>>0``."""
 
     big_endian: bool
     signed: bool
@@ -58,7 +58,7 @@ class ScanType(NamedTuple):
 
 
 def devices(root: Path = ROOT) -> list[Device]:
-    """All devices (no triggers), by number; empty where the kernel has no Industrial I/O."""
+    """Return all devices (no triggers), by number; empty if the kernel has no Industrial I/O."""
     found = []
     for entry in root.glob("iio:device*"):
         path = Path(os.path.realpath(entry))
@@ -67,9 +67,9 @@ def devices(root: Path = ROOT) -> list[Device]:
 
 
 def find(wanted: str, root: Path = ROOT) -> Device:
-    """The device of that number, name, label or place.
+    """Return the device of that number, name, label or place.
 
-    Raises InputError if several fit, EnvironmentLackError if none does; the text names those that there are.
+    Raises InputError if several match, EnvironmentLackError if none does; the text names the existing ones.
     """
     present = devices(root)
     number = f"iio:{wanted}" if re.fullmatch(r"device\d+", wanted) else wanted
@@ -78,26 +78,26 @@ def find(wanted: str, root: Path = ROOT) -> Device:
     if len(fitting) == 1:
         return fitting[0]
     if fitting:
-        raise InputError(f"iio {wanted!r}: fits {'; '.join(map(str, fitting))}; name one by its number or its place")
-    there = "; ".join(map(str, present)) or "none: `tipforce doctor` says what is missing"
-    raise EnvironmentLackError(f"iio {wanted!r}: no such device; there are {there}")
+        raise InputError(f"iio {wanted!r}: matches {'; '.join(map(str, fitting))}; select one by number or place")
+    there = "; ".join(map(str, present)) or "none: `tipforce doctor` reports what is missing"
+    raise EnvironmentLackError(f"iio {wanted!r}: no such device; allowed: {there}")
 
 
 def voltage_channels(path: Path) -> list[str]:
-    """Names of the voltage channels, such as ``voltage0``, ``voltage0-voltage1``, or ``voltage`` of an only one."""
+    """Return the names of the voltage channels: ``voltage0``, ``voltage0-voltage1``, or ``voltage`` of an only one."""
     names = (_RAW.fullmatch(entry.name) for entry in path.iterdir())
     return sorted((match[1] for match in names if match), key=_natural)
 
 
 def raw_value(path: Path, channel: str) -> int:
-    """One conversion, in counts. Raises OSError; with EIO for what is no number."""
+    """Return one conversion in counts. Raises OSError, with EIO for a text that is not a number."""
     return _integer(path / f"in_{channel}_raw")
 
 
 def attribute(path: Path, channel: str, name: str) -> float | None:
-    """``scale`` or ``offset`` of a channel, its own or that of its kind; None if there is none.
+    """Return ``scale`` or ``offset`` of a channel, its own or the shared one; None if there is none.
 
-    Raises OSError where the kernel has the file and refuses to read it: EINVAL means a reference that is not known.
+    Raises OSError if the kernel has the file and rejects the read: EINVAL means an unknown reference.
     """
     kind = re.sub(r"\d+", "", channel)
     for file in (f"in_{channel}_{name}", f"in_{kind}_{name}", f"in_{name}"):
@@ -111,7 +111,7 @@ def attribute(path: Path, channel: str, name: str) -> float | None:
 
 
 def scan_type(path: Path, channel: str) -> ScanType | None:
-    """How the channel lies in a scan; None where the driver offers no buffer."""
+    """Return the format of the channel in a scan; None if the driver offers no buffer."""
     for folder in ("scan_elements", "buffer0"):
         text = _text(path / folder / f"in_{channel}_type")
         match = _SCAN_TYPE.fullmatch(text)
@@ -122,13 +122,13 @@ def scan_type(path: Path, channel: str) -> ScanType | None:
 
 
 def temperature_channel(path: Path) -> str | None:
-    """The first temperature channel of a device, None if it has none."""
+    """Return the first temperature channel of a device, None if it has none."""
     names = sorted(match[1] for entry in path.iterdir() if (match := _TEMPERATURE.fullmatch(entry.name)))
     return names[0] if names else None
 
 
 def temperature(path: Path, channel: str) -> int:
-    """A temperature in 0.01 degC as 2122h shows it; unknown where INTEGER16 cannot hold it. Raises OSError."""
+    """Return a temperature in 0.01 degC as in 2122h; unknown if INTEGER16 cannot hold it. Raises OSError."""
     try:
         thousandths = float(_integer(path / f"in_{channel}_input"))
     except FileNotFoundError:
@@ -139,7 +139,7 @@ def temperature(path: Path, channel: str) -> int:
 
 
 def millivolts(path: Path, channel: str) -> float:
-    """The voltage at a channel. Raises OSError; with EINVAL where it has no scale."""
+    """Return the voltage at a channel. Raises OSError, with EINVAL if it has no scale."""
     scale, offset = attribute(path, channel, "scale"), attribute(path, channel, "offset")
     if scale is None:
         raise OSError(22, f"in_{channel}_scale is missing")
@@ -147,7 +147,7 @@ def millivolts(path: Path, channel: str) -> float:
 
 
 class PolledDevice:
-    """Channels of one device, read one after the other whenever asked: a conversion each, waited for."""
+    """Channels of one device, read one after the other on request: each read waits for a conversion."""
 
     polled = True
 
@@ -159,26 +159,26 @@ class PolledDevice:
         self.reopen()
 
     def reopen(self) -> None:
-        """Look for the device anew, at the same place under whatever number. Raises OSError while it is not there."""
+        """Find the device again at the same place under any number. Raises OSError while it is missing."""
         self.path = at_same_place(self.path)
         self._temperature = temperature_channel(self.path)
 
     def read(self, _now_us: int) -> tuple[int, ...] | None:
-        """The counts of all channels. Raises OSError: the device is gone, or does not answer."""
+        """Return the counts of all channels. Raises OSError if the device is removed or does not respond."""
         return tuple([raw_value(self.path, channel) for channel in self.channels])
 
     def temperature(self) -> int:
-        """0.01 degC, or unknown."""
+        """Return the temperature in 0.01 degC, or unknown."""
         return temperature_of(self.path, self._temperature)
 
     def close(self) -> None:
-        """Nothing is kept open."""
+        """Do nothing: no file stays open."""
 
 
 def at_same_place(path: Path) -> Path:
-    """Where a device is now that was at ``path``: a number may change, the place it is plugged in does not.
+    """Return the present path of the device that was at ``path``: its number may change, its place does not.
 
-    Raises OSError while there is none, or several of which none has its old number.
+    Raises OSError while there is none, or if there are several and none has the old number.
     """
     if path.is_dir():
         return path
@@ -189,7 +189,7 @@ def at_same_place(path: Path) -> Path:
 
 
 def temperature_of(path: Path, channel: str | None) -> int:
-    """``temperature``, and unknown where it cannot be read."""
+    """Return ``temperature``, or unknown if it cannot be read."""
     try:
         return UNKNOWN_TEMPERATURE if channel is None else temperature(path, channel)
     except OSError:
@@ -209,7 +209,7 @@ def _integer(file: Path) -> int:
 
 
 def _text(file: Path) -> str:
-    """What a file says; empty where it cannot be read."""
+    """Return the text of a file; empty if it cannot be read."""
     try:
         return file.read_text(errors="replace").strip()
     except OSError:
@@ -217,5 +217,5 @@ def _text(file: Path) -> str:
 
 
 def _natural(name: str) -> list[tuple[int, str]]:
-    """A sort key by which device10 comes after device9."""
+    """Return a sort key that puts device10 after device9."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", name)]

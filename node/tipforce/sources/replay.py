@@ -1,4 +1,4 @@
-"""Recorded counts as a gauge source, at the speed they were recorded or at another."""
+"""Recorded counts as a gauge source, at the recorded speed or at another."""
 
 from bisect import bisect_right
 
@@ -17,8 +17,8 @@ class ReplaySource(Source):
     """Rows of counts at increasing times in microseconds, from the first call of ``read`` on.
 
     A row of None is a time at which the recording had no reading. ``speed`` 2 plays twice as fast. After the last row
-    there are no readings (so the node reports no data), or with ``loop`` the first row follows after the median step.
-    ``temperatures`` in 0.01 degC, one a row. Raises ValueError for no rows, times that do not increase, a wrong speed.
+    there are no readings (so the node reports no data); with ``loop`` the first row follows after the median step.
+    ``temperatures`` in 0.01 degC, one per row. Raises ValueError for no rows, times out of order, a wrong speed.
     """
 
     def __init__(
@@ -48,15 +48,15 @@ class ReplaySource(Source):
         self._speed = speed
         self._loop = loop
         self._start_us = -1
-        self._place = (0, -1)  # how many times through, and the row given last
+        self._place = (0, -1)  # number of repetitions, and the last returned row
 
     @property
     def over(self) -> bool:
-        """True when the last row was given and nothing follows."""
+        """True after the last row if nothing follows."""
         return not self._loop and self._place[1] == len(self._rows) - 1
 
     def read(self, now_us: int) -> "Reading | None":
-        """The row of now, once."""
+        """Return the present row, once."""
         if self._start_us < 0:
             self._start_us = now_us
         played_us = int((now_us - self._start_us) * self._speed)

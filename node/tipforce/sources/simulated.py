@@ -26,11 +26,11 @@ class SimulatedSource(Source):
     """Gauges of a structure whose strain per newton is ``strain_per_newton``, (n, 3) as rows, under ``load``.
 
     ``noise_microstrain`` is the standard deviation of white noise on each gauge (0 draws no random numbers),
-    ``offset_microstrain`` what each gauge reads unloaded. A conversion takes place every ``period_us``.
+    ``offset_microstrain`` is the reading of each gauge without load. A conversion takes place every ``period_us``.
 
-    ``forces`` gives F1, F2, F3 in newtons at the time of a conversion, in place of ``load``; 2201h is refused then.
-    ``front_end`` turns microstrain into counts; without one it is an ideal 16-bit converter, and ``temperature``
-    (0.01 degC) is what the node shows.
+    ``forces`` returns F1, F2, F3 in newtons at the time of a conversion, in place of ``load``; 2201h is rejected then.
+    ``front_end`` converts microstrain to counts; without one it is an ideal 16-bit converter, and ``temperature``
+    (0.01 degC) is the node's reading.
     """
 
     simulated = True
@@ -65,13 +65,13 @@ class SimulatedSource(Source):
         self._last_counts = (0,) * len(self.rows)
 
     def set_fault(self, fault: int, gauge: int, magnitude: float, now_us: int) -> None:
-        """Inject a fault of 2200h into ``gauge`` (from 1) from now on; 0 ends it."""
+        """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
         if fault != self.fault:
             self._fault_since_us = now_us
         self.fault, self.fault_gauge, self.fault_magnitude = fault, gauge, magnitude
 
     def read(self, now_us: int) -> "Reading | None":
-        """The newest conversion, or None when there was none since the last call."""
+        """Return the newest conversion, or None if there was none since the last call."""
         conversion = now_us // self.period_us
         if conversion == self._conversion or self.fault == SILENT:
             return None
@@ -100,11 +100,11 @@ class SimulatedSource(Source):
         return Reading(self._last_counts, faults, temperature)
 
     def due_us(self, now_us: int) -> int:
-        """The end of the sample period that ``now_us`` lies in."""
+        """Return the end of the sample period that contains ``now_us``."""
         return (now_us // self.period_us + 1) * self.period_us
 
     def attach(self, device: "Device") -> None:
-        """Objects 2200h (fault) and 2201h (load) act on this source; a load history refuses 2201h."""
+        """Connect objects 2200h (fault) and 2201h (load) to this source; with a load history, 2201h is rejected."""
 
         def write_fault(sub: int, value: "Value") -> int:
             fields: "list[Value]" = [device.od.values[indices.SIMULATED_FAULT << 8 | k] for k in (1, 2, 3)]
@@ -136,13 +136,13 @@ class SimulatedSource(Source):
 
 
 def _force(load: "Forces") -> "Forces":
-    """F1, F2, F3 of a load P, phi, theta."""
+    """Return F1, F2, F3 of a load P, phi, theta."""
     P, phi_deg, theta_deg = load
     phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
 
 
 def _generator(seed: int) -> "Random":
-    import random  # only where there is noise
+    import random  # imported only if there is noise
 
     return random.Random(seed)
