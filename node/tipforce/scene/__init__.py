@@ -1,4 +1,4 @@
-"""Scenes in TOML: loads, nodes, faults and outputs; each builds only the parts that it names."""
+"""Scenes in TOML: loads, nodes, faults and outputs; only the named parts are built."""
 
 from tipforce._lazy import lazy
 

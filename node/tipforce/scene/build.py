@@ -1,7 +1,7 @@
-"""From a scene to nodes: each with a simulated source, its calibration and just the PDOs that the scene names.
+"""Build the nodes of a scene: each with a simulated source, its calibration and only the PDOs that the scene names.
 
-``built`` collects the names of the parts (parts.py) at the place where each is made, so that a test can hold what
-`tipforce scene explain` says against what a run did.
+``built`` collects the names of the parts (parts.py) where each is built, so that a test can compare the output of
+`tipforce scene explain` with a run.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ Mapping = tuple[tuple[int, int, int], ...]  # (index, sub, bits)
 
 @dataclass(frozen=True, slots=True)
 class Pdo:
-    """A TPDO that a node sends: ``mapping`` is given where it is not the default one."""
+    """A TPDO that a node sends: ``mapping`` is set only if it is not the default one."""
 
     name: str
     number: int
@@ -68,7 +68,7 @@ class Finger:
     clock: Clock
 
     def boot(self, now_us: int) -> list[Frame]:
-        """Power on and set up as this finger's own storage would; returns what it sends, its boot-up message."""
+        """Power on with this finger's stored settings; return its boot-up message."""
         sent, _ = self.device.step(now_us)
         self.clock.start_us = now_us
         self._write(communication.PRODUCER_HEARTBEAT, 0, "<H", self.group.heartbeat_ms)
@@ -90,7 +90,7 @@ class Finger:
         return sent
 
     def _enable(self, pdo: Pdo) -> None:
-        """The procedure of CiA 301, 7.5.2.36; the PDO is invalid before."""
+        """Write a PDO mapping by the procedure of CiA 301, 7.5.2.36; the PDO is invalid before."""
         if pdo.remapped:
             index = communication.TPDO_MAPPING + pdo.number - 1
             self._write(index, 0, "<B", 0)
@@ -105,11 +105,11 @@ class Finger:
     def _download(self, index: int, sub: int, data: bytes) -> None:
         abort = self.device.od.download(index, sub, data)
         if abort:
-            raise InputError(f"node {self.node_id} refuses 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
+            raise InputError(f"node {self.node_id} rejects 0x{index:04X}:{sub:02X}: abort 0x{abort:08X}")
 
 
 def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
-    """The TPDOs that a node sends, in their order."""
+    """Return the TPDOs that a node sends, in order."""
     wanted = {PDO_NAMES[name] for name in group.pdos}
     found = []
     for number, name, base, _enabled, transmission, event_ms, mapped in table.tpdos(len(layout(group.layout))):
@@ -121,10 +121,10 @@ def node_pdos(group: schema.Nodes, node_id: int) -> tuple[Pdo, ...]:
 
 
 def build(scene: schema.Scene, folder: Path, built: list[str]) -> list[Finger]:
-    """The fingers of a scene, not booted. ``folder``: where calibration files are looked for.
+    """Return the fingers of a scene, not booted. ``folder``: the directory of relative calibration files.
 
-    The name of each part that is made is appended to ``built``. Raises InputError for a calibration file that is not
-    usable or that is for another number of gauges, and for a layout whose gauges cannot tell the forces apart.
+    The name of each part that is built is appended to ``built``. Raises InputError for an invalid calibration file, for
+    one with another number of gauges, and for a layout whose gauges cannot separate the forces.
     """
     return [_finger(scene, group, node_id, folder, built) for group in scene.nodes for node_id in group.ids]
 
@@ -160,7 +160,7 @@ def _calibration(
 
 
 def _model_calibration(scene: schema.Scene, group: schema.Nodes, source: SimulatedSource) -> Calibration:
-    """The inverse of the structure's own strain matrix, with the offsets and the noise that the scene names."""
+    """Return the inverse of the structure's strain matrix, with the offsets and the noise that the scene names."""
     import numpy as np
 
     from tipforce.host.configuration.calibration import Calibration

@@ -1,4 +1,4 @@
-"""What the types of a scene cannot say: node-ids once, one load per finger, PDOs that need a SYNC, and the like."""
+"""Check a scene beyond its types: unique node-ids, one load per finger, PDOs that need a SYNC, and similar rules."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SYNCHRONOUS = ("gauges", "contact", "force")
 
 
 def check_scene(scene: schema.Scene, place: str) -> None:
-    """Raises InputError naming the place, the value and what is allowed."""
+    """Check a scene. Raises InputError naming the place, the value and what is allowed."""
     _check_nodes(scene, place)
     _check_loads(scene, place)
     _check_faults(scene, place)
@@ -41,7 +41,7 @@ def _check_nodes(scene: schema.Scene, place: str) -> None:
             )
         needs = [pdo for pdo in group.pdos if pdo in SYNCHRONOUS]
         if needs and scene.sync_hz is None:
-            raise InputError(f"{at}.pdos: {needs[0]} is sent on SYNC, and the scene has none: give sync_hz")
+            raise InputError(f"{at}.pdos: {needs[0]} is sent on SYNC: set sync_hz")
 
 
 def _gauges(group: schema.Nodes, at: str) -> int:
@@ -75,7 +75,7 @@ def _check_loads(scene: schema.Scene, place: str) -> None:
             except InputError as error:
                 raise InputError(f"{at}: {error}") from None
             if acts and node_id in loaded:
-                raise InputError(f"{at}: node {node_id} has a load already, loads[{loaded[node_id]}]: allowed is one")
+                raise InputError(f"{at}: node {node_id} already has a load, loads[{loaded[node_id]}]: allowed is one")
             if acts:
                 loaded[node_id] = number
 
@@ -96,13 +96,13 @@ def _check_faults(scene: schema.Scene, place: str) -> None:
         if not until > fault.at_s:
             raise InputError(f"{at}: it ends at {until} s: allowed is a time after at_s, {fault.at_s}")
         if fault.microstrain_per_s and fault.kind != "drift":
-            raise InputError(f"{at}.microstrain_per_s: only a drift has it, this is {fault.kind!r}")
+            raise InputError(f"{at}.microstrain_per_s: allowed only for a drift, this fault is {fault.kind!r}")
         for node_id in fault.nodes:
             gauges = len(layout(scene.group(node_id).layout))
             if fault.gauge > gauges:
                 raise InputError(f"{at}.gauge is {fault.gauge}: node {node_id} has the gauges 1 to {gauges}")
             if any(start < until and fault.at_s < end for start, end in spans.get(node_id, ())):
-                raise InputError(f"{at}: node {node_id} has another fault at that time: object 2200h holds one")
+                raise InputError(f"{at}: node {node_id} has another fault at that time: allowed is one (object 2200h)")
             spans.setdefault(node_id, []).append((fault.at_s, until))
 
 
@@ -113,9 +113,9 @@ def _check_expectations(scene: schema.Scene, place: str) -> None:
         _check_ids(scene, expect.nodes, f"{at}.nodes")
         for name in (*expect.status_seen, *expect.status_never):
             if name not in flags:
-                raise InputError(f"{at}: {name!r} is no bit of the status byte; allowed: {', '.join(flags)}")
+                raise InputError(f"{at}: {name!r} is not a bit of the status byte; allowed: {', '.join(flags)}")
         if expect.slit_closes is not None and scene.slit is None:
-            raise InputError(f"{at}.slit_closes: nothing watches the slit; add a table [slit]")
+            raise InputError(f"{at}.slit_closes: needs a table [slit]")
         for code in expect.emcy_seen:
             if len(code) != 4 or not all(digit in "0123456789ABCDEF" for digit in code):
                 raise InputError(f"{at}.emcy_seen: {code!r}: allowed are four hexadecimal digits, as 5010")

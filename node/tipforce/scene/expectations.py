@@ -1,4 +1,4 @@
-"""What a scene expects, held against what the frames said."""
+"""Compare a scene's expectations with the received frames."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ Emcy = Sequence[tuple[float, str]]  # (t_s, error code)
 
 @dataclass(frozen=True, slots=True)
 class Check:
-    """One thing that was expected of one node."""
+    """One expectation for one node."""
 
     node_id: int
     expected: str
     found: str
     ok: bool | None
-    """None: not judged, because the run ended before the time that it speaks of."""
+    """None: not evaluated, because the run ended before the expectation's time."""
 
 
 def judge(
@@ -32,10 +32,10 @@ def judge(
     contacts: Mapping[int, Contact | None],
     emcys: Mapping[int, Emcy],
 ) -> list[Check]:
-    """Every expectation, for every node that it speaks of. ``syncs``: their times, seconds."""
+    """Return every expectation, for every node to which it applies. ``syncs``: their times, seconds."""
     found = []
     for expect in scene.expect:
-        # On a bus the last answer comes a little after the end: without to_s it still counts.
+        # On a bus the last response arrives shortly after the end: without to_s it still counts.
         until = math.inf if expect.to_s is None else expect.to_s
         needs_s = scene.duration_s if expect.to_s is None else expect.to_s
         when = f"{expect.from_s:g} s to {needs_s:g} s: "
@@ -59,7 +59,7 @@ def _cut(contact: Contact, from_s: float, until_s: float) -> Contact:
 def _checks(
     expect: schema.Expect, contact: Contact | None, syncs: int, emcy: Sequence[str]
 ) -> Iterator[tuple[str, str, bool]]:
-    """(what is expected, what was found, whether it holds)."""
+    """Return (what is expected, what was found, whether it holds)."""
     yield from _errors(expect, contact)
     known = 0 if contact is None else int(np.isfinite(contact.estimated[:, 0]).sum())
     share = known / syncs if syncs else 0.0
@@ -80,7 +80,7 @@ def _checks(
         count = int(flags[name].sum()) if name in flags else 0
         yield f"status {name}", f"in {count} samples", count > 0
     for name in expect.status_never:
-        # A bit that nobody sent was not seen clear either.
+        # A bit that was never sent was not seen clear either.
         count = int(flags[name].sum()) if name in flags else -1
         yield f"never status {name}", f"in {count} samples" if count >= 0 else "status not sent", count == 0
     if expect.slit_closes is not None:
@@ -94,7 +94,7 @@ def _checks(
 
 
 def _errors(expect: schema.Expect, contact: Contact | None) -> Iterator[tuple[str, str, bool]]:
-    """Bounds of errors. Without one known sample a bound does not hold: nothing was shown."""
+    """Yield the bounds of errors. A bound without a known sample fails."""
     error = None if contact is None else contact.error
     limits = (
         ("largest", (expect.P_error_N, expect.phi_error_deg, expect.theta_error_deg)),

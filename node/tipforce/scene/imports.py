@@ -1,4 +1,4 @@
-"""The modules that an import loads, read from the sources, so that no list of them is kept by hand."""
+"""List the modules that an import loads, read from the sources, so that no list needs manual updates."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ _OWN = "tipforce"
 
 
 def loaded_by(*names: str) -> tuple[str, ...]:
-    """The modules of tipforce and the packages of others that importing ``names`` loads, sorted.
+    """Return the modules of tipforce and the third-party packages that importing ``names`` loads, sorted.
 
-    Imports inside functions and under ``if TYPE_CHECKING`` are left out: they are loaded when something needs them.
-    Packages of others are named by their first part; the standard library only where ``names`` has it.
+    Imports inside functions and under ``if TYPE_CHECKING`` are excluded: they load on demand. Third-party packages
+    are listed by their top-level name; the standard library only if ``names`` contains it.
     """
     found: set[str] = set()
     pending = list(names)
@@ -32,7 +32,7 @@ def loaded_by(*names: str) -> tuple[str, ...]:
 
 @cache
 def _imports(name: str) -> tuple[str, ...]:
-    """What one module of tipforce imports when it is loaded, its parent package included."""
+    """Yield the imports of one module of tipforce, its parent package included."""
     spec = find_spec(name)
     assert spec is not None, name
     assert spec.origin is not None, name
@@ -69,6 +69,6 @@ def _targets(node: ast.Import | ast.ImportFrom, package: str) -> Iterator[str]:
 
 
 def _is_module(name: str) -> bool:
-    """Whether a name is a module of tipforce, not something in one."""
+    """Return whether a name is a module of tipforce, not an attribute of one."""
     folder = Path(__file__).parents[2].joinpath(*name.split("."))
     return name.startswith(f"{_OWN}.") and (folder.with_suffix(".py").exists() or (folder / "__init__.py").exists())

@@ -1,4 +1,4 @@
-"""What acts on a fingertip over time: knots of (t, P, phi, theta) with straight lines in between."""
+"""Loads on a fingertip over time: knots of (t, P, phi, theta), linear in between."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ UNLOADED: Triple = (0.0, 0.0, 0.0)
 
 
 class LoadHistory:
-    """P, phi and theta of one finger, linear between its knots, held before the first and after the last.
+    """P, phi and theta of one finger, linear between its knots, constant before the first and after the last.
 
-    Two knots at one time make a step: the later one holds from that time on.
+    Two knots at one time make a step: the later one applies from that time on.
     """
 
     __slots__ = ("_times", "knots")
@@ -30,11 +30,11 @@ class LoadHistory:
 
     @property
     def constant(self) -> bool:
-        """True where nothing changes over time."""
+        """True if the load is constant over time."""
         return all(knot[1:] == self.knots[0][1:] for knot in self.knots)
 
     def at(self, t_s: float) -> Triple:
-        """(P newtons, phi degree, theta degree) at a time."""
+        """Return (P newtons, phi degree, theta degree) at a time."""
         after = bisect.bisect_right(self._times, t_s)
         if after == 0 or after == len(self.knots):
             _, P, phi, theta = self.knots[max(after - 1, 0)]
@@ -45,14 +45,14 @@ class LoadHistory:
         return P, phi, theta
 
     def force(self, t_s: float) -> Triple:
-        """(F1, F2, F3) in newtons, equation (16)."""
+        """Return (F1, F2, F3) in newtons, equation (16)."""
         P, phi_deg, theta_deg = self.at(t_s)
         phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
         return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
 
 
 def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:
-    """The load of a node, None where the scene names none."""
+    """Return the load of a node, None if the scene names none."""
     for load in scene.loads:
         if not load.nodes or node_id in load.nodes:
             found = load_history(load, node_id)
@@ -62,7 +62,7 @@ def load_of(scene: schema.Scene, node_id: int) -> LoadHistory | None:
 
 
 def load_history(load: schema.Load, node_id: int) -> LoadHistory | None:
-    """The knots of one [[loads]] table for one node; None for a finger that a grasp does not use."""
+    """Return the knots of one [[loads]] table for one node; None for a finger that a grasp does not use."""
     if isinstance(load, schema.Static):
         return LoadHistory([(0.0, load.P_N, load.phi_deg, load.theta_deg)])
     if isinstance(load, schema.History):
@@ -83,7 +83,7 @@ def _angles(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> tupl
 
 
 def _magnitudes(load: schema.Ramp | schema.Tap | schema.Grasp, node_id: int) -> list[tuple[float, float]]:
-    """(t, P) of a load whose direction stays."""
+    """Return (t, P) of a load with a constant direction."""
     if isinstance(load, schema.Ramp):
         return [(load.start_s, load.from_N), (load.end_s, load.to_N)]
     if isinstance(load, schema.Tap):
@@ -110,14 +110,14 @@ def _history_knots(load: schema.History) -> list[Knot]:
     ]
     for name, column in zip(("P_N", "phi_deg", "theta_deg"), columns, strict=True):
         if len(column) != count or not count:
-            raise InputError(f"{name} has {len(column)} values: allowed are as many as t_s, {count}, or one number")
+            raise InputError(f"{name} has {len(column)} values: allowed are {count} (as t_s) or one number")
     if any(later < earlier for earlier, later in pairwise(load.t_s)):
-        raise InputError(f"t_s = {list(load.t_s)}: allowed are times that do not go back")
+        raise InputError(f"t_s = {list(load.t_s)}: allowed are non-decreasing times")
     return list(zip(load.t_s, *columns, strict=True))
 
 
 def _groove_knots(load: schema.Grooves) -> list[Knot]:
-    """x-grooves pull at phi = 0, beyond theta = 90 degrees at 180; y-grooves at 90: a rope can only pull away."""
+    """Return the knots: x-grooves pull at phi = 0, beyond theta = 90 degrees at 180; y-grooves at 90 (a rope)."""
     from tipforce.sensor.design.published import X_GROOVES_DEG, Y_GROOVES_DEG
 
     directions = [(0.0 if theta < 90.0 else 180.0, float(theta)) for theta in X_GROOVES_DEG]

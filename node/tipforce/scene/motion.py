@@ -1,4 +1,4 @@
-"""The tip that swings on its beams, for one finger: from the load's history to the force that the gauges see."""
+"""Dynamics of the tip on its beams for one finger: from the load's history to the force at the gauges."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 class Motion:
-    """The elastic force (F1, F2, F3) at the time of a conversion; at the beginning the tip rests under its load.
+    """The elastic force (F1, F2, F3) at the time of a conversion; the tip starts in equilibrium under its load.
 
-    Steps of ``step_us`` from the beginning on; a conversion at another time gets the force of the step before it.
+    Steps of ``step_us`` from the start; a conversion between two steps gets the force of the earlier one.
     """
 
     def __init__(self, dynamics: schema.Dynamics, load: LoadHistory, clock: Clock) -> None:
@@ -35,7 +35,7 @@ class Motion:
         return self._load.force(1e-6 * (now_us - self._clock.start_us))
 
     def __call__(self, now_us: int) -> Triple:
-        """F1, F2, F3 in newtons."""
+        """Return F1, F2, F3 in newtons."""
         if not self._begun:
             self._begun = True
             self._forces(self._clock.start_us)
@@ -44,5 +44,5 @@ class Motion:
 
 @lru_cache(maxsize=8)
 def _coefficients(damping_ratio: float, step_us: int) -> Coefficients:
-    """Fingers of one scene are alike."""
+    """Return the coefficients, cached because the fingers of one scene are identical."""
     return cast("Coefficients", node_coefficients(modes(FABRICATED, damping_ratio), 1e-6 * step_us))

@@ -1,4 +1,4 @@
-"""Applied and estimated contact over time, finger by finger. The one place of a scene that needs matplotlib."""
+"""Plot applied and estimated contact over time, finger by finger. The only part of a scene that needs matplotlib."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ _LABELS = ("P (N)", "phi (degree)", "theta (degree)")
 def write_plot(
     path: str | Path, scene: schema.Scene, node_ids: Sequence[int], contacts: Mapping[int, Contact | None]
 ) -> None:
-    """One row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file that
-    cannot be written."""
+    """Plot one row of P, phi, theta per finger. Raises EnvironmentLackError without matplotlib, InputError for a file
+    that cannot be written."""
     try:
         import matplotlib as mpl
     except ImportError:
@@ -33,7 +33,7 @@ def write_plot(
             if contact is not None:
                 applied = contact.applied[:, k].copy()
                 if k:
-                    applied[contact.applied[:, 0] <= 0.0] = float("nan")  # a direction without a force means nothing
+                    applied[contact.applied[:, 0] <= 0.0] = float("nan")  # a direction without a force has no meaning
                 one.plot(contact.t_s, applied, color="0.6", linewidth=3.0, label="applied")
                 one.plot(contact.t_s, contact.estimated[:, k], color="C0", linewidth=0.8, label="estimated")
             one.set_ylabel(_LABELS[k])

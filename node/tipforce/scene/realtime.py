@@ -1,6 +1,6 @@
-"""A scene on a bus of python-can's, in real time: the nodes in one loop, and a host beside them that sends the SYNC.
+"""Run a scene on a python-can bus in real time: the nodes in one loop, and a host in parallel that sends the SYNC.
 
-The host has a connection of its own, so what it records has really been on the bus.
+The host has its own connection, so the frames that it records were really on the bus.
 """
 
 from __future__ import annotations
@@ -36,10 +36,10 @@ def run_on_bus(
     recording: Recording,
     advance: Callable[[float], None],
 ) -> None:
-    """Run the hand for ``duration_s`` of real time. Raises EnvironmentLackError for a bus that fails or won't open.
+    """Run the hand for ``duration_s`` of real time. Raises EnvironmentLackError for a bus that fails or does not open.
 
-    Frames of others on that bus are recorded too. SYNCs that come late, because the machine is busy, stay late: the
-    times in the recording tell.
+    Frames of other nodes on that bus are recorded too. SYNCs that are late because the machine is busy stay late: the
+    times in the recording show it.
     """
     options = _bus_options(scene.bus)
     with ExitStack() as opened:
@@ -78,13 +78,13 @@ def run_on_bus(
 
 def _bus_options(bus: schema.Bus | None) -> dict[str, Any]:
     if bus is None:
-        # python-can's bus inside one process; a name of its own keeps two runs in one process apart.
+        # python-can's bus inside one process; a unique name keeps two runs in one process apart.
         return {"interface": "virtual", "channel": f"tipforce-run-{time.monotonic_ns()}"}
     return {"interface": bus.interface, "channel": bus.channel, "bitrate": bus.bitrate}
 
 
 def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
-    """The nodes' own connection: the kernel's sockets for SocketCAN, python-can for every other interface."""
+    """Return the nodes' own connection: the kernel's sockets for SocketCAN, python-can for every other interface."""
     if sys.platform == "linux" and options["interface"] == "socketcan" and options["channel"]:
         try:
             return SocketCanPort(options["channel"])
@@ -97,7 +97,7 @@ def _port(options: dict[str, Any], opened: ExitStack) -> loop.Port:
 
 @contextmanager
 def _running(fingers: Sequence[Finger], port: loop.Port) -> Iterator[None]:
-    """The nodes, booted, in a thread of their own."""
+    """Run the booted nodes in a separate thread."""
     for finger in fingers:
         port.send(finger.boot(loop.now_us()))
     stopped = threading.Event()
@@ -114,7 +114,7 @@ def _running(fingers: Sequence[Finger], port: loop.Port) -> Iterator[None]:
 def _acts(
     scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, say: Callable[[int, bytes], None]
 ) -> list[tuple[int, Callable[[], None]]]:
-    """(t_us, what to do then) in order; a fault comes before the SYNC of the same time."""
+    """Return (t_us, action) in order; a fault precedes the SYNC of the same time."""
     acts: list[tuple[int, Callable[[], None]]] = []
     for at_us, finger, fault, gauge, magnitude in fault_events(scene, fingers):
         if at_us <= 1e6 * duration_s:

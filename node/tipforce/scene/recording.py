@@ -1,4 +1,4 @@
-"""Every frame of a run, once: for the decoder as FRAME arrays, and for a log as candump writes it."""
+"""Record every frame of a run, once: for the decoder as FRAME arrays, and for a log in candump's format."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ BLOCK_FRAMES = 16_384
 
 
 class Recording:
-    """Takes frames in the order of their times. With ``log`` each goes to that file too. Use as a context manager.
+    """Record frames in the order of their times. With ``log`` each is also written to that file. A context manager.
 
     Raises InputError when the log cannot be written.
     """
@@ -29,14 +29,14 @@ class Recording:
         self._log = None if log is None else _LogFile(log)
 
     def add(self, t_us: int, can_id: int, data: bytes) -> None:
-        """One frame."""
+        """Record one frame."""
         self._rows.append((1000 * t_us, can_id, data))
         self.counts[can_id] = self.counts.get(can_id, 0) + 1
         if len(self._rows) >= BLOCK_FRAMES:
             self._flush()
 
     def frames(self) -> FrameArray:
-        """All frames so far, FRAME array (n,)."""
+        """Return all frames so far, FRAME array (n,)."""
         self._flush()
         self._blocks = [np.concatenate(self._blocks)] if self._blocks else [np.zeros(0, dtype=FRAME)]
         return self._blocks[0]
@@ -61,7 +61,7 @@ class Recording:
 
 
 class _LogFile:
-    """candump -L; what makes its text is loaded only here."""
+    """A log in the format of candump -L; its formatter is loaded only here."""
 
     def __init__(self, path: str | Path) -> None:
         from tipforce.host.logs.candump_format import CandumpFormat

@@ -1,4 +1,4 @@
-"""What the frames of a run say, finger by finger, against the load that was applied."""
+"""Evaluate the frames of a run, finger by finger, and compare them with the applied load."""
 
 from __future__ import annotations
 
@@ -40,14 +40,11 @@ class Contact:
     flags: dict[str, BoolArray]
     """Bits of the status byte by name, (k,); empty where the mapping has none."""
     slit_closed: BoolArray | None = None
-    """(k,): the load closes the slit; None where the scene does not ask."""
+    """(k,): the load closes the slit; None if the scene has no [slit]."""
 
     @property
     def error(self) -> FloatArray:
-        """Estimated less applied, (k, 3), angles wrapped; NaN where unknown, and of angles where no force is applied:
-
-        what has no direction has no error of it.
-        """
+        """Estimate minus applied, (k, 3), angles wrapped; NaN where unknown, and for angles at zero applied force."""
         found = self.estimated - self.applied
         found[:, 1:] = (found[:, 1:] + 180.0) % 360.0 - 180.0
         found[self.applied[:, 0] == 0.0, 1:] = np.nan
@@ -56,23 +53,23 @@ class Contact:
 
 @dataclass(frozen=True, slots=True)
 class FingerResult:
-    """One finger's account. Triples are P newtons, phi and theta degrees; NaN where there is none."""
+    """Results of one finger. Triples are P newtons, phi and theta degrees; NaN if there is none."""
 
     node_id: int
     syncs: int
     samples: int
     """Contact PDOs that were decoded."""
     known: tuple[int, int, int]
-    """How many of them carry P, phi, theta."""
+    """Number of these with known P, phi, theta."""
     applied_end: tuple[float, float, float]
-    """At the last contact PDO; the angles of no force are NaN."""
+    """At the last contact PDO; the angles are NaN without a force."""
     estimated_end: tuple[float, float, float]
     rms_error: tuple[float, float, float]
-    """Over the samples where each is known, of angles those under a force: without one there is no direction."""
+    """Over the samples where each is known, angles only under a force: without a force there is no direction."""
     max_error: tuple[float, float, float]
     """Largest absolute value."""
     slit_closed: int | None = None
-    """Samples under a load that closes the slit; None where the scene does not ask."""
+    """Samples under a load that closes the slit; None if the scene has no [slit]."""
     missing: dict[str, int] = field(default_factory=dict)
     """SYNCs without a known P, and samples with P but without an angle, by reason."""
     emcy: dict[str, int] = field(default_factory=dict)
@@ -80,7 +77,7 @@ class FingerResult:
 
 
 def decoder_of(fingers: Sequence[Finger]) -> dict[int, Decoder]:
-    """The one decoder of tipforce for each number of gauges, told of the mappings that are not the default ones."""
+    """Return the shared decoder for each number of gauges, with the mappings that are not the default ones."""
     from tipforce.host.decoding.decoder import Decoder
 
     found: dict[int, Decoder] = {}
@@ -95,7 +92,7 @@ def decoder_of(fingers: Sequence[Finger]) -> dict[int, Decoder]:
 
 
 def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str], Samples]:
-    """What was said, by (node-id, message name)."""
+    """Return the decoded values by (node-id, message name)."""
     found: dict[tuple[int, str], Samples] = {}
     for decoder in decoder_of(fingers).values():
         found |= decoder.decode(frames)
@@ -105,7 +102,7 @@ def decode(fingers: Sequence[Finger], frames: FrameArray) -> dict[tuple[int, str
 def contact_of(
     finger: Finger, messages: dict[tuple[int, str], Samples], slit: schema.Slit | None = None
 ) -> Contact | None:
-    """The contact PDOs of a finger beside the load; None where none came."""
+    """Return the contact PDOs of a finger with the load; None if there are none."""
     samples = messages.get((finger.node_id, PDO_NAMES["contact"]))
     if samples is None:
         return None
@@ -122,7 +119,7 @@ def contact_of(
 
 
 def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
-    """LoadHistory.at for many times: (k, 3)."""
+    """Return LoadHistory.at for many times: (k, 3)."""
     knots = np.array([(0.0, *UNLOADED)] if load is None else load.knots)
     after = np.searchsorted(knots[:, 0], t_s, side="right")
     before, after = np.maximum(after - 1, 0), np.minimum(after, len(knots) - 1)
@@ -134,14 +131,14 @@ def applied_at(load: LoadHistory | None, t_s: FloatArray) -> FloatArray:
 
 
 def emcy_of(node_id: int, frames: FrameArray) -> list[tuple[float, str]]:
-    """(t_s, error code) of each EMCY of a node; a cure ("0000") is left out."""
+    """Return (t_s, error code) of each EMCY of a node, without those that report "0000", the end of an error."""
     own = frames[frames["can_id"] == EMCY_BASE + node_id]
     codes = own["data"][:, 0].astype(np.uint16) | own["data"][:, 1].astype(np.uint16) << np.uint16(8)
     return [(t / 1e9, f"{code:04X}") for t, code in zip(own["t_ns"].tolist(), codes.tolist(), strict=True) if code]
 
 
 def finger_result(finger: Finger, syncs: int, contact: Contact | None, emcy: list[tuple[float, str]]) -> FingerResult:
-    """The account of one finger."""
+    """Return the results of one finger."""
     counts: dict[str, int] = {}
     for _, code in emcy:
         counts[code] = counts.get(code, 0) + 1

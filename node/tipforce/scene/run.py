@@ -1,4 +1,4 @@
-"""Run a scene: build what it names, let its time pass, and account for what the frames said."""
+"""Run a scene: build its parts, run its time, and evaluate the received frames."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Options:
-    """What a command line changes of a scene; None leaves it as the file says."""
+    """Changes to a scene from the command line; None keeps the value of the file."""
 
     duration_s: float | None = None
     seed: int | None = None
     log: str | None = None
     bus: schema.Bus | None = None
     realtime: bool = False
-    """Real time without a bus that is named: nodes and host on a bus of python-can's inside this process."""
+    """Real time without a named bus: nodes and host on a python-can bus inside this process."""
 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What a run leaves."""
+    """Results of a run."""
 
     fingers: tuple[FingerResult, ...]
     checks: tuple[Check, ...]
     built: tuple[str, ...]
-    """Parts in the order in which they were made; a part made for several nodes is named once."""
+    """Parts in the order in which they were built; a part built for several nodes is listed once."""
     frames_by_id: dict[int, int]
     """Frames by COB-ID."""
     files: tuple[str, ...]
@@ -57,7 +57,7 @@ class Outcome:
 
 
 def with_options(scene: schema.Scene, options: Options) -> tuple[schema.Scene, float]:
-    """The scene as it will run, and for how long. The duration of the scene itself stays: expectations need it.
+    """Return the scene to run, and for how long. The scene keeps its own duration, which its expectations need.
 
     Raises InputError for values that are not allowed.
     """
@@ -81,9 +81,9 @@ def run_scene(
     options: Options = Options(),
     advance: Callable[[float], None] = lambda _t_s: None,
 ) -> Outcome:
-    """Run a scene whose calibration files lie relative to ``folder``; ``advance`` is told the time now and then.
+    """Run a scene whose calibration files are relative to ``folder``; ``advance`` is called with the time now and then.
 
-    Raises InputError for what cannot be read or written, EnvironmentLackError for a bus that cannot be opened.
+    Raises InputError for files that cannot be read or written, EnvironmentLackError for a bus that cannot be opened.
     """
     from tipforce.scene.recording import Recording
 

@@ -1,6 +1,6 @@
-"""What a scene needs and what it does not: each part with the key that names it, and the modules that it loads.
+"""List the parts that a scene needs and omits: each with its key in the file and the modules that it loads.
 
-`tipforce scene explain` prints this; the tests hold it against what a run really made, loaded and sent.
+`tipforce scene explain` prints this; the tests compare it with what a run built, loaded and sent.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from tipforce.scene.imports import loaded_by
 from tipforce.scene.loads import load_of
 from tipforce.sensor.structure.layouts import layout
 
-# What is imported for a part and is not imported by what is there already; imports.py follows each.
+# Modules imported for a part in addition to those already loaded; imports.py follows each.
 _STRUCTURE = ("tipforce.sensor.structure.strain",)
 _CALIBRATION = ("tipforce.host.configuration.calibration",)
 
@@ -28,11 +28,11 @@ class Part:
     name: str
     built: bool
     why: str
-    """Which key names it, or which one does not."""
+    """The key that names it, or the missing key."""
     modules: tuple[str, ...] = ()
-    """What it loads; for packages that are not tipforce's the package's name."""
+    """Modules that it loads; third-party packages by package name."""
     on_demand: tuple[str, ...] = ()
-    """What it loads only if it comes to that during the run."""
+    """Modules that it may load during the run."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +42,25 @@ class Identifier:
     can_id: int
     what: str
     rate_hz: float
-    """0: once, or where there is a reason."""
+    """0: once, or on an event."""
     data_bytes: int
 
     @property
     def bits(self) -> tuple[int, int]:
-        """Bits of one frame on the wire, the space between frames included: without stuff bits, and with the most."""
+        """Bits of one frame on the wire, interframe space included: without stuff bits, and with the maximum."""
         bits = 47 + 8 * self.data_bytes
         return bits, bits + (33 + 8 * self.data_bytes) // 4
 
 
 def parts(scene: schema.Scene) -> list[Part]:
-    """Every part that there can be, built or not, in the order of the signal's way."""
+    """Return every possible part, built or not, in signal order."""
     return [*_loads(scene), *_electronics(scene), *_nodes(scene), *_after(scene)]
 
 
 def computes(group: schema.Nodes) -> tuple[str, str]:
-    """Why a node computes force and contact: the first reason of each, empty where it does not.
+    """Return why a node computes force and contact: the first reason of each, empty if it does not.
 
-    The status byte 2120h says whether contact is present, so a calibrated node that sends it has to know.
+    The status byte 2120h contains the contact bit, so a calibrated node that sends it must compute the contact.
     """
     if group.calibration == "none" or not group.pdos:
         return "", ""
@@ -73,7 +73,7 @@ def computes(group: schema.Nodes) -> tuple[str, str]:
 
 
 def _part(name: str, why: str | None, without: str, *modules: str) -> Part:
-    """Built where there is a reason ``why``; left out, with the reason ``without``, where there is none."""
+    """Return a part, built with the reason ``why``, or omitted with the reason ``without``."""
     return Part(name, bool(why), why or without, loaded_by(*modules))
 
 
@@ -83,7 +83,7 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
     moving = any(load is not None and not load.constant for load in found)
     swinging = scene.dynamics is not None and loaded
     published = any(isinstance(load, schema.Grooves) for load in scene.loads)
-    yield _part("structure", "[[loads]]" if loaded else "", "no [[loads]]: the gauges see nothing", *_STRUCTURE)
+    yield _part("structure", "[[loads]]" if loaded else "", "no [[loads]]: the gauges are unloaded", *_STRUCTURE)
     yield _part(
         "load history",
         "[[loads]] that change" if moving else "[dynamics]" if swinging else "",
@@ -93,7 +93,7 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
     yield _part(
         "dynamics",
         "[dynamics]" if swinging else "",
-        "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load at once",
+        "no [[loads]]" if scene.dynamics else "no [dynamics]: the gauges follow the load without delay",
         "tipforce.scene.motion",
     )
 
@@ -146,7 +146,7 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
     yield Part(
         "spare gauges",
         spare,
-        "a calibrated layout of more than 3 gauges; at work once one is lost"
+        "a calibrated layout of more than 3 gauges; used after the loss of one"
         if spare
         else "no calibrated node has more than 3",
         on_demand=loaded_by("tipforce.sensor.contact.scalar_redundancy"),
@@ -159,13 +159,13 @@ def _slit(scene: schema.Scene) -> Part:
     return _part(
         "slit",
         f"slit.gap_mm = {scene.slit.gap_mm:g}" if scene.slit else "",
-        "no [slit]: nobody watches whether it closes",
+        "no [slit]: not checked",
         "tipforce.scene.slit",
     )
 
 
 def _after(scene: schema.Scene) -> Iterator[Part]:
-    """What becomes of the frames."""
+    """Yield the parts that process the frames."""
     out, bus = scene.outputs, scene.bus
     pdos = list(dict.fromkeys(pdo for group in scene.nodes for pdo in group.pdos))
     named = bus.interface or bus.channel or "python-can's configuration" if bus else ""
@@ -173,7 +173,7 @@ def _after(scene: schema.Scene) -> Iterator[Part]:
         "bus", f"[bus]: {named}" if bus else "", "no [bus]: simulated time, no bus at all", "tipforce.scene.realtime"
     )
     yield _part(
-        "recording", "every frame of a run, for what follows", "", "tipforce.scene.recording", "tipforce.scene.results"
+        "recording", "every frame, for the parts below", "", "tipforce.scene.recording", "tipforce.scene.results"
     )
     yield _part(
         "decoder", f"nodes.pdos: {', '.join(pdos)}" if pdos else "", "no nodes.pdos", "tipforce.host.decoding.decoder"
@@ -203,7 +203,7 @@ def _after(scene: schema.Scene) -> Iterator[Part]:
 
 
 def identifiers(scene: schema.Scene) -> list[Identifier]:
-    """Every COB-ID that a run sends for certain, in order."""
+    """Return every COB-ID that a run is certain to send, in order."""
     found = [Identifier(NMT_COB_ID, "NMT start", 0.0, 2)]
     if scene.sync_hz is not None:
         found.append(Identifier(SYNC_COB_ID, "SYNC", scene.sync_hz, 0))
@@ -219,6 +219,6 @@ def identifiers(scene: schema.Scene) -> list[Identifier]:
 
 
 def bus_load(scene: schema.Scene) -> tuple[float, float]:
-    """Share of the scene's bit rate, without stuff bits and with as many as there can be; over 1 it does not fit."""
+    """Return the share of the scene's bit rate, without stuff bits and with the maximum; above 1 it does not fit."""
     sums = [sum(one.rate_hz * one.bits[k] for one in identifiers(scene)) for k in (0, 1)]
     return sums[0] / scene.bit_rate, sums[1] / scene.bit_rate

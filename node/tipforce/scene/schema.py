@@ -1,4 +1,4 @@
-"""What a scene file says: one struct per table, with units in the names. docs/scenes.md tells it to people."""
+"""The content of a scene file: one struct per table, with units in the names. docs/scenes.md documents it for users."""
 
 from __future__ import annotations
 
@@ -25,32 +25,32 @@ class _Table(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=Tr
 
 
 class Nodes(_Table, frozen=True, kw_only=True):
-    """[[nodes]]: fingertips that are alike."""
+    """[[nodes]]: identical fingertips."""
 
     ids: NodeIds
     pdos: tuple[Pdo, ...]
-    """What is sent; the others are disabled by bit 31 of their COB-ID."""
+    """PDOs that are sent; the others are disabled by bit 31 of their COB-ID."""
     layout: Literal["I", "II", "III", "I'", "II'", "III'"] | tuple[str, ...] = "I"
     """A case of Table 3, its mirror, or 3 to 8 points of Table 1."""
     calibration: str = "model"
-    """"model": the inverse of the structure's own strain matrix; "none"; or a calibration file (TOML)."""
+    """"model": the inverse of the structure's strain matrix; "none"; or a calibration file (TOML)."""
     sense: Literal["push", "pull"] = "push"
-    """What the load does at the surface; 2110h:6 of a "model" calibration."""
+    """Direction of the load at the surface; 2110h:6 of a "model" calibration."""
     status: bool = True
     """False leaves the status byte 2120h out of every mapping."""
     sample_period_us: Annotated[int, Meta(ge=100, le=1_000_000)] = 500
     filter: Literal["moving_average", "repeating_average", "first_order"] | None = None
     """61A0h of every gauge; without it none."""
     filter_constant: Annotated[int, Meta(ge=1, le=65535)] = 1
-    """61A1h: readings in the average; of the first-order filter its time constant in sample periods."""
+    """61A1h: readings in the average; for the first-order filter its time constant in sample periods."""
     heartbeat_ms: Annotated[int, Meta(ge=0, le=65535)] = 0
     offset_microstrain: tuple[float, ...] = ()
-    """What each gauge reads unloaded; a "model" calibration knows it."""
+    """Reading of each gauge without load; a "model" calibration includes it."""
 
 
 class _Load(_Table, frozen=True, kw_only=True, tag_field="kind"):
     nodes: NodeIds = ()
-    """Which nodes it acts on; without it all of them."""
+    """Loaded nodes; without it all of them."""
 
 
 class Static(_Load, frozen=True, kw_only=True, tag="static"):
@@ -62,7 +62,7 @@ class Static(_Load, frozen=True, kw_only=True, tag="static"):
 
 
 class History(_Load, frozen=True, kw_only=True, tag="history"):
-    """Values at times, linear in between, held before and after. Equal times make a step."""
+    """Values at times, linear in between, constant before and after. Equal times make a step."""
 
     t_s: tuple[float, ...]
     P_N: tuple[NotNegative, ...] | NotNegative
@@ -71,16 +71,16 @@ class History(_Load, frozen=True, kw_only=True, tag="history"):
 
 
 class Grooves(_Load, frozen=True, kw_only=True, tag="grooves"):
-    """The paper's rig (section 4.1): a rope with a weight in 19 grooves, one after the other, tares in between."""
+    """The paper's rig (section 4.1): a rope with a weight in 19 grooves, one after the other, with tares in between."""
 
     P_N: Positive = 4.4
     dwell_s: Positive = 0.1
     change_s: Positive = 0.05
-    """Unloading, moving the rope and loading take this long altogether."""
+    """Total time for unloading, moving the rope and loading."""
 
 
 class Ramp(_Load, frozen=True, kw_only=True, tag="ramp"):
-    """P from one value to another; held before and after."""
+    """P from one value to another; constant before and after."""
 
     to_N: NotNegative
     end_s: Positive
@@ -91,7 +91,7 @@ class Ramp(_Load, frozen=True, kw_only=True, tag="ramp"):
 
 
 class Tap(_Load, frozen=True, kw_only=True, tag="tap"):
-    """Short pushes: up to P in rise_ms, back to nothing in fall_ms, from each of the times at_s."""
+    """Short pushes: up to P in rise_ms, back to zero in fall_ms, from each of the times at_s."""
 
     P_N: Positive
     at_s: tuple[NotNegative, ...]
@@ -102,7 +102,7 @@ class Tap(_Load, frozen=True, kw_only=True, tag="tap"):
 
 
 class Finger(_Table, frozen=True, kw_only=True):
-    """What one finger of a grasp bears."""
+    """Load on one finger of a grasp."""
 
     node: NodeId
     P_N: NotNegative
@@ -112,7 +112,7 @@ class Finger(_Table, frozen=True, kw_only=True):
 
 
 class Grasp(_Load, frozen=True, kw_only=True, tag="grasp"):
-    """Fingers close on something, hold it, and open: each with its own load."""
+    """Fingers close on an object, hold it, and open: each with its own load."""
 
     fingers: tuple[Finger, ...]
     start_s: NotNegative = 0.0
@@ -130,7 +130,7 @@ class Noise(_Table, frozen=True, kw_only=True):
     gauge_microstrain: Positive | None = None
     """Standard deviation of white noise."""
     one_over_f_microstrain: Positive | None = None
-    """Density at 1 Hz of noise that falls with frequency, microstrain per square root of hertz."""
+    """Density at 1 Hz of 1/f noise, microstrain per square root of hertz."""
 
 
 class FrontEnd(_Table, frozen=True, kw_only=True):
@@ -141,30 +141,30 @@ class FrontEnd(_Table, frozen=True, kw_only=True):
     gauge_factor: Positive = 2.0
     excitation_volts: Positive = 3.3
     gain: Positive | None = None
-    """Without it the gain is matched to a full scale of 3276.8 microstrain."""
+    """Without it the full scale is 3276.8 microstrain."""
     reference_volts: Positive | None = None
     temperature_degC: float | tuple[tuple[float, float], ...] | None = None
-    """Of the tip: one number, or points [seconds, degC] with straight lines in between."""
+    """Of the tip: one number, or points [seconds, degC] joined by lines."""
     apparent_microstrain_per_degC: float | tuple[float, ...] | None = None
     gain_drift_ppm_per_degC: float | None = None
 
 
 class Dynamics(_Table, frozen=True, kw_only=True):
-    """[dynamics]: the tip swings on its beams; the gauges see the elastic force, not the load."""
+    """[dynamics]: the tip vibrates on its beams; the gauges measure the elastic force, not the load."""
 
     damping_ratio: Annotated[float, Meta(ge=0.0, le=10.0)] = 0.01
     step_us: Annotated[int, Meta(ge=1, le=1_000_000)] = 100
-    """The load counts as linear during a step; for such a load the motion is exact."""
+    """The load is linear during a step; for such a load the motion is exact."""
 
 
 class Slit(_Table, frozen=True, kw_only=True):
-    """[slit]: watch for loads that close the slit between tip and beam, where real gauges leave the linear model."""
+    """[slit]: report loads that close the slit between tip and beam, where real gauges leave the linear model."""
 
     gap_mm: Positive = 0.25
 
 
 class Fault(_Table, frozen=True, kw_only=True):
-    """[[faults]]: what object 2200h injects, from at_s until until_s."""
+    """[[faults]]: faults injected through object 2200h, from at_s until until_s."""
 
     kind: Literal["stuck", "open", "saturate", "silent", "drift"]
     nodes: NodeIds
@@ -183,16 +183,16 @@ class Outputs(_Table, frozen=True, kw_only=True):
 
 
 class Bus(_Table, frozen=True, kw_only=True):
-    """[bus]: a bus of python-can's, in real time. Without it time is simulated and there is no bus."""
+    """[bus]: a python-can bus in real time. Without it time is simulated and there is no bus."""
 
     interface: str | None = None
-    """Without it python-can's configuration files and environment say."""
+    """Without it python-can's configuration files and environment decide."""
     channel: str | None = None
     bitrate: Annotated[int, Meta(gt=0)] | None = None
 
 
 class Expect(_Table, frozen=True, kw_only=True):
-    """[[expect]]: what must hold, else `tipforce run` ends with 1. Errors are estimate minus applied, where known."""
+    """[[expect]]: conditions; `tipforce run` exits with 1 if one fails. Errors are estimate minus applied, if known."""
 
     nodes: NodeIds = ()
     from_s: NotNegative = 0.0
@@ -218,7 +218,7 @@ class Expect(_Table, frozen=True, kw_only=True):
 
 
 class Scene(_Table, frozen=True, kw_only=True):
-    """A whole file."""
+    """A whole scene file."""
 
     duration_s: Annotated[float, Meta(gt=0.0, le=86_400.0)]
     nodes: tuple[Nodes, ...]
@@ -226,7 +226,7 @@ class Scene(_Table, frozen=True, kw_only=True):
     sync_hz: Annotated[float, Meta(gt=0.0, le=10_000.0)] | None = None
     """Without it there is no SYNC."""
     bit_rate: Literal[1_000_000, 800_000, 500_000, 250_000, 125_000, 50_000, 20_000, 10_000] = 1_000_000
-    """For the bus load that `scene explain` tells."""
+    """For the bus load in `scene explain`."""
     seed: Annotated[int, Meta(ge=0)] = 1
     loads: tuple[Load, ...] = ()
     noise: Noise | None = None
@@ -240,16 +240,16 @@ class Scene(_Table, frozen=True, kw_only=True):
 
     @property
     def node_ids(self) -> tuple[int, ...]:
-        """All of them, in the order of the file."""
+        """All node-ids, in the order of the file."""
         return tuple(node_id for group in self.nodes for node_id in group.ids)
 
     def group(self, node_id: int) -> Nodes:
-        """The [[nodes]] table that a node comes from."""
+        """Return the [[nodes]] table of a node."""
         return next(group for group in self.nodes if node_id in group.ids)
 
 
 def read_scene(path: str | Path) -> Scene:
-    """A scene file, checked. Raises InputError naming the place, the value and what is allowed."""
+    """Read and check a scene file. Raises InputError naming the place, the value and what is allowed."""
     from tipforce.scene.check import check_scene
 
     scene = convert(Scene, read_table(path, f"scene {path}"), f"scene {path}")

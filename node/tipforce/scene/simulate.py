@@ -1,4 +1,4 @@
-"""Simulated time: SYNCs, timers and faults in the order of their times, with no bus, no clock and no waiting."""
+"""Simulated time: process SYNCs, timers and faults in the order of their times, without bus, clock or waiting."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ Emit = Callable[[int, int, bytes], None]  # t_us, can_id, data
 
 
 def sync_times(scene: schema.Scene, duration_s: float) -> list[int]:
-    """The times of all SYNCs, microseconds: the first one period after the start."""
+    """Return the times of all SYNCs, microseconds: the first one period after the start."""
     if scene.sync_hz is None:
         return []
     count = int(duration_s * scene.sync_hz + 1e-9)
@@ -21,7 +21,7 @@ def sync_times(scene: schema.Scene, duration_s: float) -> list[int]:
 
 
 def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[int, Finger, int, int, float]]:
-    """(t_us, finger, 2200h:1, gauge, magnitude) in the order of time; a fault of 0 ends one."""
+    """Return (t_us, finger, 2200h:1, gauge, magnitude) in the order of time; a fault of 0 ends one."""
     by_id = {finger.node_id: finger for finger in fingers}
     found = []
     for fault in scene.faults:
@@ -30,7 +30,7 @@ def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[i
             found.append((at_us, 1, by_id[node_id], FAULTS[fault.kind], fault.gauge, fault.microstrain_per_s))
             if fault.until_s is not None:
                 found.append((round(1e6 * fault.until_s), 0, by_id[node_id], 0, fault.gauge, 0.0))
-    # Of two events at one time the end of a fault comes first: another one may begin there.
+    # At equal times the end of a fault comes first: another fault may start then.
     found.sort(key=lambda event: event[:2])
     return [(at_us, *rest) for at_us, _order, *rest in found]  # type: ignore[misc]
 
@@ -38,9 +38,9 @@ def fault_events(scene: schema.Scene, fingers: Sequence[Finger]) -> list[tuple[i
 def simulate(
     scene: schema.Scene, fingers: Sequence[Finger], duration_s: float, emit: Emit, advance: Callable[[int], None]
 ) -> None:
-    """Run the hand for ``duration_s``; ``emit`` gets every frame in order, ``advance`` the time now and then.
+    """Run the hand for ``duration_s``; ``emit`` gets every frame in order, ``advance`` gets the time now and then.
 
-    Each frame carries the time at which it is handed to the bus: the time that a bus would take is not simulated.
+    A frame's time is the time of its transmit request: transmission time on the bus is not simulated.
     """
     end_us = round(1e6 * duration_s)
     hand = _Hand(fingers, emit, end_us)
@@ -59,26 +59,26 @@ def simulate(
 
 
 class _Hand:
-    """The nodes, booted and started, and the times at which their timers want them."""
+    """The booted and started nodes, and the due times of their timers."""
 
     def __init__(self, fingers: Sequence[Finger], emit: Emit, end_us: int) -> None:
         self._fingers = fingers
         self._emit = emit
-        self._due = [end_us + 1] * len(fingers)  # when each node's next timer runs out
+        self._due = [end_us + 1] * len(fingers)  # due time of each node's next timer
         for finger in fingers:
             for can_id, data in finger.boot(0):
                 emit(0, can_id, data)
         self.say(0, NMT_COB_ID, b"\x01\x00")
 
     def say(self, t_us: int, can_id: int, data: bytes) -> None:
-        """The scene's master sends one frame, and every node hears it."""
+        """Send one frame of the scene's master to every node."""
         self._emit(t_us, can_id, data)
         frames = ((can_id, data),)
         for place in range(len(self._fingers)):
             self._step(place, t_us, frames)
 
     def expire(self, until_us: int) -> None:
-        """Step each node whose timer runs out before a time, in the order of these times."""
+        """Step each node with a timer due before a time, in the order of the due times."""
         while (t_us := min(self._due)) < until_us:
             self._step(self._due.index(t_us), t_us, ())
 

@@ -1,4 +1,4 @@
-"""Simulated fingers on a bus, for tests of one's own: the node's own code, dictionary and loop, run by one thread."""
+"""Simulated fingers on a bus, for users' tests: the real node code, dictionary and loop, run by one thread."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ _numbers = itertools.count()
 
 
 class SimulatedBus(Connection):
-    """A bus with simulated fingers on it. A context manager that stops them; all else as on any bus.
+    """A bus with simulated fingers. A context manager that stops them; otherwise like any bus.
 
     ``bus_options`` are the keywords of ``can.Bus`` by which other programs of the process (on a virtual bus) or of the
     machine (on vcan) reach the same fingers.
@@ -68,9 +68,9 @@ class SimulatedBus(Connection):
         self._source(node_id).load = (float(P_newtons), float(phi_deg), float(theta_deg))
 
     def inject_fault(self, node_id: int, fault: str, gauge: int = 1, magnitude: float = 0.0) -> None:
-        """Let a gauge (from 1) of a finger fail from now on: stuck, open, saturated, silent, drift, or none.
+        """Inject a fault into a gauge (from 1) of a finger from now on: stuck, open, saturated, silent, drift, or none.
 
-        ``magnitude``: of a drift, microstrain per second. Raises InputError for another fault, gauge or node-id.
+        ``magnitude``: microstrain per second, for a drift. Raises InputError for another fault, gauge or node-id.
         """
         source = self._source(node_id)
         if fault not in FAULTS:
@@ -80,11 +80,11 @@ class SimulatedBus(Connection):
         source.set_fault(FAULTS[fault], gauge, magnitude, loop.now_us())
 
     def close(self) -> None:
-        """Stop the fingers and close the bus. Raises what ended their loop, if it failed."""
+        """Stop the fingers and close the bus. Raises the error that ended their loop, if any."""
         if not self._stopped.is_set():
             self._stopped.set()
             if self.bus_options.get("interface") == "virtual":
-                self.send(_WAKE_COB_ID, b"")  # no node's identifier: it ends the wait of their loop
+                self.send(_WAKE_COB_ID, b"")  # not an identifier of a node: it ends the loop's wait
             self._thread.join()
             super().close()
             self._nodes_bus.shutdown()
@@ -107,7 +107,7 @@ class SimulatedBus(Connection):
 
     def _source(self, node_id: int) -> SimulatedSource:
         if node_id not in self._sources:
-            raise InputError(f"node-id {node_id}: simulated are {', '.join(map(str, self._sources))}")
+            raise InputError(f"node-id {node_id}: allowed: {', '.join(map(str, self._sources))}")
         return self._sources[node_id]
 
 
@@ -122,11 +122,11 @@ def simulated_finger(
     seed: int = 0,
     **bus: str,
 ) -> SimulatedBus:
-    """A finger with a node-id under ``load``: P in newtons, phi and theta in degrees, on a bus of its own.
+    """Return a bus with one simulated finger under ``load``: P in newtons, phi and theta in degrees.
 
     ``layout``: I, II, III, or their mirrors. ``calibrated``: by beam theory. ``pull``: the load sense of the
-    calibration, by default the one that ``load`` is of. ``bus``: keywords of ``can.Bus``, by default a bus inside this
-    process. Raises InputError, and EnvironmentLackError for a bus that does not open.
+    calibration, by default that of ``load``. ``bus``: keywords of ``can.Bus``, by default a bus inside this
+    process. Raises InputError, and EnvironmentLackError for a bus that cannot be opened.
     """
     return simulated_hand(
         [node_id], {node_id: load}, layout=layout, calibrated=calibrated, pull=pull,
@@ -145,7 +145,7 @@ def simulated_hand(
     seed: int = 0,
     **bus: str,
 ) -> SimulatedBus:
-    """Fingers on one bus: how many, or their node-ids; ``loads`` by node-id. All else as ``simulated_finger``."""
+    """Return a bus with fingers (number, or node-ids), ``loads`` by node-id. Otherwise as ``simulated_finger``."""
     chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int) else tuple(node_ids)
     loads = loads or {}
     if not chosen or len(set(chosen)) != len(chosen) or not all(1 <= node_id <= 127 for node_id in chosen):
@@ -181,7 +181,7 @@ def simulated_hand(
 
 
 def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
-    """The calibration of a simulated finger, by beam theory: what perfect weights would give."""
+    """Return the calibration of a simulated finger by beam theory, as ideal weights would yield it."""
     C = calibration_matrix(FABRICATED, layout)
     variance = (noise_microstrain * 1e-6) ** 2 + (_ROUNDING_MICROSTRAIN * 1e-6) ** 2 / 12
     n = C.shape[1]
@@ -189,6 +189,6 @@ def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: f
 
 
 def _pulls(load: Load) -> bool:
-    """Whether a load pulls: of the two points where its line cuts the tip, it acts where cos(phi - theta) > 0."""
+    """Return whether a load pulls: of the two points where its line meets the tip, it acts at cos(phi - theta) > 0."""
     P, phi_deg, theta_deg = load
     return P != 0.0 and math.cos(math.radians(phi_deg - theta_deg)) > 0.0

@@ -1,4 +1,4 @@
-"""Loads that close the slit between tip and beam: the simulated gauges stay linear, real ones do not."""
+"""Detect loads that close the slit between tip and beam: the simulated gauges stay linear, real ones do not."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 
 
 def slit_closed(slit: schema.Slit, applied: FloatArray) -> npt.NDArray[np.bool_]:
-    """Whether a load standing still would close the slit, (k,). applied: (k, 3), P newtons, phi and theta degrees."""
+    """Return whether a static load would close the slit, (k,). applied: (k, 3), P newtons, phi and theta degrees."""
     directions, which = np.unique(applied[:, 1:], axis=0, return_inverse=True)
     limits = [
         closing_load(FABRICATED, math.radians(theta), math.radians(phi), 1e-3 * slit.gap_mm)

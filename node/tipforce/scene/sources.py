@@ -1,4 +1,4 @@
-"""The simulated gauges of one finger: structure, load history, dynamics, front end, each only where it is named."""
+"""Simulated gauges of one finger: structure, load history, dynamics, front end, each only if the scene names it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 class Clock:
-    """When the scene began, in the microseconds that a node counts. Simulated time begins at 0."""
+    """Start of the scene in the node's microseconds. Simulated time begins at 0."""
 
     __slots__ = ("start_us",)
 
@@ -27,7 +27,7 @@ class Clock:
 def source_of(
     scene: schema.Scene, group: schema.Nodes, node_id: int, load: LoadHistory | None, clock: Clock, built: list[str]
 ) -> SimulatedSource:
-    """The gauge source of one node. Raises InputError for a front end that is not allowed."""
+    """Return the gauge source of one node. Raises InputError for a front end that is not allowed."""
     options: dict[str, Any] = {}
     seed = 256 * scene.seed + 2 * node_id
     if group.offset_microstrain:
@@ -54,7 +54,7 @@ def source_of(
 
 
 def _forces(scene: schema.Scene, load: LoadHistory, clock: Clock, built: list[str]) -> Callable[[int], Triple]:
-    """What the gauges bear at a time: the load itself, or with [dynamics] what the swinging tip makes of it."""
+    """Return the load on the gauges at a time: the load itself, or with [dynamics] the elastic force of the tip."""
     if scene.dynamics is None:
         return lambda now_us: load.force(1e-6 * (now_us - clock.start_us))
     from tipforce.scene.motion import Motion

@@ -1,4 +1,4 @@
-"""The decoded samples of a run as CSV: one row per PDO, a column per signal, in the unit that the DBC gives it."""
+"""Write the decoded samples of a run as CSV: one row per PDO, a column per signal, in the DBC's units."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from tipforce.host.decoding.decoder import Samples
 
 
 def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> None:
-    """Columns t_s, node, message, then the signals; a cell is empty where a PDO has no such signal or no value.
+    """Write columns t_s, node, message, then the signals; a cell is empty if a PDO has no such signal or no value.
 
-    Rows are in the order of the frames. Raises InputError where the file cannot be written.
+    Rows are in the order of the frames. Raises InputError if the file cannot be written.
     """
     names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
     rows: list[tuple[int, int, list[object]]] = []
@@ -34,7 +34,7 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
 
 
 def _digits(samples: Samples, name: str) -> int:
-    """Decimals that the signal's resolution has."""
+    """Return the number of decimals for the signal's resolution."""
     scale = next((signal.scale for signal in samples.message.signals if signal.name == name), 1.0)
     return len(f"{scale:.9f}".rstrip("0").partition(".")[2])
 
