@@ -2,23 +2,23 @@
 
     import tipforce
 
-    with tipforce.open("can0") as bus:              # or a can.Bus or canopen.Network that is open already
+    with tipforce.open("can0") as bus:              # or an open can.Bus or canopen.Network
         finger = bus.finger(5)                      # node-id 5
         contact = finger.read()                     # the next sample
         print(contact.P_newtons, contact.phi_deg, contact.theta_deg, contact.u_P_newtons, contact.reason)
         print(finger.sdo["calibration.serial"])     # any object, by its dictionary name
-        for contact in finger.samples():            # `async for` works, too
+        for contact in finger.samples():            # `async for` works too
             ...
 
 - a whole hand: ``Hand.open("hand.toml")``, then ``for row in hand.rows(): row["thumb"].P_newtons``
 - a log as arrays: ``read_log("run.log")[5].P_newtons``
 - a calibration: ``Calibration.from_microstrain(C, offset, covariance)``, ``Calibration.read("finger.toml")``,
   ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``
-- fingers for tests of one's own: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
+- fingers for your own tests: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
 
-Public is what ``__all__`` names here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
-``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.running`` and ``tipforce.scene``. It follows semantic
-versioning: until 1.0 a minor version may change it, and the changelog says how. All else may change without notice.
+The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
+``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.running`` and ``tipforce.scene``. They follow semantic
+versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN stands for unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.

@@ -1,4 +1,4 @@
-"""Public names of a package that are imported when they are first used (PEP 562)."""
+"""Import the public names of a package when they are first used (PEP 562)."""
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -6,7 +6,7 @@ if TYPE_CHECKING:
 
 
 def lazy(package: str, names: "dict[str, str]") -> "tuple[Callable[[str], object], Callable[[], list[str]]]":
-    """The ``__getattr__`` and ``__dir__`` of a package; ``names``: by public name the module, "" within ``package``."""
+    """Return ``__getattr__`` and ``__dir__`` of a package; ``names``: module by public name, "" for ``package``."""
 
     def get(name: str) -> object:
         if name not in names:

@@ -1,4 +1,4 @@
-"""What can go wrong, as one small family: each message names the place, the value and what is allowed."""
+"""Errors of tipforce: each message names the place, the value and what is allowed."""
 
 
 class TipforceError(Exception):
@@ -6,19 +6,19 @@ class TipforceError(Exception):
 
 
 class InputError(TipforceError):
-    """A file, an argument or a value that the user gave is not usable; the text says which and what is allowed."""
+    """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
 
 
 class NoResponseError(TipforceError):
-    """A node did not answer within the time and the number of tries that were set."""
+    """A node did not respond within the time-out and the number of retries."""
 
 
 class NoNewSampleError(NoResponseError):
-    """A finger gave no new sample in time: it is silent, not started, or asked faster than it measures."""
+    """A finger sent no new sample in time: it is silent, not started, or polled faster than it samples."""
 
 
 class SdoAbortError(TipforceError):
-    """The node answered an SDO request with an abort. ``code`` is the abort code of CiA 301, 7.2.4.3.17."""
+    """The node responded to an SDO request with an abort. ``code`` is the abort code of CiA 301, 7.2.4.3.17."""
 
     def __init__(self, message: str, code: int) -> None:
         super().__init__(message)
@@ -26,8 +26,8 @@ class SdoAbortError(TipforceError):
 
 
 class RefusedError(TipforceError):
-    """The device understood the request and refused it, or what it holds is not what was asked for."""
+    """The device rejected a valid request, or its content differs from the requested one."""
 
 
 class EnvironmentLackError(TipforceError):
-    """The machine lacks an interface, a kernel module, a program or a permission; the text says what to do."""
+    """The machine lacks an interface, a kernel module, a program or a permission; the text says how to provide it."""

@@ -1,6 +1,6 @@
-"""What a frame looks like at the two doors to a bus: the kernel's ``struct can_frame`` and python-can's Message.
+"""Convert frames between the kernel's ``struct can_frame`` and python-can's Message.
 
-Inside tipforce an identifier always carries its kind in the flag bits of linux/can.h.
+Inside tipforce an identifier always carries its type in the flag bits of linux/can.h.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ CAN_FRAME = struct.Struct("=IB3x8s")
 
 
 def raw_can_id(message: can.Message) -> int:
-    """The can_id of a python-can message, flags included."""
+    """Return the can_id of a python-can message, flags included."""
     can_id = message.arbitration_id
     if message.is_error_frame:
         return can_id | ERROR_FLAG

@@ -1,7 +1,7 @@
-"""TOML files as structs, strictly: each complaint names the place, the value, and what is allowed.
+"""Read TOML files as structs, strictly: each error names the place, the value, and what is allowed.
 
-Files that people write (a scene, a hand, a calibration, a configuration, a layout, a plan) are read by this one
-reader, so that their mistakes are told alike.
+All TOML files of users (scene, hand, calibration, configuration, layout, plan) are read by this one reader, so that
+errors have the same form.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tipforce.errors import InputError
 T = TypeVar("T", bound=msgspec.Struct)
 
 _DATES = (datetime.datetime, datetime.date, datetime.time)
-"""TOML has these of its own: text does not stand for one."""
+"""TOML has these types itself: text is not converted to them."""
 
 
 def read_table(path: str | Path, place: str) -> dict[str, Any]:
-    """What a TOML file holds. Raises InputError for one that can't be read, is not UTF-8, or is no TOML."""
-    import tomllib  # commands import this module for files that they may not be given
+    """Return the content of a TOML file. Raises InputError if it cannot be read, is not UTF-8, or is not TOML."""
+    import tomllib  # commands import this module even if they are given no file
 
     try:
         return tomllib.loads(Path(path).read_text(encoding="utf-8"))
@@ -35,20 +35,20 @@ def read_table(path: str | Path, place: str) -> dict[str, Any]:
         raise InputError(f"{place}: {error.strerror}") from error
     except UnicodeDecodeError:
         raise InputError(f"{place}: the file is not UTF-8") from None
-    except ValueError as error:  # no TOML, a number of thousands of digits, a NUL in the path
+    except ValueError as error:  # not TOML, a number of thousands of digits, a NUL in the path
         raise InputError(f"{place}: {error}") from None
     except RecursionError:
         raise InputError(f"{place}: brackets are nested too deeply") from None
 
 
 def convert(kind: type[T], content: object, place: str, finite: bool = True) -> T:
-    """``content`` (what tomllib gave) as ``kind``; ``place`` is how the message calls it ("scenes/tap.toml").
+    """Return ``content`` (from tomllib) as ``kind``; ``place`` is its name in messages ("scenes/tap.toml").
 
     A field may be a number, a string, a list of these, a table of free keys with such values, a struct, or a list of
-    structs (plain values may stand among them); where a list holds a union of structs, each with a tag, the key
-    ``kind`` says which. A struct without ``forbid_unknown_fields`` lets keys be that it does not know, unless one looks
-    like a misspelt key that is missing. ``finite`` False leaves numbers that are not finite, as values of free keys
-    always are, to the caller.
+    structs (plain values may occur among them); if a list holds a union of structs, each with a tag, the key
+    ``kind`` selects one. A struct without ``forbid_unknown_fields`` ignores unknown keys, unless one resembles a
+    missing key. ``finite`` False leaves the check for non-finite numbers to the caller; for values of free keys
+    the caller always checks.
 
     Raises InputError for an unknown key (with the nearest known one), a missing one, a wrong type, a value outside its
     limits, and a number that is not finite.
@@ -97,14 +97,14 @@ def _numbered(items: list[object], place: str) -> list[tuple[object, str]]:
 
 
 def _structs(kind: Any) -> tuple[list[type[msgspec.Struct]], bool]:
-    """The structs that a field's type speaks of, and whether it holds many; none for a plain value."""
+    """Return the structs in a field's type, and whether it holds many; none for a plain value."""
     if get_origin(kind) is tuple:
         return _structs(get_args(kind)[0])[0], True
     return [one for one in _options(kind) if isinstance(one, type) and issubclass(one, msgspec.Struct)], False
 
 
 def _options(kind: Any) -> tuple[Any, ...]:
-    """The members of a union; a type that is none stands alone."""
+    """Return the members of a union; for another type, that type alone."""
     return get_args(kind) if get_origin(kind) in (typing.Union, types.UnionType) else (kind,)
 
 
@@ -134,7 +134,7 @@ _QUOTED = re.compile(r"`([^`]*)`")
 
 
 def _in_toml(types_named: re.Match[str]) -> str:
-    """What msgspec calls object is a table here, and there is no null: such a key is left out."""
+    """Convert msgspec's "object" to "table" and remove "null", which TOML does not have."""
     return types_named[1].replace("object", "table").replace(" | null", "")
 
 
@@ -145,7 +145,7 @@ def _finite(content: object) -> bool:
 
 
 def _choices(kind: Any) -> str:
-    """The words that are allowed, where there is a list of them."""
+    """Return the allowed words, if there is a list of them."""
     if get_origin(kind) is typing.Literal:
         return f"; allowed: {', '.join(map(str, get_args(kind)))}"
     return next((found for found in map(_choices, get_args(kind)) if found), "")
@@ -162,7 +162,7 @@ def _suggestion(word: str, known: Mapping[str, object]) -> str:
 
 
 def _near(word: str, known: Iterable[str]) -> str:
-    """The known word that is nearest, empty where none is near."""
+    """Return the nearest known word, empty if none is similar."""
     import difflib
 
     return next(iter(difflib.get_close_matches(word, known, 1)), "")

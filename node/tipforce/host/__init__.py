@@ -1,4 +1,4 @@
-"""The other end of the bus: hands, nodes, calibration and measurement files, decoders, and a bus that misbehaves."""
+"""Host library: hands, nodes, calibration and measurement files, decoders, and a simulated faulty bus."""
 
 from tipforce._lazy import lazy
 
