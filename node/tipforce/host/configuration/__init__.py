@@ -1,1 +1,1 @@
-"""What a node holds: settings, calibration records and files, captures and measurements."""
+"""Configuration of a node: settings, calibration records and files, captures and measurements."""

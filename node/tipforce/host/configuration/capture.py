@@ -1,4 +1,4 @@
-"""Many readings of one node's gauges under one steady load: collected and averaged."""
+"""Capture many readings of one node's gauges under one constant load, and average them."""
 
 from __future__ import annotations
 
@@ -21,22 +21,22 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.connection import Connection
 
 RESOLUTION_MICROSTRAIN = 0.1
-"""One step of 7130h: what every reading by PDO is rounded to."""
+"""One step of 7130h: the resolution of every reading by PDO."""
 LARGEST_MICROSTRAIN = 0x7FFF * RESOLUTION_MICROSTRAIN
 _ANSWER_S = 0.1  # wait for the PDO after a SYNC
-_SILENT = 5  # SYNCs without an answer in a row after which nothing is waited for any more
-_UNSYNCED_S = 0.11  # a node that is not told by SYNC latches a sample for a read every 100 ms
+_SILENT = 5  # consecutive SYNCs without a response after which the capture stops waiting
+_UNSYNCED_S = 0.11  # without SYNC, a node latches a sample for a read every 100 ms
 _TRIES = 20
-_ROUNDS = 3  # stale samples are replaced so often
+_ROUNDS = 3  # number of attempts to replace stale samples
 _FLAGS = ("counter", "saturated", "stale", "fault")
 
 
 class Block(NamedTuple):
-    """k samples as they came."""
+    """k samples as received."""
 
     t_s: FloatArray
     microstrain: FloatArray
-    """(k, n); NaN where the node says unknown."""
+    """(k, n); NaN where the node reports unknown."""
     counter: npt.NDArray[np.int64]
     saturated: BoolArray
     stale: BoolArray
@@ -45,33 +45,33 @@ class Block(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Capture:
-    """What one capture gave: the readings that count, and how many did not."""
+    """Result of one capture: the valid readings, and the number of the others."""
 
     microstrain: FloatArray
-    """(k, n), the readings that count."""
+    """(k, n), the valid readings."""
     t_s: FloatArray
-    """(k,), when they came."""
+    """(k,), their receive times."""
     asked: int
     saturated: tuple[int, ...]
     """Samples with this gauge saturated, (n,)."""
     stale: int
     repeated: int
-    """Samples that say they are new and carry the counter of the one before."""
+    """Samples marked as new with the counter of the previous sample."""
     faulty: int
     faults: int
     """2124h, read after a faulty sample; 0 if there was none."""
     silent: int
-    """SYNCs that brought nothing."""
+    """SYNCs without a response."""
     temperature_degC: float | None
 
     @property
     def count(self) -> int:
-        """Number of readings that count."""
+        """Number of valid readings."""
         return len(self.microstrain)
 
     @property
     def duration_s(self) -> float:
-        """From the first to the last reading that counts."""
+        """From the first to the last valid reading."""
         return float(self.t_s[-1] - self.t_s[0]) if self.count else 0.0
 
     @property
@@ -81,7 +81,7 @@ class Capture:
 
     @property
     def covariance(self) -> FloatArray:
-        """Covariance of one reading, (n, n), microstrain^2; no gauge below what rounding alone makes."""
+        """Covariance of one reading, (n, n), microstrain^2; no variance below that of rounding."""
         found = np.atleast_2d(np.cov(self.microstrain, rowvar=False))
         np.fill_diagonal(found, np.maximum(np.diag(found), RESOLUTION_MICROSTRAIN**2 / 12.0))
         return found
@@ -93,7 +93,7 @@ class Capture:
 
     @property
     def drift(self) -> FloatArray:
-        """(n,), microstrain: by how much the line through the readings moves from the first to the last."""
+        """(n,), microstrain: change of the line through the readings from the first to the last."""
         since = self.t_s - self.t_s.mean()
         squares = float(since @ since)
         if not squares:
@@ -102,7 +102,7 @@ class Capture:
 
 
 class GaugeReader:
-    """Collects gauge readings of one node: by SYNC and a gauge PDO where one carries all, else by SDO reads.
+    """Collect gauge readings of one node: by SYNC and a gauge PDO if one PDO carries all gauges, else by SDO reads.
 
     ``period_s`` is the time between samples. Every method raises NoResponseError and SdoAbortError as SdoChannel does.
     """
@@ -125,7 +125,7 @@ class GaugeReader:
         return f"SYNC and TPDO1 (0x{self._can_id:03X})" if self._can_id else "SYNC and SDO reads"
 
     def _gauge_pdo(self) -> int:
-        """The identifier of TPDO1 if it is sent on each SYNC with all gauges, status and counter; else 0."""
+        """Return the identifier of TPDO1 if it is sent on each SYNC with all gauges, status and counter; else 0."""
         word = self._sdo.read(od.TPDO1_COB_ID)
         can_id = word & STANDARD_MASK
         on_sync = self._sdo.read(od.TPDO1_TRANSMISSION_TYPE) == 1 and self._plain_sync()
@@ -139,12 +139,12 @@ class GaugeReader:
             if not wanted <= names:
                 return 0
             self._decoder.remap(self._node_id, tpdo_messages(self._n)[0].name, can_id, mapping)
-        except InputError:  # a mapping that this dictionary does not know
+        except InputError:  # a mapping that is not in this dictionary
             return 0
         return can_id
 
     def _plain_sync(self) -> bool:
-        """The node listens to the SYNC that Connection sends."""
+        """Return whether the node consumes the SYNC that Connection sends."""
         try:
             overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
         except SdoAbortError:
@@ -152,21 +152,21 @@ class GaugeReader:
         return self._sdo.read(od.SYNC_COB_ID) & STANDARD_MASK == SYNC_COB_ID and not overflow
 
     def start(self) -> None:
-        """Have the node send PDOs: NMT start if it does not, as after a loss of power."""
+        """Start the node by NMT if it is not OPERATIONAL, as after a power cycle, so that it sends PDOs."""
         if self._can_id and not len(self._ask()):
             self._connection.nmt("start", self._node_id)
             self._started = True
 
     def stop(self) -> None:
-        """Put a node that was started here back to PRE-OPERATIONAL."""
+        """Return a node that was started here to PRE-OPERATIONAL."""
         if self._started:
             self._connection.nmt("preop", self._node_id)
             self._started = False
 
     def capture(self, samples: int, on_progress: Callable[[int], None] = lambda _count: None) -> Capture:
-        """Take ``samples`` readings; stale ones are replaced, up to a limit. on_progress: samples taken so far.
+        """Take ``samples`` readings; stale ones are replaced, up to a limit. on_progress: number of samples so far.
 
-        Returns what came, however bad; whether it may be used is for the caller to judge.
+        Returns all readings, valid or not; the caller decides whether to use them.
         """
         if samples < 2:
             raise InputError(f"a capture of {samples} samples: allowed are 2 or more")
@@ -181,11 +181,11 @@ class GaugeReader:
             if taken in (before, samples):
                 break
         if silent and not taken:
-            self._sdo.read(od.STATUS)  # raises NoResponseError if the node is gone
+            self._sdo.read(od.STATUS)  # raises NoResponseError if the node no longer responds
         return self._judged(_joined(blocks), samples, silent)
 
     def moves(self) -> bool:
-        """Whether the sample counter (2121h) moves."""
+        """Return whether the sample counter (2121h) increments."""
         before = self._sdo.read(od.COUNTER)
         for _ in range(_TRIES):
             self._connection.sync()
@@ -195,12 +195,12 @@ class GaugeReader:
         return False
 
     def temperature_degC(self) -> float | None:
-        """Temperature of the fingertip (2122h), degrees Celsius; None where the node does not know it."""
+        """Return the temperature of the fingertip (2122h), degrees Celsius; None if the node does not know it."""
         for _ in range(_SILENT):
             value = self._sdo.read(od.TEMPERATURE)
             if value != table.UNKNOWN_I16:
                 return value / 100.0
-            time.sleep(self.period_s)  # the last sample may just be a stale one
+            time.sleep(self.period_s)  # the last sample may be stale
             self._connection.sync()
         return None
 
@@ -225,7 +225,7 @@ class GaugeReader:
         )
 
     def _ask(self) -> FrameArray:
-        """One SYNC; the gauge PDO that it brings, or nothing."""
+        """Send one SYNC; return the gauge PDO that follows, or nothing."""
         self._connection.buffer.clear()
         self._connection.sync()
         frames = self._connection.buffer.take(lambda can_id: can_id == self._can_id, time.monotonic() + _ANSWER_S)
@@ -257,7 +257,7 @@ class GaugeReader:
             counter = self._sdo.read(od.COUNTER)
             gauges = [self._sdo.read(od.PROCESS_VALUE[k + 1]) for k in range(self._n)]
             status = self._sdo.read(od.STATUS)
-            if self._sdo.read(od.COUNTER) == counter:  # else another sample was latched in between
+            if self._sdo.read(od.COUNTER) == counter:  # otherwise another sample was latched in between
                 rows.append((time.monotonic(), gauges, counter, status))
             on_progress(before + k + 1)
             time.sleep(max(0.0, due_s - time.monotonic()))
@@ -288,6 +288,6 @@ def _joined(blocks: list[Block]) -> Block:
 
 
 def _fresh(block: Block) -> BoolArray:
-    """Samples of their own: not stale, and not with the counter of the sample before."""
+    """Return which samples are independent: not stale, and without the counter of the previous sample."""
     moved: BoolArray = np.diff(block.counter, prepend=-1) != 0
     return moved & ~block.stale

@@ -1,4 +1,4 @@
-"""A configuration file (TOML or DCF) to a node and back: written in the order that CiA 301 asks for, then compared."""
+"""Apply a configuration file (TOML or DCF) to a node in the order that CiA 301 requires, then compare."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from tipforce.host.network.sdo import SdoChannel
 from tipforce.toml_table import convert, read_table
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
-"""By (index, sub), in index order: the entry and the value it shall have."""
+"""By (index, sub), in index order: the entry and its required value."""
 
 NODE_ID_MARK = "$NODEID"
-"""In a value: the node-id that the file is applied to, as in a DCF (CiA 306): "$NODEID+0x40000180"."""
+"""In a value: the node-id to which the file is applied, as in a DCF (CiA 306): "$NODEID+0x40000180"."""
 
 _NUMBER = r"(0[xX][0-9a-fA-F]+|\d+)"
 _FOLLOWS_NODE_ID = re.compile(rf"(?i:\$NODEID)(?:\s*\+\s*{_NUMBER})?|{_NUMBER}\s*\+\s*(?i:\$NODEID)")
@@ -33,7 +33,7 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Configuration:
-    """What a file asks for: a DCF by its ending, otherwise TOML with a table [objects].
+    """Return the content of a file: a DCF by its extension, otherwise TOML with a table [objects].
 
     Raises InputError naming the file, the object, the value and what is allowed.
     """
@@ -52,7 +52,7 @@ def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Confi
         of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
         if of_tpdo and entry.sub == 1 and not int(value) & codes.NO_RTR:
             raise InputError(
-                f"{path}: {entry.name} ({entry}) is 0x{int(value):X}: a TPDO answers to no RTR, so bit 30 must be "
+                f"{path}: {entry.name} ({entry}) is 0x{int(value):X}: TPDOs do not support RTR, so bit 30 must be "
                 f"set: 0x{int(value) | codes.NO_RTR:X}"
             )
     if not found:
@@ -73,7 +73,7 @@ def _read_toml(path: str | Path, node_id: int, gauges: int) -> Configuration:
 
 
 def _numbered(value: object, node_id: int) -> object:
-    """A value that follows the node-id, with this one."""
+    """Return a value that depends on the node-id, for this node-id."""
     if not isinstance(value, str) or NODE_ID_MARK not in value.upper():
         return value
     match = _FOLLOWS_NODE_ID.fullmatch(value.strip())
@@ -83,12 +83,12 @@ def _numbered(value: object, node_id: int) -> object:
 
 
 def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Value], Value]]:
-    """A value, or a list for the sub-indices of an array from 1; a list for a PDO mapping also sets its length."""
+    """Return a value, or a list for an array from sub-index 1; a list for a PDO mapping also sets its length."""
     if not isinstance(value, list):
         entry = names.resolve(name, gauges)
         return [(entry, _typed(entry, value))]
     first = names.resolve(f"{name}:1", gauges)
-    # By number from here on: after a dotted name a sub-index is decimal, after an index it is hexadecimal.
+    # By number from here on: after a dotted name a sub-index is decimal, after an index hexadecimal.
     entries = [names.resolve(f"0x{first.index:04X}:{k + 1:02X}", gauges) for k in range(len(value))]
     if not is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
@@ -97,24 +97,24 @@ def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Va
 
 
 def _typed(entry: Entry[Value], value: object) -> Value:
-    """What TOML has no type for may be written as text: hex bytes, "nan", "0x0A"."""
+    """Convert text to a type that TOML lacks: hex bytes, "nan", "0x0A"."""
     kind = types.data_type(entry.type).python
     if isinstance(value, str) and kind is not str:
         try:
             return types.parse_value(entry.type, value)
         except InputError as error:
             raise InputError(f"{entry.name} ({entry}): {error}") from None
-    return value  # type: ignore[return-value]  # the check of its type is entry.encode
+    return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
 def _mapped(name: str, gauges: int) -> int:
-    """The mapping word of an object: index, sub-index, length in bits (CiA 301, 7.5.2.36)."""
+    """Return the mapping word of an object: index, sub-index, length in bits (CiA 301, 7.5.2.36)."""
     entry = names.resolve(name, gauges)
     return entry.index << 16 | entry.sub << 8 | 8 * (types.data_type(entry.type).size or 0)
 
 
 def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
-    """The entries of a DCF that have a ParameterValue."""
+    """Return the entries of a DCF that have a ParameterValue."""
     import canopen
 
     try:
@@ -141,7 +141,7 @@ def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
 def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
     """Write every object; PDO parameters by the procedure of 7.5.2.36. Raises NoResponseError and SdoAbortError.
 
-    When the node refuses one, what was there before is put back, as far as the node lets it: nothing is half-applied.
+    If the node rejects one, the previous values are restored as far as the node accepts them.
     """
     before = _present(sdo, wanted)
     try:
@@ -153,7 +153,7 @@ def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
 
 
 def _present(sdo: SdoChannel, wanted: Configuration) -> Configuration:
-    """What the node has now of the objects that ``wanted`` touches; of a PDO its whole mapping."""
+    """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
         cob_id, count = _pdo_entries(pdo)
@@ -175,12 +175,12 @@ def _write(sdo: SdoChannel, values: Configuration) -> None:
 
 
 def _pdos(values: Configuration) -> list[int]:
-    """The communication parameter index of each PDO that is touched."""
+    """Return the communication parameter index of each PDO that is changed."""
     return sorted({index & ~communication.MAPPING for index, _ in values if _is_pdo(index)})
 
 
 def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
-    """COB-ID and number of mapped objects. In the largest dictionary: TPDO5 and TPDO6 need more than three gauges."""
+    """Return COB-ID and mapping count, in the largest dictionary: TPDO5 and TPDO6 need more than three gauges."""
     cob_id = names.resolve(f"0x{parameters:04X}:01", table.MAX_GAUGES)
     return cob_id, names.resolve(f"0x{parameters + communication.MAPPING:04X}:00", table.MAX_GAUGES)
 
@@ -205,7 +205,7 @@ def _apply_pdo(sdo: SdoChannel, parameters: int, wanted: Mapping[tuple[int, int]
 
 
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
-    """What differs: object, expected, found; write-only objects cannot be compared and are left out."""
+    """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
     differences: list[dict[str, object]] = []
     for entry, value in wanted.values():
         if entry.access == "wo":

@@ -1,4 +1,4 @@
-"""Rows of a CSV file of measurements: a block at once where all is well, row by row with reasons where it is not."""
+"""Parse rows of a measurement CSV: a block at once if all rows are valid, otherwise row by row with reasons."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ LARGEST_MICROSTRAIN = 1e6
 
 
 class Columns(NamedTuple):
-    """What the header says."""
+    """The columns in the header."""
 
     names: tuple[str, ...]
-    """The columns of numbers that are read, gauges first."""
+    """The numeric columns that are read, gauges first."""
     places: tuple[int, ...]
-    """Where each stands in a row."""
+    """The position of each in a row."""
     mode: int | None
-    """Where the mode stands."""
+    """The position of the mode."""
     cells: int
-    """Cells of a row."""
+    """Number of cells of a row."""
     ignored: tuple[str, ...]
 
 
 class Block(NamedTuple):
-    """Rows that can be used, and the faults of those that cannot."""
+    """Valid rows, and the faults of the others."""
 
     line: IntArray
     values: FloatArray
@@ -42,14 +42,14 @@ class Block(NamedTuple):
 
 
 def read_block(lines: list[str], first_line: int, columns: Columns) -> Block:
-    """Return the rows of some lines; first_line is the number of the first of them."""
+    """Return the rows of some lines; first_line is the number of the first."""
     return _quick(lines, first_line, columns) or _careful(lines, first_line, columns)
 
 
 def time_faults(line: IntArray, t_s: FloatArray) -> list[tuple[int, str]]:
     """Return the fewest rows whose removal leaves the times in order, with the reason.
 
-    One clock jump is then one bad row (or one run of rows), not all that follow it.
+    One clock jump is then one bad row (or one run of rows), not all following rows.
     """
     if not (np.diff(t_s) < 0.0).any():
         return []
@@ -83,7 +83,7 @@ def time_faults(line: IntArray, t_s: FloatArray) -> list[tuple[int, str]]:
 
 
 def _quick(lines: list[str], first_line: int, columns: Columns) -> Block | None:
-    """All rows at once; None where any of them is not plainly good."""
+    """Return all rows at once; None if any of them may be invalid."""
     separators = columns.cells - 1
     if any(text.count(",") != separators or '"' in text or "_" in text for text in lines):
         return None
@@ -137,7 +137,7 @@ def _careful(lines: list[str], first_line: int, columns: Columns) -> Block:
 
 
 def _row(text: str, columns: Columns) -> tuple[list[float], int] | str:
-    """(values, mode) of one line, or what is wrong with it."""
+    """Return (values, mode) of one line, or its fault."""
     if not text.strip():
         return "the line is empty"
     try:
@@ -161,7 +161,7 @@ def _row(text: str, columns: Columns) -> tuple[list[float], int] | str:
 
 
 def _value(name: str, cell: str, unloaded: bool) -> float | str:
-    """The number in a cell, or what is wrong with it."""
+    """Return the number in a cell, or its fault."""
     if not cell and unloaded and name in ("P_N", "phi_deg", "theta_deg"):
         return 0.0
     try:

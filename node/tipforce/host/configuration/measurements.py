@@ -1,4 +1,4 @@
-"""Measurements as CSV: gauge readings with their loads, times and modes; bad rows by line and reason."""
+"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ BLOCK_LINES = 50_000
 
 
 class BadRow(NamedTuple):
-    """A line that could not be used, and why."""
+    """A line that cannot be used, and the reason."""
 
     line: int
     """Line number in the file; the header is line 1."""
@@ -35,7 +35,7 @@ class BadRow(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """The m good rows of a file, and the bad ones; what the file does not have is None."""
+    """The m good rows of a file, and the bad ones; columns that the file lacks are None."""
 
     line: IntArray
     """(m,): line number of each row."""
@@ -53,7 +53,7 @@ class Measurements:
     bad: tuple[BadRow, ...]
     """In the order of the file."""
     ignored_columns: tuple[str, ...]
-    """Columns of the file that mean nothing here."""
+    """Columns of the file that are ignored."""
 
     @property
     def unloaded(self) -> npt.NDArray[np.bool_]:
@@ -67,17 +67,17 @@ class Measurements:
 
 
 def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
-    """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg must be there.
+    """Read a CSV file of measurements; loads: the columns P_N, phi_deg, theta_deg are required.
 
     Gauge columns SG1..SGn, SG1_ue.. (of a decoded log) or e1_ue.. in microstrain, n = 3 to 8; optional t_s,
     temperature_degC, weight, mode (push, pull, tare). A row that cannot be used is in ``bad`` with its line and
-    reason. Raises InputError where the whole file cannot be used: not readable, empty, not UTF-8, a header with a
-    column missing or twice, a decoded log with its estimates beside the gauges.
+    reason. Raises InputError if the whole file cannot be used: not readable, empty, not UTF-8, a header with a
+    missing or duplicate column, a decoded log with estimates beside the gauges.
     """
     lines = _lines(path)
     columns = _header(path, lines[0], loads)
     if not any(line.strip() for line in lines[1:]):
-        raise InputError(f"{path}: line 1 is a header, and no row follows it")
+        raise InputError(f"{path}: line 1 is a header without rows")
     blocks = [
         read_block(lines[start : start + BLOCK_LINES], start + 1, columns)
         for start in range(1, len(lines), BLOCK_LINES)
@@ -95,7 +95,7 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
 
 
 def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write rows that read back the same: full precision. Raises InputError where the disk refuses."""
+    """Write rows with full precision, so that they read back unchanged. Raises InputError if writing fails."""
     n = measurements.strain.shape[1]
     columns: dict[str, Sequence[object]] = {}
     if measurements.t_s is not None:
@@ -136,7 +136,7 @@ def _lines(path: str | Path) -> list[str]:
         ) from None
     if "\0" in text:
         raise InputError(
-            f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: a NUL byte; this is no text file"
+            f"{path}: line {text.count(chr(10), 0, text.index(chr(0))) + 1}: a NUL byte; the file is not a text file"
         )
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     while lines and not lines[-1].strip():
@@ -149,18 +149,18 @@ def _lines(path: str | Path) -> list[str]:
 def _header(path: str | Path, text: str, loads: bool) -> Columns:
     names = [name.strip().strip('"').strip() for name in text.split(",")]
     if len(names) == 1 and (";" in text or "\t" in text):
-        raise InputError(f"{path}: line 1: columns are separated by commas (and decimals written with a point)")
+        raise InputError(f"{path}: line 1: separate columns by commas (and write decimals with a point)")
     plain = [re.sub(r"(?:e|SG)(\d+)_ue", r"SG\1", name) for name in names]
     decoded = [name for name in names if re.fullmatch(r"SG\d+_ue", name)]
     if decoded and "P_N" in plain:
         raise InputError(
-            f"{path}: line 1: {decoded[0]} beside P_N: this is a decoded log, whose P_N is the node's estimate and no "
+            f"{path}: line 1: {decoded[0]} beside P_N: this is a decoded log, whose P_N is the node's estimate, not a "
             "load; write `tipforce decode LOG --nodes ID --signals SG1,SG2,SG3 -o FILE.csv`, or let `decode "
             "--calibration CAL.toml` estimate"
         )
     twice = sorted({name for name in plain if name and plain.count(name) > 1})
     if twice:
-        raise InputError(f"{path}: line 1: the column {', '.join(twice)} is there more than once")
+        raise InputError(f"{path}: line 1: the column {', '.join(twice)} occurs more than once")
     gauges = [name for name in plain if name.startswith("SG") and not name.endswith("_fault")]
     expected = [f"SG{k + 1}" for k in range(len(gauges))]
     if sorted(gauges) != sorted(expected) or not MIN_GAUGES <= len(gauges) <= MAX_GAUGES:
@@ -171,7 +171,7 @@ def _header(path: str | Path, text: str, loads: bool) -> Columns:
     has_load = [name for name in LOAD_COLUMNS if name in plain]
     missing = [name for name in LOAD_COLUMNS if name not in plain]
     if missing and (loads or (has_load and has_load != ["P_N"])):
-        raise InputError(f"{path}: line 1: the column {', '.join(missing)} is missing; there are: {', '.join(names)}")
+        raise InputError(f"{path}: line 1: the column {', '.join(missing)} is missing; present: {', '.join(names)}")
     known = [*expected, *has_load, *(name for name in OPTIONAL_COLUMNS if name in plain)]
     mode = plain.index("mode") if "mode" in plain else None
     ignored = tuple(name for name, key in zip(names, plain, strict=True) if key not in known and key != "mode")

@@ -1,7 +1,7 @@
-"""The settings that a node holds: read all, compare with a file or with the defaults, write them as TOML or DCF.
+"""Settings of a node: read all, compare with a file or with the defaults, write them as TOML or DCF.
 
-Settings are what 1010h:2 and 1010h:3 store. The calibration is not among them: `tipforce calibrate` moves it, guarded
-by its CRC-32.
+Settings are the objects stored by 1010h:2 and 1010h:3. The calibration is not among them: `tipforce calibrate`
+transfers it, protected by its CRC-32.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ Place = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class Difference:
-    """One setting that is not the same on both sides; None where a side says nothing about it."""
+    """One setting that differs between two sides; None if a side does not contain it."""
 
     name: str
     entry: str
@@ -37,13 +37,13 @@ class Difference:
 
 
 def setting_rows(gauges: int = 3) -> dict[Place, Row]:
-    """The table's rows that are settings, by (index, sub)."""
+    """Return the rows of the table that are settings, by (index, sub)."""
     found = rows(gauges, True)
     return {place: row for place, row in found.items() if row.access == "rw" and not row.flags & _NO_SETTING}
 
 
 def default_settings(node_id: int, gauges: int = 3) -> dict[Place, Value]:
-    """What a node that was never configured holds."""
+    """Return the settings of a node that was never configured."""
     defaults: dict[Place, Value] = {}
     for place, row in setting_rows(gauges).items():
         value = row.default
@@ -52,7 +52,7 @@ def default_settings(node_id: int, gauges: int = 3) -> dict[Place, Value]:
 
 
 def read_settings(sdo: SdoChannel, gauges: int = 3, advance: Callable[[], None] = lambda: None) -> dict[Place, Value]:
-    """Every setting of a node; an object that it does not have is left out. ``advance()`` after each read.
+    """Return every setting of a node, without objects that it lacks. ``advance()`` after each read.
 
     Raises NoResponseError, and SdoAbortError for any other abort.
     """
@@ -68,7 +68,7 @@ def read_settings(sdo: SdoChannel, gauges: int = 3, advance: Callable[[], None] 
 
 
 def changed_settings(settings: Mapping[Place, Value], node_id: int, gauges: int = 3) -> dict[Place, Value]:
-    """Those that are not at their default; of a remapped PDO its whole mapping."""
+    """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
     defaults = default_settings(node_id, gauges)
     changed = {place for place, value in settings.items() if not _same(gauges, place, value, defaults[place])}
     remapped = {index for index, _ in changed if is_mapping(index)}
@@ -80,7 +80,7 @@ def changed_settings(settings: Mapping[Place, Value], node_id: int, gauges: int 
 
 
 def compare(node: Mapping[Place, Value], wanted: Configuration, node_id: int, gauges: int = 3) -> list[Difference]:
-    """What differs between a node and a file, both ways: also what the node has changed and the file leaves alone."""
+    """Return the differences between a node and a file, both ways: also changes missing in the file."""
     differences = []
     known = setting_rows(gauges)
     changed = changed_settings(node, node_id, gauges)
@@ -96,7 +96,7 @@ def compare(node: Mapping[Place, Value], wanted: Configuration, node_id: int, ga
 
 
 def settings_toml(settings: Mapping[Place, Value], node_id: int, gauges: int = 3) -> str:
-    """A file for `tipforce config apply`. COB-IDs that follow the node-id say so, so that it fits any finger."""
+    """Return a file for `tipforce config apply`. COB-IDs that depend on the node-id are relative, to fit any finger."""
     known = setting_rows(gauges)
     objects: dict[str, object] = {}
     for (index, sub), value in sorted(settings.items()):
@@ -110,7 +110,7 @@ def settings_toml(settings: Mapping[Place, Value], node_id: int, gauges: int = 3
 
 
 def settings_dcf(settings: Mapping[Place, Value], node_id: int, gauges: int = 3, simulated: bool = False) -> str:
-    """The DCF (CiA 306) of the node with these settings."""
+    """Return the DCF (CiA 306) of the node with these settings."""
     return dcf_text(gauges, node_id, settings, simulated)
 
 
@@ -126,6 +126,6 @@ def _mapped_name(word: int, gauges: int) -> str | int:
 
 
 def _same(gauges: int, place: Place, a: Value, b: Value) -> bool:
-    """Equal on the wire: a REAL32 default is compared as REAL32."""
+    """Return whether both are equal on the wire: a REAL32 default is compared as REAL32."""
     letter = setting_rows(gauges)[place].letter
     return types.encode(letter, a) == types.encode(letter, b)
