@@ -1,4 +1,4 @@
-"""CAN FD frames beside the classic ones: shown, recorded and replayed, but not decoded, for CiA 301 has none."""
+"""CAN FD frames beside classic ones: displayed, recorded and replayed, but not decoded, because CiA 301 has none."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ BIT_RATE_SWITCH, ERROR_STATE = 0x01, 0x02
 """Bits of ``flags``: CANFD_BRS and CANFD_ESI of linux/can.h."""
 
 LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
-"""The data lengths that an FD frame can have."""
+"""The valid data lengths of an FD frame."""
 
 
 class FdFrame(NamedTuple):
-    """One CAN FD frame of a block; it came right before the classic frame ``row`` of the block (or after the last)."""
+    """One CAN FD frame of a block; it came just before the classic frame ``row`` of the block (or after the last)."""
 
     row: int
     t_ns: int
@@ -29,7 +29,7 @@ _SCREEN = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*"
 
 
 def log_payload(text: str) -> tuple[int, bytes]:
-    """(flags, data) of what follows the first # of a line in candump's log format. ValueError: the reason."""
+    """Return (flags, data) after the first # of a line in candump's log format. ValueError: the reason."""
     match = _LOG.fullmatch(text)
     if match is None:
         raise ValueError("data")
@@ -37,7 +37,7 @@ def log_payload(text: str) -> tuple[int, bytes]:
 
 
 def screen_payload(length: int, text: str) -> bytes:
-    """The data of what follows the [length] in candump's screen format. ValueError: the reason."""
+    """Return the data from the text after the [length] in candump's screen format. ValueError: the reason."""
     match = _SCREEN.fullmatch(text)
     if match is None:
         raise ValueError("data")

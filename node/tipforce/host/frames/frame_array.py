@@ -1,4 +1,4 @@
-"""Frames in bulk: the structured array that live reception and logs share, and a buffer that collects them."""
+"""Frames in bulk: the structured array for live reception and logs, and a buffer that collects frames."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import numpy.typing as npt
 from tipforce.socketcan import raw_can_id
 
 if TYPE_CHECKING:
-    import can  # only what it hands over is needed: a log of candump's is read without its 65 ms of import
+    import can  # only for types: a candump log is read without its import time of 65 ms
 
 FRAME = np.dtype(
     [
@@ -29,34 +29,34 @@ FRAME = np.dtype(
 """One classic CAN frame in 24 bytes: receive time in nanoseconds, SocketCAN can_id (flags included), data length,
 channel (an index into the source's list of interface names), flags (SENT), a zero, data.
 
-All numbers are aligned, and behind t_ns it is laid out as Linux' ``struct can_frame``.
+All numbers are aligned, and the part after t_ns has the layout of Linux' ``struct can_frame``.
 """
 
 SENT = 1
-"""In ``flags``: this machine sent the frame itself (candump -x says TX, python-can's logs T)."""
+"""In ``flags``: this machine sent the frame (TX in candump -x, T in python-can's logs)."""
 
 MAX_CHANNELS = 256
-"""How many interfaces ``channel`` can tell apart."""
+"""Number of interfaces that ``channel`` can distinguish."""
 
 FrameArray = npt.NDArray[np.void]
 RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
 
 
 def frame_array(frames: Iterable[RawFrame]) -> FrameArray:
-    """Frames as (t_ns, can_id, data of at most 8 bytes) -> FRAME array, shape (n,); missing data bytes are zero."""
+    """Convert frames (t_ns, can_id, data of at most 8 bytes) to FRAME (n,); missing data bytes are zero."""
     rows = [(t_ns, can_id, len(data), 0, 0, 0, tuple(data.ljust(8, b"\0"))) for t_ns, can_id, data in frames]
     return np.array(rows, dtype=FRAME)
 
 
 def raw_frame(message: can.Message) -> RawFrame:
-    """A python-can message as (t_ns, can_id, data)."""
+    """Return a python-can message as (t_ns, can_id, data)."""
     return round(message.timestamp * 1e9), raw_can_id(message), bytes(message.data)
 
 
 class FrameBuffer:
-    """Keeps every classic frame that a python-can Notifier hands it, until someone takes it.
+    """Store every classic frame from a python-can Notifier until it is read.
 
-    ``limit`` bounds the memory: beyond it the oldest frames go and ``dropped`` counts them.
+    ``limit`` bounds the memory: beyond it the oldest frames are dropped and counted in ``dropped``.
     """
 
     def __init__(self, limit: int = 1_000_000) -> None:
@@ -66,11 +66,11 @@ class FrameBuffer:
         self.dropped = 0
 
     def __call__(self, msg: can.Message) -> None:
-        """Called by the Notifier's thread."""
+        """Store a message; called by the Notifier's thread."""
         self.on_message_received(msg)
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Keep a frame."""
+        """Store a frame."""
         if msg.is_fd:
             return
         with self._arrived:
@@ -82,7 +82,7 @@ class FrameBuffer:
             self._arrived.notify_all()
 
     def stop(self) -> None:
-        """Called by the Notifier when it ends."""
+        """Do nothing; called by the Notifier at its end."""
 
     def take(self, complete: Callable[[int], bool], deadline: float) -> FrameArray:
         """Remove and return frames up to the first whose can_id makes ``complete`` true, or up to ``deadline``.
@@ -102,13 +102,13 @@ class FrameBuffer:
                     return frame_array(taken)
 
     def put(self, frame: RawFrame) -> None:
-        """Add a frame from elsewhere, behind all that has arrived."""
+        """Append a frame from another source."""
         with self._arrived:
             self._frames.append(frame)
             self._arrived.notify_all()
 
     def take_some(self, deadline: float) -> FrameArray:
-        """Remove and return what has arrived, as soon as there is something; empty at ``deadline`` (monotonic)."""
+        """Remove and return the received frames as soon as there are any; empty at ``deadline`` (monotonic)."""
         with self._arrived:
             while not self._frames:
                 remaining_s = deadline - time.monotonic()
@@ -118,12 +118,12 @@ class FrameBuffer:
         return frame_array(taken)
 
     def take_all(self) -> FrameArray:
-        """Remove and return what has arrived so far."""
+        """Remove and return the received frames."""
         with self._arrived:
             taken, self._frames = self._frames, []
         return frame_array(taken)
 
     def clear(self) -> None:
-        """Forget what has arrived so far."""
+        """Discard the received frames."""
         with self._arrived:
             self._frames.clear()

@@ -1,4 +1,4 @@
-"""A block of frames with the names of their interfaces: what text, logs and live buses come as."""
+"""A block of frames with the names of their interfaces: the output of text, logs and live buses."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tipforce.host.frames.frame_array import FrameArray
 class CandumpBlock:
     """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): -x said TX.
 
-    ``timed`` is False where a line had no timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
+    ``timed`` is False for a line without timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
     """
 
     frames: FrameArray
@@ -26,11 +26,11 @@ class CandumpBlock:
     fd: tuple[FdFrame, ...] = ()
 
     def __len__(self) -> int:
-        """All frames, CAN FD too."""
+        """Number of all frames, CAN FD included."""
         return len(self.frames) + len(self.fd)
 
     def take(self, rows: npt.NDArray[np.bool_] | slice, fd_rows: npt.NDArray[np.bool_] | None = None) -> CandumpBlock:
-        """The block with ``rows`` of its classic frames only, and with ``fd_rows`` (None: all) of its FD frames."""
+        """Return the block with only ``rows`` of its classic frames, and ``fd_rows`` (None: all) of its FD frames."""
         if isinstance(rows, slice):
             kept_rows = np.zeros(len(self.frames), dtype=np.bool_)
             kept_rows[rows] = True
@@ -42,7 +42,7 @@ class CandumpBlock:
         return CandumpBlock(self.frames[rows], self.interface[rows], self.names, self.sent[rows], self.timed, fd)
 
     def head(self, count: int) -> CandumpBlock:
-        """The block with its first frames only, FD frames counted too."""
+        """Return the block with only its first frames, FD frames included in the count."""
         if count >= len(self):
             return self
         fd = [one for number, one in enumerate(self.fd) if one.row + number < count]
@@ -52,7 +52,7 @@ class CandumpBlock:
         )
 
     def positions(self) -> npt.NDArray[np.intp]:
-        """Where each classic frame stands among all frames of the block: (n,)."""
+        """Return the position of each classic frame among all frames of the block: (n,)."""
         rows = np.arange(len(self.frames))
         if not self.fd:
             return rows

@@ -1,1 +1,1 @@
-"""A bus as it happens: frames received in batches, filtered, and sent."""
+"""Live bus access: frames received in batches, filtered, and sent."""

@@ -1,4 +1,4 @@
-"""Frames as python-can's messages: for its log writers and for the buses that only it can send on."""
+"""Convert frames to python-can messages: for its log writers and for buses that only it can send on."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tipforce.host.frames.frame_block import CandumpBlock
 
 
 def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool) -> can.Message:
-    """A classic frame, ``can_id`` with SocketCAN's flags, as a message."""
+    """Return a classic frame, ``can_id`` with SocketCAN's flags, as a message."""
     error = bool(can_id & ERROR_FLAG)
     remote = bool(can_id & REMOTE_FLAG) and not error
     return can.Message(
@@ -30,7 +30,7 @@ def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent
 
 
 def fd_message(frame: FdFrame, channel: str) -> can.Message:
-    """A CAN FD frame as a message."""
+    """Return a CAN FD frame as a message."""
     return can.Message(
         timestamp=frame.t_ns / 1_000_000_000,
         arbitration_id=frame.can_id & EXTENDED_MASK,
@@ -47,7 +47,7 @@ def fd_message(frame: FdFrame, channel: str) -> can.Message:
 
 
 def block_messages(block: CandumpBlock) -> Iterator[can.Message]:
-    """All frames of a block as messages, CAN FD frames in their places."""
+    """Return all frames of a block as messages, CAN FD frames in their order."""
     frames = block.frames
     data = frames["data"].tobytes()
     fd = deque(block.fd)

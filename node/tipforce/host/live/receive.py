@@ -1,8 +1,8 @@
-"""The live receive path: frames from a bus in batches, ready for the bulk decoder.
+"""Live reception: frames from a bus in batches, ready for the bulk decoder.
 
-``open_receiver`` gives the same object for every interface. On SocketCAN it reads many frames a call with the kernel's
-time stamps, and the kernel filters (``recvmmsg``); every other interface is read through python-can. What CiA 301 knows
-comes as a FRAME array; CAN FD frames stand beside it, for those who show or record them.
+``open_receiver`` returns the same interface for every bus. On SocketCAN it reads many frames per call, with the
+kernel's time stamps and filters (``recvmmsg``); every other interface is read through python-can. Classic frames
+are returned as a FRAME array; CAN FD frames separately, for programs that display or record them.
 """
 
 from __future__ import annotations
@@ -29,11 +29,11 @@ from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver
 from tipforce.host.live.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
 
 ANY = "any"
-"""The channel of SocketCAN that means all interfaces."""
+"""SocketCAN channel name for all interfaces."""
 
-_BUFFER_BYTES = 16 << 20  # of the socket: 30,000 frames/s for a second, in the kernel's way of counting
+_BUFFER_BYTES = 16 << 20  # of the socket: 30,000 frames/s for one second, with the kernel's overhead
 _SO_RCVBUFFORCE = 33  # asm-generic/socket.h
-_SOL_CAN_RAW = 101  # what follows is from linux/can/raw.h; Python's socket has it on Linux alone
+_SOL_CAN_RAW = 101  # the following is from linux/can/raw.h; Python's socket has it only on Linux
 _CAN_RAW_FILTER, _CAN_RAW_ERR_FILTER, _CAN_RAW_FD_FRAMES, _CAN_RAW_JOIN_FILTERS = 1, 2, 5, 6
 _FD_HEADER = struct.Struct("=IBB2x")
 # A frame's second word, little-endian: can_id, length, channel, flags, spare.
@@ -48,9 +48,9 @@ Interfaces = npt.NDArray[np.uint16]
 def open_receiver(
     options: Mapping[str, Any], selection: Selection | None = None, *, tick_s: float = TICK_S
 ) -> Receiver:
-    """Listen to the bus that ``options`` (keywords of ``can.Bus``) name, to what ``selection`` selects (None: data).
+    """Open a receiver on the bus given by ``options`` (keywords of ``can.Bus``) for ``selection`` (None: data frames).
 
-    Raises EnvironmentLackError when it can't be opened; the text says what to do.
+    Raises EnvironmentLackError if the bus cannot be opened; the text says what to do.
     """
     chosen = Selection() if selection is None else selection
     if options.get("interface") == "socketcan" and recvmmsg.AVAILABLE and options.get("channel") is not None:
@@ -63,19 +63,19 @@ def open_receiver(
 
 
 def open_socket(channel: str, selection: Selection) -> socket.socket:
-    """A raw CAN socket on ``channel`` (``any`` or empty: on all) with filters, time stamps and CAN FD frames."""
+    """Return a raw CAN socket on ``channel`` (``any`` or empty: all) with filters, time stamps and CAN FD frames."""
     try:
         one = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except (OSError, AttributeError) as error:
         raise _not_opened(channel, error) from error
     try:
-        # All before bind: nothing that the filters leave out ever comes in.
+        # All options before bind: a frame that the filters exclude is never received.
         one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("=I", selection.error_mask))
         words = [word for rule in selection.filters for word in rule.kernel_words()] or [0, 0]
         one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, struct.pack(f"={len(words)}I", *words))
         if selection.join:
             one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
-        with suppress(OSError):  # a kernel without CAN FD
+        with suppress(OSError):  # the kernel has no CAN FD
             one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
         prepare_socket(one)
         one.bind(("" if channel == ANY else channel,))
@@ -86,20 +86,20 @@ def open_socket(channel: str, selection: Selection) -> socket.socket:
 
 
 def prepare_socket(one: socket.socket) -> None:
-    """What any socket gets that a SocketReceiver reads: time stamps, the drop count, a large buffer."""
+    """Set the socket options that a SocketReceiver needs: time stamps, the drop count, a large buffer."""
     one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_TIMESTAMPNS, 1)
     one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_RXQ_OVFL, 1)
     try:
         one.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
-    except OSError:  # needs CAP_NET_ADMIN; without it the kernel gives what net.core.rmem_max allows
+    except OSError:  # needs CAP_NET_ADMIN; without it the kernel limits the buffer to net.core.rmem_max
         one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
 
 
 class SocketReceiver(Receiver):
-    """Over a datagram socket that carries ``struct can_frame``: a raw CAN socket, or one that plays it."""
+    """Receiver on a datagram socket that carries ``struct can_frame``: a raw CAN socket, or a substitute."""
 
     def __init__(self, one: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
-        """Takes the socket over. ``tick_s`` 0: every receive returns as soon as there is a frame."""
+        """Take ownership of the socket. ``tick_s`` 0: every receive returns at the first frame."""
         self._socket = one
         self._channel = channel
         self._any = channel in {ANY, ""}
@@ -117,7 +117,7 @@ class SocketReceiver(Receiver):
         return self._batch.dropped
 
     def fileno(self) -> int:
-        """The socket's."""
+        """Return the socket's file descriptor."""
         return self._socket.fileno()
 
     def close(self) -> None:
@@ -152,7 +152,7 @@ class SocketReceiver(Receiver):
         try:
             now = time.monotonic()
             if self._next_s > now:
-                # Other threads run meanwhile, and what comes is read in one go.
+                # Other threads run during the wait, and all new frames are read in one batch.
                 time.sleep(self._next_s - now if timeout_s is None else min(self._next_s - now, timeout_s))
             count = self._batch.read()
             if not count and timeout_s != 0:
@@ -161,15 +161,15 @@ class SocketReceiver(Receiver):
                 count = self._batch.read()
         except OSError as error:
             raise self._failed(error) from error
-        # A full batch says that more waits.
+        # A full batch means that more frames are waiting.
         self._next_s = time.monotonic() + self._tick_s if 0 < count < self._batch.capacity else 0.0
         return count
 
     def _frames(self, count: int) -> tuple[FrameArray, Interfaces]:
-        """What was read as FRAME (count,), CAN FD frames cut to eight bytes; and where each came from."""
+        """Return the received frames as FRAME (count,), CAN FD frames cut to eight bytes; and the interface of each."""
         batch = self._batch
         frames: FrameArray = np.empty(count, dtype=FRAME)
-        words = frames.view(np.uint64).reshape(count, 3)  # FRAME is a time and a struct can_frame
+        words = frames.view(np.uint64).reshape(count, 3)  # FRAME is a time followed by a struct can_frame
         words[:, 0] = batch.times_ns(count).view(np.uint64)
         words[:, 1:] = batch.words(count)
         head = words[:, 1]
@@ -185,7 +185,7 @@ class SocketReceiver(Receiver):
         length = head >> _LENGTH_SHIFT & np.uint64(0xFF)
         if (length != 8).any():
             frames["length"] = length = np.minimum(length, 8)
-            words[:, 2] &= _KEEP[length]  # what a sender left behind its data is nobody's
+            words[:, 2] &= _KEEP[length]  # bytes after the data are undefined
         return frames, interface
 
     def _interfaces(self, count: int) -> Interfaces:
@@ -213,14 +213,14 @@ class SocketReceiver(Receiver):
 
     def _failed(self, error: OSError) -> EnvironmentLackError:
         if error.errno == errno.ENETDOWN:
-            return InterfaceDownError(f"{self._channel}: interface down; `ip link set {self._channel} up` brings it up")
+            return InterfaceDownError(f"{self._channel}: interface down; `ip link set {self._channel} up` sets it up")
         return EnvironmentLackError(f"{self._channel}: {error.strerror}; `ip -details link` shows its state")
 
 
 def _interface_name(index: int) -> str:
     try:
         return socket.if_indextoname(index)
-    except OSError:  # it has gone since
+    except OSError:  # the interface was removed in the meantime
         return f"if{index}"
 
 

@@ -1,4 +1,4 @@
-"""Several receivers as one: what any of them gets, in the order of the time stamps."""
+"""Combine several receivers into one: frames of all, in the order of their time stamps."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import TICK_S, Receiver
 
 _POLL_S = 0.1
-_WAITING_BLOCKS = 64  # of all receivers; the buses themselves hold what does not fit
+_WAITING_BLOCKS = 64  # of all receivers; further frames wait in the buses themselves
 
 
 class ReceiverGroup(Receiver):
-    """Receives from all of ``receivers``, which it takes over. A context manager."""
+    """Receive from all of ``receivers``, and take ownership of them. A context manager."""
 
     def __init__(self, receivers: Sequence[Receiver], *, tick_s: float = TICK_S) -> None:
         self._receivers = tuple(receivers)
@@ -43,7 +43,7 @@ class ReceiverGroup(Receiver):
             for one in self._receivers:
                 self._poll.register(one.fileno(), select.POLLIN)
             return
-        # One thread per bus: not every bus of python-can has a file to wait for.
+        # One thread per bus: not every python-can bus has a file descriptor to wait for.
         stop = threading.Event()
         for one in self._receivers:
             thread = threading.Thread(target=_receive, args=(one, self._arrived, stop), daemon=True)
@@ -57,7 +57,7 @@ class ReceiverGroup(Receiver):
         return sum(one.dropped for one in self._receivers)
 
     def fileno(self) -> int:
-        """The only receiver's; -1 for several."""
+        """Return the file descriptor of a single receiver; -1 for several."""
         return self._receivers[0].fileno() if len(self._receivers) == 1 else -1
 
     def close(self) -> None:
@@ -76,7 +76,7 @@ class ReceiverGroup(Receiver):
             if isinstance(item, CandumpBlock):
                 blocks.append(item)
             elif blocks or self._failure is not None:
-                self._failure = item  # told by the next call: what other buses have given is not lost
+                self._failure = item  # raised by the next call, so that frames of the other buses are not lost
             else:
                 raise item
         return merged(blocks, self._names)
@@ -110,7 +110,7 @@ class ReceiverGroup(Receiver):
 
 
 def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBlock:
-    """The frames of several blocks in the order of their time stamps; ``names`` grows by what is new."""
+    """Return the frames of several blocks in the order of their time stamps; new names are added to ``names``."""
     if not blocks:
         empty = np.zeros(0, dtype=np.uint16)
         return CandumpBlock(np.zeros(0, dtype=FRAME), empty, tuple(names), empty.astype(np.bool_))
@@ -133,7 +133,7 @@ def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBloc
 
 
 def _receive(one: Receiver, arrived: queue.Queue[CandumpBlock | Exception], stop: threading.Event) -> None:
-    """A thread's work: hand over what one receiver gets until told to stop."""
+    """Pass on the blocks of one receiver until the stop event; runs in its own thread."""
     item: CandumpBlock | Exception
     while not stop.is_set():
         try:

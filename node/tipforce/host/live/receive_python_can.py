@@ -1,4 +1,4 @@
-"""The receive path through python-can, for every interface that is not SocketCAN: the same call, the same blocks."""
+"""Live reception through python-can, for every interface except SocketCAN: the same methods, the same blocks."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from tipforce.host.live.receiver import Receiver
 from tipforce.socketcan import raw_can_id
 
 BURST = 512
-"""Frames that one receive hands over at most."""
+"""The maximum number of frames per receive."""
 
 
 class PythonCanReceiver(Receiver):
-    """Over a python-can bus, which it takes over."""
+    """Receiver on a python-can bus, of which it takes ownership."""
 
     def __init__(self, bus: can.BusABC, selection: Selection, channel: str = "") -> None:
-        """``channel`` is the name of the interface in the blocks; empty: what each message says."""
+        """``channel`` is the name of the interface in the blocks; empty: the name in each message."""
         self._bus = bus
         self._selection = selection
         self._channel = "" if channel == "any" else channel
@@ -31,11 +31,11 @@ class PythonCanReceiver(Receiver):
 
     @property
     def dropped(self) -> int:
-        """0: python-can does not tell."""
+        """0: python-can does not report dropped frames."""
         return 0
 
     def fileno(self) -> int:
-        """None: many interfaces of python-can keep frames of their own behind the file."""
+        """Return -1: many interfaces of python-can buffer frames outside the file descriptor."""
         return -1
 
     def close(self) -> None:
@@ -51,7 +51,7 @@ class PythonCanReceiver(Receiver):
                 messages.append(message)
                 message = self._bus.recv(0) if len(messages) < BURST else None
         except (can.CanError, OSError) as error:
-            if not messages:  # else the next call meets it again
+            if not messages:  # otherwise the next call raises it
                 text = f"the bus failed: {error}; `ip -details link` shows its state"
                 raise EnvironmentLackError(text) from error
         return self._block(messages)
@@ -65,7 +65,7 @@ class PythonCanReceiver(Receiver):
 
 
 def message_block(messages: Iterable[can.Message], names: dict[str, int], channel: str = "") -> CandumpBlock:
-    """Messages of python-can as a block; ``names`` grows by new interfaces, that ``channel`` or each message names."""
+    """Return python-can messages as a block; ``names`` gets new interfaces, from ``channel`` or from each message."""
 
     def interface(message: can.Message) -> int:
         name = channel or str("can" if message.channel is None else message.channel)
@@ -89,7 +89,7 @@ def message_block(messages: Iterable[can.Message], names: dict[str, int], channe
 
 
 def message_frames(messages: list[can.Message]) -> FrameArray:
-    """Classic messages of python-can as a FRAME array, shape (n,); ``channel`` is left at 0."""
+    """Return classic python-can messages as FRAME (n,); ``channel`` stays 0."""
     frames: FrameArray = np.zeros(len(messages), dtype=FRAME)
     frames["t_ns"] = [round(message.timestamp * 1e9) for message in messages]
     frames["can_id"] = [raw_can_id(message) for message in messages]

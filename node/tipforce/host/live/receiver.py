@@ -1,4 +1,4 @@
-"""What every live receiver is, whatever bus it listens to."""
+"""Interface of every live receiver, independent of the bus."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 
 TICK_S = 0.001
-"""The least time between two batches: frames that come faster are handed over together, at most this much later."""
+"""The minimum time between two batches: it delays faster frames, which are returned together, at most this much."""
 
 
 class InterfaceDownError(EnvironmentLackError):
-    """The interface went down while it was listened to; when it comes up again, the receiver goes on."""
+    """The interface went down during reception; the receiver continues when it is up again."""
 
 
 class Receiver(Protocol):
-    """A bus that is listened to. A context manager; ``names`` are the interfaces that frames came from."""
+    """A receiver on a bus. A context manager; ``names`` are the interfaces of the received frames."""
 
     @property
     def dropped(self) -> int:
-        """Frames that the kernel dropped because nobody took them in time, as far as it tells."""
+        """Frames that the kernel dropped because they were not read in time, as far as it is known."""
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
-        """The classic frames that have come, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
+        """Return the classic frames received, FRAME (n,), as soon as there is one; n is 0 after ``timeout_s``.
 
-        ``channel`` indexes the names of the block. Raises EnvironmentLackError when the bus fails, and then
+        ``channel`` indexes the names of the block. Raises EnvironmentLackError if the bus fails,
         InterfaceDownError if it may recover.
         """
         return self.receive_block(timeout_s).frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
-        """The same with interface names and CAN FD frames."""
+        """Return the same frames with interface names and CAN FD frames."""
 
     def fileno(self) -> int:
-        """A file descriptor to wait on; -1: there is none."""
+        """Return a file descriptor to wait on; -1 if there is none."""
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop receiving."""
 
     def __enter__(self) -> Self:
         return self

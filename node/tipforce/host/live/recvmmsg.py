@@ -1,8 +1,8 @@
-"""Datagrams of a socket in batches: Linux' recvmmsg through ctypes, into memory that numpy reads in place.
+"""Read datagrams of a socket in batches: Linux' recvmmsg through ctypes, into memory that numpy reads in place.
 
-One call brings up to ``capacity`` frames with the kernel's time of each. It goes through ctypes.PyDLL, which keeps the
-GIL: with MSG_DONTWAIT the call never blocks, and giving the GIL up at each call would hand it to a busy thread of this
-process for up to sys.getswitchinterval() (5 ms) each time. Needs a little-endian 64-bit Linux; ``AVAILABLE`` says so.
+One call returns up to ``capacity`` frames, each with the kernel's time. It uses ctypes.PyDLL, which keeps the GIL:
+with MSG_DONTWAIT the call never blocks, and releasing the GIL at each call would yield to a busy thread of this
+process for up to sys.getswitchinterval() (5 ms) each time. Needs a little-endian 64-bit Linux, see ``AVAILABLE``.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import numpy.typing as npt
 
 SO_TIMESTAMPNS = 35
 SO_RXQ_OVFL = 40
-"""Options of SOL_SOCKET that Python's socket does not name: nanoseconds of arrival, and how many were dropped."""
+"""Options of SOL_SOCKET missing in Python's socket: arrival time in nanoseconds, and the number of drops."""
 
 CLASSIC_BYTES, FD_BYTES = 16, 72
 """sizeof struct can_frame and struct canfd_frame."""
@@ -27,7 +27,7 @@ CLASSIC_BYTES, FD_BYTES = 16, 72
 _DONTWAIT, _DONTROUTE = 0x40, 0x04  # linux/socket.h
 _NOTHING = (errno.EAGAIN, errno.EWOULDBLOCK, errno.EINTR)
 _DROP_MODULUS = 1 << 32
-_STAMP_BYTES, _ADDRESS_BYTES = 32, 32  # CMSG_SPACE of a timespec; room for any address
+_STAMP_BYTES, _ADDRESS_BYTES = 32, 32  # CMSG_SPACE of a timespec; space for any address
 
 _HEADER = np.dtype(
     [
@@ -60,17 +60,17 @@ def _function() -> ctypes._NamedFuncPointer | None:
 
 _recvmmsg = _function()
 AVAILABLE = _recvmmsg is not None
-"""Can this machine do it?"""
+"""True if this machine supports it."""
 
 
 class DatagramBatch:
     """Memory for ``capacity`` datagrams of one socket, and the call that fills it.
 
-    The socket stays the caller's. Its time stamps and its drop count come if it has SO_TIMESTAMPNS and SO_RXQ_OVFL.
+    The caller keeps ownership of the socket. Time stamps and drop count need SO_TIMESTAMPNS and SO_RXQ_OVFL.
     """
 
     def __init__(self, one: socket.socket, capacity: int = 256, *, addresses: bool = False) -> None:
-        """``addresses``: keep which interface each CAN frame came from."""
+        """``addresses``: store the interface of each CAN frame."""
         self._fd = one.fileno()
         self._capacity = capacity
         self._data = np.zeros((capacity, FD_BYTES), dtype=np.uint8)
@@ -87,7 +87,7 @@ class DatagramBatch:
         if addresses:
             self._headers["name"] = _rows(self._addresses)
         self._pointer = self._headers.ctypes.data
-        # Views that are made once: to make one takes as long as to copy a hundred numbers.
+        # Views are created once: creating one takes as long as copying a hundred numbers.
         self._words = self._data.view(np.uint64)[:, :2]
         self._lengths = self._headers["received_bytes"]
         self._flags = self._headers["flags"]
@@ -100,11 +100,11 @@ class DatagramBatch:
 
     @property
     def capacity(self) -> int:
-        """How many datagrams one read brings at most."""
+        """The maximum number of datagrams per read."""
         return self._capacity
 
     def read(self) -> int:
-        """Take what waits in the socket: how many. Raises OSError, for instance ENETDOWN."""
+        """Read the waiting datagrams; return their number. Raises OSError, for instance ENETDOWN."""
         assert _recvmmsg is not None, "recvmmsg is not available here"
         count: int = _recvmmsg(self._fd, self._pointer, self._capacity, _DONTWAIT, None)
         if count >= 0:
@@ -115,44 +115,44 @@ class DatagramBatch:
         raise OSError(number, os.strerror(number))
 
     def release(self, count: int) -> None:
-        """Make the first ``count`` places ready for the next read; called when what was read has been copied."""
+        """Prepare the first ``count`` places for the next read; called after their content has been copied."""
         self._control_bytes[:count] = _CONTROL.itemsize
         if self._name_bytes:
             self._headers["name_bytes"][:count] = self._name_bytes
 
     def words(self, count: int) -> npt.NDArray[np.uint64]:
-        """The first 16 bytes of each datagram, (count, 2): all of a classic frame. A view."""
+        """Return the first 16 bytes of each datagram, (count, 2): all of a classic frame. A view."""
         return self._words[:count]
 
     def datagram(self, row: int) -> bytes:
-        """All bytes of one datagram."""
+        """Return all bytes of one datagram."""
         return self._data[row, : int(self._lengths[row])].tobytes()
 
     def lengths(self, count: int) -> npt.NDArray[np.uint32]:
-        """How many bytes each datagram has, (count,). A view."""
+        """Return the number of bytes of each datagram, (count,). A view."""
         found: npt.NDArray[np.uint32] = self._lengths[:count]
         return found
 
     def sent(self, count: int) -> npt.NDArray[np.bool_]:
-        """Which datagrams a process of this machine sent, (count,)."""
+        """Return which datagrams a process of this machine sent, (count,)."""
         found: npt.NDArray[np.bool_] = (self._flags[:count] & _DONTROUTE).astype(np.bool_)
         return found
 
     def interfaces(self, count: int) -> npt.NDArray[np.int32]:
-        """The index of the interface of each datagram, (count,). A view."""
+        """Return the index of the interface of each datagram, (count,). A view."""
         found: npt.NDArray[np.int32] = self._addresses["interface"][:count]
         return found
 
     def times_ns(self, count: int) -> npt.NDArray[np.int64]:
-        """When the kernel got each, (count,), in nanoseconds since 1970; now, where it does not say.
+        """Return the kernel's receive time of each, (count,), in nanoseconds since 1970; else the present time.
 
-        Counts what the kernel dropped, too: the counter travels beside the time.
+        Also updates the number of frames that the kernel dropped, which comes with the time.
         """
         found: npt.NDArray[np.int64] = self._seconds[:count] * 1_000_000_000 + self._nanoseconds[:count]
         if not count:
             return found
         last = count - 1
-        # A socket with the option stamps every datagram, so one tells for all.
+        # A socket with the option stamps every datagram, so checking one is enough.
         if self._control_bytes[last] < _STAMP_BYTES or self._kind_1[last] != SO_TIMESTAMPNS:
             found[:] = time.time_ns()
         elif self._control_bytes[last] > _STAMP_BYTES and self._kind_2[last] == SO_RXQ_OVFL:
@@ -163,5 +163,5 @@ class DatagramBatch:
 
 
 def _rows(array: npt.NDArray[np.generic]) -> npt.NDArray[np.uint64]:
-    """The address of each row of a C-contiguous array."""
+    """Return the address of each row of a C-contiguous array."""
     return (array.ctypes.data + np.arange(len(array)) * array.strides[0]).astype(np.uint64)

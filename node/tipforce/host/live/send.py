@@ -1,4 +1,4 @@
-"""Frames onto a bus, of every kind that it carries: raw SocketCAN, and python-can for every other interface."""
+"""Send frames of every kind that a bus carries: raw SocketCAN, and python-can for every other interface."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ class NotCarriedError(Exception):
 
 
 class Sender(Protocol):
-    """A bus that is sent on. A context manager."""
+    """A sender on a bus. A context manager."""
 
     def send(self, can_id: int, length: int, data: bytes) -> None:
         """Send a classic frame, ``can_id`` with SocketCAN's flags.
 
-        Raises NotCarriedError for a kind that the bus does not carry, EnvironmentLackError when the bus fails.
+        Raises NotCarriedError for a kind that the bus does not carry, EnvironmentLackError if the bus fails.
         """
 
     def send_fd(self, frame: FdFrame) -> None:
@@ -41,17 +41,17 @@ class Sender(Protocol):
 
 
 def open_sender(options: Mapping[str, Any]) -> Sender:
-    """The bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError when it can't be opened."""
+    """Return a sender on the bus given by ``options`` (keywords of ``can.Bus``). Raises EnvironmentLackError."""
     if options.get("interface") == "socketcan" and options.get("channel") and hasattr(socket, "AF_CAN"):
         return SocketCanSender(str(options["channel"]))
     return PythonCanSender(options)
 
 
 class SocketCanSender:
-    """A raw CAN socket that only sends."""
+    """Sender on a raw CAN socket."""
 
     def __init__(self, channel: str) -> None:
-        """Raises EnvironmentLackError when there is no such interface."""
+        """Open the socket. Raises EnvironmentLackError if the interface does not exist."""
         self._channel = channel
         try:
             self._socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
@@ -96,22 +96,22 @@ class SocketCanSender:
                 give_up_s = give_up_s or now + _GIVE_UP_S
                 if error.errno != errno.ENOBUFS or now > give_up_s:
                     raise self._failed(error) from error
-            time.sleep(_FULL_QUEUE_WAIT_S)  # poll() does not tell when the queue has room again
+            time.sleep(_FULL_QUEUE_WAIT_S)  # poll() does not report free space in the queue
 
     def _failed(self, error: OSError) -> EnvironmentLackError:
         hint = "`ip -details link` shows its state"
         if error.errno == errno.ENOBUFS:
-            hint = "the transmit queue stays full: is another node on the bus to acknowledge?"
+            hint = "the transmit queue stays full: check that another node on the bus acknowledges frames"
         elif error.errno in {errno.ENODEV, errno.EAFNOSUPPORT}:
             hint = "`ip -br link` lists interfaces; for a kernel that has vcan: `tipforce vcan -- ...`"
         return EnvironmentLackError(f"interface socketcan, channel {self._channel}: {error.strerror}; {hint}")
 
 
 class PythonCanSender:
-    """Any python-can bus."""
+    """Sender on any python-can bus."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
-        """Raises EnvironmentLackError when it can't be opened."""
+        """Open the bus. Raises EnvironmentLackError if it cannot be opened."""
         from tipforce.host.network.bus import open_bus
 
         self._name = str(options.get("channel") or options.get("interface") or "the bus")
@@ -143,4 +143,4 @@ class PythonCanSender:
         try:
             self._bus.send(fd_message(frame, ""))
         except (can.CanError, ValueError) as error:
-            raise NotCarriedError(f"{self._name} carries no CAN FD frames (with --fd it may): {error}") from None
+            raise NotCarriedError(f"{self._name} carries no CAN FD frames (try --fd): {error}") from None
