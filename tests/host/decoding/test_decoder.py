@@ -191,7 +191,7 @@ def test_remap_refuses_and_then_changes_nothing() -> None:
     decoder.remap(6, "Contact", 0x286, [P])
     refused = [(5, "Touch", 0x285, [P]), (5, "Contact", 0x286, [P]), (5, "Contact", 0x800, [P]), (0, "Contact", 1, [P])]
     for node_id, name, can_id, mapping in refused:
-        with pytest.raises(InputError, match=r"allowed|has it"):
+        with pytest.raises(InputError, match=r"allowed|already assigned"):
             decoder.remap(node_id, name, can_id, mapping)
     with pytest.raises(InputError, match="64"):
         decoder.remap(5, "Contact", 0x285, [P] * 5)

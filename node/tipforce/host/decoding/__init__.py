@@ -1,1 +1,1 @@
-"""PDO data to values in bulk, and where the PDO layouts come from."""
+"""Decode PDO data in bulk, with PDO layouts from several sources."""

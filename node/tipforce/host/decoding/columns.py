@@ -1,4 +1,4 @@
-"""Signals out of eight data bytes: any number of messages of one layout at a time."""
+"""Extract signals from eight data bytes, for many messages of one layout at a time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ Words = npt.NDArray[np.uint64]
 
 
 def columns_of(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
-    """Each signal (k,) out of the eight data bytes (k,) as one little-endian number: any start bit will do."""
+    """Return each signal (k,) from the eight data bytes (k,) as one little-endian number, for any start bit."""
     flags: dict[int, npt.NDArray[np.uint8]] = {}
     columns: dict[str, Column] = {}
     for signal in signals:
@@ -30,7 +30,7 @@ def columns_of(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
 
 
 def _is_plain(signal: Signal) -> bool:
-    """Whether the raw number is the value."""
+    """Return whether the raw number is the value."""
     return signal.unknown is None and signal.scale == 1 and not signal.offset and not signal.big_endian
 
 

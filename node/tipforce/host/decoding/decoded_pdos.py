@@ -1,4 +1,4 @@
-"""Which PDOs are decoded: the dictionary's, those of DCF files, of a DBC, or of nodes that were asked."""
+"""Sources of the PDOs to decode: the dictionary, DCF files, a DBC, or nodes read over SDO."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ COUNTER = "counter"
 
 @dataclass(frozen=True, slots=True)
 class Layouts:
-    """A description that can be sent to another process. ``nodes`` None is all of them.
+    """A description that can be sent to another process. ``nodes`` None means all of them.
 
-    ``pdos``: by node-id the PDOs that differ, as (message name, can_id, mapping).
+    ``pdos``: by node-id the PDOs that differ from the default, as (message name, can_id, mapping).
     """
 
     gauges: int = 3
@@ -28,7 +28,7 @@ class Layouts:
     pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
 
     def decoder(self) -> Decoder:
-        """A decoder of its own for each bus. Raises InputError for layouts that do not fit together."""
+        """Return a separate decoder for each bus. Raises InputError for incompatible layouts."""
         if self.dbc is not None:
             from tipforce.host.decoding.pdo_layout import dbc_messages
 
@@ -44,14 +44,14 @@ class Layouts:
 
 
 def with_dcf(layouts: Layouts, files: Iterable[str]) -> Layouts:
-    """Take the PDOs of the nodes that DCF files describe. Raises InputError."""
+    """Use the PDOs of the nodes that DCF files describe. Raises InputError."""
     from tipforce.host.decoding.pdo_layout import dcf_layout
 
     return _with(layouts, [dcf_layout(path) for path in files])
 
 
 def with_asked(layouts: Layouts, nodes: Sequence[int], options: dict[str, object]) -> Layouts:
-    """Ask nodes on a bus over SDO. Raises what a connection raises."""
+    """Read the PDOs of nodes on a bus over SDO. Raises the errors of a connection."""
     from tipforce.host.decoding.pdo_layout import node_layout
     from tipforce.host.network.bus import open_bus
     from tipforce.host.network.connection import Connection
@@ -69,13 +69,13 @@ def _with(layouts: Layouts, found: Sequence[object]) -> Layouts:
     if len(set(ids)) < len(ids):
         raise InputError(f"node-ids {ids}: each node has one layout")
     if len(gauges) > 1:
-        raise InputError(f"nodes with {sorted(gauges)} gauges: one decode takes nodes with the same number")
+        raise InputError(f"nodes with {sorted(gauges)} gauges: one decode needs nodes with the same number")
     pdos = tuple((n.node_id, tuple((name, i, mapping) for name, (i, mapping) in n.pdos.items())) for n in nodes)
     return Layouts(gauges.pop() if gauges else layouts.gauges, layouts.nodes, layouts.dbc, layouts.pdos + pdos)
 
 
 def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
-    """The signals that names mean: `P` and `P_N` are the same. Raises InputError for what no message has."""
+    """Return the signals for some names: `P` and `P_N` are the same. Raises InputError for an unknown name."""
     found = []
     for name in names:
         bare = next((name.removesuffix(suffix) for suffix in _SUFFIXES if name.endswith(suffix)), name)
@@ -87,7 +87,7 @@ def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def has_signal(decoder: Decoder, name: str) -> bool:
-    """Whether any message of the decoder has a signal."""
+    """Return whether any message of the decoder has a signal."""
     try:
         decoder.decode(np.zeros(0, dtype=FRAME), [name])
     except InputError:

@@ -1,4 +1,4 @@
-"""The one bulk decoder of tipforce's PDOs, for live frames and for logs: frames in, columns of signals out."""
+"""The bulk decoder of tipforce's PDOs for live frames and for logs: frames in, columns of signals out."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ Key = tuple[int, str]  # node-id, message name
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Samples:
-    """What one message of one node said, k times, in the order of the input.
+    """k samples of one message of one node, in the order of the input.
 
-    ``t_ns`` (k,) is the receive time of each; ``row`` (k,) says which of the input frames it was. ``columns`` holds
-    what was asked for by signal name, each (k,): measurements as float64 in the signal's unit with NaN for unknown,
-    flags as bool, counters and registers as integers. ``message`` tells units and resolutions.
+    ``t_ns`` (k,) is the receive time of each; ``row`` (k,) is the index of its input frame. ``columns`` holds the
+    requested columns by signal name, each (k,): measurements as float64 in the signal's unit with NaN for unknown,
+    flags as bool, counters and registers as integers. ``message`` has units and resolutions.
     """
 
     node_id: int
@@ -39,7 +39,7 @@ class Samples:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NodeSamples:
-    """What one message of several nodes said, k times: the nodes one after another, each in the order of the input.
+    """k samples of one message of several nodes: the nodes one after another, each in the order of the input.
 
     ``node_id`` (k,); ``row`` (k,) and ``columns`` as those of Samples.
     """
@@ -52,7 +52,7 @@ class NodeSamples:
 
 @dataclass(frozen=True, slots=True)
 class _Group:
-    """The slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded in one go."""
+    """Slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded together."""
 
     message: Message
     signals: tuple[Signal, ...]
@@ -62,9 +62,9 @@ class _Group:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Plan:
-    """Where each identifier goes, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
+    """Slots of the identifiers, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
 
-    slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for every longer identifier
+    slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for all larger identifiers
     extended_ids: npt.NDArray[np.uint32]  # (e,) sorted, with EXTENDED_FLAG: of foreign messages
     extended_slots: npt.NDArray[np.uint16]  # (e,)
     length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
@@ -76,17 +76,17 @@ _Run = tuple[_Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Col
 
 
 class Decoder:
-    """Decodes the TPDOs of nodes with ``n`` gauges, by the default PDOs of docs/objects.md unless told by ``remap``.
+    """Decode the TPDOs of nodes with ``n`` gauges, by the default PDOs of docs/objects.md unless changed by ``remap``.
 
     ``malformed`` counts, by (node-id, message name), the frames so far that were shorter than their mapping and
-    therefore not decoded (a node reports such an RPDO as EMCY 8210h). Of longer ones the first bytes count.
+    therefore not decoded (a node reports such an RPDO as EMCY 8210h). Extra bytes of longer ones are ignored.
     """
 
     def __init__(self, n: int = 3, node_ids: Iterable[int] = range(1, 128)) -> None:
         """Raises InputError for an ``n`` outside 3..8 or a node-id outside 1..127."""
         self._n = n
         self._messages: dict[Key, tuple[int, Message]] = {}
-        self._given: dict[int, Key] = {}  # identifiers that remap gave
+        self._given: dict[int, Key] = {}  # identifiers set by remap
         self._remapped: dict[tuple[str, tuple[tuple[int, int, int], ...]], Message] = {}
         self._plans: dict[frozenset[str] | None, _Plan] = {}
         self.malformed: dict[Key, int] = {}
@@ -100,21 +100,21 @@ class Decoder:
 
     @classmethod
     def of_messages(cls, messages: Mapping[Key, tuple[int, Message]]) -> Decoder:
-        """A decoder of foreign messages: by key the can_id, with EXTENDED_FLAG for 29 bits, and the layout."""
+        """Return a decoder of other messages: by key the can_id, with EXTENDED_FLAG for 29 bits, and the layout."""
         decoder = cls(node_ids=())
         decoder._messages.update(messages)
         return decoder
 
     def messages(self) -> dict[Key, tuple[int, Message]]:
-        """By (node-id, message name) the identifier, 0 for none, and the layout."""
+        """Return by (node-id, message name) the identifier, 0 for none, and the layout."""
         return dict(self._messages)
 
     def remap(self, node_id: int, name: str, can_id: int, mapping: Iterable[tuple[int, int, int]]) -> None:
-        """Take message ``name`` of one node from ``can_id`` (0: from nowhere) with ``mapping`` (index, sub, bits).
+        """Receive message ``name`` of one node on ``can_id`` (0: not at all) with ``mapping`` (index, sub, bits).
 
-        An identifier taken so no longer means the default PDO that has it, of a node that may not even exist.
-        Raises InputError for a node or message that this decoder does not have, an identifier that is not
-        1..0x7FF or was given to another message, and what ``mapping_signals`` refuses; then nothing has changed.
+        The identifier then no longer selects the default PDO that has it, even of an absent node. Raises InputError
+        for a node or message that this decoder does not have, an identifier that is not 1..0x7FF or already assigned to
+        another message, and a mapping that ``mapping_signals`` rejects; then nothing has changed.
         """
         key = node_id, name
         if key not in self._messages:
@@ -124,7 +124,7 @@ class Decoder:
             raise InputError(f"identifier 0x{can_id:X} of {name}: allowed are 0x001 to 0x7FF, or 0 for none")
         owner = self._given.get(can_id, key)
         if owner != key:
-            raise InputError(f"identifier 0x{can_id:03X} of {name}: node {owner[0]}'s {owner[1]} has it")
+            raise InputError(f"identifier 0x{can_id:03X} of {name}: already assigned to {owner[1]} of node {owner[0]}")
         self._messages[key] = can_id, self._layout(self._messages[key][1], tuple(mapping))
         self._given = {given: other for given, other in self._given.items() if other != key}
         if can_id:
@@ -132,7 +132,7 @@ class Decoder:
         self._plans.clear()
 
     def _layout(self, message: Message, mapping: tuple[tuple[int, int, int], ...]) -> Message:
-        """``message`` with another mapping: the same object for the same mapping, so that nodes decode together."""
+        """Return ``message`` with another mapping: one object per mapping, so that nodes are decoded together."""
         if (message.name, mapping) not in self._remapped:
             length = (sum(bits for _, _, bits in mapping) + 7) // 8
             signals = mapping_signals(mapping, self._n)
@@ -141,11 +141,10 @@ class Decoder:
         return self._remapped[message.name, mapping]
 
     def decode(self, frames: FrameArray, signals: Iterable[str] | None = None) -> dict[Key, Samples]:
-        """Decode FRAME array (n,): what each (node-id, message name) said, for those that said something.
+        """Decode FRAME array (n,) to the samples of each (node-id, message name) that occurs.
 
-        ``signals`` names what is wanted; nothing else is computed, and messages without any of it are left out.
-        Remote and error frames and foreign identifiers are ignored. Raises InputError for a name that no
-        message has.
+        ``signals`` names the wanted signals; nothing else is computed, and messages without any of them are omitted.
+        Remote and error frames and unknown identifiers are ignored. Raises InputError for a name that no message has.
         """
         found: dict[Key, Samples] = {}
         for group, slot, row, columns in self._runs(frames, signals):
@@ -159,18 +158,18 @@ class Decoder:
         return found
 
     def decode_together(self, frames: FrameArray, signals: Iterable[str] | None = None) -> list[NodeSamples]:
-        """The same without taking the nodes apart, for those that have many nodes and few frames of each."""
+        """Decode without splitting by node, for callers with many nodes and few frames of each."""
         return [
             NodeSamples(group.message.name, np.array(group.node_ids)[slot - np.uint16(group.first)], row, columns)
             for group, slot, row, columns in self._runs(frames, signals)
         ]
 
     def _runs(self, frames: FrameArray, signals: Iterable[str] | None) -> Iterator[_Run]:
-        """Layout by layout what its nodes said, the nodes one after another."""
+        """Yield the samples layout by layout, the nodes one after another."""
         plan = self._plan(signals)
         slot = _slots(plan, frames["can_id"])
         self._drop_short(plan, slot, frames["length"])
-        # Slots of one layout are neighbours: after a stable sort each layout is one run.
+        # Slots of one layout are consecutive: after a stable sort each layout is one run.
         order = np.argsort(slot, kind="stable")
         slot = slot[order]
         firsts = [group.first for group in plan.groups]
@@ -194,27 +193,27 @@ class Decoder:
     def _plan(self, signals: Iterable[str] | None) -> _Plan:
         wanted = None if signals is None else frozenset(signals)
         if wanted not in self._plans:
-            if len(self._plans) > 64:  # a caller that asks for something else each time must not fill the memory
+            if len(self._plans) > 64:  # a caller with new signals in each call must not fill the memory
                 self._plans.clear()
             self._plans[wanted] = _make_plan(self._messages, self._given, wanted)
         return self._plans[wanted]
 
 
 def unwrap_counter(counter: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    """The 8-bit sample counter (k,) as a count that goes on where the counter wraps: (k,), from its first value."""
+    """Return the 8-bit sample counter (k,) without wraps: (k,), from its first value."""
     values = np.asarray(counter, dtype=np.uint8)
     if not len(values):
         return np.zeros(0, dtype=np.int64)
-    steps = np.diff(values)  # modulo 256, as the counter
+    steps = np.diff(values)  # modulo 256, like the counter
     return np.concatenate(([0], np.cumsum(steps, dtype=np.int64))) + int(values[0])
 
 
 def lost_samples(counter: npt.ArrayLike) -> int:
-    """How many samples are missing from the 8-bit counter (k,) of a PDO that is sent with every SYNC.
+    """Return the number of samples missing from the 8-bit counter (k,) of a PDO that is sent on every SYNC.
 
-    A repeated value is a SYNC without a new sample (status bit stale), not a loss. What an 8-bit counter can't show:
-    255 or 256 lost in a row (255 look like a repeat, with the stale bit clear; the receive times tell); and a frame
-    out of order counts as a loss of 254.
+    A repeated value is a SYNC without a new sample (status bit stale), not a loss. An 8-bit counter cannot show 255 or
+    256 samples lost in a row (255 look like a repeat, with the stale bit clear; only the receive times differ); and a
+    frame out of order counts as a loss of 254.
     """
     steps = np.diff(np.asarray(counter, dtype=np.uint8)).astype(np.int64)
     return int(np.maximum(steps - 1, 0).sum())
@@ -254,7 +253,7 @@ def _make_plan(
 
 
 def _slots(plan: _Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16]:
-    """The slot of each identifier (k,): flags and longer identifiers are beyond MAX_COB_ID."""
+    """Return the slot of each identifier (k,): flags and larger identifiers are beyond MAX_COB_ID."""
     slot: npt.NDArray[np.uint16] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
     if len(plan.extended_ids):
         place = np.minimum(np.searchsorted(plan.extended_ids, can_id), len(plan.extended_ids) - 1)

@@ -1,4 +1,4 @@
-"""A log as arrays: for each node its samples, decoded and joined as `tipforce decode` does it."""
+"""Read a log as arrays: the samples of each node, decoded and joined as in `tipforce decode`."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missin
 
 FloatArray = npt.NDArray[np.float64]
 _NOT_USABLE = np.uint16(Status.SATURATED | Status.STALE | Status.FAULT)
-"""The node's own word that a gauge reading is none."""
+"""Status bits of a node for an invalid gauge reading."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,26 +33,26 @@ class NodeLog(Contacts):
     t_s: FloatArray
     """(k,) time of reception, seconds of the epoch."""
     counter: npt.NDArray[np.int64]
-    """(k,) sample counter without wrap, -1 where the PDO has none."""
+    """(k,) sample counter without wrap, -1 if the PDO has none."""
     microstrain: FloatArray
     """(k, n) gauge strain; NaN where unknown or not sent."""
     F_newtons: FloatArray
     """(k, 3) F1, F2, F3; NaN where unknown or not sent."""
     columns: dict[str, npt.NDArray[Any]]
-    """All else that was decoded, by signal name, (k,) each."""
+    """All other decoded values, by signal name, (k,) each."""
 
 
 class Log(Mapping[int, NodeLog]):
-    """By node-id the samples of a log: ``log[5].P_newtons``.
+    """Samples of a log by node-id: ``log[5].P_newtons``.
 
-    ``lost``: by node-id how many samples are missing, by their counters. ``bad_lines``: lines that were no frames.
+    ``lost``: by node-id the number of missing samples, by their counters. ``bad_lines``: lines that are not frames.
     """
 
     def __init__(self, nodes: Mapping[int, NodeLog], lost: Mapping[int, int], bad_lines: int) -> None:
         self._nodes, self.lost, self.bad_lines = dict(nodes), dict(lost), bad_lines
 
     def __getitem__(self, node_id: int) -> NodeLog:
-        """The samples of a node. Raises KeyError, whose text names the nodes that there are."""
+        """Return the samples of a node. Raises KeyError, whose text names the available nodes."""
         if node_id not in self._nodes:
             raise KeyError(f"node {node_id}: the log has {', '.join(map(str, self._nodes)) or 'no node'}")
         return self._nodes[node_id]
@@ -76,13 +76,13 @@ def read_log(
     channel: str | None = None,
     strict: bool = False,
 ) -> Log:
-    """Decode a log (or several, one after the other) of any format that `tipforce decode` reads.
+    """Decode a log (or several in sequence) of any format that `tipforce decode` reads.
 
-    ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges where the log has all of them;
-    otherwise it gives the uncertainties of what the node sent. ``gauges``: of the nodes (default: the calibration's,
+    ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges if the log has all of them;
+    otherwise it gives the uncertainties of the node's values. ``gauges``: number per node (default: the calibration's,
     else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
-    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with other
-    gauges.
+    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with another
+    number of gauges.
     """
     names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
     given: dict[int | None, Calibration] = {}
@@ -111,12 +111,12 @@ def read_log(
 
 def _gauges(counts: set[int]) -> int:
     if len(counts) > 1:
-        raise InputError(f"nodes or calibrations of {sorted(counts)} gauges: one log is read with the same number")
+        raise InputError(f"nodes or calibrations of {sorted(counts)} gauges: all nodes of one log need the same number")
     return counts.pop() if counts else table.MIN_GAUGES
 
 
 def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | None, Calibration]) -> NodeLog:
-    """The samples of one node, which each of ``tables`` has."""
+    """Return the samples of one node, which occurs in each of ``tables``."""
     of_signal = {column.signal: column for one in tables for column in one.columns}
     columns = {name: _column(tables, column) for name, column in of_signal.items()}
     t_ns = np.concatenate([one.t_ns for one in tables])

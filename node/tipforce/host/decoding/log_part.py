@@ -1,4 +1,4 @@
-"""One log as a part of a recording: what can be decoded without the other parts, and what is left at its two ends."""
+"""Decode one log as a part of a recording: all rows independent of the other parts, and the open rows at both ends."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
 
-_HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the part before
+_HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the preceding part
 
 
 class StrictError(InputError):
-    """The first bad line of a log that is read strictly; the text has the log and the place.
+    """The first bad line of a log that is read strictly; the text names the log and the place.
 
-    ``bad`` is the line, if it is known; ``goes_on``: its number counts within a piece behind the first.
+    ``bad`` is the line, if known; ``goes_on``: its number counts within a part that is not the first.
     """
 
     bad: BadLine | None = None
@@ -32,7 +32,7 @@ class StrictError(InputError):
 
 
 class Piece(NamedTuple):
-    """A log, or of a large one the bytes from ``start`` to ``end`` (None: to its end)."""
+    """A log, or, of a large one, the bytes from ``start`` to ``end`` (None: to its end)."""
 
     name: str
     start: int = 0
@@ -40,7 +40,7 @@ class Piece(NamedTuple):
 
 
 class When(NamedTuple):
-    """A limit of time: nanoseconds of the epoch, or since the first frame."""
+    """A time limit: nanoseconds of the epoch, or since the first frame."""
 
     ns: int
     relative: bool
@@ -48,7 +48,7 @@ class When(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """What is read of a log, and how; it can be sent to another process."""
+    """Selection and options of a log to read; it can be sent to another process."""
 
     layouts: Layouts
     signals: tuple[str, ...] | None = None
@@ -63,9 +63,9 @@ class Reading:
 
 @dataclass(slots=True)
 class Notes:
-    """What is said of one log at the end. ``goes_on``: it is of the same log as the part before.
+    """Notes on one log after it was read. ``goes_on``: it belongs to the same log as the part before.
 
-    ``first_bad_line`` is numbered within the part; ``lines`` is how many it has.
+    ``first_bad_line`` is numbered within the part; ``lines`` is its number of lines.
     """
 
     source: str
@@ -80,7 +80,7 @@ class Notes:
     lines: int = 0
 
     def append(self, other: Notes) -> None:
-        """Add what was noted in the next part of the same log."""
+        """Add the notes of the next part of the same log."""
         if self.first_bad is None and other.first_bad is not None:
             line = other.first_bad_line
             moved = line is not None and other.first_bad == str(line)
@@ -95,13 +95,13 @@ class Notes:
 
 
 def numbered_from(lines: int, bad: BadLine) -> BadLine:
-    """The bad line of a part that has ``lines`` lines before it."""
+    """Return the bad line of a part with ``lines`` lines before it."""
     return replace(bad, number=lines + bad.number)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """Frames at an end of a part. ``whole``: at its start, when there is nothing behind them."""
+    """Frames at an end of a part. ``whole``: at its start, if there are no further frames."""
 
     frames: FrameArray
     channels: tuple[str, ...]
@@ -110,7 +110,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class End:
-    """The last of a part: its open frames, and what it counted."""
+    """The end of a part: its open frames, and its counts."""
 
     tail: Edge
     tally: Tally
@@ -122,10 +122,10 @@ Progress = Callable[[int], None]
 
 
 class Source:
-    """The frames of one log that are asked for, in blocks; ``notes`` are complete at the end."""
+    """The selected frames of one log, in blocks; ``notes`` are complete at the end."""
 
     def __init__(self, piece: Piece, reading: Reading, progress: Progress | None = None) -> None:
-        """Raises InputError for a log that can't be opened."""
+        """Open the log. Raises InputError if that fails."""
         name = piece.name
         self._reading = reading
         self._origin = reading.origin_ns
@@ -138,7 +138,7 @@ class Source:
 
     @property
     def channels(self) -> list[str]:
-        """The interfaces, by number; grows."""
+        """The interfaces, by number; grows during the iteration."""
         return self.log.channels
 
     def __iter__(self) -> Iterator[FrameArray]:
@@ -183,7 +183,7 @@ class Source:
 
     def _in_time(self, block: FrameArray, start: When | None, end: When | None) -> FrameArray:
         if not self.log.timed:
-            raise InputError(f"{self.notes.source}: the log has no timestamps, so --from and --to can't choose")
+            raise InputError(f"{self.notes.source}: the log has no timestamps, so --from and --to are not possible")
         if self._origin is None:
             self._origin = int(block["t_ns"][0])
         keep = np.ones(len(block), dtype=np.bool_)
@@ -204,7 +204,7 @@ def _position(log: LogReader) -> int:
 
 
 def start_of(name: str) -> int | None:
-    """Time of the first frame of a log; None if it has none. Raises InputError for a log that can't be opened."""
+    """Return the time of the first frame of a log; None if it has none. Raises InputError if it cannot be opened."""
     with open_log(name) as log:
         return next((int(block["t_ns"][0]) for block in log), None)
 
@@ -212,10 +212,10 @@ def start_of(name: str) -> int | None:
 def part_items(
     piece: Piece, reading: Reading, progress: Progress | None = None, *, first: bool = False
 ) -> Iterator[Item]:
-    """Decode one log, or a piece of one, on its own: an Edge at its start, tables, and the End.
+    """Decode one log, or a part of one, independently: an Edge at its start, tables, and the End.
 
-    Put together by ``Recording``, parts give what one log of all their frames would. ``first``: no part is before
-    this one, so there is no Edge.
+    ``Recording`` joins parts to the result of one log with all their frames. ``first``: no part precedes this one, so
+    there is no Edge.
     """
     source = Source(piece, reading, progress)
     merger = SampleMerger(reading.layouts.decoder, source.channels, reading.signals)
@@ -239,7 +239,7 @@ def part_items(
 
 
 def _beginning(blocks: Iterator[FrameArray], merger: SampleMerger, source: Source) -> tuple[FrameArray, bool]:
-    """The first frames, and whether there are enough of them to tell what depends on the part before."""
+    """Return the first frames, and whether they are enough to separate those that depend on the part before."""
     found, count = [np.zeros(0, dtype=FRAME)], 0
     for block in blocks:
         merger.channels = source.channels

@@ -1,4 +1,4 @@
-"""Where a decoder takes its layouts from, other than the dictionary: a DCF, a node asked over SDO, a DBC."""
+"""PDO layouts from sources other than the dictionary: a DCF, a node over SDO, a DBC."""
 
 from __future__ import annotations
 
@@ -37,9 +37,9 @@ class NodeLayout:
 
 
 def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
-    """A decoder of these nodes and no others.
+    """Return a decoder of only these nodes.
 
-    Raises InputError for a repeated node-id, different numbers of gauges, and what ``Decoder.remap`` refuses.
+    Raises InputError for a repeated node-id, different numbers of gauges, and layouts that ``Decoder.remap`` rejects.
     """
     given = list(layouts)
     nodes = {layout.node_id for layout in given}
@@ -47,7 +47,7 @@ def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
         raise InputError(f"node-ids {[layout.node_id for layout in given]}: each node has one layout")
     gauges = {layout.gauges for layout in given} or {table.MIN_GAUGES}
     if len(gauges) > 1:
-        raise InputError(f"nodes with {sorted(gauges)} gauges: one decoder takes nodes with the same number")
+        raise InputError(f"nodes with {sorted(gauges)} gauges: one decoder needs nodes with the same number")
     decoder = Decoder(gauges.pop(), nodes)
     for layout in given:
         for name, (can_id, mapping) in layout.pdos.items():
@@ -56,12 +56,12 @@ def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
 
 
 def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
-    """The layout that a DCF (or an EDS, with ``node_id``) gives its node. Raises InputError for a file without one."""
+    """Return the layout in a DCF (or an EDS, with ``node_id``). Raises InputError for a file without one."""
     try:
         found = parse(Path(path).read_text(encoding="utf-8", errors="replace"))
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    section = found.sections.get("devicecomissioning")  # spelt so in CiA 306
+    section = found.sections.get("devicecomissioning")  # this is the spelling of CiA 306
     text = section.get("NodeID") if section is not None else None
     if node_id is None and text is None:
         raise InputError(f"{path}: no NodeID in [DeviceComissioning]; give the node-id")
@@ -81,7 +81,7 @@ def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
 
 
 def node_layout(sdo: SdoChannel) -> NodeLayout:
-    """The layout that a node says it has. Raises as ``SdoChannel.upload``, and InputError for no fingertip node."""
+    """Read the layout of a node. Raises as ``SdoChannel.upload``, and InputError for a node that is not a fingertip."""
 
     def number(index: int, sub: int) -> int:
         return int.from_bytes(sdo.upload(index, sub), "little")
@@ -97,10 +97,10 @@ def node_layout(sdo: SdoChannel) -> NodeLayout:
 
 
 def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
-    """The messages of a DBC (or another database that cantools reads), for ``Decoder.of_messages``.
+    """Return the messages of a DBC (or another database that cantools reads), for ``Decoder.of_messages``.
 
     A message named as in tipforce's own DBC, TIP05_Contact, has the key (5, "Contact"); any other (0, its name).
-    A raw value that the file calls "unknown" becomes NaN. Multiplexed signals and containers are left out.
+    A raw value that the file names "unknown" becomes NaN. Multiplexed signals and containers are skipped.
     Raises InputError for a file that can't be read, and for signals beyond the eighth byte.
     """
     import cantools
@@ -109,13 +109,13 @@ def dbc_messages(path: str | Path) -> dict[Key, tuple[int, Message]]:
         database = cantools.database.load_file(path)
     except OSError as error:
         raise InputError(f"{path}: {error.strerror}") from error
-    except Exception as error:  # each of its parsers has errors of its own
+    except Exception as error:  # each of its parsers has its own errors
         raise InputError(f"{path}: not a database that cantools reads: {error}") from error
     messages = getattr(database, "messages", None)
     if messages is None or not hasattr(database, "get_message_by_frame_id"):
-        raise InputError(f"{path}: holds no CAN messages")
+        raise InputError(f"{path}: contains no CAN messages")
     found: dict[Key, tuple[int, Message]] = {}
-    alike: dict[Message, Message] = {}  # the same object for the same layout, so that nodes decode together
+    alike: dict[Message, Message] = {}  # one object per layout, so that nodes are decoded together
     for message in messages:
         if message.length <= 8:
             key, can_id, layout = _dbc_message(path, message)
@@ -127,7 +127,7 @@ def _gauges(product: int, place: str) -> int:
     gauges = gauges_of(product)
     if not gauges:
         ours = f"0x{table.PRODUCT:08X} + gauges"
-        raise InputError(f"{place}: product code 0x{product:08X} is no tipforce node's ({ours})")
+        raise InputError(f"{place}: product code 0x{product:08X} is not that of a tipforce node ({ours})")
     return gauges
 
 
@@ -145,7 +145,7 @@ def _value(found: EdsFile, path: str | Path, index: int, sub: int, node_id: int)
 
 
 def _number(path: str | Path, place: str, text: str, node_id: int) -> int:
-    """A number as EDS files have it: a sum of numbers and $NODEID (CiA 306-1, 4.6.3)."""
+    """Return a number of an EDS file: a sum of numbers and $NODEID (CiA 306-1, 4.6.3)."""
     try:
         return sum(node_id if part.strip().upper() == "$NODEID" else int(part, 0) for part in text.split("+"))
     except ValueError:
@@ -164,7 +164,7 @@ def _dbc_message(path: str | Path, message: DbcMessage) -> tuple[Key, int, Messa
 def _dbc_signal(path: str | Path, message: DbcMessage, signal: DbcSignal) -> Signal:
     big_endian = signal.byte_order == "big_endian"
     start = signal.start
-    if big_endian:  # a DBC names the highest bit; here the lowest counts, from the end of the eighth byte
+    if big_endian:  # a DBC gives the highest bit; here the lowest counts, from the end of the eighth byte
         start = 63 - (8 * (start // 8) + 7 - start % 8) - (signal.length - 1)
     if not 0 <= start <= 64 - signal.length:
         raise InputError(f"{path}: signal {signal.name} of {message.name} is not within eight bytes")

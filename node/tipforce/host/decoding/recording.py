@@ -1,4 +1,4 @@
-"""Parts of a recording put together in their order: the same tables as of one log, with counters that go on."""
+"""Join the parts of a recording in order: the same tables as from one log, with continuous counters."""
 
 from __future__ import annotations
 
@@ -30,16 +30,16 @@ from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
 
 class Counters:
-    """Makes counters that do not wrap of tables that follow each other."""
+    """Unwrap the counters of consecutive tables."""
 
     def __init__(self) -> None:
         self._last: dict[int, int] = {}
 
     def unwrapped(self, table: Table) -> Table:
-        """The table with each node's counter going on from its first value.
+        """Return the table with each node's counter continued from its first value.
 
-        An event-driven PDO that is a row of its own tells of the last latch: the count that is nearest. Before
-        the first PDO that follows SYNC it is left as it is.
+        An event-driven PDO in its own row belongs to the last latch: it gets the nearest count. Before
+        the first PDO that follows SYNC its counter is unchanged.
         """
         raw = table.counter
         counter = raw.copy()
@@ -72,14 +72,14 @@ class Counters:
 
 @dataclass(slots=True)
 class Told:
-    """What a decode tells beside its tables."""
+    """Results of a decode besides its tables."""
 
     tally: Tally
     notes: list[Notes]
 
 
 class Recording:
-    """Tables of a recording, out of logs one after the other or out of parts that were decoded on their own."""
+    """Tables of a recording, from consecutive logs or from parts that were decoded separately."""
 
     def __init__(self, reading: Reading) -> None:
         self._reading = reading
@@ -89,7 +89,7 @@ class Recording:
         self._merger = SampleMerger(reading.layouts.decoder, self.channels, reading.signals)
 
     def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
-        """Read logs in this process, as if they were one."""
+        """Read logs in this process as if they were one."""
         for name in names:
             source = Source(Piece(name), self._reading, progress)
             try:
@@ -100,7 +100,7 @@ class Recording:
         yield from self._finish()
 
     def tables_of_parts(self, parts: Iterable[Iterable[Item]]) -> Iterator[Table]:
-        """Put parts together that ``part_items`` made."""
+        """Join the parts from ``part_items``."""
         for part in parts:
             for item in self._strictly(part):
                 if isinstance(item, Table):
@@ -113,7 +113,7 @@ class Recording:
         yield from self._finish()
 
     def _strictly(self, part: Iterable[Item]) -> Iterator[Item]:
-        """The items; of a piece that has a bad line, its number in the whole log."""
+        """Yield the items; for a part with a bad line, raise it with its number in the whole log."""
         try:
             yield from part
         except StrictError as error:
@@ -162,7 +162,7 @@ class Recording:
         return np.array([self.channels.index(name) for name in names], dtype=np.uint8)
 
     def _numbered(self, frames: FrameArray, names: Iterable[str]) -> FrameArray:
-        """The frames with the channel numbers of the whole recording."""
+        """Return the frames with the channel numbers of the whole recording."""
         numbers = self._numbers(list(names))
         if not len(frames) or (numbers == np.arange(len(numbers))).all():
             return frames

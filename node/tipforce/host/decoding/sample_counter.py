@@ -1,4 +1,4 @@
-"""The sample counters of nodes over a whole recording that comes in blocks: unwrapped, gaps counted as lost samples."""
+"""Sample counters of nodes over a whole recording in blocks: unwrapped, with gaps counted as lost samples."""
 
 from __future__ import annotations
 
@@ -10,14 +10,14 @@ import numpy.typing as npt
 from tipforce.host.decoding.decoder import Key, Samples, lost_samples, unwrap_counter
 
 COUNTER = "counter"
-_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC
+_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to this type a PDO follows SYNC
 
 
 class SampleCounters:
-    """Goes on counting from block to block, per message of each node.
+    """Continue counting from block to block, per message of each node.
 
-    ``frames`` and ``lost`` count by (node-id, message name); ``lost`` only where a PDO is sent with SYNC, where each
-    sample is due. Without a counter among the decoded columns, there is nothing to count by.
+    ``frames`` and ``lost`` count by (node-id, message name); ``lost`` only for PDOs sent on SYNC, for which each
+    sample is due. Without a counter among the decoded columns, nothing is counted as lost.
     """
 
     def __init__(self) -> None:
@@ -26,14 +26,14 @@ class SampleCounters:
         self._last: dict[Key, tuple[npt.NDArray[np.uint8], int]] = {}
 
     def add(self, found: Mapping[Key, Samples]) -> None:
-        """Count what a block of frames decoded to."""
+        """Count the decoded samples of a block of frames."""
         for key, samples in found.items():
             self.unwrapped(key, samples)
 
     def unwrapped(self, key: Key, samples: Samples) -> npt.NDArray[np.int64] | None:
-        """Count the samples of one message, and return their counter as one that does not wrap: (k,), or None.
+        """Count the samples of one message, and return their unwrapped counter: (k,), or None.
 
-        It goes on from the block before, and starts with the first value of all.
+        It continues from the previous block, and starts with the very first value.
         """
         self.frames[key] = self.frames.get(key, 0) + len(samples.row)
         counter = samples.columns.get(COUNTER)
@@ -48,7 +48,7 @@ class SampleCounters:
         return unwrapped
 
     def lost_by_node(self) -> dict[int, int]:
-        """Lost samples by node-id: the most that any of its messages lost, for they carry the same counter."""
+        """Return lost samples by node-id: the maximum over its messages, which carry the same counter."""
         found: dict[int, int] = {}
         for (node_id, _), lost in self.lost.items():
             found[node_id] = max(found.get(node_id, 0), lost)

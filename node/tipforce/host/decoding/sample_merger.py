@@ -1,4 +1,4 @@
-"""Blocks of frames to tables of samples: decoded, the PDOs of one sample joined, rows complete across blocks."""
+"""Convert blocks of frames to tables of samples: decode, join the PDOs of one sample, complete rows across blocks."""
 
 from __future__ import annotations
 
@@ -24,18 +24,18 @@ from tipforce.host.decoding.sample_table import (
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
-_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to it a PDO follows SYNC
+_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to this type a PDO follows SYNC
 
-_PLAIN = f"V{FRAME.itemsize}"  # copied whole, not field by field
-_Found = list[tuple[int, Samples]]  # (channel, samples), their rows counting in the whole block
-_Piece = tuple[IntArray, Samples, BoolArray | slice]  # rows of the table, and which of the samples go there
+_PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
+_Found = list[tuple[int, Samples]]  # (channel, samples), their rows indexed in the whole block
+_Piece = tuple[IntArray, Samples, BoolArray | slice]  # rows of the table, and the samples for them
 
 
 class SampleMerger:
-    """Makes a table of each block. Frames whose row may go on are kept for the next block.
+    """Convert each block to a table. Frames of an incomplete row are kept for the next block.
 
-    ``channels`` are the names of the frames' channels and may grow. ``signals`` None is all. ``tally`` counts what
-    has been given out.
+    ``channels`` are the names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the
+    returned samples.
     """
 
     def __init__(self, decoder: Callable[[], Decoder], channels: list[str], signals: tuple[str, ...] | None) -> None:
@@ -55,7 +55,7 @@ class SampleMerger:
         self.tally = Tally()
 
     def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
-        """The samples that are complete now; with ``last`` all of them. None where there are none."""
+        """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
         before = len(self._held)
         block = np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if before else frames
         found = self._decoded(block)
@@ -69,7 +69,7 @@ class SampleMerger:
         return table
 
     def finish(self) -> Table | None:
-        """The rest."""
+        """Return the remaining samples."""
         return self.add(np.zeros(0, dtype=FRAME), last=True)
 
     def head(self, frames: FrameArray) -> tuple[FrameArray, FrameArray]:
@@ -84,12 +84,12 @@ class SampleMerger:
         return frames[decoded[mine]], frames[decoded[~mine]]
 
     def decodable(self, frames: FrameArray) -> FrameArray:
-        """The frames that are decoded; all others are left out and, where too short, counted."""
+        """Return the frames to decode; all others are skipped and, if too short, counted."""
         return frames[_places(len(frames), self._decoded(frames))[0]]
 
     @property
     def held(self) -> FrameArray:
-        """The frames that wait for more."""
+        """The frames of incomplete rows."""
         return self._held
 
     def _number(self, before: int, decoded: IntArray) -> npt.NDArray[np.int64]:
@@ -161,7 +161,7 @@ class SampleMerger:
                 for signal in alike[0][1].columns:
                     name = self._column_of(alike[0][1], signal)
                     if signal == COUNTER or covered.get(name) == rows:
-                        continue  # another PDO of each sample said it: they are of one latched sample
+                        continue  # another PDO of each sample had it: they are from one latched sample
                     what = np.concatenate([samples.columns[signal][kept] for _, samples, kept in alike])
                     column = self._columns[name]
                     if len(where) == rows and name not in values:
@@ -172,7 +172,7 @@ class SampleMerger:
                         values[name][where] = what
                         continue
                     there = present.setdefault(name, np.zeros(rows, dtype=np.bool_))
-                    new = ~there[where]  # the first PDO of a sample counts, whatever else is in the block
+                    new = ~there[where]  # the first PDO of a sample counts, independent of the rest of the block
                     values[name][where[new]] = what[new]
                     there[where] = True
                     covered[name] = int(np.count_nonzero(there))
@@ -192,7 +192,7 @@ def _message_number(one: tuple[tuple[int, Samples], IntArray]) -> int:
 
 
 def _alike(pieces: list[_Piece]) -> list[list[_Piece]]:
-    """The pieces of nodes with the same mapping together."""
+    """Join the pieces of nodes with the same mapping."""
     by_layout: dict[int, list[_Piece]] = {}
     for piece in pieces:
         by_layout.setdefault(id(piece[1].message), []).append(piece)
@@ -200,7 +200,7 @@ def _alike(pieces: list[_Piece]) -> list[list[_Piece]]:
 
 
 def _inside(inside: BoolArray) -> BoolArray | slice:
-    """The same choice, as a slice where it is the first ones: that needs no copies."""
+    """Return the same selection, as a slice if it is a leading range: that needs no copies."""
     count = int(np.count_nonzero(inside))
     return slice(count) if inside[:count].all() else inside
 
@@ -210,7 +210,7 @@ def _is_cyclic(samples: Samples) -> bool:
 
 
 def _places(count: int, found: _Found) -> tuple[IntArray, list[IntArray]]:
-    """(rows that were decoded, ascending; for each of the found samples their indices among those)."""
+    """Return (decoded rows, ascending; for each of the found samples their indices among these)."""
     is_decoded = np.zeros(count, dtype=np.bool_)
     for _, samples in found:
         is_decoded[samples.row] = True

@@ -1,4 +1,4 @@
-"""Which frames are one sample: the PDOs of a node that carry the same counter, one after the other."""
+"""Group frames into samples: consecutive PDOs of a node with the same counter."""
 
 from __future__ import annotations
 
@@ -12,19 +12,19 @@ from tipforce.host.decoding.sample_table import NO_COUNTER
 IntArray = npt.NDArray[np.intp]
 
 GAP_NS = 200_000_000
-"""PDOs of a node that are further apart are not one sample: fifteen nodes with four PDOs fit at 50 kbit/s."""
+"""PDOs of a node further apart belong to different samples: 15 nodes with 4 PDOs at 50 kbit/s fit in this time."""
 GAP_FRAMES = 8192
-"""The same in decoded frames, which also holds for logs without times."""
+"""The same in decoded frames, which also works for logs without times."""
 
 
 class Frames(NamedTuple):
-    """Decoded frames in their order of arrival, (k,) each."""
+    """Decoded frames in order of arrival, (k,) each."""
 
     number: npt.NDArray[np.int64]  # of the decoded frame, over the whole recording
     t_ns: npt.NDArray[np.int64]
     key: npt.NDArray[np.uint16]  # channel and node
-    message: npt.NDArray[np.uint8]  # ascends in the order in which a node sends its PDOs
-    counter: npt.NDArray[np.int16]  # NO_COUNTER where the message has none
+    message: npt.NDArray[np.uint8]  # ascending in the order in which a node sends its PDOs
+    counter: npt.NDArray[np.int16]  # NO_COUNTER if the message has none
     cyclic: npt.NDArray[np.bool_]  # the PDO follows SYNC
 
 
@@ -37,13 +37,13 @@ class Runs(NamedTuple):
 
 
 def runs(frames: Frames) -> Runs:
-    """Put frames into rows.
+    """Group frames into rows.
 
     A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a cyclic frame
-    goes on with the row of the node's frame before where the counter is the same, the PDO a later one and the gap
+    continues the row of the node's previous frame if the counter is the same, the PDO a later one and the gap
     small. An event-driven PDO carries the counter of the last latch: it joins the node's last row if that has the
-    same, and none of its kind yet. All else is a row of its own. The rule looks at pairs of frames only, so what it
-    says does not depend on how a log is cut into blocks.
+    same counter, and no PDO of its kind yet. Every other frame starts its own row. The rule uses only pairs of frames,
+    so the result does not depend on how a log is split into blocks.
     """
     order: IntArray = np.argsort(frames.key, kind="stable")
     start = np.arange(len(order))
@@ -60,7 +60,7 @@ def runs(frames: Frames) -> Runs:
 
 
 def _goes_on(frames: Frames, chosen: IntArray) -> npt.NDArray[np.bool_]:
-    """Whether each chosen frame but the first is of one sample with the one before."""
+    """Return whether each chosen frame but the first belongs to the sample of the previous one."""
     word = frames.key.astype(np.uint32) << 16
     word |= frames.counter.view(np.uint16).astype(np.uint32) << 8 & 0xFF00
     word |= frames.message
@@ -93,7 +93,7 @@ def _join_events(frames: Frames, order: IntArray, cyclic: IntArray, start: IntAr
 
 
 def open_from(frames: Frames, found: Runs) -> int:
-    """Index of the first row that a later frame may still join; the number of frames if there is none."""
+    """Return the index of the first row that a later frame may join; the number of frames if there is none."""
     count = len(frames.key)
     if not len(found.cyclic):
         return count
@@ -105,7 +105,7 @@ def open_from(frames: Frames, found: Runs) -> int:
 
 
 def certain_from(frames: Frames, found: Runs) -> int:
-    """Index from which no row depends on frames before the first of these; the number of frames if there is none."""
+    """Return the index from which no row depends on frames before the first; the number of frames if there is none."""
     early = frames.t_ns - frames.t_ns[0] <= GAP_NS
     early &= frames.number - frames.number[0] <= GAP_FRAMES
     uncertain = -1
@@ -121,12 +121,12 @@ def certain_from(frames: Frames, found: Runs) -> int:
 
 
 def row_numbers(start: IntArray, end: int) -> tuple[IntArray, IntArray]:
-    """(first, row): index of the first frame of each row that starts before ``end``, and each frame's row number."""
+    """Return (first, row): index of the first frame of each row that starts before ``end``; each frame's row number."""
     is_first = start == np.arange(len(start))
     row: IntArray = (np.cumsum(is_first) - 1)[start]
     return np.flatnonzero(is_first[:end]), row
 
 
 def joined(*parts: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Arrays one after the other, without a copy where there is one only."""
+    """Return the concatenated arrays, without a copy if there is only one."""
     return parts[0] if len(parts) == 1 else np.concatenate(parts)

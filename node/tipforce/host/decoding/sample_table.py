@@ -1,4 +1,4 @@
-"""Rows of samples as columns: what every part of `tipforce decode` hands to the next."""
+"""Rows of samples as columns: the data that the parts of `tipforce decode` exchange."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ NO_COUNTER = -1
 NO_FLAG = -1
 NO_INTEGER = np.iinfo(np.int64).min
 NODE_BITS = 7
-"""A key is channel << NODE_BITS | node-id: nodes of two buses are not the same."""
+"""A key is channel << NODE_BITS | node-id: it separates nodes of two buses."""
 
 _SUFFIX = {"N": "_N", "degree": "_deg", "microstrain": "_ue", "degC": "_degC"}
 _FIRST = ("P", "phi", "theta", "u_P", "u_phi", "u_theta", "F1", "F2", "F3")
@@ -30,7 +30,7 @@ _GAUGE, _NUMBER, _FLAG, _COUNT = 20, 40, 60, 80
 class Column:
     """One column: ``kind`` is "real", "flag", "integer" or "word".
 
-    ``digits`` behind the point are its resolution (None: as many as tell the value). ``rank`` orders columns.
+    ``digits`` after the point are its resolution (None: as many as needed). ``rank`` orders columns.
     """
 
     name: str
@@ -42,7 +42,7 @@ class Column:
 
     @property
     def angle(self) -> bool:
-        """Whether values a full turn apart are the same."""
+        """True if values a full turn apart are equal."""
         return self.unit == "degree"
 
 
@@ -53,7 +53,7 @@ class Table:
     ``t_ns`` (k,) receive time of the first frame; ``key`` (k,) channel and node; ``counter`` (k,) of the sample, or
     NO_COUNTER; ``cyclic`` (k,): whether it came with a PDO that follows SYNC. ``values`` by column name, (k,) each:
     real float64 with NaN for missing, flag int8 with NO_FLAG, integer int64 with NO_INTEGER, word bytes.
-    ``absent``: by column name, where no frame carried it; columns that no row lacks are left out.
+    ``absent``: by column name, where no frame carried it; columns present in all rows are omitted.
     """
 
     t_ns: npt.NDArray[np.int64]
@@ -71,7 +71,7 @@ class Table:
 
     @property
     def node(self) -> npt.NDArray[np.uint8]:
-        """(k,) the node-ids; 0 for messages of a DBC that are no node's."""
+        """(k,) the node-ids; 0 for messages of a DBC that belong to no node."""
         return (self.key & ((1 << NODE_BITS) - 1)).astype(np.uint8)
 
     @property
@@ -80,7 +80,7 @@ class Table:
         return (self.key >> NODE_BITS).astype(np.intp)
 
     def with_columns(self, columns: Iterable[Column], channels: tuple[str, ...]) -> Table:
-        """The table with further columns, which no row has, and further channels."""
+        """Return the table with further columns, empty in all rows, and further channels."""
         new = [column for column in columns if column.name not in self.values]
         none = {column.name: missing_of(column, len(self)) for column in new}
         absent = {column.name: np.ones(len(self), dtype=np.bool_) for column in new}
@@ -90,7 +90,7 @@ class Table:
         )
 
     def take(self, rows: npt.NDArray[Any]) -> Table:
-        """Some of the rows."""
+        """Return some of the rows."""
         return replace(
             self,
             t_ns=self.t_ns[rows],
@@ -103,7 +103,7 @@ class Table:
 
 
 def column_of(signal: Signal) -> Column:
-    """The column that a signal fills."""
+    """Return the column for a signal."""
     if signal.bits == 1 and signal.unknown is None:
         return Column(signal.name, signal.name, "flag", 0, "", _rank(signal.name, _FLAG))
     name = signal.name + ("" if signal.index == 0 else _SUFFIX.get(signal.unit, ""))
@@ -119,17 +119,17 @@ def column_of(signal: Signal) -> Column:
 
 
 def computed(name: str, unit: str, digits: int | None = 6) -> Column:
-    """A column of numbers that no frame carried."""
+    """Return a column of numbers that no frame carried."""
     return Column(name + _SUFFIX.get(unit, ""), name, "real", digits, unit, _rank(name, _NUMBER))
 
 
 def counted(name: str) -> Column:
-    """A column of whole numbers that no frame carried."""
+    """Return a column of integers that no frame carried."""
     return Column(name, name, "integer", 0, "", _COUNT)
 
 
 def flag(name: str) -> Column:
-    """A column of flags that no frame carried."""
+    """Return a column of flags that no frame carried."""
     return Column(name, name, "flag", 0, "", _rank(name, _FLAG))
 
 
@@ -140,7 +140,7 @@ def _rank(name: str, otherwise: int) -> int:
 
 
 def in_order(columns: Iterable[Column], asked: Sequence[str] | None = None) -> tuple[Column, ...]:
-    """Columns as they are shown: contact, forces, gauges, other numbers, flags; or in the order asked for."""
+    """Return columns in display order: contact, forces, gauges, other numbers, flags; or in the requested order."""
     if asked is not None:
         place = {name: number for number, name in enumerate(asked)}
         return tuple(sorted(columns, key=lambda column: place.get(column.signal, len(place))))
@@ -148,7 +148,7 @@ def in_order(columns: Iterable[Column], asked: Sequence[str] | None = None) -> t
 
 
 def missing_of(column: Column, count: int) -> Values:
-    """``count`` values that are missing."""
+    """Return ``count`` missing values."""
     if column.kind == "flag":
         return np.full(count, NO_FLAG, dtype=np.int8)
     if column.kind == "integer":
@@ -157,7 +157,7 @@ def missing_of(column: Column, count: int) -> Values:
 
 
 def is_missing(column: Column, values: Values) -> BoolArray:
-    """Which values are missing."""
+    """Return which values are missing."""
     if column.kind == "flag":
         return np.asarray(values == NO_FLAG)
     if column.kind == "integer":

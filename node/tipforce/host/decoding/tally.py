@@ -1,4 +1,4 @@
-"""What is counted per message while frames become rows; counts of parts of a recording add up to those of the whole."""
+"""Counts per message while frames become rows; the counts of the parts of a recording add up to those of the whole."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class MessageCount:
     last: int | None = None
 
     def add(self, frames: int, counter: npt.NDArray[np.uint8] | None) -> None:
-        """Count frames with their counters; None where they have none that tells of losses."""
+        """Count frames with their counters; None if their counter cannot show losses."""
         self.frames += frames
         if counter is None or not len(counter):
             return
@@ -34,7 +34,7 @@ class MessageCount:
         self.last = int(counter[-1])
 
     def append(self, other: MessageCount) -> None:
-        """Count what came after, in a part of its own."""
+        """Add the count of the next part."""
         self.frames += other.frames
         if other.first is None:
             return
@@ -46,7 +46,7 @@ class MessageCount:
 
 @dataclass(slots=True)
 class Tally:
-    """``messages`` by place; ``short`` frames that were too short for their mapping."""
+    """``messages`` by place; ``short`` frames that were shorter than their mapping."""
 
     messages: dict[Place, MessageCount] = field(default_factory=dict)
     short: dict[Place, int] = field(default_factory=dict)
@@ -59,14 +59,14 @@ class Tally:
         count.add(len(rows), samples.columns["counter"][kept] if cyclic else None)
 
     def append(self, other: Tally) -> None:
-        """Count what came after, in a part of its own."""
+        """Add the counts of the next part."""
         for place, count in other.messages.items():
             self.messages.setdefault(place, MessageCount()).append(count)
         for place, frames in other.short.items():
             self.short[place] = self.short.get(place, 0) + frames
 
     def lost(self) -> dict[tuple[str, int], int]:
-        """Lost samples by channel and node: the most that any of its messages lost, for they have one counter."""
+        """Return lost samples by channel and node: the maximum over its messages, which have one counter."""
         found: dict[tuple[str, int], int] = {}
         for (channel, node, _), count in self.messages.items():
             if count.lost is not None:
