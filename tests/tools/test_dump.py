@@ -226,7 +226,7 @@ def test_what_was_left_out_is_told_at_the_end() -> None:
     assert "  vcan0       123  [02]  00 01\n" in done.stdout
     lines = done.stderr.splitlines()
     assert lines[0].startswith(
-        "tipforce dump: 3 bad lines left out (2 no candump line, 1 timestamp), first line 8: 'rubbish': "
+        "tipforce dump: 3 bad lines left out (2 not a candump line, 1 timestamp), first line 8: 'rubbish': "
     )
     assert lines[1:] == [
         "tipforce dump: node 5 (0x05) Contact: 1 frame shorter than the mapping, not decoded",
@@ -244,7 +244,7 @@ def test_strict_stops_at_the_first_bad_line() -> None:
     good = GOOD.splitlines(keepends=True)
     done = piped(good[0] + "rubbish\n" + good[1], "--strict", "-L", "-")
     assert (done.returncode, done.stdout) == (1, good[0])
-    assert done.stderr.startswith("tipforce dump: line 2: 'rubbish': no candump line: expected ")
+    assert done.stderr.startswith("tipforce dump: line 2: 'rubbish': not a candump line: expected ")
     assert piped(GOOD, "--strict", "-").returncode == 0
 
 

@@ -161,10 +161,10 @@ def test_stdin_and_bad_lines() -> None:
     done = subprocess.run(words, input=text, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 0
     assert "18 frames sent" in done.stderr
-    assert "bad lines left out (1 no candump line), first line 10: 'rubbish'" in done.stderr
+    assert "bad lines left out (1 not a candump line), first line 10: 'rubbish'" in done.stderr
     done = subprocess.run([*words, "--strict"], input=text, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 1
-    assert "tipforce replay: line 10: 'rubbish': no candump line" in done.stderr
+    assert "tipforce replay: line 10: 'rubbish': not a candump line" in done.stderr
     assert "9 frames sent" in done.stderr
     assert "Traceback" not in done.stderr
 

@@ -47,16 +47,16 @@ def test_what_is_written_reads_back(rows: list[tuple[RawFrame, str]], log: bool,
 
 
 BAD = [
-    ("hello", "no candump line"),
-    ("(1700000000.123456) vcan0", "no candump line"),
-    ("  vcan0  181   8  00", "no candump line"),
+    ("hello", "not a candump line"),
+    ("(1700000000.123456) vcan0", "not a candump line"),
+    ("  vcan0  181   8  00", "not a candump line"),
     ("(1700000000.12345) vcan0 181#00", "timestamp"),
     ("(yesterday) vcan0 181#00", "timestamp"),
     ("(2023-13-01 00:00:00.000000) vcan0 181#00", "timestamp"),
     ("(99999999999.000000) vcan0 181#00", "timestamp"),
     ("(9223372036.854776) vcan0 181#00", "timestamp"),
     ("(1700000000.123456) vcan0 18#00", "identifier"),
-    ("(1700000000.123456) vcan0 1 81#00", "no candump line"),
+    ("(1700000000.123456) vcan0 1 81#00", "not a candump line"),
     ("(1700000000.123456) vcan0 800#00", "identifier"),
     ("(1700000000.123456) vcan0 18G#00", "identifier"),
     ("(1700000000.123456) vcan0 40000000#00", "identifier"),
@@ -71,7 +71,7 @@ BAD = [
     ("  vcan0  181   [2]  02`01", "data"),
     ("  vcan0  181   [1]  00000001", "data"),
     ("  vcan0  1811  [1]  00", "identifier"),
-    ("\N{REPLACEMENT CHARACTER}\0", "no candump line"),
+    ("\N{REPLACEMENT CHARACTER}\0", "not a candump line"),
 ]
 
 
@@ -98,7 +98,7 @@ def test_strict_says_where_what_and_what_was_expected(line: str, reason: str) ->
 def test_many_bad_lines_are_counted_and_few_kept() -> None:
     parser = CandumpParser()
     parser.parse(f"bad {k}" * 200 for k in range(1000))
-    assert parser.bad == {"no candump line": 1000}
+    assert parser.bad == {"not a candump line": 1000}
     assert len(parser.bad_lines) == 100
     assert len(str(parser.bad_lines[0])) < 300
 

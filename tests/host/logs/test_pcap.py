@@ -102,13 +102,13 @@ def test_what_is_no_classic_frame_is_counted(tmp_path: Path) -> None:
     path.write_bytes(pcap([fd, socketcan(0x181, b"\x01"), b"short", socketcan(0x181, bytes(9))]))
     with open_log(path) as log:
         assert sum(len(frames) for frames in log) == 1
-    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"no CAN": 2})
+    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"not CAN": 2})
     path.write_bytes(pcap([cooked(0x123, bytes(12), 0x000D), cooked(0x181, b"", 0x0800)], link=113))
     with open_log(path) as log:
         assert not list(log)
-    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"no CAN": 1})
+    assert (log.skipped, log.bad) == ({"CAN FD frame": 1}, {"not CAN": 1})
     path.write_bytes(pcap([bytes(60)], link=1))
-    with open_log(path, strict=True) as log, pytest.raises(InputError, match=r"no CAN frame \(link type 1\)"):
+    with open_log(path, strict=True) as log, pytest.raises(InputError, match=r"not a CAN frame \(link type 1\)"):
         list(log)
 
 

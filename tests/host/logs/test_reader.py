@@ -32,25 +32,25 @@ def read(source: Path | str, **options: object) -> tuple[FrameArray, LogReader]:
 
 
 BROKEN = {
-    "bad_times.log": (2, {"timestamp": 5, "no candump line": 1}, {}),
-    "binary_junk.log": (2, {"no candump line": 2}, {}),
+    "bad_times.log": (2, {"timestamp": 5, "not a candump line": 1}, {}),
+    "binary_junk.log": (2, {"not a candump line": 2}, {}),
     "byte_order_mark.log": (2, {}, {}),
     "crlf.log": (4, {}, {}),
-    "cut_lines.log": (3, {"no candump line": 3, "data": 1}, {}),  # a cut line can be a good one
+    "cut_lines.log": (3, {"not a candump line": 3, "data": 1}, {}),  # a cut line can be a good one
     "empty.log": (0, {}, {}),
     "far_years.log": (4, {"timestamp": 3}, {}),
     "gzip_checksum.log.gz": (200, {"unreadable": 1}, {}),
     "gzip_cut.log.gz": (None, {"unreadable": 1}, {}),
     "gzip_empty.log.gz": (0, {"unreadable": 1}, {}),
-    "huge_line.log": (2, {"no candump line": 1, "length": 1}, {}),
+    "huge_line.log": (2, {"not a candump line": 1, "length": 1}, {}),
     "mixed_formats.log": (
         7,
-        {"no candump line": 2},
+        {"not a candump line": 2},
         {"CAN FD frame": 1, "error frame": 1, "remote frame": 2, "frame dropped by candump": 7},
     ),
-    "no_interface.log": (2, {"no candump line": 3}, {}),
+    "no_interface.log": (2, {"not a candump line": 3}, {}),
     "no_last_line_end.log": (3, {}, {}),
-    "nul_bytes.log": (2, {"data": 1, "no candump line": 1}, {}),
+    "nul_bytes.log": (2, {"data": 1, "not a candump line": 1}, {}),
     "odd_digits.log": (2, {"data": 2, "identifier": 1}, {}),
     "only_line_ends.log": (0, {}, {}),
     "time_backwards.log": (5, {}, {}),
@@ -142,8 +142,8 @@ def test_lines_across_blocks_and_lines_longer_than_a_block(tmp_path: Path, monke
     path.write_bytes(TEXT[: 46 * 100] + long + TEXT[46 * 100 : 46 * 101] + long + b"y" * 5000)
     frames, log = read(path)
     assert len(frames) == 101
-    assert log.bad == {"no candump line": 3}
-    assert log.first_bad == f"{path}: a line of more than 4096 bytes is no line of a log"
+    assert log.bad == {"not a candump line": 3}
+    assert log.first_bad == f"{path}: a line of more than 4096 bytes is not a line of a log"
 
 
 def test_a_part_by_time() -> None:

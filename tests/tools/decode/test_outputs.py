@@ -141,7 +141,7 @@ def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: py
     assert main(["decode", str(bad), "-o", str(out)]) == 0
     err = capsys.readouterr().err
     assert "1 identifier" in err
-    assert "2 no candump line" in err
+    assert "2 not a candump line" in err
     assert decode(log, "-o", tmp_path / "good.csv") == 0
     assert out.read_bytes() == (tmp_path / "good.csv").read_bytes()
 

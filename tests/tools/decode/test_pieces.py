@@ -158,7 +158,7 @@ def test_lines_that_are_too_long_are_counted(tmp_path: Path) -> None:
     with open_log(log) as reader:
         assert isinstance(reader, LogReader)
         assert np.concatenate(list(reader))["can_id"].tolist() == [0x181] * 3
-    assert reader.bad == {"no candump line": 2, "timestamp": 1}
+    assert reader.bad == {"not a candump line": 2, "timestamp": 1}
     assert reader.lines == 6
     text = log.read_bytes()
     borders = line_borders(log, 12)  # most places would be within the long lines

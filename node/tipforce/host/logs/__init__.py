@@ -1,1 +1,1 @@
-"""Recorded traffic: any log file as blocks of frames, and frames as candump's text."""
+"""Recorded traffic: read any log file as blocks of frames, write frames as candump text."""

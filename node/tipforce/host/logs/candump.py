@@ -1,7 +1,7 @@
-"""candump's text as frames: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils).
+"""Parse candump text: its log format (-L, -l) and its screen format with any -t, -x, -a, -c, -e (can-utils).
 
-The other direction is ``candump_format``. CAN FD frames stand beside the classic ones. What is no frame is counted,
-not raised: drop messages and, by reason and with line numbers, bad lines.
+The inverse is ``candump_format``. CAN FD frames are kept separate from classic ones. Lines that are not frames are
+counted, not raised: drop messages and, by reason and with line numbers, bad lines.
 """
 
 from __future__ import annotations
@@ -27,14 +27,14 @@ __all__ = [
 ]  # fmt: skip
 
 EXPECTED = {
-    "no candump line": "expected candump's text, as `(1700000000.123456) can0 181#0102` or `  can0  181   [2]  01 02`",
+    "not a candump line": "expected candump text, as `(1700000000.123456) can0 181#0102` or `  can0  181   [2]  01 02`",
     "timestamp": "expected (seconds.microseconds) or (YYYY-MM-DD hh:mm:ss.microseconds)",
     "interface": f"expected at most {MAX_CHANNELS} different interface names",
     "identifier": "expected 3 hexadecimal digits to 7FF or 8 to 1FFFFFFF (error frames: 20000000 plus their class)",
     "length": "expected 0 to 8 data bytes, as many as [the length] says",
     "data": "expected two hexadecimal digits per data byte, or a remote request",
 }
-"""Why a line is bad, and what was expected in its place."""
+"""Reasons for bad lines, and the expected text."""
 
 BLOCK_LINES = 8192
 _LAST_NS = (1 << 63) - 1  # in the year 2262
@@ -58,7 +58,7 @@ _PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 
 @dataclass(frozen=True, slots=True)
 class BadLine:
-    """A line that is not usable: ``reason`` is a key of EXPECTED, ``number`` counts from 1."""
+    """A line that cannot be used: ``reason`` is a key of EXPECTED, ``number`` counts from 1."""
 
     number: int
     text: str
@@ -70,7 +70,7 @@ class BadLine:
 
 
 class BadLineError(InputError):
-    """The first bad line of a text that is read strictly; ``block`` has the frames of the lines before it."""
+    """The first bad line of a text that is read strictly; ``block`` holds the frames of the lines before it."""
 
     def __init__(self, bad: BadLine, block: CandumpBlock) -> None:
         super().__init__(str(bad))
@@ -80,11 +80,11 @@ class BadLineError(InputError):
 
 @dataclass(slots=True)
 class CandumpParser:
-    """Turns lines into blocks of frames, and keeps count of what it leaves out.
+    """Convert lines to blocks of frames, and count the lines that are skipped.
 
     ``strict`` raises BadLineError at the first bad line. ``deltas``: the timestamps are those of -td, each the time
-    since the line before. ``bad`` counts by reason; ``bad_lines`` keeps the first hundred; ``fd_frames``
-    counts the CAN FD frames, ``dropped`` what candump -d told of; ``last_ns`` is the time of the latest line.
+    since the previous line. ``bad`` counts by reason; ``bad_lines`` keeps the first hundred; ``fd_frames``
+    counts the CAN FD frames, ``dropped`` the drops that candump -d reported; ``last_ns`` is the time of the last line.
     """
 
     strict: bool = False
@@ -104,7 +104,7 @@ class CandumpParser:
         return tuple(self._names)
 
     def parse(self, lines: Iterable[str]) -> CandumpBlock:
-        """The frames of some lines, with or without line ends; line numbers go on from call to call."""
+        """Return the frames of some lines, with or without line ends; line numbers continue from call to call."""
         frames = bytearray()
         fd: list[FdFrame] = []
         timed = True
@@ -127,9 +127,9 @@ class CandumpParser:
         return block
 
     def frame(self, number: int, line: str) -> tuple[bytes, bool] | FdFrame | None:
-        """What line ``number`` holds: (the bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
+        """Return the content of line ``number``: (bytes of a FRAME, whether it is timed), a CAN FD frame, or no frame.
 
-        For a reader that takes most lines in another way. An FD frame without a timestamp has t_ns -1. Raises
+        For a reader that parses most lines itself. An FD frame without a timestamp has t_ns -1. Raises
         BadLineError with no frames for a bad line, if strict.
         """
         self.line_number = number
@@ -186,8 +186,8 @@ class CandumpParser:
         drops = _DROPS.match(line)
         if drops is not None:
             self.dropped += int(drops[1])
-        elif line.strip() and not line.startswith("\t"):  # tabs: what candump -e says about the error frame above
-            raise ValueError("no candump line")
+        elif line.strip() and not line.startswith("\t"):  # tabs: candump -e describes the error frame above
+            raise ValueError("not a candump line")
 
     def _time(self, stamp: str) -> int:
         seconds = _SECONDS.fullmatch(stamp)
@@ -206,9 +206,9 @@ class CandumpParser:
         return t_ns
 
     def local_time(self, date: str) -> int:
-        """Seconds since 1970 of candump -tA's local time. ValueError: it is none."""
+        """Return seconds since 1970 of candump -tA's local time. ValueError: it is not a date."""
         if date not in self._dates:
-            self._dates.clear()  # the second before will not come again
+            self._dates.clear()  # the previous second does not occur again
             try:
                 self._dates[date] = int(time.mktime(time.strptime(date, "%Y-%m-%d %H:%M:%S")))
             except (ValueError, OverflowError):
@@ -216,7 +216,7 @@ class CandumpParser:
         return self._dates[date]
 
     def interface_number(self, name: str) -> int:
-        """The number of an interface, given out in the order of their appearance. ValueError: there are too many."""
+        """Return the number of an interface, assigned in order of appearance. ValueError: there are too many."""
         number = self._names.get(name)
         if number is None:
             if len(self._names) >= MAX_CHANNELS:
@@ -233,7 +233,7 @@ class CandumpParser:
 def read_candump(
     lines: Iterable[str], parser: CandumpParser | None = None, block_lines: int = BLOCK_LINES
 ) -> Iterator[CandumpBlock]:
-    """Blocks of frames from lines, at most ``block_lines`` at a time, so that any log fits into the memory."""
+    """Yield blocks of frames from lines, at most ``block_lines`` at a time, so that any log fits into memory."""
     parser = CandumpParser() if parser is None else parser
     iterator = iter(lines)
     while chunk := list(islice(iterator, block_lines)):
@@ -246,7 +246,7 @@ def _block(frames: bytearray, names: tuple[str, ...], timed: bool, fd: tuple[FdF
 
 
 def _identifier(text: str) -> int:
-    """The can_id with flags, except the remote flag."""
+    """Return the can_id with flags, except the remote flag."""
     if _HEX.fullmatch(text) is None or len(text) not in {3, 8}:
         raise ValueError("identifier")
     can_id = int(text, 16)
@@ -262,7 +262,7 @@ def _identifier(text: str) -> int:
 
 
 def _log_payload(text: str) -> tuple[int, bytes, int] | None:
-    """(length, data, remote flag) of what follows the # in a log; None: CAN FD."""
+    """Return (length, data, remote flag) from the text after the # in a log; None: CAN FD."""
     if text.startswith("#"):
         return None
     if text[:1] in {"R", "r"}:
@@ -278,7 +278,7 @@ def _log_payload(text: str) -> tuple[int, bytes, int] | None:
 
 
 def _screen_payload(length_text: str, text: str) -> tuple[int, bytes, int] | None:
-    """(length, data, remote flag) of what follows the identifier on the screen; None: CAN FD, with two digits."""
+    """Return (length, data, remote flag) after the identifier in the screen format; None: CAN FD, with two digits."""
     if len(length_text) == 2:
         return None
     length = int(length_text)

@@ -1,8 +1,8 @@
-"""candump's text in bulk: blocks of lines to FRAME arrays, many lines at a time with numpy.
+"""Parse candump text in bulk: blocks of lines to FRAME arrays, many lines at a time with numpy.
 
-Most lines of a log differ in nothing but their digits. The first line gives a template; all lines that fit it are
-taken together; the first of those that are left gives the next. What fits no template, and what turns out not to be
-right, goes to the line parser, so that there is one truth of what is a frame and why a line is bad.
+Most lines of a log differ only in their digits. The first line yields a template; all lines that fit it are
+parsed together; the first of the remaining lines yields the next. Lines that fit no template, or prove invalid, go
+to the line parser, so that only one parser defines frames and the reasons of bad lines.
 """
 
 from __future__ import annotations
@@ -16,16 +16,16 @@ from tipforce.host.logs.candump_rows import Block, Places, take
 from tipforce.host.logs.candump_template import Templates
 from tipforce.host.logs.lines import Text
 
-_MAX_TRIES = 32  # for a template, in a block; what is still left goes to the line parser
+_MAX_TRIES = 32  # for a template, in a block; the remaining lines go to the line parser
 _NEWLINE = 10
 _LONGEST_EVEN = 128
 _SAFE_NS = 9.2e18  # near the end of 64 bits the line parser decides
 
 
 class CandumpBulk:
-    """Turns blocks of text into frames. ``parser`` has the counts, and takes what can't be taken in bulk.
+    """Convert blocks of text to frames. ``parser`` has the counts, and parses lines that do not fit the bulk path.
 
-    ``names`` are the interfaces by number; ``timed`` is False once a line had no timestamp.
+    ``names`` are the interfaces by number; ``timed`` is False after a line without a timestamp.
     """
 
     def __init__(self, parser: CandumpParser) -> None:
@@ -35,9 +35,9 @@ class CandumpBulk:
         self._templates = Templates()
 
     def parse(self, text: Text, begin: int, end: int, room: FrameArray | None = None) -> FrameArray:
-        """The frames of the lines in ``text[begin:end]``, with 8 bytes before and 128 behind that may be read.
+        """Return the frames of the lines in ``text[begin:end]``; 8 bytes before and 128 after them must be readable.
 
-        Where each line holds a frame and ``room`` has place for them, they are made at its start.
+        If each line holds a frame and ``room`` is large enough, they are written at its start.
         Raises BadLineError with the frames before, if the parser is strict.
         """
         even = _even_ends(text, begin, end)
@@ -51,7 +51,7 @@ class CandumpBulk:
         return block.frames()
 
     def _taken(self, text: Text, ends: Places, begin: int, room: FrameArray | None) -> tuple[Block, Places]:
-        """The block of these lines, taken in bulk as far as possible; which lines are left."""
+        """Return the block of these lines, parsed in bulk as far as possible, and the remaining lines."""
         starts = np.empty_like(ends)
         starts[0] = begin
         np.add(ends[:-1], 1, out=starts[1:])
@@ -59,7 +59,7 @@ class CandumpBulk:
         return block, self._take_all(block)
 
     def _take_all(self, block: Block) -> Places:
-        """Take what can be taken in bulk; which lines are left."""
+        """Parse lines in bulk; return the remaining lines."""
         todo = np.arange(len(block.starts))
         left: list[Places] = []
         for _ in range(_MAX_TRIES):
@@ -86,7 +86,7 @@ class CandumpBulk:
             return None
 
     def _add_up(self, block: Block) -> bool:
-        """Make times of the deltas of a block; False where the line parser has to tell."""
+        """Convert the deltas of a block to times; False if the line parser has to decide."""
         steps = block.words[:, 0].view(np.int64)
         if not self.timed or float(steps.sum(dtype=np.float64)) + self.parser.last_ns > _SAFE_NS:
             return False
@@ -95,7 +95,7 @@ class CandumpBulk:
         return True
 
     def _take_lines(self, block: Block, left: Places) -> None:
-        """Hand lines to the line parser; its line numbers go on behind the block."""
+        """Pass lines to the line parser; its line numbers continue after the block."""
         parser = self.parser
         before = parser.line_number
         for row in left.tolist():
@@ -125,9 +125,9 @@ def _line_ends(text: Text, begin: int, end: int) -> Places:
 
 
 def _even_ends(text: Text, begin: int, end: int) -> Places | None:
-    """The line ends if all lines are as long as the first, as they often are; None if they are not.
+    """Return the line ends if all lines are as long as the first, which is common; None if not.
 
-    That a line has no line end within shows when it is taken: a line that is right has none.
+    A line end inside a line is found when the line is parsed: a valid line has none.
     """
     first = text[begin : min(end, begin + _LONGEST_EVEN)].tobytes().find(b"\n") + 1
     if first and not (end - begin) % first and (text[begin + first - 1 : end : first] == _NEWLINE).all():

@@ -1,4 +1,4 @@
-"""SocketCAN's error frames in words, as candump -e prints them (linux/can/error.h; can-utils 2020.11)."""
+"""Describe SocketCAN error frames in words, as candump -e does (linux/can/error.h; can-utils 2020.11)."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ERROR_CLASSES = (
     "bus-error",
     "restarted-after-bus-off",
 )
-"""What the bits of an error frame's identifier mean, from bit 0."""
+"""Meaning of the bits of an error frame's identifier, from bit 0."""
 
 CONTROLLER = (
     "rx-overflow",
@@ -68,9 +68,9 @@ _LAST_LOCATION = 0x1F
 
 
 def error_text(can_id: int, data: bytes) -> str:
-    """What an error frame says, one class a line, the error counters last; ``data`` may be shorter than 8 bytes.
+    """Return the text of an error frame, one class a line, the counters last; ``data`` may be shorter than 8 bytes.
 
-    A class beyond those of candump is named by its number (candump repeats the line before instead).
+    A class that candump does not know is given by its number (candump repeats the previous line instead).
     """
     data = data.ljust(8, b"\0")
     error_class = can_id & EXTENDED_MASK

@@ -1,4 +1,4 @@
-"""Frames as candump's text, to the byte: the screen format and the log format of can-utils 2020.11."""
+"""Format frames as candump text, byte for byte: the screen format and the log format of can-utils 2020.11."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_errors import error_text
 
 TIMESTAMPS = ("", "a", "z", "d", "A")
-"""None, absolute, from zero, since the frame before, absolute with the local date."""
+"""None, absolute, from zero, since the previous frame, absolute with the local date."""
 
 _EXTRA = ("- -", "B -", "- E", "B E")  # bit rate switch and error state, by the flags of a CAN FD frame
 _ERROR_MASK = ERROR_FLAG | EXTENDED_MASK
 
 
 class CandumpFormat:
-    """candump's text for frames, one string per frame and without the line end.
+    """Format frames as candump does, one string per frame without line end.
 
     ``timestamps`` is one of TIMESTAMPS; ``log`` is -L, ``extra`` -x, ``errors`` -e, ``ascii`` -a; ``width`` is the
-    length of the longest interface name on the command line. As candump, it remembers: interface names align from the
-    longest seen on (not with ``align`` False), and 11-bit identifiers are indented once a 29-bit one has been shown.
+    length of the longest interface name on the command line. Like candump, it keeps state: interface names align with
+    the longest so far (not with ``align`` False), and 11-bit identifiers are indented after the first 29-bit one.
     """
 
     def __init__(
@@ -37,7 +37,7 @@ class CandumpFormat:
         width: int = 0,
         align: bool = True,
     ) -> None:
-        """Raises InputError for another kind of timestamp."""
+        """Create a formatter. Raises InputError for an unknown kind of timestamp."""
         if timestamps not in TIMESTAMPS:
             raise InputError(f"timestamps {timestamps!r}: allowed are {', '.join(TIMESTAMPS[1:])}")
         self._kind = timestamps
@@ -52,7 +52,7 @@ class CandumpFormat:
         self._second = (-1, "")
 
     def lines(self, block: CandumpBlock) -> list[str]:
-        """The text of each frame of a block, CAN FD included, in order. With -e, an error frame's has several lines."""
+        """Return the text of each frame of a block, CAN FD included, in order (error frames with -e: several lines)."""
         line = self._log_line if self._log else self._screen_line
         frames = block.frames
         names = block.names
@@ -103,7 +103,7 @@ class CandumpFormat:
         return self._data(start, can_id, data)
 
     def _start(self, t_us: int, can_id: int, name: str, sent: bool, flags: int) -> str:
-        """All that stands before the length."""
+        """Return the part before the length."""
         if can_id & EXTENDED_FLAG and not self._indent:
             self._indent = "     "
         way = f"  {'TX' if sent else 'RX'} {_EXTRA[flags & 3]}" if self._extra else ""
@@ -113,7 +113,7 @@ class CandumpFormat:
 
     def _data(self, start: str, can_id: int, data: bytes) -> str:
         text = f"{start} {data.hex(' ').upper()}" if data else start
-        if len(data) > 8:  # candump puts nothing behind so much
+        if len(data) > 8:  # candump appends nothing after this many bytes
             return self._with_errors(text, can_id, data)
         gap = " " * (3 * (8 - len(data)) + 3)
         if can_id & ERROR_FLAG:
@@ -144,7 +144,7 @@ class CandumpFormat:
 
 
 def identifier_text(can_id: int) -> str:
-    """3 hexadecimal digits for an 11-bit identifier; 8 for a 29-bit one, and for an error frame, with its flag."""
+    """Return 3 hexadecimal digits for an 11-bit identifier; 8 for a 29-bit one, and for error frames (with flag)."""
     if can_id & ERROR_FLAG:
         return f"{can_id & _ERROR_MASK:08X}"
     if can_id & EXTENDED_FLAG:

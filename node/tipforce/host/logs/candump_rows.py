@@ -1,4 +1,4 @@
-"""Lines of candump's text that fit one template, as frames: all of them at once."""
+"""Parse all lines of candump text that fit one template at once."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _DATE_CHARACTERS = 19
 _SPACES = np.uint64(0x2020202020202020)
 _NO_LENGTH = np.uint64(255)
 _MAX_LENGTH = np.uint64(8)
-_LOG_DIGITS = 18  # of data, and one more for what is too long
+_LOG_DIGITS = 18  # of data, and one more for a length that is too large
 _LOG_LENGTH = np.array([n // 2 if n % 2 == 0 and n <= 16 else _NO_LENGTH for n in range(_LOG_DIGITS)], dtype=np.uint64)
 _LOG_KEEP = FIRST[np.clip(np.arange(_LOG_DIGITS) - np.array([[0], [8]]), 0, 8)]
 _SCREEN_KEEP = FIRST[np.clip(2 * np.arange(9) - np.array([[0], [8]]), 0, 8)]
@@ -32,8 +32,8 @@ Places = npt.NDArray[np.int64]
 
 
 class Block:
-    """The lines of a text, and the FRAMEs that they become: ``words`` (n, 3) are their words, ``kept`` (n,) says of
-    which lines."""
+    """Lines of a text and their frames: ``words`` (n, 3) hold one FRAME per line, ``kept`` (n,) selects the lines
+    that are frames."""
 
     def __init__(self, text: Text, starts: Places, ends: Places, room: FrameArray | None = None) -> None:
         self.text = text
@@ -44,18 +44,18 @@ class Block:
         self.kept: Rows = np.zeros(len(starts), dtype=np.bool_)
 
     def line(self, row: int) -> bytes:
-        """The text of a line."""
+        """Return the text of a line."""
         return self.text[self.starts[row] : self.ends[row]].tobytes()
 
     def frames(self) -> FrameArray:
-        """The frames of the lines that hold one."""
+        """Return the frames of the lines that hold one."""
         words = self.words if self.kept.all() else self.words[self.kept]
         frames: FrameArray = words.view(FRAME)[:, 0]
         return frames
 
 
 def take(block: Block, todo: Places, template: Template, channel: int, parser: CandumpParser) -> tuple[Places, Places]:
-    """Take those of the lines ``todo`` (k,) that fit: (the others, those that fit but are not right)."""
+    """Parse those of the lines ``todo`` (k,) that fit: (the others, those that fit but are invalid)."""
     rows = _rows(block, todo, template)
     fits = _fits(rows, template)
     others = todo[:0]
@@ -86,7 +86,7 @@ def take(block: Block, todo: Places, template: Template, channel: int, parser: C
 
 
 def _rows(block: Block, todo: Places, template: Template) -> npt.NDArray[np.void]:
-    """A row of fixed width for each line: one gather through a view that overlaps itself."""
+    """Return a row of fixed width for each line: one gather through a view that overlaps itself."""
     size = template.row_bytes
     kind = np.dtype((np.void, size))
     everywhere: npt.NDArray[np.void] = np.ndarray((len(block.text) - size + 1,), kind, block.text, strides=(1,))
@@ -95,7 +95,7 @@ def _rows(block: Block, todo: Places, template: Template) -> npt.NDArray[np.void
 
 
 def _words(rows: npt.NDArray[np.void], offset: int) -> Words:
-    """Eight characters of each row, at any offset: a view."""
+    """Return eight characters of each row, at any offset: a view."""
     return np.ndarray((len(rows),), np.uint64, rows, offset, (rows.itemsize,))
 
 
@@ -107,7 +107,7 @@ def _fits(rows: npt.NDArray[np.void], template: Template) -> Rows:
         word ^= value
         differs |= word
     fits: Rows = differs == 0
-    if template.extended and template.length is not None:  # there, candump indents 11-bit identifiers to this width
+    if template.extended and template.length is not None:  # here candump indents 11-bit identifiers to this width
         fits &= (_words(rows, template.identifier[0]) & FIRST[1]) != _SPACE
     return fits
 
@@ -123,10 +123,10 @@ def _time(rows: npt.NDArray[np.void], template: Template, parser: CandumpParser)
     for offset, keep, unit in seconds:
         words = _words(rows, offset)
         first = words[:1] & keep
-        alike = bool(((words & keep) == first).all())  # of the seconds most digits are
+        alike = bool(((words & keep) == first).all())  # most digits of the seconds are equal
         value, valid = decimal(first if alike else words, keep)
         if unit > _SECOND_NS:
-            valid &= value < _FIRST_92  # from there on the line parser knows where 64 bits end
+            valid &= value < _FIRST_92  # from there on the line parser checks the 64-bit range
         if not valid.all():
             right &= valid
             value *= valid
@@ -137,7 +137,7 @@ def _time(rows: npt.NDArray[np.void], template: Template, parser: CandumpParser)
 
 
 def _add_dates(rows: npt.NDArray[np.void], offset: int, parser: CandumpParser, t_ns: Places, right: Rows) -> None:
-    """Add the seconds of candump -tA's dates: each date is read once, as long as it stays the same."""
+    """Add the seconds of candump -tA's dates: a date is parsed once while it stays the same."""
     changes = np.zeros(len(rows) - 1, dtype=np.bool_)
     for place in (offset, offset + 8, offset + _DATE_CHARACTERS - 8):
         words = _words(rows, place)
@@ -158,7 +158,7 @@ def _add_dates(rows: npt.NDArray[np.void], offset: int, parser: CandumpParser, t
 
 
 def _without_return(text: Text, ends: Places) -> tuple[Places, Text]:
-    """Line ends without a carriage return, and the characters before them."""
+    """Return line ends without a carriage return, and the characters before them."""
     last = text[ends - 1]
     returns = last == _RETURN
     if returns.any():
@@ -168,7 +168,7 @@ def _without_return(text: Text, ends: Places) -> tuple[Places, Text]:
 
 
 def _without_way(text: Text, ends: Places, last: Text) -> tuple[Places, Words | np.uint64]:
-    """Line ends without python-can's " R" or " T", and SENT as flag where that was a T."""
+    """Return line ends without python-can's " R" or " T", and SENT as flag for a T."""
     if (last <= ord("F")).all():
         return ends, np.uint64(0)
     way = ((last == ord("R")) | (last == ord("T"))) & (text[ends - 2] == _SPACE)
@@ -179,13 +179,13 @@ def _without_way(text: Text, ends: Places, last: Text) -> tuple[Places, Words | 
 def _log_data(
     rows: npt.NDArray[np.void], template: Template, length: Places
 ) -> tuple[Words, Words | np.uint64, Rows | np.bool_]:
-    """(digits (3, n) with the last row free, data length (n,) or one for all, True) for lines of ``length`` (n,)."""
+    """Return (digits (3, n) with the last row free, data length (n,) or one for all, True) for ``length`` (n,)."""
     count = length - (template.data - FRONT)
     digits = np.empty((3, len(rows)), dtype=np.uint64)
     if (count == 16).all():
         digits[0], digits[1] = _words(rows, template.data), _words(rows, template.data + 8)
         return digits, _MAX_LENGTH, np.True_
-    place = np.minimum(count.view(np.uint64), np.uint64(_LOG_DIGITS - 1)).view(np.int64)  # negative is large
+    place = np.minimum(count.view(np.uint64), np.uint64(_LOG_DIGITS - 1)).view(np.int64)  # negative counts become large
     digits[0] = fill(_words(rows, template.data), _LOG_KEEP[0][place])
     digits[1] = fill(_words(rows, template.data + 8), _LOG_KEEP[1][place])
     length_bytes = _LOG_LENGTH[place]
@@ -195,7 +195,7 @@ def _log_data(
 def _screen_data(
     rows: npt.NDArray[np.void], template: Template, length: Places
 ) -> tuple[Words, Words | np.uint64, Rows | np.bool_]:
-    """As ``_log_data``, for " 01 02"; also whether there are spaces between the bytes, and as many as said."""
+    """Parse as ``_log_data``, for " 01 02"; also check the spaces between the bytes and their stated number."""
     assert template.length is not None
     size = rows.itemsize
     told = np.ndarray((len(rows),), np.uint8, rows, template.length, (size,)).astype(np.int64) - ord("0")

@@ -1,4 +1,4 @@
-"""The shape of a line of candump's text: where in it the digits are, and which characters stand between them."""
+"""Template of a line of candump text: the positions of the digits, and the characters between them."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ _SCREEN_DATA = 24  # " 00" for each of eight bytes
 
 @dataclass(frozen=True, slots=True)
 class Template:
-    """Lines that differ in nothing but the digits of time, identifier, length and data.
+    """Lines that differ only in the digits of time, identifier, length and data.
 
     A row is FRONT bytes, then the line; all offsets count from the start of the row. ``fixed``: (offset, mask, value)
-    of words, for what is the same in each line. ``stamp``: (offset, mask, ns per unit) of words of decimal digits;
+    of words that are the same in each line. ``stamp``: (offset, mask, ns per unit) of words of decimal digits;
     ``date``: offset of the 19 characters of a date. ``identifier``: (offset, mask) of a word of hexadecimal digits.
-    ``data``: where the line's data start. ``length``: offset of the length, None in the log format.
+    ``data``: offset of the line's data. ``length``: offset of the length, None in the log format.
     """
 
     name: str
@@ -48,18 +48,18 @@ class Template:
 
     @property
     def timed(self) -> bool:
-        """Whether the lines have a timestamp."""
+        """True if the lines have a timestamp."""
         return bool(self.stamp)
 
 
 class Templates:
-    """Finds the template of a line, and knows the ones it has made."""
+    """Find the template of a line, and cache the templates."""
 
     def __init__(self) -> None:
         self._made: dict[bytes, Template | None] = {}
 
     def of(self, line: bytes) -> Template | None:
-        """The template of the lines that look like this one; None where this line is nothing for a template."""
+        """Return the template of lines like this one; None if this line is not suitable for a template."""
         match = _LOG.match(line) or _SCREEN.match(line)
         if match is None or match.end() > _LONGEST_HEAD or (match["date"] and len(match["fraction"]) != 6):
             return None
@@ -77,7 +77,7 @@ def _digit_spans(match: re.Match[bytes]) -> list[tuple[int, int]]:
 
 
 def _key(match: re.Match[bytes]) -> bytes:
-    """The start of a line without its digits, and what the digits are told by."""
+    """Return the start of a line with its digits replaced by zero bytes."""
     key = bytearray(match.group())
     for start, stop in _digit_spans(match):
         key[start:stop] = b"\0" * (stop - start)
@@ -120,7 +120,7 @@ def _fixed(match: re.Match[bytes]) -> tuple[tuple[int, np.uint64, np.uint64], ..
 
 
 def _stamp(match: re.Match[bytes]) -> tuple[tuple[int, np.uint64, int], ...]:
-    """Words of at most eight digits each, the fraction last."""
+    """Return words of at most eight digits each, the fraction last."""
     found = []
     for name, unit in (("seconds", 1_000_000_000), ("fraction", 10 ** (9 - len(match["fraction"] or b"")))):
         if match[name]:

@@ -1,4 +1,4 @@
-"""Digits in words: eight characters at a time as one uint64, little-endian, so the first character is the low byte."""
+"""Parse digits in words: eight characters as one little-endian uint64, so the first character is the low byte."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _ZEROS = _repeat(ord("0"))
 _HIGH_BITS = _repeat(0x80)
 _CASE_FROM = _repeat(0x40)
 _LOW, _SIX, _ONES, _HIGH_NIBBLES = _repeat(0x0F), _repeat(6), _repeat(1), _repeat(0xF0)
-# What has to be added to a character so that its byte gets its top bit from "0", ":", "A" and "G" on.
+# Added to a character to set its byte's top bit from "0", ":", "A" and "G" on.
 _HEX_EDGES = tuple(_repeat(0x80 - ord(character)) for character in "0:AG")
 _BYTES_16, _BYTES_32 = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x0000FFFF0000FFFF)
 _1, _4, _6, _8, _9, _16, _32 = (np.uint64(number) for number in (1, 4, 6, 8, 9, 16, 32))
@@ -31,7 +31,7 @@ LAST = FIRST[8] ^ FIRST[::-1]
 
 
 def decimal(words: Words, keep: np.uint64) -> tuple[Words, Rows]:
-    """Words (n,) of decimal digits -> (values (n,), whether each is valid (n,)); characters not in ``keep`` are 0."""
+    """Convert words (n,) of decimal digits to (values (n,), validity (n,)); characters not in ``keep`` are 0."""
     digits = (words ^ _ZEROS) & keep
     wrong = (digits | (digits + _SIX)) & _HIGH_NIBBLES
     digits *= _PAIRS[0]
@@ -46,13 +46,13 @@ def decimal(words: Words, keep: np.uint64) -> tuple[Words, Rows]:
 
 
 def fill(words: Words, keep: Words | np.uint64) -> Words:
-    """The words with "0" in place of the characters that are not in ``keep``."""
+    """Return the words with "0" in place of the characters that are not in ``keep``."""
     found: Words = ((words ^ _ZEROS) & keep) ^ _ZEROS
     return found
 
 
 def hexadecimal(words: Words) -> tuple[Words, Rows]:
-    """Words (k, n) of hexadecimal digits -> (values (k, n), whether all k are valid (n,)).
+    """Convert words (k, n) of hexadecimal digits to (values (k, n), whether all k are valid (n,)).
 
     A value has four bytes in the order of the text.
     """
@@ -76,7 +76,7 @@ def hexadecimal(words: Words) -> tuple[Words, Rows]:
 
 
 def _valid(words: Words) -> Rows:
-    """A character is a digit if it has passed an odd number of edges; a top bit of its own spoils the sums."""
+    """Return which words are valid: a digit is past an odd number of edges; its own top bit spoils the sums."""
     marks = words + _HEX_EDGES[0]
     for edge in _HEX_EDGES[1:]:
         marks ^= words + edge

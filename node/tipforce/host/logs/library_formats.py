@@ -1,4 +1,4 @@
-"""Every log format that python-can reads (ASC, BLF, TRC, CSV, MF4, SQLite), as blocks of frames."""
+"""Read every log format that python-can reads (ASC, BLF, TRC, CSV, MF4, SQLite) as blocks of frames."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ _PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 
 
 def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Blocks of at most BLOCK_MESSAGES frames. A log that breaks off is noted as bad.
+    """Yield blocks of at most BLOCK_MESSAGES frames. A truncated log is noted as bad.
 
-    Raises InputError for a file that is not of the format its name says.
+    Raises InputError for a file that is not of the format in its name.
     """
     try:
         reader = _reader(path)
-    except Exception as error:  # each reader raises what it likes for a broken file
+    except Exception as error:  # readers raise various exceptions for a damaged file
         raise InputError(f"{path}: can't be read as {path.suffix}: {error or type(error).__name__}") from error
     messages = iter(reader)
     try:
@@ -39,7 +39,7 @@ def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
 
 def _reader(path: Path) -> Any:
     suffix = path.suffix.lower()
-    if suffix == ".blf":  # its reader forgets to close what it does not understand
+    if suffix == ".blf":  # its reader does not close a file that it rejects
         file = path.open("rb")
         try:
             return can.BLFReader(file)
@@ -50,7 +50,7 @@ def _reader(path: Path) -> Any:
 
 
 def _packed(path: Path, messages: Iterator[can.Message], notes: LogNotes) -> bytes:
-    """The next frames, as bytes. Empty at the end."""
+    """Return the next frames, as bytes. Empty at the end."""
     rows = bytearray()
     while not rows:
         count = 0
@@ -61,7 +61,7 @@ def _packed(path: Path, messages: Iterator[can.Message], notes: LogNotes) -> byt
         except InputError:
             raise
         except Exception as error:  # as above
-            notes.note_bad(UNREADABLE, f"{path}: breaks off: {error or type(error).__name__}")
+            notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
             break
         if not count:
             break
@@ -77,7 +77,7 @@ def _row(path: Path, message: can.Message, notes: LogNotes) -> bytes:
     if channel is None:
         notes.note_bad("interface", f"{path}: more than {len(notes.channels)} different channels")
         return b""
-    # A float holds no nanoseconds of today: what is below a microsecond is noise.
+    # A float has no nanosecond resolution for present times: digits below a microsecond are noise.
     t_ns = round(message.timestamp * 1e6) * 1000
     length = message.dlc if message.is_remote_frame else len(message.data)
     data = b"" if message.is_remote_frame else bytes(message.data[:8])

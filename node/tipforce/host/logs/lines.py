@@ -1,4 +1,4 @@
-"""A log's text as blocks of whole lines: plain, gzip or zstd, a file that is still growing, or stdin."""
+"""Read a log's text as blocks of whole lines: plain, gzip or zstd, a file that is still growing, or stdin."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
 
 BLOCK_BYTES = 1 << 19
-"""Small enough that a block and what becomes of it stay in the processor's cache; and the longest line."""
+"""Small enough that a block and its results stay in the processor's cache; also the longest line."""
 
 PADDING_BYTES = 256
-"""Memory before and behind the lines of a block, so that a reader may look past them."""
+"""Memory before and after the lines of a block, so that a reader may read past them."""
 
-TOO_LONG = "no candump line"
+TOO_LONG = "not a candump line"
 _POLL_S = 0.05
 _GZIP, _ZSTD, _BOM = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
-_ZSTD_STEP_BYTES = 1024  # bounds what one step can blow up to
+_ZSTD_STEP_BYTES = 1024  # bounds the output of one step
 
 Text = npt.NDArray[np.uint8]
 
 
 class Readable(Protocol):
-    """What bytes are read from."""
+    """Source of bytes."""
 
     def readinto(self, buffer: Any, /) -> int | None:
-        """Fill the start of ``buffer``; how many bytes, 0 at the end."""
+        """Fill the start of ``buffer``; return the number of bytes, 0 at the end."""
 
 
 def open_file(path: Path) -> FileIO:
-    """A file, unbuffered. Raises InputError."""
+    """Open a file, unbuffered. Raises InputError."""
     try:
         return FileIO(path)
     except OSError as error:
@@ -49,7 +49,7 @@ def open_file(path: Path) -> FileIO:
 
 
 def decompressed(file: FileIO, place: str) -> Readable:
-    """``file`` itself, or what it holds if it is gzip or zstd (by its first bytes, not by its name)."""
+    """Return ``file`` itself, or its content if it is gzip or zstd (by its first bytes, not by its name)."""
     start = first_bytes(file)
     if start.startswith(_GZIP):
         return _Gzip(file)
@@ -57,27 +57,27 @@ def decompressed(file: FileIO, place: str) -> Readable:
 
 
 def first_bytes(file: FileIO) -> bytes:
-    """The first bytes of a file, which stay to be read; of a pipe none."""
+    """Return the first bytes of a file without consuming them; of a pipe none."""
     with suppress(OSError):
         return os.pread(file.fileno(), 16, 0)
     return b""
 
 
 class LineBlocks:
-    """Blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``, uint8.
+    """Yield blocks of whole lines as (text, begin, end): the lines are ``text[begin:end]``, uint8.
 
-    PADDING_BYTES before and behind them may be read too. The memory is used again for the next block. The last line
-    may lack its line end. A line of more than BLOCK_BYTES, and packed data that breaks off, are noted as bad.
-    ``source`` None is stdin: it gives what has arrived as soon as it has. ``follow`` waits for more at the end of a
-    file, and starts again with one that has become shorter. ``live``: somebody waits for each block. ``part`` of a
-    plain file: from its first byte to behind its last (None: the end), both where lines begin, as ``line_borders``
-    gives them. ``left_out``: lines that were too long, up to the block that came last.
+    PADDING_BYTES before and after them may be read too. The memory is reused for the next block. The last line
+    may lack its line end. A line of more than BLOCK_BYTES, and truncated packed data, are noted as bad.
+    ``source`` None is stdin: it returns available data at once. ``follow`` waits for more at the end of a
+    file, and restarts a file that has become shorter. ``live``: a consumer waits for each block. ``part`` of a
+    plain file: from its first byte to after its last (None: the end), both at line starts, as ``line_borders``
+    returns them. ``left_out``: number of lines that were too long, up to the last block.
     """
 
     def __init__(
         self, source: Path | None, notes: LogNotes, follow: bool = False, part: tuple[int, int | None] = (0, None)
     ) -> None:
-        """Raises InputError for a file that can't be opened, EnvironmentLackError when zstd is not installed."""
+        """Open the source. Raises InputError if that fails, EnvironmentLackError if zstd is not installed."""
         self._place = "stdin" if source is None else str(source)
         self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
         if source is None:
@@ -132,7 +132,7 @@ class LineBlocks:
             yield self._text, begin, filled
 
     def _behind_mark(self) -> int:
-        """Where the text begins in the first block: behind a byte order mark."""
+        """Return the start of the text in the first block: after a byte order mark."""
         return PADDING_BYTES + (len(_BOM) if self._storage.startswith(_BOM, PADDING_BYTES) else 0)
 
     def _read(self, filled: int) -> int:
@@ -146,7 +146,7 @@ class LineBlocks:
                     count = self._readable.readinto(view[filled:limit]) or 0
                 except (OSError, EOFError, zlib.error) as error:
                     self._broken = True
-                    self._notes.note_bad(UNREADABLE, f"{self._place}: breaks off: {error}")
+                    self._notes.note_bad(UNREADABLE, f"{self._place}: truncated: {error}")
                     return 0
                 if count or not self._follow:
                     return count
@@ -156,13 +156,13 @@ class LineBlocks:
                     time.sleep(_POLL_S)
 
     def _too_long(self) -> None:
-        text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is no line of a log"
+        text = f"{self._place}: a line of more than {BLOCK_BYTES} bytes is not a line of a log"
         self.left_out += 1
         self._notes.note_bad(TOO_LONG, text)
 
 
 def line_borders(path: Path, count: int) -> list[int]:
-    """Where lines begin that cut a plain file into ``count`` parts of about the same size, fewer if lines are long.
+    """Return line starts that split a plain file into ``count`` parts of similar size, fewer if lines are long.
 
     The first is 0, the last the size of the file. Raises InputError for a file that can't be opened.
     """
@@ -178,7 +178,7 @@ def line_borders(path: Path, count: int) -> list[int]:
 
 
 def is_plain(path: Path) -> bool:
-    """Whether a file's bytes are its text: a regular file, neither gzip nor zstd. Raises InputError."""
+    """Return whether a file's bytes are its text: a regular file, neither gzip nor zstd. Raises InputError."""
     if not path.is_file():
         return False
     with open_file(path) as file:
@@ -186,7 +186,7 @@ def is_plain(path: Path) -> bool:
 
 
 def _widen(file: FileIO) -> None:
-    """Make a pipe hold a whole block, where the system lets one (Linux): fewer and larger reads."""
+    """Enlarge a pipe's buffer to a whole block, if the system supports it (Linux): fewer and larger reads."""
     with suppress(ImportError, AttributeError, OSError):
         import fcntl
 
@@ -194,15 +194,15 @@ def _widen(file: FileIO) -> None:
 
 
 def _keep_freed_memory() -> None:
-    """Freed once, a large allocation makes the C library keep what is freed later, up to twice as much.
+    """Allocate and free a large array once, so that the C library keeps memory freed later, up to twice as much.
 
-    Without it, each block's arrays are handed back to the system and have to be mapped again: twice the time.
+    Without it, each block's arrays are returned to the system and mapped again, which doubles the time.
     """
     np.empty(_KEPT_BYTES, dtype=np.uint8)  # never written, so no memory is used
 
 
 class _Gzip:
-    """Unpacks gzip, and gives all that comes before the place where a file breaks off."""
+    """Unpack gzip; of a truncated file return all data before the end."""
 
     def __init__(self, file: FileIO) -> None:
         import gzip
@@ -210,12 +210,12 @@ class _Gzip:
         self._file = gzip.GzipFile(fileobj=file)
 
     def readinto(self, buffer: Any, /) -> int:
-        """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error where the file breaks off."""
+        """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error at the end of a truncated file."""
         return self._file.readinto1(buffer)
 
 
 class _Zstd:
-    """Unpacks zstd in steps of bounded size. zstandard's own stream reader takes a file that breaks off for whole."""
+    """Unpack zstd in steps of bounded size. zstandard's own stream reader does not detect a truncated file."""
 
     def __init__(self, file: FileIO, place: str) -> None:
         try:
@@ -229,7 +229,7 @@ class _Zstd:
         self._unpacked = memoryview(b"")
 
     def readinto(self, buffer: Any, /) -> int:
-        """Fill the start of ``buffer``. Raises EOFError where the file breaks off, OSError for what is no zstd."""
+        """Fill the start of ``buffer``. Raises EOFError for a truncated file, OSError for data that is not zstd."""
         while not self._unpacked:
             self._packed = self._packed or self._file.read(_ZSTD_STEP_BYTES)
             if not self._packed:

@@ -1,4 +1,4 @@
-"""What a reader of logs counts and keeps beside the frames."""
+"""Counts and notes of a log reader besides the frames."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ UNREADABLE = "unreadable"
 
 @dataclass(slots=True)
 class LogNotes:
-    """Beside the frames of a log: its ``channels`` by number, and what is not a data frame, counted.
+    """Notes on a log: its ``channels`` by number, and counts of everything that is not a data frame.
 
-    ``bad`` counts lines or records that are not usable by reason, ``first_bad`` says where the first is and what was
-    expected. ``skipped`` counts what holds no data for a decoder: CAN FD frames (left out), error and remote frames
-    (delivered, with their flags), frames that candump itself had dropped. ``timed`` is False once a frame had no
+    ``bad`` counts unusable lines or records by reason, ``first_bad`` gives the first one and the expected
+    text. ``skipped`` counts frames without data for a decoder: CAN FD frames (left out), error and remote frames
+    (delivered, with their flags), frames that candump itself dropped. ``timed`` is False after a frame without
     timestamp; its ``t_ns`` is 0.
     """
 
@@ -33,12 +33,12 @@ class LogNotes:
     timed: bool = True
 
     def skip(self, what: str, count: int = 1) -> None:
-        """Count something that holds no data for a decoder."""
+        """Count a frame without data for a decoder."""
         if count:
             self.skipped[what] = self.skipped.get(what, 0) + count
 
     def note_bad(self, reason: str, text: str) -> None:
-        """Count what is not usable. Raises InputError with ``text``, if the log is read strictly."""
+        """Count an unusable line. Raises InputError with ``text`` if the log is read strictly."""
         if self.strict:
             raise InputError(text)
         self.bad[reason] = self.bad.get(reason, 0) + 1
@@ -46,7 +46,7 @@ class LogNotes:
             self.first_bad = text
 
     def channel(self, name: str) -> int | None:
-        """The number of an interface; None where there are too many already."""
+        """Return the number of an interface; None if there are already too many."""
         if name in self.channels:
             return self.channels.index(name)
         if len(self.channels) >= MAX_CHANNELS:

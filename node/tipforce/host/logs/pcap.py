@@ -1,4 +1,4 @@
-"""CAN frames out of pcap and pcapng files, as Wireshark, tcpdump and dumpcap record them from SocketCAN.
+"""Read CAN frames from pcap and pcapng files, as Wireshark, tcpdump and dumpcap record them from SocketCAN.
 
 Link types: 227 (SocketCAN: CAN ID in network byte order, length, then the data) and Linux' cooked captures of the
 pseudo interface "any", 113 and 276, of the protocols 000Ch (CAN) and 000Dh (CAN FD). Formats as in the drafts of the
@@ -25,7 +25,7 @@ from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 BLOCK_FRAMES = 8192
 _CAN, _CAN_FD = 0x000C, 0x000D
-_FD_FLAG = 0x04  # CANFD_FDF in the byte behind the length
+_FD_FLAG = 0x04  # CANFD_FDF in the byte after the length
 _FD_BYTES = 72
 _SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6
 _BYTE_ORDER_MAGIC = 0x1A2B3C4D
@@ -37,12 +37,12 @@ _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fractio
 
 
 class _BrokenError(Exception):
-    """What follows in the file can't be read."""
+    """The rest of the file cannot be read."""
 
 
 @dataclass(frozen=True, slots=True)
 class _Interface:
-    """Where packets come from: link type, channel number, ticks of the clock per second."""
+    """Source of packets: link type, channel number, ticks of the clock per second."""
 
     link: int
     channel: int
@@ -54,9 +54,9 @@ _Packet = tuple[int, _Interface, bytes]  # t_ns
 
 
 def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Blocks of frames. Packets that are not CAN are noted as bad, and so is a file that breaks off.
+    """Yield blocks of frames. Packets that are not CAN, and a truncated file, are noted as bad.
 
-    Raises InputError for a file that is not open to reading.
+    Raises InputError for a file that cannot be opened for reading.
     """
     rows = bytearray()
     with BufferedReader(open_file(path)) as file:
@@ -66,14 +66,14 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
                 packet = next(packets, None)
             except (_BrokenError, struct.error) as error:
                 yield from _block(rows)
-                notes.note_bad(UNREADABLE, f"{path}: breaks off: {error}")
+                notes.note_bad(UNREADABLE, f"{path}: truncated: {error}")
                 return
             if packet is None:
                 break
             row = _row(packet, notes)
             if row is None:
                 yield from _block(rows)
-                notes.note_bad("no CAN", f"{path}: a packet that is no CAN frame (link type {packet[1].link})")
+                notes.note_bad("not CAN", f"{path}: a packet that is not a CAN frame (link type {packet[1].link})")
                 continue
             rows += row
             if len(rows) >= BLOCK_FRAMES * FRAME.itemsize:
@@ -88,7 +88,7 @@ def _block(rows: bytearray) -> Iterator[FrameArray]:
 
 
 def _row(packet: _Packet, notes: LogNotes) -> bytes | None:
-    """A packet as the bytes of a FRAME; empty for CAN FD; None where it is no CAN frame."""
+    """Return a packet as the bytes of a FRAME; empty for CAN FD; None if it is not a CAN frame."""
     t_ns, interface, data = packet
     is_fd = False
     if interface.link in {COOKED, COOKED_2}:

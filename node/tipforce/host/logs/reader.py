@@ -1,4 +1,4 @@
-"""Any log as blocks of frames: candump's text by the bulk reader, every other format by python-can, and pcap."""
+"""Read any log as blocks of frames: candump text by the bulk reader, pcap, and every other format by python-can."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from tipforce.host.logs.log_statistics import DROPPED, FD, LogNotes
 
 STDIN = "-"
 MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
-"""What python-can's readers take; behind each there may be .gz."""
+"""Formats that python-can reads; each may be followed by .gz."""
 
-_BLOCK_FRAMES = 40_000  # decoding a block costs about as much for each node as for a thousand frames
+_BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
 _ROOM_FRAMES = 65_536
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
 
 
 class LogReader(LogNotes):
-    """Iterates over a log once, giving FRAME arrays; memory stays bounded. A context manager; see LogNotes.
+    """Iterate over a log once as FRAME arrays; memory stays bounded. A context manager; see LogNotes.
 
-    The notes are complete when the iteration has ended. ``channels`` grows as interfaces show up.
+    The notes are complete at the end of the iteration. ``channels`` grows as new interfaces occur.
     """
 
     def __init__(
@@ -41,7 +41,7 @@ class LogReader(LogNotes):
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
     ) -> None:
-        """See ``open_log``. ``first_bad_line`` and the number of ``lines`` are those of a text."""
+        """See ``open_log``. ``first_bad_line`` and the number of ``lines`` apply to text logs."""
         super().__init__(strict)
         self.first_bad_line: BadLine | None = None
         self.lines = 0
@@ -61,7 +61,7 @@ class LogReader(LogNotes):
             self._blocks = message_blocks(source, self)
 
     def __iter__(self) -> Iterator[FrameArray]:
-        """Blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``open_log`` says."""
+        """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``open_log`` does."""
         try:
             for block in self._blocks:
                 frames = self._within_limits(block)
@@ -82,7 +82,7 @@ class LogReader(LogNotes):
 
     def _check_timed(self) -> None:
         if not self.timed:
-            raise InputError("the log has no timestamps, so no part of it can be taken by time")
+            raise InputError("the log has no timestamps, so frames cannot be selected by time")
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
         parser = CandumpParser(strict=self.strict, deltas=deltas)
@@ -99,7 +99,7 @@ class LogReader(LogNotes):
                 self._take_counts(parser)
                 if lines.live or gathered.count >= _BLOCK_FRAMES:
                     yield gathered.take()
-        except InputError as bad:  # strict: the frames before it come first
+        except InputError as bad:  # strict: return the frames before it first
             error = bad
             if isinstance(bad, BadLineError):
                 self.first_bad_line = bad.bad
@@ -112,7 +112,7 @@ class LogReader(LogNotes):
             raise error
 
     def _take_counts(self, parser: CandumpParser) -> None:
-        """Move what the parser has counted to the notes."""
+        """Move the parser's counts to the notes."""
         self.skip(FD, parser.fd_frames)
         self.skip(DROPPED, parser.dropped)
         parser.fd_frames = parser.dropped = 0
@@ -124,7 +124,7 @@ class LogReader(LogNotes):
             self.first_bad = str(self.first_bad_line)
 
     def close(self) -> None:
-        """Close the file; the end of the iteration does, too."""
+        """Close the file; the end of the iteration also closes it."""
         if self._lines is not None:
             self._lines.close()
 
@@ -138,7 +138,7 @@ class LogReader(LogNotes):
 
 
 class _Gathered:
-    """Frames of several blocks of text, made in one array: ``room`` is what is left of it, ``count`` what is filled."""
+    """Frames of several blocks of text in one array: ``room`` is its free part, ``count`` the frames in it."""
 
     def __init__(self) -> None:
         self.count = 0
@@ -146,11 +146,11 @@ class _Gathered:
 
     @property
     def room(self) -> FrameArray:
-        """Where the next frames may be made."""
+        """Free part of the array, for the next frames."""
         return self._frames[self.count :]
 
     def add(self, frames: FrameArray) -> Iterator[FrameArray]:
-        """Take frames that were made in ``room``, or elsewhere; what has to go first to make place for them."""
+        """Add frames that were written in ``room``, or elsewhere; yield blocks that had to make space."""
         if frames.base is not self._frames:
             if len(frames) > len(self.room):
                 yield self.take()
@@ -160,7 +160,7 @@ class _Gathered:
         self.count += len(frames)
 
     def take(self) -> FrameArray:
-        """What there is; the next frames have a new array."""
+        """Return the collected frames; the next ones go to a new array."""
         frames, self.count = self._frames[: self.count], 0
         self._frames = np.empty(_ROOM_FRAMES, dtype=FRAME)
         return frames
@@ -176,22 +176,22 @@ def open_log(
     end_ns: int | None = None,
     part: tuple[int, int | None] = (0, None),
 ) -> LogReader:
-    """A log, by what its name and its first bytes say; "-" is candump's text on stdin.
+    """Open a log by its name and its first bytes; "-" is candump text on stdin.
 
     ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
-    more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` and ``end_ns`` leave out what is earlier,
-    and what is at that time or later. ``part``: the bytes of a plain text that are read, cut by ``line_borders``; its
+    more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` excludes earlier frames, ``end_ns``
+    frames at that time or later. ``part``: the bytes of a plain text to read, split by ``line_borders``; its
     lines are numbered from 1.
     Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library that
-    is not installed; while iterating, InputError for a bad line (strict), and for times wanted where there are none.
+    is not installed; while iterating, InputError for a bad line (strict), and for a time selection without timestamps.
     """
     path = None if str(source) == STDIN else Path(source)
     return LogReader(path, strict=strict, follow=follow, deltas=deltas, start_ns=start_ns, end_ns=end_ns, part=part)
 
 
 def log_kind(path: Path) -> str:
-    """How a log is read: "text", "pcap" or "messages" (python-can). Raises InputError for one that can't be opened."""
-    if path.is_fifo():  # to open it and close it again would end it
+    """Return the type of a log: "text", "pcap" or "messages" (python-can). Raises InputError if it cannot be opened."""
+    if path.is_fifo():  # opening and closing a pipe would end it
         return "text"
     with open_file(path) as file:
         start = first_bytes(file)
