@@ -71,7 +71,7 @@ def test_up_reports_each_finger(hand: tuple[Fingers, Path], capsys: pytest.Captu
     assert main(["hand", "up", str(path), "--json"]) == 1
     records = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
     assert [record["failed"] for record in records] == [None, "find"]
-    assert "does not answer LSS" in records[1]["error"]
+    assert "does not respond to LSS" in records[1]["error"]
 
 
 def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:

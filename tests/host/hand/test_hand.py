@@ -192,7 +192,7 @@ def test_asyncio_and_callbacks(fingers: Fingers) -> None:
         hand.on_rows(lambda rows: seen.append(len(rows)))
         assert asyncio.run(asyncio.wait_for(consume(hand), WAIT_S)) >= 10
         assert sum(seen) >= 10
-        with pytest.raises(InputError, match="started already"):
+        with pytest.raises(InputError, match="already started"):
             hand.start()
 
 

@@ -120,8 +120,8 @@ def test_stopped_fingers_are_missing(hand: PolledHand) -> None:
 @pytest.mark.parametrize(
     ("node_ids", "messages", "text"),
     [
-        ([], ("Contact",), r"node-ids \[\]: give each finger's once"),
-        ([1, 2, 1], ("Contact",), r"node-ids \[1, 2, 1\]: give each finger's once"),
+        ([], ("Contact",), r"node-ids \[\]: allowed is each node-id once"),
+        ([1, 2, 1], ("Contact",), r"node-ids \[1, 2, 1\]: allowed is each node-id once"),
         ([1], ("Angles",), r"message 'Angles': allowed are Gauges, Contact, Force, Health"),
         ([128], ("Contact",), r"node-id 128: allowed are 1 to 127"),
     ],

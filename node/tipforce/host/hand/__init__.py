@@ -1,1 +1,1 @@
-"""One hand of many nodes: brought up from a file, read in coherent rows, supervised, mended."""
+"""A hand of many nodes: bring-up from a file, reading in coherent rows, supervision, recovery."""

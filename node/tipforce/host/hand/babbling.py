@@ -1,6 +1,6 @@
-"""Who talks too much: an identifier that comes far more often than the SYNC.
+"""Detect babbling: an identifier that is received far more often than the SYNC.
 
-Frames and time in, events out. SDO and LSS are left out: their answers come as fast as somebody asks.
+Frames and time in, events out. SDO and LSS are excluded: their rate depends on the requests.
 """
 
 from __future__ import annotations
@@ -23,14 +23,14 @@ _BEYOND_HEARTBEATS = codes.HEARTBEAT_BASE + codes.NODE_ID_MASK + 1  # LSS
 
 
 class BabbleWatch:
-    """Counts every 11-bit identifier over WINDOW_S and compares with TIMES_SYNC times the rate of the SYNC.
+    """Count every 11-bit identifier over WINDOW_S and compare with TIMES_SYNC times the rate of the SYNC.
 
-    ``sync_hz`` 0: the rate at which SYNCs are received is taken. Raises InputError for a negative one.
+    ``sync_hz`` 0: the rate of the received SYNCs is used. Raises InputError for a negative one.
     """
 
     def __init__(self, sync_hz: float) -> None:
         if not sync_hz >= 0:
-            raise InputError(f"sync_hz = {sync_hz!r}: allowed is a rate, or 0 for that of the SYNCs that come")
+            raise InputError(f"sync_hz = {sync_hz!r}: allowed is a rate, or 0 for the rate of the received SYNCs")
         self._sync_hz = sync_hz
         self._ids: list[npt.NDArray[np.uint32]] = []
         self._since_s: float | None = None
@@ -38,7 +38,7 @@ class BabbleWatch:
         self._babbling: set[int] = set()
 
     def add(self, frames: FrameArray, now_s: float) -> list[Event]:
-        """Take received frames, FRAME (n,), and the time; who began to babble, and who ended."""
+        """Process received frames, FRAME (n,), and the time; yield the starts and ends of babbling."""
         if self._since_s is None:
             self._since_s = now_s
         if len(frames):
@@ -48,7 +48,7 @@ class BabbleWatch:
             self._ids.append(frames["can_id"].copy())
         if now_s - self._since_s < WINDOW_S:
             return []
-        # What waited while nobody read comes at once, but its time stamps tell.
+        # Frames that waited in the buffer are read together, but their time stamps differ.
         seconds = max(now_s - self._since_s, (self._last_ns - self._first_ns) * 1e-9)
         events = list(self._judge(seconds, now_s))
         self._ids, self._since_s, self._first_ns, self._last_ns = [], now_s, 0, 0
@@ -61,16 +61,16 @@ class BabbleWatch:
         counts[codes.SDO_RESPONSE_BASE : _SDO_LAST + 1] = counts[_BEYOND_HEARTBEATS:] = 0
         limit = TIMES_SYNC * sync_hz * seconds
         over = {int(n) for n in np.flatnonzero(counts > limit)} if sync_hz else set()
-        # Half of it ends what has begun: one that babbles at the limit is not told again and again.
+        # An end requires half the limit: an identifier near the limit would otherwise be reported repeatedly.
         over |= {n for n in self._babbling if counts[n] > limit / 2}
         for can_id in sorted(over - self._babbling):
             rate_hz = counts[can_id] / seconds
-            yield Event(now_s, _node(can_id), "babbling", f"0x{can_id:03X} comes {rate_hz:.0f} times a second", can_id)
+            yield Event(now_s, _node(can_id), "babbling", f"0x{can_id:03X} received {rate_hz:.0f} times/s", can_id)
         for can_id in sorted(self._babbling - over):
-            yield Event(now_s, _node(can_id), "babbling_end", f"0x{can_id:03X} is quiet again", can_id)
+            yield Event(now_s, _node(can_id), "babbling_end", f"0x{can_id:03X} is below the limit again", can_id)
         self._babbling = over
 
 
 def _node(can_id: int) -> int:
-    """Whose it is by the predefined connection set; 0 for nobody's."""
+    """Return the node-id by the predefined connection set; 0 for an identifier of no node."""
     return can_id & codes.NODE_ID_MASK if can_id > codes.SYNC_COB_ID else 0

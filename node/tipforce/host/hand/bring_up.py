@@ -1,6 +1,6 @@
-"""From powered nodes to a running hand: find, give node-ids, configure, verify, calibrate, start.
+"""Bring up a hand from powered nodes: find, assign node-ids, configure, verify, calibrate, start.
 
-Fingers come up side by side; one that fails does not hold the others. What it failed at is in its report.
+Fingers are brought up in parallel; one that fails does not block the others. Its report names the failed step.
 """
 
 from __future__ import annotations
@@ -26,8 +26,8 @@ from tipforce.host.network.nmt import command_and_wait
 from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
-FIND_S = 0.25  # for the answers of all nodes to one question each
-BOOT_S = 1.0  # from its node-id to its boot-up message
+FIND_S = 0.25  # for the responses of all nodes to one request each
+BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 
@@ -36,7 +36,7 @@ OnEvent = Callable[[Event], None]
 
 @dataclass(slots=True)
 class FingerReport:
-    """How far one finger came; ``failed`` is the step of STEPS that it failed at, "" where all went well."""
+    """Progress of one finger; ``failed`` is the failed step of STEPS, "" if all succeeded."""
 
     plan: FingerPlan
     failed: str = ""
@@ -46,7 +46,7 @@ class FingerReport:
 
     @property
     def ok(self) -> bool:
-        """The finger is up."""
+        """True if the finger is operational."""
         return not self.failed
 
     def __str__(self) -> str:
@@ -54,10 +54,10 @@ class FingerReport:
 
 
 def bring_up(connection: Connection, hand: HandFile, on_event: OnEvent = lambda _event: None) -> list[FingerReport]:
-    """Bring all fingers up; a report for each, in the order of the file. Raises InputError for a wrong file."""
+    """Bring all fingers up; return a report for each, in file order. Raises InputError for an invalid file."""
     plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
     for finger in hand.finger:
-        connection.nmt("preop", finger.node_id)  # quiet while being configured; SDO works, also after a stop
+        connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop
     reports = [FingerReport(finger) for finger in hand.finger]
     absent = _find(connection, reports, on_event)
     if absent:
@@ -70,7 +70,7 @@ def bring_up(connection: Connection, hand: HandFile, on_event: OnEvent = lambda 
 
 
 def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
-    """What the file asks of a finger: its settings, and the PDOs and the heartbeat of the hand over them."""
+    """Return the settings of a finger in the file, with the PDOs and the heartbeat of the hand added."""
     wanted = dict(hand.configuration(finger))
     gauges = finger.gauges
     for number, message in enumerate(tpdo_messages(gauges), start=1):
@@ -91,7 +91,7 @@ def _one(name: str, value: int, gauges: int) -> Configuration:
 def set_up(
     connection: Connection, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent
 ) -> None:
-    """Identity to start, on a node that answers at its node-id; also after a reboot. Fails into the report."""
+    """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
     client = FingertipClient(connection.sdo(plan.node_id))
     steps: tuple[tuple[str, Kind, Callable[[], str]], ...] = (
@@ -113,7 +113,7 @@ def set_up(
 def assign(
     connection: Connection, absent: Sequence[FingerReport], store: bool, on_event: OnEvent = lambda _event: None
 ) -> None:
-    """Give node-ids by LSS: to the serial that the file names, otherwise to whoever has none yet, in their order."""
+    """Assign node-ids by LSS: to the serial in the file, otherwise to unconfigured nodes in their order."""
     with LssMaster(connection) as master:
         for report in sorted(absent, key=lambda r: not r.plan.serial):
             plan = report.plan
@@ -127,7 +127,7 @@ def _assign_one(connection: Connection, master: LssMaster, plan: FingerPlan, sto
     if address is None:
         who = f"a node with serial {plan.serial}" if plan.serial else "a node without a node-id"
         raise NoResponseError(
-            f"nobody answers at node-id {plan.node_id}, and {who} does not answer LSS: is it powered?"
+            f"no response from node-id {plan.node_id}, and {who} does not respond to LSS: check its power"
         )
     former = master.node_id()
     master.configure_node_id(plan.node_id)
@@ -138,12 +138,12 @@ def _assign_one(connection: Connection, master: LssMaster, plan: FingerPlan, sto
     if former != codes.LSS_UNCONFIGURED:
         connection.nmt("reset-comm", former)
     if not connection.heartbeats.wait(plan.node_id, (INITIALISING,), since_s, BOOT_S):
-        raise NoResponseError(f"{address} was given node-id {plan.node_id} and did not boot with it in {BOOT_S:g} s")
-    return f"{address}: node-id {plan.node_id}" + (f", it was {former}" if former != codes.LSS_UNCONFIGURED else "")
+        raise NoResponseError(f"{address} did not boot with its new node-id {plan.node_id} within {BOOT_S:g} s")
+    return f"{address}: node-id {plan.node_id}" + (f", before {former}" if former != codes.LSS_UNCONFIGURED else "")
 
 
 def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
-    """The node of this serial, real or simulated; without a serial the next one that has no node-id."""
+    """Return the node of this serial, real or simulated; without a serial the next one without a node-id."""
     for simulated in (False, True):
         product = table.product_code(plan.gauges, simulated)
         if plan.serial:
@@ -158,13 +158,13 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
 
 
 def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
-    """Ask every node-id at once; those nobody answers at. Two answers to one question are two nodes with one id."""
+    """Request 1018h from every node-id at once; return those without response. Two responses: a duplicate node-id."""
     started_s = time.monotonic()
     answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
     connection.buffer.clear()
     for node_id in answers:
         connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
-    # All of it, although each may have answered: a second node with the same id needs its time too.
+    # The full time, even if each has responded: a second node with the same id needs its time too.
     for frame in connection.buffer.take(lambda _can_id: False, started_s + FIND_S):
         node_id = int(frame["can_id"]) - codes.SDO_RESPONSE_BASE
         if node_id in answers:
@@ -179,7 +179,7 @@ def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnE
 
 def _one_answer(count: int) -> str:
     if count > 1:
-        raise RefusedError(f"{count} nodes answer at this node-id; power one alone and give it another (tipforce lss)")
+        raise RefusedError(f"{count} nodes have this node-id; power only one and assign it another (tipforce lss)")
     return ""
 
 
@@ -197,11 +197,11 @@ def _attempt(report: FingerReport, step: str, act: Callable[[], str], on_event: 
 def _identity(client: FingertipClient, plan: FingerPlan) -> str:
     identity = client.identity()
     if not identity.is_fingertip or identity.gauges != plan.gauges:
-        raise InputError(f"product code 0x{identity.product:08X}: the file says a fingertip of {plan.gauges} gauges")
+        raise InputError(f"product code 0x{identity.product:08X}: expected a fingertip of {plan.gauges} gauges")
     if plan.serial and identity.serial != plan.serial:
         raise InputError(
-            f"serial {identity.serial} answers, the file says {plan.serial}: are two fingers swapped? "
-            f"`tipforce lss assign {plan.node_id} --serial {plan.serial}` gives the id to the right one"
+            f"serial is {identity.serial}, expected {plan.serial}: check for swapped fingers; "
+            f"`tipforce lss assign {plan.node_id} --serial {plan.serial}` assigns the node-id to the right one"
         )
     return f"{'simulated ' if identity.simulated else ''}fingertip, serial {identity.serial}"
 
@@ -216,20 +216,20 @@ def _verify(sdo: SdoChannel, wanted: Configuration) -> str:
     if differences:
         first = differences[0]
         raise RefusedError(
-            f"{len(differences)} settings are not what was written: {first['object']} is {first['found']}, "
+            f"{len(differences)} settings differ from those written: {first['object']} is {first['found']}, "
             f"expected {first['expected']}"
         )
     return ""
 
 
 def _calibrate(client: FingertipClient, hand: HandFile, plan: FingerPlan) -> str:
-    """By CRC-32: equal is left alone, anything else is replaced; a node without any has to get one."""
+    """Compare by CRC-32: an equal calibration is kept, any other is replaced; a node without one gets one."""
     calibration = hand.calibration(plan)
     active = client.sdo.read(objects.CALIBRATION_ACTIVE_CRC)
     if calibration is None:
-        return f"its own calibration, CRC-32 0x{active:08X}" if active else "not calibrated: P, phi, theta stay unknown"
+        return f"its own calibration, CRC-32 0x{active:08X}" if active else "not calibrated: P, phi, theta are unknown"
     if active == calibration.crc32() and not client.verify_calibration(calibration):
-        return f"{plan.calibration}: CRC-32 0x{active:08X} is active already"
+        return f"{plan.calibration}: CRC-32 0x{active:08X} is already active"
     client.apply_calibration(calibration, store=hand.hand.store)
     return f"{plan.calibration}: CRC-32 0x{calibration.crc32():08X} applied"
 

@@ -1,12 +1,12 @@
-"""Frames in, coherent rows out: one row for each SYNC, with what every finger answered to it.
+"""Collect frames into coherent rows: one row for each SYNC, with every finger's answer to it.
 
-A row begins with a SYNC in the stream of received frames. It is given out as soon as it is whole, or after a waiting
-time; what a finger says too late for the next SYNC still comes into its own row, by its sample counter (lateness.py).
-All PDOs of a finger in one row must carry one counter, because a node packs them from one sample; otherwise the row is
-mixed and the finger counts as missing.
+A row starts with a received SYNC. It is emitted as soon as it is complete, or after a waiting time; an answer that
+arrives after the next SYNC is still assigned to its own row by its sample counter (lateness.py). All PDOs of a finger
+in one row must have the same counter, because a node packs them from one sample; otherwise the row is mixed and the
+finger counts as missing.
 
-An answer that does not fit is doubted by its counter, which counts samples and not SYNCs: one that repeats the row
-before without saying that it is stale, or that lags behind the rows, may be old and is not shown (counters.py).
+The counter counts samples, not SYNCs. An answer is doubtful if its counter repeats the previous row without the stale
+bit, or lags behind the rows: it may be old and is discarded (counters.py).
 """
 
 from __future__ import annotations
@@ -32,10 +32,10 @@ DISTRUSTED_ROWS = 4
 
 
 class Collector:
-    """Collects rows of ``messages`` (PDO names) of the fingers ``node_ids``.
+    """Collect rows of ``messages`` (PDO names) of the fingers ``node_ids``.
 
-    A row that is not whole ``wait_s`` after its SYNC was handed in is given out as it is. A finger that left out a row
-    so is not waited for again, beyond the next SYNC, before it has answered. ``own_sync``: the host sends the SYNC.
+    A row that is incomplete ``wait_s`` after its SYNC was received is emitted incomplete. Later rows do not wait for a
+    missing finger, except until the next SYNC, before it responds again. ``own_sync``: the host sends the SYNC.
     Raises InputError for no finger, a repeated one, or a message without status and counter.
     """
 
@@ -48,7 +48,7 @@ class Collector:
         if unknown or not messages:
             raise InputError(f"PDO {', '.join(unknown) or 'none'}: allowed in a row are {', '.join(known)}")
         if not node_ids or len(set(node_ids)) != len(node_ids):
-            raise InputError(f"node-ids {list(node_ids)}: give each finger's once")
+            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.node_ids = tuple(node_ids)
         self.tally = Tally(self.node_ids)
         self._messages = {name: number for number, name in enumerate(dict.fromkeys(messages))}
@@ -60,32 +60,32 @@ class Collector:
         self._finger[list(node_ids)] = np.arange(len(node_ids))
         self._wait_s = wait_s
         self._open: FrameArray = np.zeros(0, dtype=FRAME)  # the SYNCs of open rows, and the answers since the first
-        self._opened_s: list[float] = []  # when each of them was handed in
-        self._gaps: list[int] = []  # and how many SYNCs lack before it
-        self._given = False  # the only open row was given out; what still comes for it is late
+        self._opened_s: list[float] = []  # receive time of each
+        self._gaps: list[int] = []  # and the number of SYNCs missing before it
+        self._given = False  # the only open row was emitted; further answers to it are late
         self._sync_gaps = SyncGaps(own_sync)
         self._counters = CounterCheck(len(node_ids))
-        self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the row that was given out last
-        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # gave no answer to it, sure or not
-        self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows for which a finger is not believed
+        self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the last emitted row
+        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # no answer in it, certain or not
+        self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows in which its answers are discarded
 
     def drop(self) -> None:
-        """Frames were lost before or among those that are handed in next."""
+        """Note that frames were lost before or among the next ones."""
         self._sync_gaps.drop()
 
     def forget(self, node_id: int) -> None:
-        """This finger booted; others are none of ours."""
+        """Restart the counter of a finger that booted; ignore other node-ids."""
         if self._finger[node_id] >= 0:
             self._counters.forget(int(self._finger[node_id]))
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
-        """Take frames as they were received, FRAME (n,); the rows that became whole or timed out, often none.
+        """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
 
-        ``now_s`` is a monotonic time. Call it without frames too, so that an unanswered SYNC is noticed.
+        ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
         """
         window = _joined(self._open, frames)
         syncs = np.flatnonzero(window["can_id"] == SYNC_COB_ID)
-        if not len(syncs):  # nothing begins a row yet
+        if not len(syncs):  # no SYNC has started a row yet
             return self._nothing()
         window, syncs = window[syncs[0] :], syncs - syncs[0]
         new = window["t_ns"][syncs[len(self._opened_s) :]].tolist()
@@ -104,7 +104,7 @@ class Collector:
         return rows
 
     def _too_few(self, frames: int, now_s: float) -> bool:
-        """A SYNC and what came after it can't be a whole row, and it has time."""
+        """Return whether the open frames cannot make a complete row, and no time-out is due."""
         enough = 1 + len(self._messages) * len(self.node_ids)
         return frames < enough and now_s - self._opened_s[-1] < self._wait_s
 
@@ -115,10 +115,10 @@ class Collector:
         return Rows(self.tally.rows, np.zeros(0, dtype=np.int64), counter, columns)
 
     def _answers(self, window: FrameArray, syncs: npt.NDArray[np.intp], first: int) -> list[Answers]:
-        """What the fingers said, each in the row that it belongs to as far as that is known."""
+        """Return the fingers' answers, each assigned to its row as far as that is known."""
         found = []
         expected = self._counters.expected()
-        expected = np.where(expected < 0, -1, (expected - first) % 256)  # the row that was given out is behind it
+        expected = np.where(expected < 0, -1, (expected - first) % 256)  # the emitted row is the previous one
         regular = np.array(self._gaps) == 0
         regular[:first] = True
         for said in self._decoder.decode_together(window, self._signals):
@@ -135,19 +135,19 @@ class Collector:
         return found
 
     def _ready(self, answers: list[Answers], first: int, count: int, now_s: float) -> int:
-        """How many of ``count`` open rows can be given out, in order."""
+        """Return how many of ``count`` open rows can be emitted, in order."""
         shape = len(self._messages), count, len(self.node_ids)
         there: BoolArray = np.zeros(shape, dtype=np.bool_)
         silent = self._silent.copy()
         for said in answers:
             sure = ~said.waiting & (said.row >= first)
             there[said.message, said.row[sure], said.finger[sure]] = True
-            silent[said.finger[said.waiting]] = False  # it is back, and still has to catch up
+            silent[said.finger[said.waiting]] = False  # it responds again, and still has to catch up
         whole: BoolArray = np.logical_and.reduce(there)
-        # Answers come in order: with a later one there the one that lacks was lost, and is not waited for.
+        # Answers arrive in order: if a later one is present, the missing one is lost, and the row does not wait.
         passed = np.logical_and.reduce(np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1])
         spared = passed | silent
-        spared[-1] = whole[-1]  # until the next SYNC comes there is time even for silent ones
+        spared[-1] = whole[-1]  # until the next SYNC there is time even for silent fingers
         timed_out = now_s - np.array(self._opened_s) >= self._wait_s
         ready = np.logical_and.reduce(spared, axis=1) | timed_out
         ready[:first] = True
@@ -157,7 +157,7 @@ class Collector:
         return last
 
     def _keep(self, window: FrameArray, syncs: npt.NDArray[np.intp], answers: list[Answers], last: int) -> None:
-        """Of what is open: the rows that were not given out and their answers, or the last SYNC alone."""
+        """Keep the open rows and their answers, or only the last SYNC."""
         self._given = last == len(syncs)
         last = min(last, len(syncs) - 1)
         keep = np.zeros(len(window), dtype=np.bool_)
@@ -169,7 +169,7 @@ class Collector:
         del self._opened_s[:last], self._gaps[:last]
 
     def _rows(self, answers: list[Answers], syncs: FrameArray, first: int, last: int) -> Rows:
-        """Rows ``first`` to ``last``; what came for those before is late."""
+        """Return rows ``first`` to ``last``; answers to earlier ones are late."""
         shape = last - first, len(self.node_ids)
         counters = np.full((len(self._messages), *shape), -1, dtype=np.int64)
         unsure, proved = np.zeros((2, *shape), dtype=np.bool_)
@@ -181,7 +181,7 @@ class Collector:
             now = (said.row >= first) & (said.row < last)
             row, finger = said.row[now] - first, said.finger[now]
             proved[row, finger] |= said.proved[now]
-            counters[said.message, row, finger] = said.counter[now]  # of two answers in a row the second one stays
+            counters[said.message, row, finger] = said.counter[now]  # of two answers in a row the second one is kept
             for signal, values in said.columns.items():
                 if signal != COUNTER:
                     columns[signal][row, finger] = values[now]
@@ -201,7 +201,7 @@ class Collector:
         return rows
 
     def _count(self, said: Answers, now: BoolArray, first: int) -> None:
-        """What came late, and what was put right."""
+        """Count late answers, and those assigned to their own row."""
         fingers = len(self.node_ids)
         place = np.unique(said.row[now] * fingers + said.finger[now])
         late = np.bincount(said.finger[now | (said.row < first)], minlength=fingers)
@@ -209,9 +209,9 @@ class Collector:
         self.tally.delayed += np.bincount(said.finger[now & said.moved], minlength=fingers)
 
     def _spoke_again(self, said: Answers, first: int) -> None:
-        """A finger that has answered and speaks again is not believed for a while.
+        """Discard the answers of a finger that sends a second answer to one SYNC for some rows.
 
-        Unless with the counter that is due next: so it answers a SYNC that did not reach the host.
+        Except with the counter that is due next: that answers a SYNC that did not reach the host.
         """
         due = self._counters.expected()
         again = (said.row < first) & self._answered[said.finger] & (said.counter != due[said.finger])
@@ -221,7 +221,7 @@ class Collector:
         self, counters: IntArray, stale: BoolArray, unsure: BoolArray, proved: BoolArray, gaps: IntArray,
         sync_ns: IntArray,
     ) -> IntArray:  # fmt: skip
-        """From the counters of each message, (messages, m, k), those of the rows (m, k): -1 for what is not shown."""
+        """Return the counters of the rows (m, k) from those of each message, (messages, m, k): -1 if discarded."""
         tally = self.tally
         counter: IntArray = counters[0].copy()
         one_sample = np.equal(counters, counter).all(axis=0)
@@ -239,9 +239,9 @@ class Collector:
         return counter
 
     def _distrusted(self, here: BoolArray, unsure: BoolArray) -> BoolArray:
-        """Answers (m, k) of fingers that have lately said more than one thing to one SYNC.
+        """Return the answers (m, k) of fingers that recently sent several answers to one SYNC.
 
-        A babbler's frame may come before the node's own, and its counter may happen to fit.
+        A babbler's frame may precede the node's own, and its counter may match by chance.
         """
         distrusted = np.zeros(here.shape, dtype=np.bool_)
         if self._distrust.any() or unsure.any():
@@ -252,7 +252,7 @@ class Collector:
 
 
 def _joined(one: FrameArray, other: FrameArray) -> FrameArray:
-    """Both, in order; ten times as fast as concatenate for a few frames, which looks at every field's name."""
+    """Return both, in order; for a few frames ten times as fast as concatenate, which checks every field's name."""
     both: FrameArray = np.empty(len(one) + len(other), dtype=FRAME)
     both[: len(one)] = one
     both[len(one) :] = other

@@ -1,10 +1,10 @@
-"""Whether an answer belongs to its row, by the node's 8-bit sample counter (2121h).
+"""Decide by the node's 8-bit sample counter (2121h) whether an answer belongs to its row.
 
-A node that answers every SYNC counts on by one for each row. A counter that lags behind the rows is either an answer
-that came late, or a node that missed a SYNC; one answer alone does not tell which. So it is doubted until CONFIRMED
-answers over CONFIRMED_S lag by the same amount, which late ones hardly do. A counter that is ahead means SYNCs that
-did not reach the host, which leave a gap between those that did; by more than the gap it is more likely a babbler's
-frame before the node's own, or a node that rebooted. A finger that was away for long begins anew: CONFIRMED answers.
+The counter of a node that answers every SYNC increments by one per row. A counter that lags behind the rows is from a
+late answer, or from a node that missed a SYNC; one answer alone does not show which. So it is doubtful until CONFIRMED
+answers over CONFIRMED_S lag by the same amount, which is unlikely for late ones. A counter that is ahead means SYNCs
+that did not reach the host, which leave a gap between those that did; a counter ahead by more than the gap is more
+likely a babbler's frame before the node's own, or a rebooted node. After a long absence CONFIRMED answers are needed.
 """
 
 from __future__ import annotations
@@ -19,36 +19,36 @@ IntArray = npt.NDArray[np.int64]
 
 
 class CounterCheck:
-    """Follows the counters of k fingers from row to row."""
+    """Track the counters of k fingers from row to row."""
 
     def __init__(self, fingers: int) -> None:
-        self._base = np.full(fingers, -1, dtype=np.int64)  # the last counter that was trusted
+        self._base = np.full(fingers, -1, dtype=np.int64)  # the last accepted counter
         self._rows = np.zeros(fingers, dtype=np.int64)  # rows since then
         self._gaps = np.zeros(fingers, dtype=np.int64)  # periods since then without a SYNC
         self._seen = np.full(fingers, -1, dtype=np.int64)
         self._lag = np.zeros(fingers, dtype=np.int64)
         self._run = np.zeros(fingers, dtype=np.int64)  # answers that lag by it
-        self._since_ns = np.zeros(fingers, dtype=np.int64)  # and when the first of them came
+        self._since_ns = np.zeros(fingers, dtype=np.int64)  # receive time of the first of them
         self._silent_rows = np.zeros(fingers, dtype=np.int64)
 
     def expected(self) -> npt.NDArray[np.int64]:
-        """The counter of each finger's answer to the next SYNC (k,), -1 where it is unknown."""
+        """Return the expected counter of each finger's answer to the next SYNC (k,), -1 if it is unknown."""
         known = (self._base >= 0) & (self._rows < FORGOTTEN_ROWS) & (self._gaps == 0)
         return np.where(known, (self._base + self._rows + 1) % 256, -1)
 
     def forget(self, finger: int) -> None:
-        """It booted: its counter begins anew, and the next one is as good as any."""
+        """Restart after a boot-up: the counter restarts, and any next value is accepted."""
         self._base[finger] = self._seen[finger] = -1
         self._rows[finger] = self._gaps[finger] = self._run[finger] = 0
 
     def check(
         self, counter: IntArray, stale: BoolArray, proved: BoolArray, gaps: IntArray, t_ns: IntArray
     ) -> tuple[BoolArray, BoolArray]:
-        """Judge the counters (m, k) of the next m rows, -1 where there was no answer.
+        """Check the counters (m, k) of the next m rows, -1 for no answer.
 
-        ``proved`` (m, k): known to be in its row, whatever its counter is. ``gaps`` (m,) says how many SYNCs seem to
-        lack before each, ``t_ns`` (m,) when it came. Returns two masks (m, k): repeated, the sample of the row before,
-        said to be stale; doubtful, an answer that may be to another SYNC.
+        ``proved`` (m, k): known to be in its row, whatever its counter. ``gaps`` (m,): number of SYNCs probably
+        missing before each, ``t_ns`` (m,) its receive time. Returns two masks (m, k): repeated, the sample of the
+        previous row, marked stale; doubtful, an answer that may belong to another SYNC.
         """
         repeated = np.zeros(counter.shape, dtype=np.bool_)
         doubtful = np.zeros(counter.shape, dtype=np.bool_)
@@ -60,10 +60,10 @@ class CounterCheck:
     def _row(self, now: IntArray, stale: BoolArray, proved: BoolArray, t_ns: int) -> tuple[BoolArray, BoolArray]:
         here = now >= 0
         again = here & stale & (now == self._seen)
-        repeated = again & (proved | (now == self._base))  # of one that was doubted itself nothing more is known
+        repeated = again & (proved | (now == self._base))  # after a doubtful one nothing more is known
         judged = here & ~again
         lag = (self._rows + 1 - (now - self._base) + 128) % 256 - 128
-        # After so many rows an 8-bit counter tells ahead from behind no more.
+        # After so many rows an 8-bit counter no longer distinguishes ahead from behind.
         odd = judged & (self._base >= 0) & ((lag > 0) | (lag < -self._gaps) | (self._rows >= FORGOTTEN_ROWS))
         odd &= ~proved
         same = odd & (lag == self._lag) & (self._run > 0)

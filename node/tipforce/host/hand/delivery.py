@@ -1,4 +1,4 @@
-"""From the receiving thread to whoever wants rows and events. It never waits for a consumer."""
+"""Pass rows and events from the receiving thread to consumers without waiting for them."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tipforce.host.hand.events import Event
 from tipforce.host.hand.rows import Rows
 
 MAX_ROWS, MAX_EVENTS = 100_000, 10_000
-_STEP_S = 0.2  # how soon a waiting consumer sees that the hand has stopped
+_STEP_S = 0.2  # interval at which a waiting consumer checks whether the hand has stopped
 
 
 class Subscription:
-    """The rows of one consumer, the oldest thrown away beyond MAX_ROWS."""
+    """Rows for one consumer; the oldest are dropped beyond MAX_ROWS."""
 
     def __init__(self) -> None:
         self.blocks: deque[Rows] = deque()
@@ -33,7 +33,7 @@ class Subscription:
             self.overrun += lost
 
     def take(self) -> Rows | None:
-        """The oldest block."""
+        """Return the oldest block."""
         if not self.blocks:
             return None
         rows = self.blocks.popleft()
@@ -42,7 +42,7 @@ class Subscription:
 
 
 class Delivery:
-    """One producer, any number of consumers. A consumer gets what comes from the moment that it asks."""
+    """One producer, any number of consumers. A consumer gets all rows from its request on."""
 
     def __init__(self) -> None:
         self.row_callbacks: list[Callable[[Rows], None]] = []
@@ -57,12 +57,12 @@ class Delivery:
 
     @property
     def overrun(self) -> int:
-        """Rows that consumers were too slow for."""
+        """Rows dropped because consumers were too slow."""
         with self._changed:
             return self._past_overrun + sum(one.overrun for one in self._subscriptions)
 
     def put(self, rows: Rows) -> None:
-        """Give out a block of rows."""
+        """Deliver a block of rows."""
         for callback in self.row_callbacks:
             callback(rows)
         with self._changed:
@@ -74,26 +74,26 @@ class Delivery:
             wake()
 
     def event(self, event: Event) -> None:
-        """Give out an event."""
+        """Deliver an event."""
         with self._changed:
             self._events.append(event)
         for callback in self.event_callbacks:
             callback(event)
 
     def take_events(self) -> list[Event]:
-        """Events since the last call."""
+        """Return the events since the last call."""
         with self._changed:
             events = list(self._events)
             self._events.clear()
         return events
 
     def fail(self, error: BaseException) -> None:
-        """The producer has ended with an error, which every consumer gets."""
+        """End with an error, which every consumer raises."""
         self._error = error
         self.close()
 
     def close(self) -> None:
-        """There will be no more."""
+        """End the delivery."""
         with self._changed:
             self._closed = True
             self._changed.notify_all()
@@ -102,8 +102,8 @@ class Delivery:
             wake()
 
     def rows(self, timeout_s: float | None = None) -> Iterator[Rows]:
-        """Blocks of rows from now on."""
-        one = self._subscribe()  # now, not when the first row is asked for
+        """Return blocks of rows from now on."""
+        one = self._subscribe()  # now, not at the request for the first row
         return self._iterate(one, timeout_s)
 
     def _iterate(self, one: Subscription, timeout_s: float | None) -> Iterator[Rows]:
@@ -124,7 +124,7 @@ class Delivery:
         self._raise()
 
     async def rows_async(self) -> AsyncIterator[Rows]:
-        """Blocks of rows from the first step on, for asyncio."""
+        """Yield blocks of rows from the first step on, for asyncio."""
         loop, ready = asyncio.get_running_loop(), asyncio.Event()
 
         def wake() -> None:

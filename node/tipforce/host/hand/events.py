@@ -1,4 +1,4 @@
-"""What happens to a hand, in the order in which it happens: heartbeats, boot-ups, EMCY, the bus itself.
+"""Events of a hand in order: heartbeats, boot-ups, EMCY, faults of the bus.
 
 Frames and time in, events out; no clock and no bus inside.
 """
@@ -24,7 +24,7 @@ Kind = Literal[
 ]  # fmt: skip
 
 UNSET_TIMEOUT_S = 2.5
-"""For a node that is not operational: its heartbeat comes once a second unless it was told otherwise (1017h)."""
+"""For a node that is not operational: the default of its heartbeat (1017h) is once a second."""
 
 MOST_WAITED_S = 5.0
 _UNKNOWN_STATE = -1
@@ -32,20 +32,20 @@ _UNKNOWN_STATE = -1
 
 @dataclass(frozen=True, slots=True)
 class Event:
-    """``t_s`` is monotonic; ``node_id`` 0 is the bus or the whole hand. ``text`` is for people."""
+    """``t_s`` is monotonic; ``node_id`` 0 is the bus or the whole hand. ``text`` is for display."""
 
     t_s: float
     node_id: int
     kind: Kind
     text: str
     code: int = 0
-    """EMCY error code, NMT state, or the identifier that babbles."""
+    """EMCY error code, NMT state, or the babbling identifier."""
 
 
 class Supervisor:
-    """Watches heartbeats and EMCY of ``node_ids``; ``timeout_s`` is how long that of an operational node may stay away.
+    """Monitor heartbeats and EMCY of ``node_ids``; ``timeout_s`` is the heartbeat time-out of an operational node.
 
-    A node is watched from its first heartbeat on. Raises InputError for a timeout that is not over 0.
+    Monitoring of a node starts with its first heartbeat. Raises InputError for a timeout that is not over 0.
     """
 
     def __init__(self, node_ids: Sequence[int], timeout_s: float = 0.5) -> None:
@@ -53,16 +53,16 @@ class Supervisor:
             raise InputError(f"heartbeat timeout {timeout_s:g} s: allowed is a time over 0")
         self.timeout_s = timeout_s
         self.states: dict[int, int] = dict.fromkeys(node_ids, _UNKNOWN_STATE)
-        """NMT state by node-id as last reported; -1 for a node that is silent."""
+        """Last reported NMT state by node-id; -1 for a silent node."""
         self._heard_s: dict[int, float] = {}
 
     def state_name(self, node_id: int) -> str:
-        """The NMT state for people."""
+        """Return the NMT state as text."""
         state = self.states[node_id]
         return "silent" if state == _UNKNOWN_STATE else NMT_STATES.get(state, f"state {state}")
 
     def add(self, frames: FrameArray, now_s: float) -> list[Event]:
-        """Take received frames, FRAME (n,), and the time; what happened. Call it without frames too."""
+        """Process received frames, FRAME (n,), and the time; return the events. Call it without frames too."""
         events: list[Event] = []
         if len(frames):
             services = frames["can_id"] & np.uint32(~NODE_ID_MASK & 0xFFFFFFFF)
@@ -73,7 +73,7 @@ class Supervisor:
                     heartbeat = int(frame["can_id"]) & ~NODE_ID_MASK == HEARTBEAT_BASE
                     events += self._heartbeat(node_id, data, now_s) if heartbeat else _emcy(node_id, data, now_s)
         for node_id, heard_s in list(self._heard_s.items()):
-            # A node that has just booted beats as its defaults say, until it is configured and started.
+            # A node that has just booted sends heartbeats at its default rate until it is configured and started.
             unset = self.states[node_id] != OPERATIONAL
             timeout_s = max(self.timeout_s, UNSET_TIMEOUT_S) if unset else self.timeout_s
             if now_s - heard_s > timeout_s:
@@ -83,11 +83,11 @@ class Supervisor:
         return events
 
     def know(self, node_id: int, state: int, now_s: float) -> None:
-        """A heartbeat that was heard elsewhere, so that it is no news."""
+        """Record a heartbeat that was received elsewhere, without an event."""
         self.states[node_id], self._heard_s[node_id] = state, now_s
 
     def forget(self) -> None:
-        """The bus was lost: nothing is known of any node until it is heard again."""
+        """Mark all nodes as unknown after the loss of the bus, until their next heartbeat."""
         self._heard_s.clear()
         self.states = dict.fromkeys(self.states, _UNKNOWN_STATE)
 
@@ -100,15 +100,15 @@ class Supervisor:
         if state == INITIALISING:
             yield Event(now_s, node_id, "boot_up", "booted", state)
         elif before == _UNKNOWN_STATE:
-            yield Event(now_s, node_id, "heartbeat_back", f"heard, {self.state_name(node_id)}", state)
+            yield Event(now_s, node_id, "heartbeat_back", f"heartbeat received, {self.state_name(node_id)}", state)
         elif state != before:
             yield Event(now_s, node_id, "state", self.state_name(node_id), state)
 
 
 def waited_s(frames: FrameArray, now_ns: int) -> float:
-    """How long the last of these frames waited to be read, by its time stamp and the clock (ns since 1970).
+    """Return how long the last of these frames waited to be read, by its time stamp and the clock (ns since 1970).
 
-    A host that was held up reads old frames first: what it has not read yet must not count as silence. 0 for none, and
+    A host that was suspended reads old frames first: unread frames must not count as silence. 0 without frames, and
     for time stamps of another clock.
     """
     late_s = (now_ns - int(frames["t_ns"][-1])) * 1e-9 if len(frames) else 0.0

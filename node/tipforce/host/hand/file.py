@@ -1,14 +1,14 @@
-"""A hand as a TOML file: its bus, its fingers, what they shall be set to, what they send, how often.
+"""A hand as a TOML file: its bus, its fingers, their settings and PDOs, and the SYNC rate.
 
 [bus]
-interface = "socketcan"      # python-can's names; without it, python-can's own configuration holds
+interface = "socketcan"      # python-can's names; default: python-can's own configuration
 channel = "can0"
 
 [hand]
 sync_hz = 500
 pdos = ["contact"]
 heartbeat_ms = 100
-wait_ms = 50                 # a row waits so long for a finger that is late
+wait_ms = 50                 # a row waits this long for a late finger
 config = "finger.toml"       # settings of all fingers (tipforce config save)
 
 [[finger]]
@@ -40,7 +40,7 @@ _LAYOUTS = ("I", "II", "III")
 
 
 class FingerPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """One ``[[finger]]``. ``serial`` 0 stands for any; without ``calibration`` the node's own is left as it is."""
+    """One ``[[finger]]``. ``serial`` 0 means any; without ``calibration`` the node keeps its own."""
 
     node_id: int
     name: str = ""
@@ -52,21 +52,21 @@ class FingerPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_onl
 
     @property
     def label(self) -> str:
-        """For people: ``thumb (1)``."""
+        """For display: ``thumb (1)``."""
         return f"{self.name} ({self.node_id})" if self.name else f"finger {self.node_id}"
 
 
 class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """``[hand]``: what holds for all fingers. ``sync_hz`` 0: another device on the bus sends the SYNC."""
+    """``[hand]``: settings of all fingers. ``sync_hz`` 0: another device on the bus sends the SYNC."""
 
     sync_hz: float = 100.0
     pdos: tuple[str, ...] = ("contact",)
     heartbeat_ms: int = 100
     wait_ms: int | None = None
-    """How long a row waits for a finger that is late; None: 50, but two periods at least."""
+    """How long a row waits for a late finger; None: 50, but at least two periods."""
     config: str = ""
     store: bool = False
-    """Store what was configured on the nodes."""
+    """Store the settings on the nodes."""
 
     @property
     def wait_s(self) -> float:
@@ -88,7 +88,7 @@ class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
     """A whole file; paths in it are relative to it."""
 
     folder: str = ""
-    """Where the file lies; not a key of the file."""
+    """The directory of the file; not a key of the file."""
 
     @property
     def node_ids(self) -> tuple[int, ...]:
@@ -97,16 +97,16 @@ class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     @property
     def messages(self) -> tuple[str, ...]:
-        """``hand.pdos`` by the names of the dictionary."""
+        """``hand.pdos`` with the dictionary's names."""
         names = {message.name.lower(): message.name for message in tpdo_messages(3)}
         return tuple(names[pdo.lower()] for pdo in self.hand.pdos)
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
-        """Read a finger's calibration file; None where it names none. Raises InputError."""
+        """Read a finger's calibration file; None if it names none. Raises InputError."""
         return read_calibration(Path(self.folder, finger.calibration)) if finger.calibration else None
 
     def configuration(self, finger: FingerPlan) -> Configuration:
-        """The settings of a finger: those of all, and over them its own. Raises InputError."""
+        """Return the settings of a finger: those of all, overridden by its own. Raises InputError."""
         wanted: Configuration = {}
         for name in (self.hand.config, finger.config):
             if name:
@@ -126,7 +126,7 @@ def read_hand(path: str | Path) -> HandFile:
 
 
 def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
-    """A hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
+    """Return a hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
     named = fingers if isinstance(fingers, Mapping) else {f"finger {node_id}": node_id for node_id in fingers}
     found = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named.items()), hand=plan)
     check_hand(found)
@@ -134,19 +134,19 @@ def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandF
 
 
 def check_hand(hand: HandFile) -> None:
-    """Raises InputError for values that no hand can have, for repeated fingers, and for files that do not read."""
+    """Check a hand. Raises InputError for invalid values, repeated fingers, and files that cannot be read."""
     if not 1 <= len(hand.finger) <= MAX_FINGERS:
         raise InputError(f"{len(hand.finger)} [[finger]] tables: allowed are 1 to {MAX_FINGERS}")
     for what in ("node_id", "serial", "name"):
         values = [getattr(finger, what) for finger in hand.finger if getattr(finger, what)]
         twice = sorted({value for value in values if values.count(value) > 1})
         if twice:
-            raise InputError(f"[[finger]] {what} = {twice[0]!r} stands twice")
+            raise InputError(f"[[finger]] {what} = {twice[0]!r} is a duplicate")
     for finger in hand.finger:
         _check_finger(hand, finger)
     _check_plan(hand.hand)
     if len({finger.gauges for finger in hand.finger}) > 1:
-        raise InputError("[[finger]] gauges: all fingers of one hand have the same number")
+        raise InputError("[[finger]] gauges: allowed is the same number for all fingers")
 
 
 def _check_finger(hand: HandFile, finger: FingerPlan) -> None:

@@ -1,11 +1,11 @@
-"""A hand that runs: brought up from its file, read row by row, watched, and mended when a finger reboots.
+"""A running hand: brought up from its file, read row by row, monitored, and recovered when a finger reboots.
 
     with Hand.open("hand.toml") as hand:
         for row in hand.rows():
             print(row["thumb"].P_newtons)
 
-``blocks`` gives the same as arrays, many rows at a time; both are also there for asyncio, blocks by callback, too. One
-thread receives; a consumer that is too slow loses the oldest rows, and ``overrun`` says how many.
+``blocks`` returns the same as arrays, many rows at a time; both also exist for asyncio, blocks also by callback. One
+thread receives; a consumer that is too slow loses the oldest rows, counted in ``overrun``.
 """
 
 from __future__ import annotations
@@ -42,29 +42,29 @@ from tipforce.host.hand.sync_producer import SyncProducer
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 from tipforce.host.network.connection import Connection
 
-HEARTBEATS_MISSED = 2.5  # periods of silence that make a heartbeat lost
+HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
 _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
-_LOST_PROBE_S = 1.0  # how often a finger that is gone is looked for by LSS
+_LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
 @dataclass(frozen=True, slots=True)
 class Statistics:
-    """What a hand has counted since ``start``."""
+    """Counts of a hand since ``start``."""
 
     tally: Tally
     sync: JitterFigures
     dropped: int
     """Frames that the kernel or the buffer dropped."""
     overrun: int
-    """Rows that slow consumers did not take in time."""
+    """Rows that were dropped because consumers were too slow."""
     load: tuple[float, float]
-    """Fraction of the bus's bit rate in the last second, without stuffing and with the most there can be."""
+    """Share of the bus's bit rate in the last second, without stuff bits and with the maximum."""
 
 
 class Hand:
-    """See the module. Raises InputError for a wrong file and EnvironmentLackError for a bus that does not open."""
+    """See the module. Raises InputError for an invalid file, EnvironmentLackError for a bus that does not open."""
 
     def __init__(self, file: HandFile, link: Link | None = None) -> None:
         self.file = file
@@ -84,7 +84,7 @@ class Hand:
         self._thread: threading.Thread | None = None
         self._stopped = threading.Event()
         self._probe_s = 0.0
-        self._heard_s = 0.0  # up to which time all that came was read
+        self._heard_s = 0.0  # all frames up to this time were read
         self._dropped = 0  # on links that were lost
         self._seen_dropped = 0
 
@@ -98,13 +98,13 @@ class Hand:
         plan: HandPlan | None = None,
         **bus_options: Any,
     ) -> Hand:
-        """A hand that runs: every finger is found, configured, calibrated and started, and SYNCs are sent.
+        """Return a running hand: every finger is found, configured, calibrated and started, and SYNCs are sent.
 
         ``fingers``: the path of a hand file; or node-ids by name, ``{"thumb": 1, "index": 2}``; or node-ids. ``bus``:
         an open one, which stays open; or ``bus_options``, keywords of ``can.Bus``, which override the file's [bus].
-        ``plan``: what else a hand file says, where there is none. Raises RefusedError naming the fingers that failed
-        and why, unless ``need_all`` is False; InputError for a wrong file, EnvironmentLackError for a bus that does not
-        open.
+        ``plan``: the [hand] settings without a hand file. Raises RefusedError naming the fingers that failed and the
+        reasons, unless ``need_all`` is False; InputError for an invalid file, EnvironmentLackError for a bus that does
+        not open.
         """
         file = read_hand(fingers) if isinstance(fingers, str | Path) else hand_of(fingers, plan or HandPlan())
         hand = cls.from_file(file, bus=bus, **bus_options)
@@ -120,7 +120,7 @@ class Hand:
 
     @classmethod
     def from_file(cls, file: str | Path | HandFile, *, bus: Connection | None = None, **bus_options: Any) -> Hand:
-        """A hand whose bus is open and nothing else: call ``bring_up`` and ``start``. Arguments as in ``open``."""
+        """Return a hand with only its bus open: call ``bring_up`` and ``start``. Arguments as in ``open``."""
         content = file if isinstance(file, HandFile) else read_hand(file)
         if bus is not None:
             return cls(content, SharedLink(bus))
@@ -129,82 +129,82 @@ class Hand:
 
     @property
     def connection(self) -> Any:
-        """The Connection: SDO, NMT. Another one after the bus was lost."""
+        """The Connection: SDO, NMT. Replaced after the loss of the bus."""
         return self._link.connection
 
     @property
     def node_ids(self) -> tuple[int, ...]:
-        """In the order of the file, and of the columns of every row."""
+        """In the order of the file and of the columns of every row."""
         return self.file.node_ids
 
     def bring_up(self) -> list[FingerReport]:
-        """Find, number, configure, verify, calibrate and start every finger; a report for each."""
+        """Find, number, configure, verify, calibrate and start every finger; return a report for each."""
         return bring_up(self._link.connection, self.file, self._delivery.event)
 
     def start(self) -> None:
-        """Begin to receive, to send SYNCs (unless sync_hz is 0), and to watch."""
+        """Start to receive, to send SYNCs (unless sync_hz is 0), and to monitor."""
         if self._thread is not None:
-            raise InputError("this hand is started already")
+            raise InputError("the hand is already started")
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
         self._start_sync()
 
     def rows(self, timeout_s: float | None = None) -> HandRows:
-        """Rows as they become whole, each with a Contact by name of finger; for ``for`` and ``async for``.
+        """Return rows as they are completed, each with a Contact by name of finger; for ``for`` and ``async for``.
 
-        They end when the hand stops, or when nothing comes for ``timeout_s`` (None: never; not with ``async for``).
+        They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
         """
         names = tuple(finger.name for finger in self.file.finger)
         calibrations = [self._calibration(finger) for finger in self.file.finger]
         return HandRows(self._delivery, self.node_ids, names, calibrations, timeout_s)
 
     def _calibration(self, finger: FingerPlan) -> Calibration | None:
-        """The calibration that gives the uncertainties: the file's, else the node's own; None where it is not known."""
+        """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
         found = self.file.calibration(finger)
         if found is None:
-            with suppress(TipforceError):  # a finger that does not answer now
+            with suppress(TipforceError):  # a finger that does not respond now
                 found = self._link.connection.finger(finger.node_id).calibration()
         return found
 
     def blocks(self, timeout_s: float | None = None) -> Iterator[Rows]:
-        """Blocks of rows as arrays, until the hand stops, or nothing comes for ``timeout_s``."""
+        """Return blocks of rows as arrays, until the hand stops, or after ``timeout_s`` without rows."""
         return self._delivery.rows(timeout_s)
 
     def blocks_async(self) -> AsyncIterator[Rows]:
-        """The same for asyncio."""
+        """Yield the same for asyncio."""
         return self._delivery.rows_async()
 
     def on_rows(self, callback: Callable[[Rows], None]) -> None:
-        """Call with each block of rows, in the receiving thread: be quick."""
+        """Register a callback for each block of rows. It runs in the receiving thread and must return quickly."""
         self._delivery.row_callbacks.append(callback)
 
     def on_event(self, callback: Callable[[Event], None]) -> None:
-        """Call with each event, in whatever thread it happens."""
+        """Register a callback for each event. It runs in the thread of the event."""
         self._delivery.event_callbacks.append(callback)
 
     def events(self) -> list[Event]:
-        """What has happened since the last call; at most the last 10 000."""
+        """Return the events since the last call; at most the last 10 000."""
         return self._delivery.take_events()
 
     def state(self, node_id: int) -> str:
-        """NMT state of a finger for people; "silent" for one whose heartbeat is lost."""
+        """Return the NMT state of a finger as text; "silent" for one whose heartbeat is lost."""
         return self._supervisor.state_name(node_id)
 
     def settled(self) -> bool:
-        """Every finger is operational and none is being mended."""
+        """Return whether every finger is operational and no recovery is active."""
         states = self._supervisor.states.values()
         return all(state == OPERATIONAL for state in states) and not self._keeper.waiting()
 
     def statistics(self) -> Statistics:
-        """What was counted so far."""
+        """Return the counts so far."""
         return Statistics(
             self._collector.tally, self._jitter.figures(), self._dropped + self._link.dropped, self._delivery.overrun,
             self._load.load(time.monotonic()),
         )  # fmt: skip
 
     def stop(self) -> None:
-        """No more SYNCs and rows; the fingers go back to pre-operational."""
+        """Stop SYNCs and rows; return the fingers to pre-operational."""
         self._stopped.set()
         self._stop_sync()
         if self._thread is not None:
@@ -234,7 +234,7 @@ class Hand:
         self.close()
 
     def _begin(self) -> None:
-        """What came during bring-up is no news; where each finger stands now is known from the connection."""
+        """Discard frames of the bring-up; the present state of each finger is known from the connection."""
         for _ in range(_MOST_OLD_BATCHES):
             if not len(self._link.receive(0.0)):
                 break
@@ -282,7 +282,7 @@ class Hand:
         self._probe(now_s)
 
     def _probe(self, now_s: float) -> None:
-        """A finger that lost its node-id with its power does not say so: LSS finds it."""
+        """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""
         if now_s < self._probe_s:
             return
         self._probe_s = now_s + _LOST_PROBE_S
@@ -301,10 +301,10 @@ class Hand:
             self._sync.stop()
             self._sync = None
 
-    # --- what fails ----------------------------------------------------------------------------------------------
+    # --- faults ------------------------------------------------------------------------------------------------
 
     def _lost(self, error: EnvironmentLackError) -> None:
-        """The bus failed: open it again as soon as that works, and look after every finger."""
+        """Reopen the bus as soon as that works after a fault, and check every finger."""
         self._delivery.event(Event(time.monotonic(), 0, "bus_down", str(error)))
         self._supervisor.forget()
         self._stop_sync()
@@ -312,7 +312,7 @@ class Hand:
             raise error
         self._dropped += self._link.dropped
         self._link.close()
-        # The row that was open ends here: what comes when the bus is back does not belong to its SYNC.
+        # The open row ends here: frames after the recovery of the bus do not belong to its SYNC.
         rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
         self._collector.drop()
         if len(rows):

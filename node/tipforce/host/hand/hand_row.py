@@ -1,4 +1,4 @@
-"""Rows of a hand one by one: what each finger measured at one SYNC, by its name."""
+"""Rows of a hand one by one: each finger's sample at one SYNC, by its name."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tipforce.host.hand.rows import Rows
 class HandRow(Mapping[str, Contact]):
     """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``.
 
-    A finger that did not answer is there, too: its ``status`` is NO_ANSWER and its values are NaN.
+    A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
     def __init__(self, number: int, t_s: float, contacts: Sequence[Contact]) -> None:
         self.number = number
-        """Counts rows since the hand was started."""
+        """Number of the row since the start of the hand."""
         self.t_s = t_s
         """Time of the SYNC, seconds of the epoch."""
         self.contacts = tuple(contacts)
@@ -31,7 +31,7 @@ class HandRow(Mapping[str, Contact]):
         self._by_id = {contact.node_id: contact for contact in contacts}
 
     def __getitem__(self, finger: str | int) -> Contact:
-        """The contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
+        """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
         found = self._by_id.get(finger) if isinstance(finger, int) else self._by_name.get(finger)
         if found is None:
             known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
@@ -49,7 +49,7 @@ class HandRow(Mapping[str, Contact]):
 
 
 class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
-    """Rows from the moment on that it is made; see ``Hand.rows``."""
+    """Rows from its creation on; see ``Hand.rows``."""
 
     def __init__(
         self,
@@ -67,7 +67,7 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
         self._blocks_async: AsyncIterator[Rows] | None = None
 
     def __next__(self) -> HandRow:
-        """The next row. Raises StopIteration when the hand has stopped, and what ended it by itself."""
+        """Return the next row. Raises StopIteration when the hand has stopped, or the error that ended it."""
         while not self._waiting:
             if self._blocks is None:
                 raise TypeError("these rows are iterated by async for")
@@ -79,7 +79,7 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
         return self
 
     async def __anext__(self) -> HandRow:
-        """The next row; the event loop runs meanwhile."""
+        """Return the next row; the event loop runs meanwhile."""
         assert self._blocks_async is not None
         while not self._waiting:
             self._waiting += self._rows_of(await anext(self._blocks_async))

@@ -1,4 +1,4 @@
-"""How regular a SYNC is: the deviations of its periods, in a histogram of bounded size."""
+"""Regularity of a SYNC: the deviations of its periods, in a histogram of bounded size."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-_BIN_NS, _BINS = 1000, 50_001  # to 50 ms, the last bin is for all beyond
+_BIN_NS, _BINS = 1000, 50_001  # up to 50 ms; the last bin is for larger ones
 
 
 @dataclass(frozen=True, slots=True)
@@ -22,7 +22,7 @@ class JitterFigures:
 
 
 class Jitter:
-    """Collects the receive times of SYNCs whose period should be ``period_ns`` (0: unknown, the mean is taken)."""
+    """Collect the receive times of SYNCs with the nominal period ``period_ns`` (0: unknown, the mean is used)."""
 
     def __init__(self, period_ns: int = 0) -> None:
         self._period_ns = period_ns
@@ -32,7 +32,7 @@ class Jitter:
         self._periods = 0
 
     def add(self, sync_ns: npt.NDArray[np.int64]) -> None:
-        """Take the times of further SYNCs (m,), in order."""
+        """Add the times of further SYNCs (m,), in order."""
         if not len(sync_ns):
             return
         before = sync_ns[:1] if self._last_ns is None else np.array([self._last_ns])
@@ -49,11 +49,11 @@ class Jitter:
         self._periods += len(periods)
 
     def skip(self) -> None:
-        """The SYNC was interrupted on purpose: the next one begins anew."""
+        """Restart with the next SYNC after a deliberate interruption."""
         self._last_ns = None
 
     def figures(self) -> JitterFigures:
-        """What was found so far; percentiles to a microsecond, rounded up."""
+        """Return the results so far; percentiles to a microsecond, rounded up."""
         if not self._periods:
             nan = float("nan")
             return JitterFigures(0, nan, nan, nan, nan)

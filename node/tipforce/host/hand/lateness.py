@@ -1,10 +1,10 @@
-"""Which SYNC each answer belongs to, by the node's 8-bit sample counter (2121h).
+"""Find the SYNC of each answer by the node's 8-bit sample counter (2121h).
 
-A PDO carries no SYNC number, so by its place in the stream an answer belongs to the last SYNC before it. A finger that
-is late answers after the next SYNC. It then still answers every SYNC, in order: its counters count on by one (or by
-none, for a sample that is sent again and marked stale), and the last is the one that a finger in time would have now.
-Only then the counters decide, and each answer goes to the row of its own SYNC. What fits less well stays where it is,
-to be doubted (counters.py).
+A PDO has no SYNC number, so by its position in the stream an answer belongs to the last SYNC before it. A late finger
+answers after the next SYNC. It still answers every SYNC, in order: its counters increment by one (or by zero, for a
+sample that is sent again and marked stale), and the last equals that of a finger in time. Only then do the counters
+decide, and each answer is assigned to the row of its own SYNC. Any other answer stays in its row, as doubtful
+(counters.py).
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ import numpy.typing as npt
 from tipforce.host.decoding.columns import Column
 
 MOST_ANSWERS = 4
-"""To one SYNC, that lateness and duplicates explain."""
+"""Answers to one SYNC that lateness and duplicates explain."""
 
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -25,32 +25,32 @@ BoolArray = npt.NDArray[np.bool_]
 
 @dataclass(slots=True, eq=False)
 class Answers:
-    """What fingers said in one message since the first open SYNC, n times: each finger's answers stand together, in
-    the order in which they came. All arrays (n,)."""
+    """Answers of the fingers in one message since the first open SYNC, n in all: each finger's answers are consecutive,
+    in the order of reception. All arrays (n,)."""
 
     message: int
-    """Its number among those that the rows are made of."""
+    """Its index among the messages of a row."""
     finger: IntArray
     row: IntArray
-    """Counted from the first open SYNC; the one before the answer, until ``seat`` knows better."""
+    """Counted from the first open SYNC; that before the answer, unless ``seat`` corrects it."""
     frame: IntArray
-    """Which of the frames it was."""
+    """Index of its frame."""
     counter: IntArray
     columns: dict[str, Column]
     waiting: BoolArray
-    """Late, or so it seems: what comes next will tell to which row it belongs."""
+    """Probably late: the following answers decide its row."""
     moved: BoolArray
-    """Came after the next SYNC, and was put into its own row."""
+    """Received after the next SYNC, and assigned to its own row."""
     proved: BoolArray
-    """Its row is certain: it is one of a finger that was late, and has answered every SYNC since."""
+    """Its row is certain: its finger was late, and has answered every SYNC since."""
 
 
 def seat(answers: Answers, expected: IntArray, in_time: BoolArray, regular: BoolArray) -> None:
-    """Move late answers to their rows, and mark those of which that can't be said yet.
+    """Move late answers to their rows, and mark those whose row is still unknown.
 
-    ``expected`` (k,): the counter with which each finger would answer the first open SYNC, -1 where that is unknown.
-    ``in_time`` (n,): the answer came within a period after the SYNC before it. ``regular`` (m,): SYNC r came one period
-    after the one before, or what was before is known. Both say that there was no SYNC in between that did not reach the
+    ``expected`` (k,): the counter with which each finger would answer the first open SYNC, -1 if it is unknown.
+    ``in_time`` (n,): the answer arrived within a period after the SYNC before it. ``regular`` (m,): SYNC r arrived one
+    period after the previous one, or the gap before it is known. Both exclude a SYNC in between that did not reach the
     host: with one, a finger that had missed another would seem to be in time again.
     """
     of_finger = expected[answers.finger]
@@ -64,14 +64,14 @@ def seat(answers: Answers, expected: IntArray, in_time: BoolArray, regular: Bool
             last = which[-1]
             late = lag[which] > 0
             if lag[last] == 0 and in_time[last] and regular[: answers.row[last] + 1].all():
-                answers.row[which] -= lag[which]  # below 0: its row was given out long ago
+                answers.row[which] -= lag[which]  # below 0: its row was already emitted
                 answers.moved[which], answers.proved[which] = late, True
             else:
                 answers.waiting[which] = late
 
 
 def _repeats(answers: Answers) -> IntArray:
-    """(n,) how many samples each finger had sent twice so far: those answers are marked stale, and count on by none."""
+    """Return (n,) how many samples each finger had repeated so far: those are marked stale, without an increment."""
     stale = answers.columns["stale"]
     if not stale.any():
         return np.zeros(len(stale), dtype=np.int64)
@@ -82,16 +82,16 @@ def _repeats(answers: Answers) -> IntArray:
 
 
 def _in_order(answers: Answers, which: IntArray, lag: IntArray) -> bool:
-    """Whether answers of one finger look like those of one that is late: each the next sample, none from the future."""
+    """Return whether answers of one finger look late: each the next sample, none ahead of time."""
     steps = np.diff(answers.counter[which]) % 256 + answers.columns["stale"][which][1:]
     return bool((steps == 1).all() and (lag >= 0).all())
 
 
 def babbled(answers: Answers, first: int, shape: tuple[int, int]) -> BoolArray:
-    """Where in the rows from ``first`` on, ``shape`` (m, k), answers came to one SYNC that lateness does not explain.
+    """Return where in the rows from ``first`` on, ``shape`` (m, k), answers to one SYNC are not explained by lateness.
 
-    A late answer and the one in time count on by one, a duplicate by none. Anything else, or MOST_ANSWERS of them, is a
-    babbler or a second node with the same COB-ID, and no answer in the row can be told from the others.
+    A late answer and the one in time differ by one, a duplicate by zero. Anything else, or MOST_ANSWERS of them, is a
+    babbler or a second node with the same COB-ID, and the node's own answer cannot be identified.
     """
     rows, fingers = shape
     found = np.zeros(shape, dtype=np.bool_)

@@ -1,7 +1,7 @@
-"""The hand's two ends of a bus: a connection for SDO and NMT, a receiver for all that comes, and who sends the SYNC.
+"""Access of a hand to its bus: a connection for SDO and NMT, a receiver for all frames, and a SYNC producer.
 
-On SocketCAN the receiver is a raw socket of its own, which also sees the SYNCs that the kernel sends. Everywhere else
-one python-can bus does both, and the SYNCs that we send are put among the received frames as they are sent.
+On SocketCAN the receiver is a separate raw socket, which also receives the SYNCs that the kernel sends. On other
+interfaces one python-can bus does both, and own SYNCs are inserted among the received frames when they are sent.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ SERVICE_FILTERS = (
     {"can_id": SDO_RESPONSE_BASE, "can_mask": FUNCTION_MASK, "extended": False},
     {"can_id": HEARTBEAT_BASE, "can_mask": HEARTBEAT_BASE, "extended": False},
 )
-"""What a connection beside a receiver has to hear: SDO answers, heartbeats, LSS. PDOs would cost 15 us each twice."""
+"""Frames for a connection beside a receiver: SDO responses, heartbeats, LSS. PDOs would cost 15 us each twice."""
 
-_KEPT_FRAMES = 20_000  # in the connection's own buffer, which only finding nodes reads
+_KEPT_FRAMES = 20_000  # in the connection's own buffer, which only the search for nodes reads
 
 
 class Link(Protocol):
@@ -35,17 +35,17 @@ class Link(Protocol):
     connection: Connection
 
     def receive(self, timeout_s: float) -> FrameArray:
-        """What came, FRAME (n,), SYNCs included. Raises EnvironmentLackError when the bus fails."""
+        """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
 
     def start_sync(self, period_s: float) -> SyncProducer:
         """Send SYNCs from now on."""
 
     @property
     def dropped(self) -> int:
-        """Frames lost because nobody took them in time."""
+        """Frames lost because they were not read in time."""
 
     def close(self) -> None:
-        """Let go of the bus."""
+        """Close the bus."""
 
 
 class SocketLink:
@@ -54,7 +54,7 @@ class SocketLink:
     def __init__(self, options: Mapping[str, Any]) -> None:
         self._receiver: Receiver = open_receiver(options)
         try:
-            self._receiver.receive(0.0)  # an interface that is down opens all the same; reading says so
+            self._receiver.receive(0.0)  # an interface that is down can be opened; reading raises the error
             self._bus = open_bus(**options)
         except BaseException:
             self._receiver.close()
@@ -104,7 +104,7 @@ class BusLink:
         return ThreadSync(self._sync, period_s)
 
     def _sync(self) -> None:
-        # First into the stream, then onto the bus: no answer can stand before its SYNC.
+        # First into the stream, then onto the bus: no answer can precede its SYNC.
         self._frames.put((time.time_ns(), SYNC_COB_ID, b""))
         self.connection.sync()
 
@@ -119,7 +119,7 @@ class BusLink:
 
 
 class SharedLink(BusLink):
-    """A bus that was open before and stays open."""
+    """A bus that was already open and stays open."""
 
     def close(self) -> None:
         """Stop listening."""
@@ -130,7 +130,7 @@ class SharedLink(BusLink):
 
 
 def keep_few(connection: Connection) -> None:
-    """A hand runs for days, and nobody takes what its connection collects: let that stay small."""
+    """Limit the connection's buffer: a hand runs for days, and the buffer is not read."""
     connection.buffer.limit = _KEPT_FRAMES
 
 

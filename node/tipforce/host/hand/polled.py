@@ -1,4 +1,4 @@
-"""Several fingertips on one bus, read together when asked: each call sends one SYNC and waits for its answers."""
+"""Read several fingertips on one bus on request: each call sends one SYNC and waits for the answers."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ FloatArray = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, eq=False)
 class HandSample:
-    """What the fingers said to one SYNC; one element per finger, in the order of the hand's node-ids."""
+    """Answers of the fingers to one SYNC; one element per finger, in the order of the hand's node-ids."""
 
     P_newtons: FloatArray
     phi_deg: FloatArray
     theta_deg: FloatArray
     """NaN where the node marks a value unknown, or where the finger is missing."""
     missing: npt.NDArray[np.bool_]
-    """No contact PDO of this finger came in time."""
+    """No contact PDO of this finger arrived in time."""
     messages: dict[tuple[int, str], Samples]
-    """Everything that was decoded, by (node-id, message name): status flags, counters, gauges."""
+    """All decoded values, by (node-id, message name): status flags, counters, gauges."""
 
 
 class PolledHand:
@@ -50,7 +50,7 @@ class PolledHand:
         if unknown:
             raise InputError(f"message {unknown[0]!r}: allowed are {', '.join(name for name in bases if bases[name])}")
         if not node_ids or len(set(node_ids)) != len(node_ids):
-            raise InputError(f"node-ids {list(node_ids)}: give each finger's once")
+            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.connection = connection
         self.node_ids = tuple(node_ids)
         self.fingers = {n: FingertipClient(connection.sdo(n)) for n in self.node_ids}
@@ -58,17 +58,17 @@ class PolledHand:
         self._decoder = Decoder(gauges, self.node_ids)
 
     def start(self) -> None:
-        """NMT start, to each finger."""
+        """Send NMT start to each finger."""
         for node_id in self.node_ids:
             self.connection.nmt("start", node_id)
 
     def stop(self) -> None:
-        """Back to PRE-OPERATIONAL: no more PDOs."""
+        """Return the fingers to PRE-OPERATIONAL: no more PDOs."""
         for node_id in self.node_ids:
             self.connection.nmt("preop", node_id)
 
     def sample(self, timeout_s: float = 0.1) -> HandSample:
-        """Send one SYNC and collect what the fingers answer; one that does not answer in time is marked missing."""
+        """Send one SYNC and collect the answers; a finger without an answer in time is marked missing."""
         self.connection.buffer.clear()
         self.connection.sync()
         awaited = set(self._expected)

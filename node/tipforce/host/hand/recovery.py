@@ -1,4 +1,4 @@
-"""What is done for a finger that booted, is heard again, or lost its node-id: made what the hand file says."""
+"""Recover a finger that booted, responds again, or lost its node-id: set it up as in the hand file."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from tipforce.host.hand.file import HandFile
 from tipforce.host.network.connection import Connection
 
 LOST = 0
-"""Among node-ids, stands for whoever has none."""
+"""Node-id that represents all nodes without one."""
 
 
 class Mender:
-    """Works for a Keeper, which calls ``mend``. ``connection`` gives the one that is open now."""
+    """Recover fingers for a Keeper, which calls ``mend``. ``connection`` returns the present one."""
 
     def __init__(
         self,
@@ -33,7 +33,7 @@ class Mender:
         self._plans = {finger.node_id: finger for finger in file.finger}
 
     def mend(self, node_id: int) -> bool:
-        """Bring one finger to what the file says, or those without a node-id; True when there is nothing more to do."""
+        """Set one finger up as in the file, or those without a node-id; return True when nothing is left to do."""
         try:
             return self._find_lost() if node_id == LOST else self._mend_finger(node_id)
         except TipforceError as error:
@@ -48,7 +48,7 @@ class Mender:
         return report.ok or self._supervisor.states[node_id] < 0
 
     def _as_wanted(self, node_id: int) -> bool:
-        """A finger that comes back operational may never have been away; then it is left in peace."""
+        """Return whether a finger has its settings: one that returns operational may never have rebooted."""
         sdo, calibration = self._connection().sdo(node_id), self._file.calibration(self._plans[node_id])
         if calibration is not None and sdo.read(objects.CALIBRATION_ACTIVE_CRC) != calibration.crc32():
             return False

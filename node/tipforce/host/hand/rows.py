@@ -1,4 +1,4 @@
-"""What a hand gives: one row for each SYNC, with what every finger answered to it, and a count of what went wrong."""
+"""Rows of a hand: one row for each SYNC, with every finger's answer to it, and counts of the faults."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ class Rows:
     """m rows of k fingers, in the order of the SYNCs and of the hand's node-ids.
 
     ``columns`` has every signal of the PDOs that the hand reads, each (m, k): measurements as float64 in the signal's
-    unit, NaN where the node marks them unknown or the finger is missing; flags as bool, False where missing.
+    unit, NaN if the node marks them unknown or the finger is missing; flags as bool, False if missing.
     """
 
     first: int
-    """Number of the first row since the collector began."""
+    """Number of the first row since the start of the collector."""
     sync_ns: npt.NDArray[np.int64]
     """(m,) receive time of each SYNC."""
     counter: npt.NDArray[np.int64]
@@ -29,7 +29,7 @@ class Rows:
 
     @property
     def missing(self) -> BoolArray:
-        """(m, k) no whole answer of this finger."""
+        """(m, k) no complete answer of this finger."""
         return self.counter < 0
 
     def __len__(self) -> int:
@@ -38,22 +38,22 @@ class Rows:
 
 @dataclass(slots=True)
 class Tally:
-    """What was counted since the collector began; arrays have one element per finger."""
+    """Counts since the start of the collector; arrays have one element per finger."""
 
     node_ids: tuple[int, ...]
     rows: int = 0
     missing: npt.NDArray[np.int64] = field(init=False)
-    """Rows without a whole answer."""
+    """Rows without a complete answer."""
     delayed: npt.NDArray[np.int64] = field(init=False)
-    """Answers that came after the next SYNC, and still into their own row."""
+    """Answers that arrived after the next SYNC, and were assigned to their own row."""
     late: npt.NDArray[np.int64] = field(init=False)
-    """Answers that came after their row was given out, or that another one in their row replaced."""
+    """Answers that arrived after their row was emitted, or that another one in their row replaced."""
     mixed: npt.NDArray[np.int64] = field(init=False)
-    """Rows whose PDOs were of two samples."""
+    """Rows whose PDOs are from two samples."""
     repeated: npt.NDArray[np.int64] = field(init=False)
-    """Rows with the counter of the row before, marked stale: the SYNC came faster than the node's converter."""
+    """Rows with the counter of the previous row, marked stale: the SYNC is faster than the node's converter."""
     doubtful: npt.NDArray[np.int64] = field(init=False)
-    """Answers that were not shown because their counter says that they may be old."""
+    """Answers discarded because by their counter they may be old."""
 
     def __post_init__(self) -> None:
         zeros = np.zeros((6, len(self.node_ids)), dtype=np.int64)

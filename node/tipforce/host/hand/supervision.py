@@ -1,4 +1,4 @@
-"""Keeps fingers configured: one that reboots, or comes back, is set up again without being asked."""
+"""Keep fingers configured: set up one that reboots or returns, automatically."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ _SIDE_BY_SIDE = 8
 
 
 class Keeper:
-    """Runs ``mend(node_id)`` for fingers that need it, several at once, again after RETRY_S until it returns True.
+    """Run ``mend(node_id)`` for fingers that need recovery, in parallel; retry after RETRY_S until it returns True.
 
-    A finger that needs it once more while it is being mended gets it right after.
+    A finger that needs another recovery during one gets it immediately afterwards.
     """
 
     def __init__(self, mend: Callable[[int], bool]) -> None:
@@ -25,24 +25,24 @@ class Keeper:
         self._due_s: dict[int, float] = {}
 
     def need(self, node_ids: Collection[int]) -> None:
-        """These fingers need mending, now."""
+        """Request the recovery of these fingers now."""
         with self._lock:
             for node_id in node_ids:
                 self._due_s[node_id] = 0.0
         self.tick()
 
     def drop(self, node_id: int) -> None:
-        """This finger is gone: nothing can be mended until it is heard again."""
+        """Stop retries for a finger that is lost: recovery is impossible until it sends again."""
         with self._lock:
             self._due_s.pop(node_id, None)
 
     def waiting(self) -> bool:
-        """Whether any finger is being mended or is to be."""
+        """Return whether a recovery is active or pending."""
         with self._lock:
             return bool(self._busy or self._due_s)
 
     def tick(self) -> None:
-        """Begin what is due; call it now and then."""
+        """Start the recoveries that are due; call it regularly."""
         now_s = time.monotonic()
         with self._lock:
             due = [n for n, due_s in self._due_s.items() if due_s <= now_s and n not in self._busy]
@@ -53,7 +53,7 @@ class Keeper:
             self._pool.submit(self._run, node_id)
 
     def close(self) -> None:
-        """Begin nothing more and wait for what has begun."""
+        """Start no more recoveries and wait for the active ones."""
         with self._lock:
             self._due_s.clear()
         self._pool.shutdown(wait=True, cancel_futures=True)

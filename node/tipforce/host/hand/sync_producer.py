@@ -1,4 +1,4 @@
-"""Who sends the hand's SYNC: the kernel on SocketCAN (its broadcast manager), a thread on every other bus."""
+"""SYNC producers of a hand: the kernel on SocketCAN (its broadcast manager), a thread on every other bus."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tipforce.errors import EnvironmentLackError
 
 
 class SyncProducer(Protocol):
-    """Sends SYNCs until it is stopped."""
+    """Send SYNCs until stopped."""
 
     def stop(self) -> None:
-        """Send no more."""
+        """Stop sending."""
 
 
 def kernel_sync(bus: can.BusABC, period_s: float) -> SyncProducer:
-    """SYNCs by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError where the kernel refuses."""
+    """Send SYNCs by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError if the kernel rejects it."""
     message = can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=b"")
     try:
         return KernelSync(bus.send_periodic(message, period_s))
@@ -31,32 +31,32 @@ def kernel_sync(bus: can.BusABC, period_s: float) -> SyncProducer:
 
 
 class KernelSync:
-    """A cyclic task of the kernel's."""
+    """Send SYNCs by a cyclic task of the kernel."""
 
     def __init__(self, task: can.broadcastmanager.CyclicSendTaskABC) -> None:
         self._task = task
 
     def stop(self) -> None:
         """See SyncProducer."""
-        with suppress(can.CanError, OSError):  # an interface that has gone took its tasks with it
+        with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
             self._task.stop()
 
 
 class ThreadSync:
-    """SYNCs by a thread that keeps to the times that it began with: a late one does not delay the ones after it."""
+    """Send SYNCs from a thread at fixed times: a late one does not delay the following ones."""
 
     def __init__(self, send: Callable[[], None], period_s: float) -> None:
         self._send, self._period_s = send, period_s
         self._stopped = threading.Event()
         self.error: Exception | None = None
-        """Why it ended by itself."""
+        """The error that ended it."""
         self.skipped = 0
-        """SYNCs that were left out because their time had passed."""
+        """SYNCs that were omitted because their time had passed."""
         self._thread = threading.Thread(target=self._run, name="SYNC", daemon=True)
         self._thread.start()
 
     def stop(self) -> None:
-        """Send no more; returns when the thread has ended."""
+        """Stop sending; returns when the thread has ended."""
         self._stopped.set()
         if threading.current_thread() is not self._thread:
             self._thread.join()
@@ -70,10 +70,10 @@ class ThreadSync:
                 self.error = error
                 return
             due_s += self._period_s
-            # More than half a period late: left out, because two SYNCs close together leave the first no time.
+            # More than half a period late: omitted, because two SYNCs close together leave no time for the first.
             behind = int((time.monotonic() - due_s) / self._period_s + 0.5)
             if behind > 0:
                 self.skipped += behind
                 due_s += behind * self._period_s
-            # A wait on the event would wake later than a sleep; stop() waits a period at most.
+            # A wait on the event would wake later than a sleep; stop() takes at most a period.
             time.sleep(max(due_s - time.monotonic(), 0.0))
