@@ -135,7 +135,7 @@ def test_a_passive_finger_sends_nothing(bus: tipforce.SimulatedBus) -> None:
     options = bus.bus_options
     with can.Bus(**options) as ear, tipforce.open(**options) as listener:
         finger = listener.finger(5, passive=True)
-        with pytest.raises(tipforce.NoNewSampleError, match="nothing came with identifier"):
+        with pytest.raises(tipforce.NoNewSampleError, match="no frame with identifier"):
             finger.read(timeout_s=0.1)
         assert ear.recv(0) is None
         contact = None

@@ -263,7 +263,7 @@ def test_calibrate_refused_is_12(tipforce: Tipforce, tmp_path: Path) -> None:
     code, out, err = tipforce("calibrate", "apply", tmp_path / "bad.toml", "--node", 6, "--no-store", "-q")
     assert (code, out) == (12, "")
     assert err == (
-        "tipforce: node 6 refused the calibration (0x06090031): the condition number of C is over the limit 2105h:1\n"
+        "tipforce: node 6 rejected the calibration (0x06090031): the condition number of C exceeds the limit 2105h:1\n"
     )
 
 

@@ -78,7 +78,7 @@ def test_without_a_bus_it_says_how_to_name_one(
         monkeypatch.delenv(name, raising=False)
     assert main(words.split()) == 2
     told = capsys.readouterr().err
-    assert "tipforce: no bus is named: give -i and -c, as -i socketcan -c can0" in told
+    assert "tipforce: no bus given: use -i and -c, as in -i socketcan -c can0" in told
     assert "None" not in told
 
 
@@ -221,7 +221,7 @@ class _NoStore:
 
 def test_a_node_without_a_store_is_explained() -> None:
     sdo: Any = _NoStore()
-    with pytest.raises(SdoAbortError, match=r"nowhere to store.*until its next reset.*--store FILE") as caught:
+    with pytest.raises(SdoAbortError, match=r"has no store.*until its next reset.*--store FILE") as caught:
         FingertipClient(sdo).store(calibration=True)
     assert caught.value.code == codes.HARDWARE
 

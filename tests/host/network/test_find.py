@@ -73,7 +73,7 @@ def test_who_is_there_and_how(connection: Connection) -> None:
         20, "pre-operational", "product 0x0000CAFE", 99, "not a fingertip", "no: another device"
     )
     assert found[21].device == "no identity object"
-    assert found[22].device == "not understood"
+    assert found[22].device == "unknown object format"
 
 
 def test_only_the_node_ids_asked_for(connection: Connection) -> None:
@@ -98,7 +98,7 @@ def test_a_node_that_goes_silent_does_not_hide_the_others(
     bus[1].fault = dies
     found = find_nodes(connection, [5, 6], WAIT_S)
     assert [(node.node_id, node.device) for node in found] == [
-        (5, "stopped answering"),
+        (5, "stopped responding"),
         (6, "simulated fingertip, 3 gauges"),
     ]
 
@@ -113,7 +113,7 @@ def test_another_revision_is_named(connection: Connection, bus: tuple[Connection
 
     bus[1].fault = other_revision
     (node,) = find_nodes(connection, [5], WAIT_S)
-    assert node.eds == f"no: revision 0x{older:08X}, ours 0x{table.REVISION:08X}"
+    assert node.eds == f"no: revision 0x{older:08X}, expected 0x{table.REVISION:08X}"
 
 
 def test_a_dead_bus_is_an_error(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:

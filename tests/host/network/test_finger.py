@@ -115,7 +115,7 @@ def test_not_finite_is_refused(bench: Bench, field: str, value: float) -> None:
         present.flat[0] = value
     else:
         present = value
-    with pytest.raises(RefusedError, match=r"node 5 refused the calibration \(0x06090030\): a value is not finite"):
+    with pytest.raises(RefusedError, match=r"node 5 rejected the calibration \(0x06090030\): a value is not finite"):
         bench.client.apply_calibration(beam_calibration(**{field: present}))
     assert bench.state() == before
 
@@ -134,7 +134,7 @@ def test_limits_that_cross_are_refused(bench: Bench, changes: dict[str, float]) 
 @pytest.mark.parametrize("matrix", [np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5])])
 def test_an_ill_conditioned_matrix_is_refused(bench: Bench, matrix: FloatArray) -> None:
     before = bench.state()
-    with pytest.raises(RefusedError, match=r"\(0x06090031\): the condition number of C is over the limit 2105h:1"):
+    with pytest.raises(RefusedError, match=r"\(0x06090031\): the condition number of C exceeds the limit 2105h:1"):
         bench.client.apply_calibration(beam_calibration(C=matrix))
     assert bench.state() == before
     bench.client.sdo.write(od.CALIBRATION_CONDITION_LIMIT, 1.0)
@@ -180,7 +180,7 @@ def test_a_frame_corrupted_on_the_way_is_noticed(bench: Bench, monkeypatch: pyte
 
     monkeypatch.setattr(bench.bus, "send", corrupting)
     # The last byte is the load sense, which the node checks at once.
-    code = "0x06040043): the CRC-32 of what it received is not" if segment < 15 else "0x06090030): "
+    code = "0x06040043): the CRC-32 of the received data is wrong" if segment < 15 else "0x06090030): "
     with pytest.raises(RefusedError, match=re.escape(code)):
         bench.client.apply_calibration(beam_calibration(serial=9))
     assert bench.state() == before
@@ -196,7 +196,7 @@ def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
         return message
 
     bench.bus.fault = corrupting
-    with pytest.raises(RefusedError, match=r"the active calibration is not what was sent: 0x2100:0\d: expected"):
+    with pytest.raises(RefusedError, match=r"the active calibration differs from the one sent: 0x2100:0\d: expected"):
         bench.client.apply_calibration(bench.active)
 
 

@@ -161,7 +161,7 @@ def test_no_answer_at_all(connection: Connection, bus: FaultyBus, retries: int, 
         sdo.read(od.IDENTITY_SERIAL)
     assert str(caught.value) == (
         f"node 5 (0x05), read of 0x1018:04: no response after {tries} of 0.2 s; "
-        "is the node powered, on this bus, at this bit rate, and is its node-id right? `tipforce scan` lists nodes"
+        "check its power, bus, bit rate and node-id; `tipforce scan` lists nodes"
     )
     requests = [data for can_id, data in bus.sent if can_id == 0x600 + NODE and data[0] == 0x40]
     assert len(requests) == retries + 1
@@ -176,7 +176,7 @@ def test_answers_that_never_fit_are_no_silence(connection: Connection, bus: Faul
     sdo.retries = 1
     bus.fault = lambda message: with_data(message, b"\x43\x00\x10\x00\0\0\0\0")  # as to somebody else's question
     for transfer in (lambda: sdo.read(od.IDENTITY_SERIAL), lambda: sdo.write(od.HEARTBEAT_PRODUCER_MS, 700)):
-        with pytest.raises(NoResponseError, match=r"no right response in 2 tries, the last: .*another SDO client"):
+        with pytest.raises(NoResponseError, match=r"no valid response in 2 tries, the last: .*another SDO client"):
             transfer()
 
 

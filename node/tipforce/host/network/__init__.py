@@ -1,1 +1,1 @@
-"""The bus and its nodes: connection, discovery, NMT, LSS, SDO, one finger, bus load."""
+"""Bus and nodes: connection, discovery, NMT, LSS, SDO, one finger, bus load."""

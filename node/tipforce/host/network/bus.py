@@ -1,4 +1,4 @@
-"""Opening a bus: python-can's, with errors that say what to do."""
+"""Open a bus of python-can, with errors that say what to do."""
 
 from __future__ import annotations
 
@@ -10,15 +10,15 @@ from tipforce.errors import EnvironmentLackError
 
 
 def open_bus(**options: Any) -> can.BusABC:
-    """python-can's bus, with an error that says what to do when it cannot be opened."""
+    """Return python-can's bus; if it cannot be opened, the error says what to do."""
     given = {key: value for key, value in options.items() if value is not None}
     try:
         return can.Bus(**given)
     except (can.CanError, OSError, ImportError, ValueError) as error:
-        if "interface" not in given and 'type "None"' in str(error):  # nothing names one
+        if "interface" not in given and 'type "None"' in str(error):  # no interface is given anywhere
             raise EnvironmentLackError(
-                "no bus is named: give -i and -c, as -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
-                "`tipforce doctor` says what this machine has"
+                "no bus given: use -i and -c, as in -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
+                "`tipforce doctor` lists the interfaces of this machine"
             ) from None
         interface = given.get("interface", "from python-can's configuration")
         raise EnvironmentLackError(

@@ -1,4 +1,4 @@
-"""How full a bus is: the budget of a hand on paper, and the bits of frames that were seen (ISO 11898-1, 10.5)."""
+"""Bus load: the calculated budget of a hand, and the bits of received frames (ISO 11898-1, 10.5)."""
 
 from __future__ import annotations
 
@@ -16,31 +16,31 @@ from tipforce.host.frames.frame_array import FrameArray
 
 DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
-"""Of the bit rate, with worst-case stuffing: above it the lowest priority may miss its SYNC period now and then."""
+"""Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
 _AFTER_CRC = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge slot and delimiter, end of frame, intermission: never stuffed
 _CRC_POLYNOMIAL = 0x4599
 
 
 def least_bits(data_bytes: int, extended: bool = False) -> int:
-    """Bits of a frame without one stuff bit, intermission included: 47 + 8 n, or 67 + 8 n with a 29-bit identifier."""
+    """Return the bits of a frame without stuff bits, intermission included: 47 + 8 n, or 67 + 8 n (29-bit ID)."""
     return _stuffable(data_bytes, extended) + _AFTER_CRC
 
 
 def most_bits(data_bytes: int, extended: bool = False) -> int:
-    """The same with as many stuff bits as there can be: one after the first five bits, then one for every four."""
+    """Return the same with the maximum of stuff bits: one after the first five bits, then one for every four."""
     stuffable = _stuffable(data_bytes, extended)
     return stuffable + _AFTER_CRC + (stuffable - 1) // 4
 
 
 def _stuffable(data_bytes: int, extended: bool) -> int:
-    """Start of frame to the end of the CRC sequence."""
+    """Return the bits from start of frame to the end of the CRC sequence."""
     return (54 if extended else 34) + 8 * data_bytes
 
 
 @dataclass(frozen=True, slots=True)
 class Traffic:
-    """One kind of frame: how often per second on the whole bus, and with how many data bytes."""
+    """One kind of frame: its rate per second on the whole bus, and its number of data bytes."""
 
     name: str
     per_second: float
@@ -59,7 +59,7 @@ class Traffic:
 
 @dataclass(frozen=True, slots=True)
 class Budget:
-    """What a hand puts on its bus. Loads are fractions of the bit rate."""
+    """Bus load of a hand. Loads are fractions of the bit rate."""
 
     traffic: tuple[Traffic, ...]
     bit_rate: int
@@ -83,9 +83,9 @@ def hand_budget(
     bit_rate: int = DEFAULT_BIT_RATE,
     heartbeat_s: float = 1.0,
 ) -> Budget:
-    """The budget of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs a second.
+    """Return the bus load of ``nodes`` fingers whose ``pdos`` (names of ``tpdo_messages``) answer ``sync_hz`` SYNCs/s.
 
-    Health goes with its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError.
+    Health is sent by its event timer, once a second. ``heartbeat_s`` 0 means none. Raises InputError.
     """
     if not (1 <= nodes <= 127 and sync_hz > 0 and bit_rate > 0 and heartbeat_s >= 0):
         raise InputError(
@@ -107,7 +107,7 @@ def hand_budget(
 def highest_rate_hz(
     nodes: int, pdos: Sequence[str], gauges: int = 3, bit_rate: int = DEFAULT_BIT_RATE, limit: float = LIMIT
 ) -> float:
-    """The SYNC rate at which the worst case reaches ``limit``; 0 where not even the rest of the traffic fits."""
+    """Return the SYNC rate at which the worst case reaches ``limit``; 0 if the other traffic alone exceeds it."""
     at_one, at_two = (hand_budget(nodes, hz, pdos, gauges, bit_rate).most_load for hz in (1.0, 2.0))
     each = at_two - at_one
     return max(0.0, (limit - (at_one - each)) / each)
@@ -119,7 +119,7 @@ _MOST = np.array([most_bits(*kind) for kind in _KINDS])
 
 
 def range_of_bits(frames: FrameArray) -> tuple[int, int]:
-    """Bits of all of FRAME (n,) together, without one stuff bit and with as many as there can be; fast."""
+    """Return the bits of all of FRAME (n,) together, without stuff bits and with their maximum; fast."""
     flags = frames["can_id"] >> 29
     length = np.minimum(frames["length"], 8).astype(np.int64)
     if flags.any():
@@ -131,14 +131,14 @@ def range_of_bits(frames: FrameArray) -> tuple[int, int]:
 
 
 class LoadMeter:
-    """The load of a live bus over the last second, at a cost that a receive loop does not feel."""
+    """Load of a live bus over the last second, at negligible cost for a receive loop."""
 
     def __init__(self, bit_rate: int = DEFAULT_BIT_RATE, window_s: float = 1.0) -> None:
         self._bit_rate, self._window_s = bit_rate, window_s
-        self._batches: deque[tuple[float, int, int]] = deque()  # when, and bits without and with stuffing
+        self._batches: deque[tuple[float, int, int]] = deque()  # time, and bits without and with stuffing
 
     def add(self, frames: FrameArray, now_s: float) -> None:
-        """Take received frames, FRAME (n,), and a monotonic time."""
+        """Add received frames, FRAME (n,), and a monotonic time."""
         if not len(frames):
             return
         self._batches.append((now_s, *range_of_bits(frames)))
@@ -146,16 +146,16 @@ class LoadMeter:
             self._batches.popleft()
 
     def load(self, now_s: float) -> tuple[float, float]:
-        """Fraction of the bit rate, without one stuff bit and with as many as there can be. From any thread."""
+        """Return the fraction of the bit rate, without stuff bits and with their maximum. From any thread."""
         recent = [batch for batch in self._batches.copy() if batch[0] >= now_s - self._window_s]
         bits = self._bit_rate * self._window_s
         return sum(least for _, least, _ in recent) / bits, sum(most for _, _, most in recent) / bits
 
 
 def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
-    """Bits of each FRAME (n,) on the wire, its own stuff bits and intermission included; 0 for error frames.
+    """Return the bits of each FRAME (n,) on the wire, stuff bits and intermission included; 0 for error frames.
 
-    An error frame of SocketCAN tells of an error and is not what was on the wire.
+    A SocketCAN error frame reports an error and was not on the wire.
     """
     bits, length = _bit_matrix(frames)
     count = length + _AFTER_CRC + _stuff_bits(bits, length)
@@ -164,7 +164,7 @@ def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
 
 
 def _bit_matrix(frames: FrameArray) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Start of frame to the CRC's end as bits (n, 118), and how many of them each frame has (n,)."""
+    """Return start of frame to the CRC's end as bits (n, 118), and the number of bits of each frame (n,)."""
     can_id = frames["can_id"].astype(np.int64)
     extended, remote = (can_id & EXTENDED_FLAG) != 0, (can_id & REMOTE_FLAG) != 0
     data_bytes = np.where(remote, 0, frames["length"]).astype(np.int64)
@@ -203,7 +203,7 @@ def _crc15(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.ND
 
 
 def _stuff_bits(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """After five equal bits comes their opposite, which counts for the next five."""
+    """Count stuff bits: after five equal bits the opposite one, which counts for the next five."""
     stuffed = np.zeros(len(bits), dtype=np.int64)
     last = np.full(len(bits), 2, dtype=np.uint8)
     run = np.zeros(len(bits), dtype=np.int64)

@@ -1,4 +1,4 @@
-"""A bus and the nodes on it, as the host sees them."""
+"""A bus and its nodes, seen from the host."""
 
 from __future__ import annotations
 
@@ -35,15 +35,15 @@ NMT_COMMANDS = {
 }
 _SYNC_SILENT_S = 1.0
 _LONGEST_SYNC_PERIOD_S = 10.0
-_RECEIVE_CYCLE_S = 0.05  # how long close() waits for the receiver at most; canopen's own is a second
+_RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver; canopen's own is a second
 
 
 class Connection:
-    """One CAN bus: its fingers, SDO to its nodes, NMT, SYNC, and every frame that was received.
+    """One CAN bus: its fingers, SDO to its nodes, NMT, SYNC, and every received frame.
 
-    Use it as a context manager. ``bus`` is python-can's, or a connected ``canopen.Network``. Where ``owned`` is False,
+    Use it as a context manager. ``bus`` is python-can's, or a connected ``canopen.Network``. If ``owned`` is False,
     and for a network always, ``close`` leaves the bus open and removes only what this object added.
-    ``timeout_s`` and ``retries`` hold for every SDO transfer.
+    ``timeout_s`` and ``retries`` apply to every SDO transfer.
     """
 
     def __init__(
@@ -66,12 +66,12 @@ class Connection:
         self._listeners: list[Any] = [self.buffer, self.heartbeats]
         self._owned = owned
         self._shared: can.Notifier | None = None
-        """The receiving thread of somebody else, where the bus has one."""
+        """The receiving thread of another owner, if the bus has one."""
         self.network = self._attached(bus)
         self.network.subscribe(codes.SYNC_COB_ID, self._on_sync)
 
     def _attached(self, bus: can.BusABC | canopen.Network) -> canopen.Network:
-        """A network that receives from ``bus``, by the receiving thread that it has already, if it has one."""
+        """Return a network that receives from ``bus``, through its existing receiving thread, if it has one."""
         if isinstance(bus, canopen.Network):
             if bus.bus is None or bus.notifier is None:
                 raise InputError("the canopen.Network is not connected: call its connect() first")
@@ -100,11 +100,11 @@ class Connection:
         retries: int = DEFAULT_RETRIES,
         **bus_options: Any,
     ) -> Connection:
-        """A bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
+        """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
 
         Names are python-can's, its configuration files and environment variables included; on Linux a channel without
         an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
-        ``can.Bus``. Raises EnvironmentLackError when the bus cannot be opened.
+        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
         """
         if isinstance(channel, can.BusABC | canopen.Network):
             return cls(channel, timeout_s, retries, owned=False)
@@ -113,11 +113,11 @@ class Connection:
         return cls(open_bus(channel=channel, interface=interface, **bus_options), timeout_s, retries)
 
     def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
-        """The finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
+        """Return the finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
 
         ``passive``: its samples are read without sending anything, by the default PDOs of a node with ``gauges``
-        gauges. Otherwise the node is asked for its PDOs, started where it is pre-operational, and sent SYNCs where
-        nobody else does.
+        gauges. Otherwise the PDOs are read over SDO, a pre-operational node is started, and SYNCs are sent if no other
+        node sends them.
         """
         from tipforce.host.network.finger import Finger
 
@@ -129,13 +129,13 @@ class Connection:
             return found
 
     def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
-        """The nodes on the bus. See ``find_nodes``."""
+        """Return the nodes on the bus. See ``find_nodes``."""
         from tipforce.host.network.find import find_nodes
 
         return find_nodes(self, node_ids, wait_s)
 
     def sdo(self, node_id: int) -> SdoChannel:
-        """The SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
+        """Return the SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
         if not isinstance(node_id, int) or not 1 <= node_id <= 127:
             raise InputError(f"node-id {node_id!r}: allowed are 1 to 127")
         with self._lock:
@@ -155,7 +155,7 @@ class Connection:
         self.send(codes.SYNC_COB_ID, b"")
 
     def sync_due_s(self, period_s: float) -> float:
-        """When the next SYNC of this object is due (monotonic), at one every ``period_s``; inf: another node sends it.
+        """Return the next due time of an own SYNC (monotonic), one every ``period_s``; inf: another node sends it.
 
         Another producer counts as silent after a second, or three of its periods.
         """
@@ -169,16 +169,16 @@ class Connection:
         self._foreign_sync_s = now_s, min(now_s - self._foreign_sync_s[0], _LONGEST_SYNC_PERIOD_S)
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send one frame with an 11-bit identifier. Raises EnvironmentLackError when the bus refuses it."""
+        """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
         try:
             self.network.send_message(can_id, data)
-        except (can.CanError, RuntimeError) as error:  # canopen says so of a closed bus
+        except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
             raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
 
     def wait_for(self, can_ids: set[int], timeout_s: float = 1.0) -> FrameArray:
-        """Take received frames until each of ``can_ids`` was among them; returns all that came, in order.
+        """Read received frames until each of ``can_ids`` is among them; return all of them, in order.
 
-        Raises NoResponseError naming the identifiers that did not come in time.
+        Raises NoResponseError naming the identifiers that were not received in time.
         """
         deadline = time.monotonic() + timeout_s
         missing = set(can_ids)
@@ -194,7 +194,7 @@ class Connection:
         return frames
 
     def close(self) -> None:
-        """Stop receiving and, where it is owned, release the bus; also one that has failed."""
+        """Stop receiving and, if it is owned, release the bus; also one that has failed."""
         with self._lock:
             fingers, self._fingers = list(self._fingers.values()), {}
             channels, self._channels = list(self._channels.values()), {}
@@ -210,7 +210,7 @@ class Connection:
                     self._shared.remove_listener(listener)
         elif self._owned:
             if self.network.notifier is not None:
-                self.network.notifier.exception = None  # canopen would log it, and raise it when all is released
+                self.network.notifier.exception = None  # canopen would log it, and raise it after the release
             with suppress(can.CanError):
                 self.network.disconnect()
         elif self.network.notifier is not None:
@@ -227,7 +227,7 @@ class Connection:
 
 
 def _configured_interface() -> str | None:
-    """The interface that python-can's own configuration names."""
+    """Return the interface in python-can's own configuration."""
     return can.rc.get("interface") or os.environ.get("CAN_INTERFACE") or can.util.load_file_config().get("interface")
 
 

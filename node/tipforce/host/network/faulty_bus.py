@@ -1,10 +1,10 @@
-"""A bus that misbehaves on purpose, for tests of anything that hangs on a CAN bus.
+"""A bus with injected faults, for tests of programs that use a CAN bus.
 
     bus = FaultyBus(can.Bus(interface="virtual", channel="hand"), Faults(drop=0.01, delay=0.05), seed=1)
 
-Frames that arrive are dropped, delayed, duplicated, corrupted or swapped with the next one, each with its probability;
-``bus_off`` lets sending and receiving fail as an adapter does. What is drawn depends on the seed and on the frames
-alone, never on the clock, so that a run can be repeated. ``Injector`` does the same without a bus, in any time.
+Received frames are dropped, delayed, duplicated, corrupted or swapped with the next one, each with its probability;
+``bus_off`` makes sending and receiving fail as an adapter does. Random numbers depend only on the seed and on the
+frames, never on the clock, so that a run can be repeated. ``Injector`` does the same without a bus, at any time.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
 
 @dataclass(frozen=True, slots=True)
 class Faults:
-    """Probabilities per frame, 0 to 1. ``only`` restricts them to these identifiers; empty is all.
+    """Probabilities per frame, 0 to 1. ``only`` restricts them to these identifiers; empty means all.
 
-    Corrupting flips one bit of the data: what a CAN controller would refuse by its CRC, and a bad adapter, a gateway
-    or a memory error would not. Turn it off where only what CAN lets through is of interest.
+    Corrupting flips one bit of the data: a CAN controller would reject such a frame by its CRC, but a faulty adapter, a
+    gateway or a memory error would not. Set it to 0 to test only faults that CAN passes.
     """
 
     drop: float = 0.0
@@ -39,7 +39,7 @@ class Faults:
     reorder: float = 0.0
     delay: float = 0.0
     delay_s: float = 0.005
-    """The longest delay; drawn evenly from 0 on."""
+    """The longest delay; uniformly distributed from 0."""
     only: frozenset[int] = frozenset()
 
     def __post_init__(self) -> None:
@@ -52,7 +52,7 @@ class Faults:
 
 
 class Injector:
-    """Frames in, frames out when they are due; ``counts`` has how often each fault struck."""
+    """Inject faults: frames in, frames out when due; ``counts`` has the number of each fault."""
 
     def __init__(self, faults: Faults, seed: int = 0) -> None:
         self.faults = faults
@@ -63,12 +63,12 @@ class Injector:
         self._held: RawFrame | None = None
 
     def put(self, frame: RawFrame, now_s: float) -> None:
-        """A frame arrives at ``now_s``."""
+        """Add a frame that arrives at ``now_s``."""
         faults = self.faults
         if faults.only and frame[0] & codes.STANDARD_MASK not in faults.only:
             self._push(frame, now_s)
             return
-        # Every draw is made for every frame: switching one fault on leaves the others where they strike.
+        # Every number is drawn for every frame: enabling one fault does not move the others.
         drop, twice, corrupt, swap, late, by, bit = (self._random.random() for _ in range(7))
         if drop < faults.drop:
             self.counts["drop"] += 1
@@ -96,13 +96,13 @@ class Injector:
             self._push(held, due_s)
 
     def take(self, now_s: float) -> RawFrame | None:
-        """The next frame that is due, None when there is none yet."""
+        """Return the next frame that is due, None if there is none yet."""
         if self._due and self._due[0][0] <= now_s:
             return heapq.heappop(self._due)[2]
         return None
 
     def next_due_s(self) -> float | None:
-        """When the next frame is due."""
+        """Return the due time of the next frame."""
         return self._due[0][0] if self._due else None
 
     def _push(self, frame: RawFrame, due_s: float) -> None:
@@ -110,10 +110,10 @@ class Injector:
 
 
 class FaultyBus(can.BusABC):
-    """Any python-can bus behind an Injector. It owns the bus and closes it.
+    """A python-can bus with an Injector. It owns the bus and closes it.
 
     ``faults`` and ``bus_off`` may be changed at any time. While ``bus_off`` is True, ``send`` and ``recv`` raise
-    can.CanOperationError, and what arrives meanwhile is lost.
+    can.CanOperationError, and frames that arrive meanwhile are lost.
     """
 
     def __init__(self, bus: can.BusABC, faults: Faults, seed: int = 0, **options: Any) -> None:
@@ -128,7 +128,7 @@ class FaultyBus(can.BusABC):
 
     @property
     def faults(self) -> Faults:
-        """What may go wrong now."""
+        """The present fault probabilities."""
         return self._injector.faults
 
     @faults.setter
@@ -137,11 +137,11 @@ class FaultyBus(can.BusABC):
 
     @property
     def counts(self) -> Counter[str]:
-        """How often each fault struck."""
+        """Number of each fault so far."""
         return self._injector.counts
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Send; raises can.CanOperationError while the bus is off."""
+        """Send; raises can.CanOperationError during bus-off."""
         self._check()
         self.bus.send(msg, timeout)
 
@@ -171,7 +171,7 @@ class FaultyBus(can.BusABC):
         return message
 
     def _forget(self) -> None:
-        """A duplicate needs its message too, so they go by age."""
+        """Delete old messages; they are kept for a time because a duplicate needs its message too."""
         while len(self._messages) > 10_000:
             del self._messages[next(iter(self._messages))]
 
@@ -182,19 +182,19 @@ class FaultyBus(can.BusABC):
             raise can.CanOperationError("bus-off (injected)")
 
     def shutdown(self) -> None:
-        """Close the bus behind it too."""
+        """Close the wrapped bus too."""
         super().shutdown()
         self.bus.shutdown()
 
     def fileno(self) -> int:
-        """None: a delayed frame would wake nobody who waits on a file descriptor."""
+        """Raise NotImplementedError: a delayed frame would not wake a caller that waits on a file descriptor."""
         raise NotImplementedError("a faulty bus has no file descriptor: use recv with a timeout")
 
 
 class Babbler:
-    """A node that talks without end: sends ``frame`` at ``rate_hz`` on a bus, from ``next_due_s`` on.
+    """A babbling node: sends ``frame`` at ``rate_hz`` on a bus, from ``next_due_s`` on.
 
-    Without a thread: call ``step`` from a loop of your own.
+    Without a thread: call ``step`` from your own loop.
     """
 
     def __init__(self, frame: RawFrame, rate_hz: float = 5000.0) -> None:
@@ -204,7 +204,7 @@ class Babbler:
         self.next_due_s = 0.0
 
     def step(self, now_s: float) -> list[RawFrame]:
-        """What it sends by now; at most a tenth of a second's worth at once."""
+        """Return the frames due by now; at most those of a tenth of a second."""
         if now_s - self.next_due_s > 0.1:
             self.next_due_s = now_s - 0.1
         frames = []
@@ -215,5 +215,5 @@ class Babbler:
 
 
 def quiet(faults: Faults) -> Faults:
-    """The same without any: what a test switches to when it wants to see all recover."""
+    """Return the same without faults, for tests of the recovery."""
     return replace(faults, drop=0.0, duplicate=0.0, corrupt=0.0, reorder=0.0, delay=0.0)

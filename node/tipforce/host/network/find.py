@@ -1,4 +1,4 @@
-"""Which nodes are on a bus, and how they are."""
+"""Find the nodes on a bus and their state."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient, Identity
 
 READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-_GAP_S = 0.001  # between requests, so that short transmit queues hold
+_GAP_S = 0.001  # between requests, so that short transmit queues do not overflow
 
 
 @dataclass(frozen=True, slots=True)
 class FoundNode:
-    """One node as a scan saw it; texts are for people."""
+    """One node found by a scan; texts are for display."""
 
     node_id: int
     state: str
@@ -29,11 +29,11 @@ class FoundNode:
     serial: int
     calibration: str
     eds: str
-    """"match", or what is different."""
+    """"match", or the difference."""
 
 
 def find_nodes(connection: Connection, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
-    """Ask every node-id for 1000h, listen for ``wait_s`` to answers and heartbeats, then ask who is there who it is.
+    """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
 
     A node that only sends heartbeats (STOPPED: no SDO) is listed too.
     """
@@ -64,9 +64,9 @@ def _describe(connection: Connection, node_id: int, state: int | None, answers: 
     except SdoAbortError:
         device = "no identity object"
     except NoResponseError:
-        device = "stopped answering"
-    except InputError:  # a foreign device whose objects have other lengths
-        device = "not understood"
+        device = "stopped responding"
+    except InputError:  # a device of another type whose objects have other lengths
+        device = "unknown object format"
     return FoundNode(node_id, state_name, device, 0, "unknown", "unknown")
 
 
@@ -87,5 +87,5 @@ def _device(identity: Identity) -> str:
 
 def _eds_match(identity: Identity) -> str:
     if identity.revision >> 16 != REVISION >> 16:
-        return f"no: revision 0x{identity.revision:08X}, ours 0x{REVISION:08X}"
+        return f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
     return "match"

@@ -1,4 +1,4 @@
-"""One fingertip node as the host uses it: who it is, its calibration, its stored parameters."""
+"""One fingertip node, seen from the host: its identity, its calibration, its stored parameters."""
 
 from __future__ import annotations
 
@@ -26,24 +26,24 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=Value)
 
-_START_AGAIN_S = 2.0  # a heartbeat with the new state comes within this time
+_START_AGAIN_S = 2.0  # time-out of a heartbeat with the new state
 
 _REFUSALS = {
     codes.DEVICE_STATE: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
-    codes.INCOMPATIBLE: "the CRC-32 of what it received is not the expected one; nothing was activated, try again",
+    codes.INCOMPATIBLE: "the CRC-32 of the received data is wrong; nothing was activated, try again",
     codes.INVALID_VALUE: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over "
     "contact-on, a noise covariance with a negative variance or a correlation over 1",
-    codes.TOO_HIGH: "the condition number of C is over the limit 2105h:1",
+    codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1",
 }
 
 
 def _silent(_step: str) -> None:
-    """Report nowhere."""
+    """Ignore a progress message."""
 
 
 @dataclass(frozen=True, slots=True)
 class Identity:
-    """Object 1018h, and what the product code says."""
+    """Object 1018h and the information in the product code."""
 
     vendor: int
     product: int
@@ -68,21 +68,21 @@ class Identity:
 
 @dataclass(frozen=True, slots=True)
 class Tare:
-    """What a node takes off its force (2111h): F1, F2, F3 in newtons, and for how long it has done so."""
+    """The tare of a node (2111h): F1, F2, F3 in newtons subtracted from its force, and its age."""
 
     force_newtons: tuple[float, float, float]
     age_s: int
 
 
 class FingertipClient:
-    """The host's handle on one node. Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does."""
+    """Access to one node. Every method raises NoResponseError and SdoAbortError as ``SdoChannel`` does."""
 
     def __init__(self, sdo: SdoChannel) -> None:
         self.sdo = sdo
         self.node_id = sdo.node_id
 
     def identity(self) -> Identity:
-        """Who the node says it is."""
+        """Return the identity of the node."""
         return Identity(
             self.sdo.read(od.IDENTITY_VENDOR),
             self.sdo.read(od.IDENTITY_PRODUCT),
@@ -91,7 +91,7 @@ class FingertipClient:
         )
 
     def calibration(self) -> Calibration | None:
-        """The active calibration, read back over SDO; None on a node that has none."""
+        """Return the active calibration, read back over SDO; None if the node has none."""
         if not self.sdo.read(od.CALIBRATION_ACTIVE_CRC):
             return None
         return Calibration.from_record(self.sdo.read(od.CALIBRATION_ACTIVE_RECORD))
@@ -101,8 +101,8 @@ class FingertipClient:
     ) -> int:
         """Stage, commit, read back and compare, store; returns the generation (2103h:4).
 
-        Raises RefusedError when the node refuses the commit (what was active stays active) or when what it holds
-        afterwards is not what was sent, InputError when the number of gauges is another.
+        Raises RefusedError if the node rejects the commit (the active calibration stays active) or if its content
+        differs from the record that was sent, InputError if the number of gauges differs.
         """
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:
@@ -125,7 +125,7 @@ class FingertipClient:
         return generation
 
     def verify_calibration(self, calibration: Calibration) -> list[str]:
-        """What differs between a calibration and the node's active one, one line a field; empty when all is equal."""
+        """Return the differences between a calibration and the node's active one, a line per field; empty if equal."""
         found = self.sdo.read(od.CALIBRATION_ACTIVE_RECORD)
         active_crc, expected = self.sdo.read(od.CALIBRATION_ACTIVE_CRC), calibration.crc32()
         if not active_crc:
@@ -138,7 +138,7 @@ class FingertipClient:
     def store(self, calibration: bool = False) -> None:
         """Store all parameters (1010h:1), or the calibration alone (1010h:4).
 
-        Raises SdoAbortError; where the node has no store that works, the text says what to do.
+        Raises SdoAbortError; for a node without a working store the text says what to do.
         """
         try:
             self.sdo.write(od.STORE[4 if calibration else 1], codes.SIGNATURE_SAVE)
@@ -146,20 +146,20 @@ class FingertipClient:
             if error.code != codes.HARDWARE:
                 raise
             raise SdoAbortError(
-                f"{error}: the node has nowhere to store, or its store fails; what was written works until its next "
+                f"{error}: the node has no store, or its store fails; the values are active until its next "
                 "reset (`tipforce node` stores with --store FILE)", error.code,
             ) from None  # fmt: skip
 
     def tare(self) -> None:
-        """Take the force of the latest sample as zero (6139h); SdoAbortError when there is no force to take."""
+        """Take the force of the latest sample as zero (6139h); SdoAbortError if there is no force."""
         self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
 
     def clear_tare(self) -> None:
-        """End the tare (2130h)."""
+        """Clear the tare (2130h)."""
         self.sdo.write(od.COMMAND, table.COMMAND_CLEAR_TARE)
 
     def tare_state(self) -> Tare:
-        """What is taken off now."""
+        """Return the active tare."""
         read = self.sdo.read
         return Tare((read(od.TARE_F1), read(od.TARE_F2), read(od.TARE_F3)), read(od.TARE_AGE_S))
 
@@ -170,18 +170,18 @@ class FingertipClient:
             reason = _REFUSALS.get(error.code)
             if reason is None:
                 raise
-            raise RefusedError(f"node {self.node_id} refused the calibration (0x{error.code:08X}): {reason}") from None
+            raise RefusedError(f"node {self.node_id} rejected the calibration (0x{error.code:08X}): {reason}") from None
 
     def _compare(self, record: bytes) -> None:
         lines = difference(record, self.sdo.read(od.CALIBRATION_ACTIVE_RECORD))
         if lines:
             raise RefusedError(
-                f"node {self.node_id}: the active calibration is not what was sent: " + "; ".join(lines[:3])
+                f"node {self.node_id}: the active calibration differs from the one sent: " + "; ".join(lines[:3])
             )
 
 
 class Finger(FingertipClient):
-    """One finger: its samples, its objects (``sdo``), its calibration. Made by ``Bus.finger``."""
+    """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``."""
 
     def __init__(
         self, connection: Connection, sdo: SdoChannel, *, passive: bool = False, default_gauges: int = 3
@@ -194,10 +194,10 @@ class Finger(FingertipClient):
         self._started_s = -math.inf
 
     def read(self, timeout_s: float = 1.0) -> Contact:
-        """The newest sample that was not read yet, or the next one, as soon as it comes.
+        """Return the newest sample that was not read yet, or the next one, as soon as it arrives.
 
-        Where nobody sends SYNCs, one is sent for it. Raises NoNewSampleError where none comes within ``timeout_s`` (0:
-        none is there), NoResponseError and SdoAbortError when the finger does not answer, and InputError for a finger
+        If no node sends SYNCs, this method sends one. Raises NoNewSampleError if none arrives within ``timeout_s`` (0:
+        there is none), NoResponseError and SdoAbortError if the finger does not respond, and InputError for a finger
         that sends no PDO with its contact, its force or all its gauges.
         """
         from tipforce.host.network.finger_samples import DEFAULT_RATE_HZ
@@ -206,10 +206,10 @@ class Finger(FingertipClient):
         return self._opened().newest(time.monotonic() + timeout_s, period_s)
 
     def samples(self, timeout_s: float = 1.0, rate_hz: float = 100.0) -> ContactStream:
-        """Each new sample as it comes, for ``for`` and ``async for``.
+        """Yield each new sample as it arrives, for ``for`` and ``async for``.
 
-        Where nobody sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError where none comes
-        for ``timeout_s``.
+        If no node sends SYNCs, they are sent at ``rate_hz``. Raises as ``read``; NoNewSampleError after ``timeout_s``
+        without a sample.
         """
         from tipforce.host.network.finger_samples import ContactStream
 
@@ -218,7 +218,7 @@ class Finger(FingertipClient):
         return ContactStream(self._opened(), timeout_s, None if self.passive else 1.0 / rate_hz)
 
     def close(self) -> None:
-        """Stop listening to its PDOs. ``Bus.close`` does it, too."""
+        """Stop receiving its PDOs. ``Bus.close`` also does it."""
         with self._lock:
             if self._reader is not None:
                 self._reader.close()

@@ -1,4 +1,4 @@
-"""The samples of one finger as they come: PDOs of one SYNC joined, repeats left out, own SYNCs where there are none."""
+"""Samples of one finger as they arrive: PDOs of one SYNC joined, repeats dropped, own SYNCs if no node sends them."""
 
 from __future__ import annotations
 
@@ -26,20 +26,20 @@ if TYPE_CHECKING:
     from tipforce.host.network.connection import Connection
 
 DEFAULT_RATE_HZ = 100.0
-_LISTEN_S = 0.12  # for another producer's SYNC before the first own one
-_FRESH_S = 0.1  # an unread sample that is older counts as old, unless SYNCs come more rarely
+_LISTEN_S = 0.12  # wait for another producer's SYNC before the first own one
+_FRESH_S = 0.1  # an older unread sample is stale, unless the SYNC period is longer
 _MOST_WAITING = 10_000
-_STEP_S = 0.2  # the longest wait for a frame: how soon a close() is seen
+_STEP_S = 0.2  # the longest wait for a frame: the delay until a close() is noticed
 _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
 
-Raw = tuple[float, Message, bytes]  # time of reception, which PDO, its data
+Raw = tuple[float, Message, bytes]  # receive time, PDO, its data
 
 
 class ContactReader:
-    """Subscribes to the PDOs of one finger and makes a Contact of each new sample.
+    """Subscribe to the PDOs of one finger and convert each new sample to a Contact.
 
-    ``calibration`` gives the uncertainties. Raises InputError for a finger whose PDOs carry no contact, no force and
-    not all gauges, each with status and counter.
+    ``calibration`` is used for the uncertainties. Raises InputError for a finger whose PDOs carry no contact, no force
+    and not all gauges, each with status and counter.
     """
 
     def __init__(
@@ -64,15 +64,15 @@ class ContactReader:
             connection.network.subscribe(can_id, self._on_frame)
 
     def close(self) -> None:
-        """Stop listening."""
+        """Stop receiving."""
         for can_id in self._pdos:
             with suppress(KeyError, ValueError):
                 self._connection.network.unsubscribe(can_id, self._on_frame)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
-        """The next new sample. ``period_s``: of own SYNCs where nobody else sends them; None: send none.
+        """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none.
 
-        Raises NoNewSampleError at ``deadline_s`` (monotonic); its text says why.
+        Raises NoNewSampleError at ``deadline_s`` (monotonic); its text gives the reason.
         """
         while True:
             contact = self._take()
@@ -92,7 +92,7 @@ class ContactReader:
                     self._arrived.wait(min(deadline_s, due_s, now_s + _STEP_S) - now_s)
 
     def newest(self, deadline_s: float, period_s: float | None) -> Contact:
-        """The newest sample that was not given out yet, if it is fresh; else the next one. Raises as ``next``."""
+        """Return the newest sample that was not returned yet, if it is fresh; else the next one. Raises as ``next``."""
         found = None
         while (contact := self._take()) is not None:
             found = contact
@@ -101,7 +101,7 @@ class ContactReader:
         return self.next(deadline_s, period_s)
 
     def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
-        """Called by the receiving thread."""
+        """Store a frame; called by the receiving thread."""
         with self._arrived:
             self._waiting.append((t_s or time.time(), self._pdos[can_id], bytes(data)))
             self._arrived.notify_all()
@@ -121,7 +121,7 @@ class ContactReader:
         return None
 
     def _joined(self, t_s: float) -> Contact | None:
-        """The sample that is whole with this PDO; None where a PDO of it is missing, or where it is a repeat."""
+        """Return the sample that this PDO completes; None if a PDO of it is missing, or if it is a repeat."""
         counter = self._last[self._needed[-1]]["counter"]
         same = [values for values in self._last.values() if values.get("counter") == counter]
         if any(self._last.get(name, {}).get("counter") != counter for name in self._needed):
@@ -145,7 +145,7 @@ class ContactReader:
     def _why(self) -> str:
         if Status.STALE in self._last_status and self._repeated:
             return (
-                f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}, its converter gives nothing new"
+                f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}: its converter has no new one"
             )
         if self._received:
             return ""
@@ -155,42 +155,42 @@ class ContactReader:
         if state not in (None, OPERATIONAL):
             return f": it is not operational (NMT); start it: bus.nmt('start', {self._node_id})"
         identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._pdos)
-        return f": nothing came with identifier {identifiers}; does a SYNC reach it?"
+        return f": no frame with identifier {identifiers}; check that it receives a SYNC"
 
 
 class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
-    """New samples of one finger, one after the other: for ``for`` and for ``async for``. It ends only by an error."""
+    """New samples of one finger in order: for ``for`` and for ``async for``. Only an error ends the iteration."""
 
     def __init__(self, reader: ContactReader, timeout_s: float, period_s: float | None) -> None:
         self._reader, self._timeout_s, self._period_s = reader, timeout_s, period_s
 
     def __next__(self) -> Contact:
-        """The next sample. Raises NoNewSampleError where none comes in time."""
+        """Return the next sample. Raises NoNewSampleError if none arrives in time."""
         return self._reader.next(time.monotonic() + self._timeout_s, self._period_s)
 
     def __aiter__(self) -> ContactStream:
         return self
 
     async def __anext__(self) -> Contact:
-        """The next sample; the event loop runs meanwhile."""
+        """Return the next sample; the event loop runs meanwhile."""
         return await asyncio.to_thread(self.__next__)
 
 
 def open_reader(connection: Connection, node_id: int, calibration: Calibration | None) -> ContactReader:
-    """A reader of a node whose PDOs are asked for over SDO. Raises as SdoChannel does, and InputError."""
+    """Return a reader of a node whose PDOs are read over SDO. Raises as SdoChannel does, and InputError."""
     layout = node_layout(connection.sdo(node_id))
     pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
     return ContactReader(connection, node_id, layout.gauges, pdos, calibration)
 
 
 def passive_reader(connection: Connection, node_id: int, gauges: int) -> ContactReader:
-    """A reader of the default PDOs of a node with ``gauges`` gauges; nothing is sent."""
+    """Return a reader of the default PDOs of a node with ``gauges`` gauges; it sends nothing."""
     pdos = {one.cob_id_base + node_id: one for one in tpdo_messages(gauges) if one.cob_id_base}
     return ContactReader(connection, node_id, gauges, pdos, None)
 
 
 def _needed(node_id: int, gauges: int, pdos: dict[int, Message]) -> list[str]:
-    """The PDOs that make a sample, in the order in which a node sends them: contact, else force, else all gauges."""
+    """Return the PDOs of a sample in the order in which a node sends them: contact, else force, else all gauges."""
     carried = {message.name: {signal.name for signal in message.signals} for message in pdos.values()}
     counted = {name: signals for name, signals in carried.items() if {"counter", "calibrated"} <= signals}
     for wanted in _SETS:

@@ -1,4 +1,4 @@
-"""The NMT state of every node, as its heartbeats tell it (CiA 301, 7.2.8.3.2)."""
+"""NMT state of every node from its heartbeats (CiA 301, 7.2.8.3.2)."""
 
 from __future__ import annotations
 
@@ -14,14 +14,14 @@ _AFTER_ERROR_S = 0.05
 
 
 class Heartbeats(can.Listener):
-    """Keeps each node's last heartbeat; any number of threads may wait for one."""
+    """Store each node's last heartbeat; any number of threads may wait for one."""
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[float, int]] = {}
         self._arrived = threading.Condition()
 
     def on_message_received(self, msg: can.Message) -> None:
-        """Called by the Notifier's thread."""
+        """Store a heartbeat; called by the Notifier's thread."""
         if not 0 < msg.arbitration_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
             return
         if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
@@ -31,23 +31,23 @@ class Heartbeats(can.Listener):
             self._arrived.notify_all()
 
     def on_error(self, exc: Exception) -> None:
-        """Called by the Notifier when the bus fails: it keeps the error for those who wait, and goes on listening.
+        """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
 
-        Without this its thread would end with a traceback. A bus that fails at once again must not keep a core busy.
+        Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy.
         """
         del exc
         time.sleep(_AFTER_ERROR_S)
 
     def stop(self) -> None:
-        """Called by the Notifier when it ends."""
+        """Do nothing; called by the Notifier at its end."""
 
     def state(self, node_id: int) -> int | None:
-        """NMT state of the last heartbeat, None for a node that was never heard."""
+        """Return the NMT state of the last heartbeat, None for a node without one."""
         with self._arrived:
             return self._last[node_id][1] if node_id in self._last else None
 
     def wait(self, node_id: int, states: Collection[int], since_s: float, timeout_s: float) -> bool:
-        """Wait for a heartbeat with one of ``states`` that came after ``since_s`` (monotonic); False if none does."""
+        """Wait for a heartbeat with one of ``states`` after ``since_s`` (monotonic); return False if there is none."""
         deadline_s = time.monotonic() + timeout_s
         with self._arrived:
             while True:

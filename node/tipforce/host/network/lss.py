@@ -1,4 +1,4 @@
-"""LSS master (CiA 305): find nodes that have no node-id, give them one, store it.
+"""LSS master (CiA 305): find nodes without a node-id, assign one, store it.
 
 The ``canopen`` package has a master too; it sleeps 0.2 s in each part of an identity and waits half a second for each
 bit of a fastscan, so that a hand of five fingers would take a minute to number.
@@ -17,15 +17,15 @@ from tipforce.errors import InputError, NoResponseError, RefusedError
 from tipforce.host.network.connection import Connection
 
 DEFAULT_TIMEOUT_S = 0.1
-STORE_TIMEOUT_S = 2.0  # a node answers when its memory is written
+STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
 PARTS = ("vendor", "product", "revision", "serial")
 
-_STORE_ERRORS = {1: "it has no memory for it", 2: "its memory failed"}
+_STORE_ERRORS = {1: "it has no memory for node-id and bit rate", 2: "its memory failed"}
 
 
 @dataclass(frozen=True, slots=True)
 class LssAddress:
-    """The four numbers of 1018h by which LSS tells devices apart (CiA 305, 5.2)."""
+    """The four numbers of 1018h that identify a device in LSS (CiA 305, 5.2)."""
 
     vendor: int
     product: int
@@ -38,7 +38,7 @@ class LssAddress:
 
 
 class LssMaster:
-    """The one LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
+    """LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
 
     def __init__(self, connection: Connection, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         self._connection = connection
@@ -56,18 +56,18 @@ class LssMaster:
         self._connection.network.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def release(self) -> None:
-        """All nodes to the waiting state; one that was given its first node-id boots with it now (CiA 305, 6.3.2)."""
+        """Set all nodes to the waiting state; one with its first node-id boots with it now (CiA 305, 6.3.2)."""
         self._send(codes.LSS_SWITCH_GLOBAL, b"\x00")
 
     def any_unconfigured(self) -> bool:
-        """Whether a node without a node-id answers."""
+        """Return whether a node without a node-id responds."""
         return self._ask(codes.LSS_IDENTIFY_UNCONFIGURED, b"", codes.LSS_UNCONFIGURED_RESPONSE) is not None
 
     def fastscan(self, known: Sequence[int] = ()) -> LssAddress | None:
-        """Find one node without a node-id, and leave it in the configuration state; None when there is none.
+        """Find one node without a node-id, and leave it in the configuration state; None if there is none.
 
-        ``known`` begins the address, as far as it is known (vendor, product, ...): a question for each part instead
-        of one for each bit. A node that has a node-id takes no part (CiA 305, 6.7).
+        ``known`` starts the address, as far as it is known (vendor, product, ...): one request for each part instead
+        of one for each bit. A node that has a node-id does not respond (CiA 305, 6.7).
         """
         if not self._matches(0, codes.LSS_START_FASTSCAN, 0, 0):
             return None
@@ -85,25 +85,25 @@ class LssMaster:
         return LssAddress(*parts)
 
     def select(self, address: LssAddress) -> bool:
-        """Bring the one node with this address to the configuration state, node-id or not; False if none answers."""
+        """Set the node with this address to the configuration state, node-id or not; False without a response."""
         for k, part in enumerate(PARTS[:3]):
             self._send(codes.LSS_SELECT_FIRST + k, struct.pack("<I", getattr(address, part)))
         return self._ask(codes.LSS_SELECT_LAST, struct.pack("<I", address.serial), codes.LSS_SELECTED) is not None
 
     def node_id(self) -> int:
-        """The node-id of the selected node; 255 for none. Raises NoResponseError."""
+        """Return the node-id of the selected node; 255 for none. Raises NoResponseError."""
         return self._required(codes.LSS_INQUIRE_NODE_ID, b"", "its node-id", self._timeout_s)[1]
 
     def configure_node_id(self, node_id: int) -> None:
-        """Give the selected node an id, which holds from its next reset. Raises NoResponseError, RefusedError."""
+        """Assign a node-id, valid from the next reset, to the selected node. Raises NoResponseError, RefusedError."""
         if not 1 <= node_id <= 127:
             raise InputError(f"node-id {node_id}: allowed are 1 to 127")
         answer = self._required(codes.LSS_NODE_ID, bytes((node_id,)), f"node-id {node_id}", self._timeout_s)
         if answer[1]:
-            raise RefusedError(f"LSS: the node refused node-id {node_id} (error {answer[1]})")
+            raise RefusedError(f"LSS: the node rejected node-id {node_id} (error {answer[1]})")
 
     def store(self) -> None:
-        """Have the selected node keep node-id and bit rate over a power cycle. Raises NoResponseError, RefusedError."""
+        """Let the selected node store node-id and bit rate. Raises NoResponseError, RefusedError."""
         answer = self._required(codes.LSS_STORE, b"", "storing", STORE_TIMEOUT_S)
         if answer[1]:
             raise RefusedError(f"LSS: the node did not store: {_STORE_ERRORS.get(answer[1], f'error {answer[1]}')}")
@@ -115,7 +115,7 @@ class LssMaster:
     def _required(self, service: int, payload: bytes, what: str, timeout_s: float) -> bytes:
         answer = self._ask(service, payload, service, timeout_s)
         if answer is None:
-            raise NoResponseError(f"LSS: no node answered about {what} within {timeout_s:g} s")
+            raise NoResponseError(f"LSS: no response to {what} within {timeout_s:g} s")
         return answer
 
     def _ask(self, service: int, payload: bytes, expected: int, timeout_s: float | None = None) -> bytes | None:

@@ -1,4 +1,4 @@
-"""NMT commands whose effect is awaited: each node's heartbeat says what it became (CiA 301, 7.3.2.2)."""
+"""Send NMT commands and wait for their effect in the heartbeats (CiA 301, 7.3.2.2)."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _AGAIN_S = 0.5
 
 
 class NotReachedError(NoResponseError):
-    """Some nodes did not say that they reached the state; ``reached`` has what the others said, by node-id."""
+    """Some nodes did not report the state; ``reached`` has the states of the others, by node-id."""
 
     def __init__(self, message: str, reached: dict[int, str]) -> None:
         super().__init__(message)
@@ -34,7 +34,7 @@ class NotReachedError(NoResponseError):
 def command_and_wait(
     connection: Connection, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
-    """Send an NMT command to each node and wait until its heartbeat says so; the state that each reported.
+    """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
 
     NMT is not confirmed: a command other than a reset is repeated until the heartbeat reports the state, so a node may
     boot meanwhile. Raises InputError for an unknown command, and NotReachedError naming the nodes whose heartbeat did
@@ -58,8 +58,8 @@ def command_and_wait(
     missing = [f"{node_id} ({_last(connection, node_id)})" for node_id in waiting]
     if missing:
         raise NotReachedError(
-            f"nmt {command}: no heartbeat that says so within {timeout_s:g} s from node {', '.join(missing)}; "
-            "is its heartbeat (1017h) on and faster than this?",
+            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(missing)}; "
+            "check that its heartbeat (1017h) is on and faster than this",
             found,
         )
     return found
@@ -67,4 +67,4 @@ def command_and_wait(
 
 def _last(connection: Connection, node_id: int) -> str:
     state = connection.heartbeats.state(node_id)
-    return "silent" if state is None else f"last said {NMT_STATES.get(state, f'state {state}')}"
+    return "silent" if state is None else f"last reported {NMT_STATES.get(state, f'state {state}')}"

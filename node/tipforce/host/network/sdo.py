@@ -1,6 +1,6 @@
-"""The one SDO path of the host: thread-safe, with time-outs and retries that the caller sets, and errors that explain.
+"""The SDO client of the host: thread-safe, with time-outs and retries set by the caller, and explicit errors.
 
-The ``canopen`` package's client does the transfer; it is not thread-safe and gives up after one try, so both are added.
+The ``canopen`` package's client does the transfer; it is not thread-safe and does not retry, so both are added.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ R = TypeVar("R")
 DEFAULT_TIMEOUT_S = 0.5
 DEFAULT_RETRIES = 2
 _TIMED_OUT = "No SDO response"
-"""How canopen's error for a silent node begins."""
+"""Start of canopen's error text for a silent node."""
 
 
 class SdoChannel:
     """SDO transfers with one node; any number of threads may use it.
 
-    ``timeout_s`` bounds the wait for each answer, ``retries`` is how often a transfer is begun again after the
-    first try went unanswered. An abort by the node is an answer: it is never retried.
+    ``timeout_s`` bounds the wait for each response, ``retries`` is the number of further attempts after an attempt
+    without a response. An abort by the node is a response: it is never retried.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SdoChannel:
         self.node_id = node_id
         self.retries = retries
         self._lock = threading.Lock()
-        # An empty dictionary: with one, the client would cut answers to the length it expects.
+        # An empty dictionary: with one, the client would cut responses to the length that it expects.
         request, response = codes.SDO_REQUEST_BASE + node_id, codes.SDO_RESPONSE_BASE + node_id
         self._client = SdoClient(request, response, canopen.ObjectDictionary())
         self._client.RESPONSE_TIMEOUT = timeout_s
@@ -59,17 +59,17 @@ class SdoChannel:
         network.subscribe(response, self._client.on_response)
 
     def close(self) -> None:
-        """Stop listening to the node's answers."""
+        """Stop listening to the node's responses."""
         with suppress(KeyError, ValueError):
             self._network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._client.on_response)
 
     @property
     def timeout_s(self) -> float:
-        """The wait for each answer in seconds."""
+        """The time-out of each response in seconds."""
         return self._client.RESPONSE_TIMEOUT
 
     def read(self, entry: Entry[T]) -> T:
-        """The value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
+        """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
         return entry.decode(self.upload(entry.index, entry.sub))
 
     def write(self, entry: Entry[T], value: T) -> None:
@@ -77,9 +77,9 @@ class SdoChannel:
         self.download(entry.index, entry.sub, entry.encode(value))
 
     def __getitem__(self, name: str) -> Value:
-        """The value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
+        """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
 
-        Raises as ``read``, and InputError with the nearest names for one that the dictionary does not have.
+        Raises as ``read``, and InputError with the nearest names for a name that is not in the dictionary.
         """
         return self.read(self._entry(name))
 
@@ -96,7 +96,7 @@ class SdoChannel:
         return resolve(name, self._gauges)
 
     def upload(self, index: int, sub: int) -> bytes:
-        """The bytes of an entry (an SDO upload)."""
+        """Return the bytes of an entry (an SDO upload)."""
         return self._try(lambda: bytes(self._client.upload(index, sub)), f"read of 0x{index:04X}:{sub:02X}")
 
     def download(self, index: int, sub: int, data: bytes) -> None:
@@ -104,10 +104,10 @@ class SdoChannel:
         self._try(lambda: self._download(index, sub, data), f"write of 0x{index:04X}:{sub:02X}")
 
     def _download(self, index: int, sub: int, data: bytes) -> None:
-        """Expedited for one to four bytes, otherwise segmented (CiA 301, 7.2.4.3.3 and 7.2.4.3.4).
+        """Download expedited for one to four bytes, otherwise segmented (CiA 301, 7.2.4.3.3 and 7.2.4.3.4).
 
-        canopen's own is a stream: after a failure its close() or its finalizer, in whatever thread, sends one segment
-        more, which the node answers with an abort that ends the retry.
+        canopen's own is a stream: after a failure its close() or its finalizer, in any thread, sends one more segment,
+        which the node aborts; that abort ends the retry.
         """
         place = struct.pack("<HB", index, sub)
         if 1 <= len(data) <= 4:
@@ -137,25 +137,25 @@ class SdoChannel:
                 except SdoAbortedError as error:
                     raise SdoAbortError(f"{place}: {_meaning(error)}", error.code) from None
                 except (SdoCommunicationError, struct.error) as error:
-                    # canopen unpacks what comes as if it had eight bytes: a shorter frame is a struct.error.
+                    # canopen unpacks a response as eight bytes: a shorter frame is a struct.error.
                     wrong = "" if str(error).startswith(_TIMED_OUT) else str(error)
                     if attempt == self.retries:
                         break
-                except (can.CanError, RuntimeError) as error:  # canopen says so of a closed bus
+                except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
                     raise EnvironmentLackError(f"{place}: the bus refused the frame: {error}") from None
         notifier = self._network.notifier
         if notifier is not None and notifier.exception is not None:
-            # python-can's receiving thread ends at a bus error; from then on nothing would ever be heard.
+            # python-can's receiving thread ends at a bus error; from then on no frame would be received.
             raise EnvironmentLackError(f"{place}: the bus failed: {notifier.exception}; open it again")
         tries = f"{self.retries + 1} tries" if self.retries else "1 try"
         if wrong:
             raise NoResponseError(
-                f"{place}: no right response in {tries}, the last: {wrong}; does another SDO client talk to this node, "
-                "or do two nodes have its node-id?"
+                f"{place}: no valid response in {tries}, the last: {wrong}; check for another SDO client of this node "
+                "and for another node with its node-id"
             )
         raise NoResponseError(
             f"{place}: no response after {tries} of {self.timeout_s:g} s; "
-            "is the node powered, on this bus, at this bit rate, and is its node-id right? `tipforce scan` lists nodes"
+            "check its power, bus, bit rate and node-id; `tipforce scan` lists nodes"
         )
 
 
