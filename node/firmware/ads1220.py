@@ -14,19 +14,19 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class Spi(Protocol):
-        """What is used of ``machine.SPI``."""
+        """The used part of ``machine.SPI``."""
 
         def write(self, data: bytes) -> None:
-            """Send, ignore what comes back."""
+            """Send, and ignore the received data."""
 
         def readinto(self, buffer: bytearray, write: int = 0) -> None:
             """Receive while sending ``write``."""
 
     class Pin(Protocol):
-        """What is used of ``machine.Pin``."""
+        """The used part of ``machine.Pin``."""
 
         def value(self, level: int = ...) -> int:
-            """Read the pin, or set it."""
+            """Read or set the pin."""
 
 
 RESET, START, RREG_ALL, WREG_ALL, WREG_0, WREG_1 = 0x06, 0x08, 0x23, 0x43, 0x40, 0x44
@@ -41,7 +41,7 @@ UNKNOWN_TEMPERATURE = -0x8000
 SUPPLY = 1 << 11  # of 2124h
 
 RETRY_US = 20000
-RESET_US = 1000  # 50 us and 32 clocks at least
+RESET_US = 1000  # at least 50 us and 32 clocks
 OFFSET_READINGS = 8
 TEMPERATURE_EVERY_US = 10000000
 CONVERSIONS_LOST = 4
@@ -52,9 +52,9 @@ _RESET, _CONFIGURE, _OFFSET, _RUN = 0, 1, 2, 3
 class Ads1220:
     """One chip: ``spi`` at up to 5 MHz in mode 1, ``cs`` and ``drdy`` pins.
 
-    ``reference`` is "ref0" for a bridge fed from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal". The
-    offset is measured at the start with the inputs shorted, and taken off. The chip's temperature is read every ten
-    seconds, at the cost of one conversion. Raises ValueError for a setting that the chip has not.
+    ``reference`` is "ref0" for a bridge supplied from REFP0 and REFN0 (ratiometric), "ref1", "supply" or "internal".
+    The offset is measured at the start with shorted inputs, and subtracted. The chip's temperature is read every ten
+    seconds, at the cost of one conversion. Raises ValueError for a setting that the chip does not have.
     """
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
@@ -84,12 +84,12 @@ class Ads1220:
         self._three, self._four = bytearray(3), bytearray(4)
         self._counts = [0] * channels
         self._channel = self._left = self._sum = 0
-        self._warming = False  # the conversion under way is one of the temperature
+        self._warming = False  # the current conversion measures the temperature
         self._temperature_us = 0
         self._state, self._next_us, self._deadline_us = _RESET, 0, 0
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """One small step of whatever comes next; the counts of all channels when the last of them is there."""
+        """Run one small step; return the counts of all channels after the last of them."""
         if now_us < self._next_us:
             return None
         if self._state == _RESET:
@@ -114,7 +114,7 @@ class Ads1220:
         self._spi.readinto(self._four)
         self._cs.value(1)
         if bytes(self._four) != wanted:
-            self.faults |= SUPPLY  # nobody is there, or not with its supply
+            self.faults |= SUPPLY  # the chip is missing, or without its supply
             self._again(now_us)
             return
         self._command(bytes((START,)))
@@ -141,7 +141,7 @@ class Ads1220:
             self._warming = False
             self._command(bytes((WREG_1, self._reg1)))
             return None
-        # The end of the range stays one: an offset taken off would hide that the gauge is saturated.
+        # A count at the end of the range is not corrected: subtracting the offset would hide the saturation.
         inside = self.count_min < raw < self.count_max
         self._counts[self._channel] = raw - self.offset if inside else raw
         return self._next_channel(now_us)

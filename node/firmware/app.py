@@ -1,4 +1,4 @@
-"""The node on a board: one loop that looks after gauges, bus and device, and never waits for any of them."""
+"""The node on a board: one loop over gauges, bus and device that never waits for any of them."""
 
 import time
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
     from .source import Gauges
 
 LONGEST_WAIT_US = 100000
-POLL_US = 500  # the longest sleep: gauges and receive buffers are looked after so often
+POLL_US = 500  # the longest sleep: the interval at which gauges and receive buffers are polled
 
 
 class Clock:
-    """Microseconds since power-on that never wrap, from ``ticks`` that does; ``now`` at least once a period of it."""
+    """Microseconds since power-on that never wrap, from ``ticks`` that does; ``now`` is needed once a period of it."""
 
     def __init__(
         self, ticks: "Callable[[], int] | None" = None, diff: "Callable[[int, int], int] | None" = None, now_us: int = 0
@@ -29,7 +29,7 @@ class Clock:
         self._last = self._ticks()
 
     def now(self) -> int:
-        """The time."""
+        """Return the time in microseconds."""
         ticks = self._ticks()
         self._now_us += self._diff(ticks, self._last)
         self._last = ticks
@@ -37,14 +37,14 @@ class Clock:
 
 
 class Firmware:
-    """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power goes."""
+    """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power-off."""
 
     def __init__(
         self, node_id: int, gauges: "Gauges", port: "CanPort", store: "FlashStore", serial: int, clock: Clock
     ) -> None:
         self.gauges, self.port, self._clock = gauges, port, clock
         self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load)
-        # What LSS stored holds from power-on (CiA 305); until then what the board began with.
+        # The bit rate stored by LSS applies from power-on (CiA 305); without one, that of the board.
         self.device.lss.bit_rate = port.bit_rate
         self.device.lss.restore(self.device.storage.read_blob(lss.GROUP))
         if self.device.lss.bit_rate != port.bit_rate:
@@ -53,7 +53,7 @@ class Firmware:
         self._bit_rate_at_us, self._bit_rate = -1, 0
 
     def poll(self) -> int:
-        """Once around; how many microseconds until the node itself has something to do."""
+        """Run the loop once; return the microseconds until the node is due."""
         now_us = self._clock.now()
         self._switch(now_us)
         self.gauges.poll(now_us)
@@ -67,7 +67,7 @@ class Firmware:
         return max(0, min(due_us - now_us, LONGEST_WAIT_US))
 
     def run(self, sleep_us: "Callable[[int], None] | None" = None, feed: "Callable[[], None]" = lambda: None) -> None:
-        """Be a node until power goes. ``feed`` is the watchdog's."""
+        """Run the node until power-off. ``feed`` resets the watchdog."""
         sleep_us = sleep_us or time.sleep_us  # type: ignore[attr-defined]
         while True:
             wait_us = self.poll()
@@ -79,7 +79,7 @@ class Firmware:
         if what == "bus-restart":
             self.port.restart()
         elif what == "bit-rate":
-            # CiA 305, 6.4.4: nobody sends for the delay before the switch and for the delay after it.
+            # CiA 305, 6.4.4: no node sends during the delay before the switch and the delay after it.
             self._bit_rate, self._bit_rate_at_us = value, now_us + 1000 * delay_ms
             self._mute_until_us = now_us + 2000 * delay_ms
 

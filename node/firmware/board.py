@@ -1,7 +1,7 @@
-"""All that belongs to one board: change this file, and none of the others.
+"""Settings of one board: change this file, and none of the others.
 
-As it stands: an ESP32 with two NAU7802 (three gauges, the first chip with two of them) and an MCP2515; where the
-microcontroller has a controller of its own, ``can_number`` names it and the MCP2515's pins are not used.
+The example is an ESP32 with two NAU7802 (three gauges, two of them on the first chip) and an MCP2515; if the
+microcontroller has its own controller, ``can_number`` selects it and the MCP2515's pins are not used.
 """
 
 NODE_ID = 5  # 1 to 127; 255 waits for LSS
@@ -10,8 +10,8 @@ BIT_RATE = 1000000
 CAN_NUMBER = 1  # main.py: of machine.CAN or pyb.CAN
 MCP2515_SPI, MCP2515_CS, MCP2515_HZ = 1, 5, 16000000  # main_mcp2515.py: SPI bus, pin, crystal
 
-# Counts of the converter per microstrain: gauge factor 2, quarter bridge, gain 128 and a ratiometric reference give
-# 2 * 0.25e-6 * 128 * 2**24 = 1073.7 with the range of +-0.5 AVDD / gain. A calibration on the node replaces it.
+# Counts of the converter per microstrain: gauge factor 2, quarter bridge, gain 128 and a ratiometric reference with
+# the range of +-0.5 AVDD / gain give 2 * 0.25e-6 * 128 * 2**24 = 1073.7. A calibration on the node replaces it.
 COUNTS_PER_MICROSTRAIN = 1073.741824
 
 FOLDER = "/tip"  # for the two slots
@@ -19,7 +19,7 @@ WATCHDOG_MS = 2000  # 0: none
 
 
 def chips():  # type: ignore[no-untyped-def]
-    """The converters, in the order of the gauges."""
+    """Return the converters, in the order of the gauges."""
     from machine import I2C, Pin
 
     from .nau7802 import Nau7802
@@ -30,7 +30,7 @@ def chips():  # type: ignore[no-untyped-def]
 
 
 def serial() -> int:
-    """Object 1018h:4, from the microcontroller's own number."""
+    """Return 1018h:4, from the microcontroller's unique number."""
     import binascii
 
     import machine

@@ -1,4 +1,4 @@
-"""A controller inside the microcontroller by ``machine.CAN``, which MicroPython has after 1.27."""
+"""CAN driver for ``machine.CAN``, which MicroPython has after 1.27, for a controller inside the microcontroller."""
 
 from tipforce.device import codes
 
@@ -35,7 +35,7 @@ class MachineCan(CanPort):
             if errors & self._can.RECV_ERR_OVERRUN:
                 self.overrun()
             if flags & self._can.FLAG_EXT_ID:
-                continue  # this node has no 29-bit identifier
+                continue  # this node has no 29-bit identifiers
             if flags & self._can.FLAG_RTR:
                 return can_id | codes.REMOTE_FLAG, b""
             return can_id, bytes(data)
@@ -43,7 +43,7 @@ class MachineCan(CanPort):
     def _put(self, can_id: int, data: bytes) -> bool:
         try:
             return self._can.send(can_id, data) is not None
-        except OSError:  # bus-off, which the state tells next
+        except OSError:  # bus-off, which the state reports next
             return False
 
     def _state(self) -> int:

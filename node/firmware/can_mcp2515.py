@@ -1,4 +1,4 @@
-"""A Microchip MCP2515 on SPI (mode 0, up to 10 MHz), for microcontrollers without a CAN controller.
+"""CAN driver for a Microchip MCP2515 on SPI (mode 0, up to 10 MHz), for microcontrollers without a CAN controller.
 
 Facts of the data sheet (DS20001801, sections 5, 10 to 12): instructions RESET C0h, READ 03h, WRITE 02h, BIT MODIFY 05h,
 READ RX BUFFER 90h and 94h (clears the buffer's flag), LOAD TX BUFFER 40h, RTS 81h, READ STATUS A0h (bit 0 RX0IF, 1
@@ -27,9 +27,9 @@ MODE_TRIES, RESET_WAIT_US = 20, 10  # 128 clocks of the oscillator after a reset
 
 
 class Mcp2515(CanPort):
-    """``oscillator_hz`` is printed on the board's crystal: 8 or 16 MHz as a rule.
+    """``oscillator_hz`` is printed on the board's crystal: usually 8 or 16 MHz.
 
-    Raises ValueError for a bit rate that the oscillator does not give, OSError when no chip answers.
+    Raises ValueError for a bit rate that the oscillator does not allow, OSError if the chip does not respond.
     """
 
     def __init__(self, spi: "Spi", cs: "Pin", bit_rate: int, oscillator_hz: int = 16000000) -> None:
@@ -50,19 +50,19 @@ class Mcp2515(CanPort):
         self._enter(NORMAL)
 
     def _enter(self, mode: int) -> None:
-        """Asked for in a few tries, because the mode changes when the bus allows it; OSError without a chip."""
+        """Switch the mode, with a few checks because it changes only when the bus allows it; OSError without a chip."""
         for _ in range(MODE_TRIES):
             self._write(bytes((MODIFY, CANCTRL, MODES, mode)))
             if self._register(CANSTAT) & MODES == mode:
                 return
-        raise OSError("MCP2515: no answer, or it does not change its mode")
+        raise OSError("MCP2515: no response, or it does not change its mode")
 
     def _next(self) -> "tuple[int, bytes] | None":
         while True:
             status = self._ask(STATUS)
             if not status & 3:
                 return None
-            # Both full: buffer 0 is the older one, because buffer 1 takes only what found it full.
+            # Both full: buffer 0 is the older one, because buffer 1 fills only while it is full.
             frame = self._fetch(READ_RX[0] if status & 1 else READ_RX[1])
             if frame is not None:
                 return frame
@@ -75,14 +75,14 @@ class Mcp2515(CanPort):
         self._cs.value(1)
         sidl = frame[1]
         if sidl & 0x08:
-            return None  # 29 bits: this node has no such identifier
+            return None  # 29 bits: this node has no such identifiers
         can_id = frame[0] << 3 | sidl >> 5
         if sidl & 0x10:  # SRR: a remote frame with a standard identifier
             return can_id | codes.REMOTE_FLAG, b""
         return can_id, bytes(frame[5 : 5 + min(frame[4] & 0x0F, 8)])
 
     def _put(self, can_id: int, data: bytes) -> bool:
-        # Of the three buffers one is used: between equal priorities the chip sends the higher number first.
+        # Only one of the three buffers is used: at equal priority the chip sends the higher number first.
         if self._ask(STATUS) & 0x04:
             return False
         self._write(bytes((LOAD_TX, can_id >> 3, (can_id & 7) << 5, 0, 0, len(data))) + data)
@@ -99,7 +99,7 @@ class Mcp2515(CanPort):
         return STATE_PASSIVE if flags & PASSIVE else STATE_WARNING if flags & WARN else STATE_ACTIVE
 
     def _restart(self) -> None:
-        """Through configuration mode, where the error counters begin anew."""
+        """Restart through configuration mode, which clears the error counters."""
         self._write(bytes((MODIFY, TXB0CTRL, TXREQ, 0)))
         self._enter(CONFIGURATION)
         self._enter(NORMAL)
@@ -127,9 +127,9 @@ class Mcp2515(CanPort):
 
 
 def bit_timing(oscillator_hz: int, bit_rate: int) -> bytes:
-    """CNF3, CNF2, CNF1 for a bit rate that is met exactly, with the sample point nearest to 80 %.
+    """Return CNF3, CNF2, CNF1 for exactly this bit rate, with the sample point nearest to 80 %.
 
-    Raises ValueError when no prescaler meets it.
+    Raises ValueError if no prescaler matches it.
     """
     best: "tuple[int, int, int, int] | None" = None
     for prescaler in range(1, 65):
@@ -144,7 +144,7 @@ def bit_timing(oscillator_hz: int, bit_rate: int) -> bytes:
         if best is None or (off, -quanta) < (best[0], -best[1]):
             best = off, quanta, ps2, prescaler
     if best is None:
-        raise ValueError("bit rate %d: an oscillator of %d Hz does not give it" % (bit_rate, oscillator_hz))
+        raise ValueError("bit rate %d: not possible with an oscillator of %d Hz" % (bit_rate, oscillator_hz))
     _off, quanta, ps2, prescaler = best
     before = quanta - 1 - ps2
     ps1 = before // 2

@@ -1,6 +1,6 @@
-"""What the CAN drivers share: the queue of frames to send, and the controller's state as SocketCAN error frames.
+"""Common part of the CAN drivers: the transmit queue, and the controller's state as SocketCAN error frames.
 
-Frames are (can_id, data) with the flags of SocketCAN in can_id, as the device core takes them.
+Frames are (can_id, data) with the flags of SocketCAN in can_id, as in the device core.
 """
 
 from tipforce.device import codes
@@ -12,16 +12,16 @@ if TYPE_CHECKING:
 
 STATE_ACTIVE, STATE_WARNING, STATE_PASSIVE, STATE_OFF = 0, 1, 2, 3
 QUEUE = 160  # frames: a block of an SDO block upload has 127
-RECEIVE_AT_ONCE = 32  # frames handed over in one call: the node's own work must not starve
+RECEIVE_AT_ONCE = 32  # frames per call: leaves time for the node's other work
 
 _RECEIVE_OVERFLOW = codes.ERROR_FLAG | CONTROLLER, b"\0\x01\0\0\0\0\0\0"
 _SHOWN = {STATE_ACTIVE: ACTIVE, STATE_WARNING: WARNING, STATE_PASSIVE: 0x30}
 
 
 class CanPort:
-    """One controller. A driver has ``_start``, ``_next``, ``_put``, ``_state``, ``_restart`` of its own.
+    """One controller. A driver implements ``_start``, ``_next``, ``_put``, ``_state``, ``_restart``.
 
-    Nothing here waits: ``send`` queues, ``receive`` also hands queued frames to the controller.
+    No method waits: ``send`` queues, ``receive`` also passes queued frames to the controller.
     """
 
     def __init__(self, bit_rate: int) -> None:
@@ -31,32 +31,32 @@ class CanPort:
         self.bit_rate = bit_rate
         self._start(bit_rate)
 
-    # --- of the driver --------------------------------------------------------------------------------------
+    # --- implemented by the driver --------------------------------------------------------------------------
 
     def _start(self, bit_rate: int) -> None:
-        """Bring the controller onto the bus with this bit rate, all standard identifiers received."""
+        """Start the controller with this bit rate, receiving all standard identifiers."""
         raise NotImplementedError
 
     def _next(self) -> "Frame | None":
-        """The next frame received, None without one."""
+        """Return the next received frame, None without one."""
         raise NotImplementedError
 
     def _put(self, can_id: int, data: bytes) -> bool:
-        """Give a frame to the controller; False while it has no room. The order of one identifier is kept."""
+        """Pass a frame to the controller; return False if it is full. Frames of one identifier stay in order."""
         raise NotImplementedError
 
     def _state(self) -> int:
-        """One of STATE_..."""
+        """Return one of STATE_..."""
         raise NotImplementedError
 
     def _restart(self) -> None:
-        """Leave the bus-off state; what waits in the controller is dropped."""
+        """Leave the bus-off state; frames that wait in the controller are dropped."""
         raise NotImplementedError
 
-    # --- of the node ----------------------------------------------------------------------------------------
+    # --- used by the node -----------------------------------------------------------------------------------
 
     def receive(self) -> "list[Frame]":
-        """What came since the last call, error frames for changes of the controller's state first."""
+        """Return the frames since the last call, with error frames for changes of the controller's state first."""
         self._watch()
         found, self._news = self._news, []
         while len(found) < RECEIVE_AT_ONCE:
@@ -64,16 +64,16 @@ class CanPort:
             if frame is None:
                 break
             found.append(frame)
-        if self._news:  # an overrun shows while frames are fetched
+        if self._news:  # an overrun is detected while frames are read
             found += self._news
             self._news = []
         self.flush()
         return found
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Queue a frame. One that finds the queue full is dropped, and the device is told (EMCY 8110h)."""
+        """Queue a frame. If the queue is full it is dropped and the device notified (EMCY 8110h)."""
         if self._known == STATE_OFF:
-            return  # it would be stale when the bus is back
+            return  # it would be stale when the bus recovers
         if len(self._queue) >= QUEUE:
             self._news = [TRANSMIT_OVERFLOW]
             return
@@ -81,27 +81,27 @@ class CanPort:
         self.flush()
 
     def flush(self) -> None:
-        """Give the controller what it has room for."""
+        """Pass frames to the controller while it accepts them."""
         while self._queue and self._put(*self._queue[0]):
             self._queue.pop(0)
 
     def busy(self) -> bool:
-        """Frames wait to be sent: the loop must come back soon."""
+        """Return True while frames wait in the queue: the loop must return soon."""
         return bool(self._queue)
 
     def restart(self) -> None:
-        """The device's request "bus-restart"."""
+        """Restart the controller: the device's request "bus-restart"."""
         self._queue = []
         self._restart()
 
     def set_bit_rate(self, bit_rate: int) -> None:
-        """Another bit rate, at once."""
+        """Switch to another bit rate at once."""
         self._queue = []
         self.bit_rate = bit_rate
         self._start(bit_rate)
 
     def overrun(self) -> None:
-        """Drivers call this when the controller says that frames were lost."""
+        """Note that frames were lost; drivers call this when the controller reports it."""
         self._news.append(_RECEIVE_OVERFLOW)
 
     def _watch(self) -> None:

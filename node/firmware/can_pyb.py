@@ -1,4 +1,4 @@
-"""A controller inside an STM32 by ``pyb.CAN``, for MicroPython before ``machine.CAN``."""
+"""CAN driver for ``pyb.CAN`` on an STM32, for MicroPython before ``machine.CAN``."""
 
 from tipforce.device import codes
 
@@ -8,7 +8,7 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from typing import Any
 
-_PENDING_TX = 5  # in the list of info()
+_PENDING_TX = 5  # index in the list of info()
 
 
 class PybCan(CanPort):
@@ -25,7 +25,7 @@ class PybCan(CanPort):
     def _start(self, bit_rate: int) -> None:
         can = self._can
         can.init(can.NORMAL, baudrate=bit_rate, sample_point=80, auto_restart=False)
-        # A bank takes data frames or remote frames, not both.
+        # A bank accepts data frames or remote frames, not both.
         can.setfilter(0, can.MASK16, 0, (0, 0, 0, 0), rtr=(False, False))
         can.setfilter(1, can.MASK16, 0, (0, 0, 0, 0), rtr=(True, True))
 
@@ -34,14 +34,14 @@ class PybCan(CanPort):
             message = self._can.recv(0, timeout=0)
             # (id, rtr, filter, data); since MicroPython 1.19 (id, extended, rtr, filter, data).
             if len(message) > 4 and message[1]:
-                continue  # this node has no 29-bit identifier
+                continue  # this node has no 29-bit identifiers
             if message[-3]:
                 return message[0] | codes.REMOTE_FLAG, b""
             return message[0], bytes(message[-1])
         return None
 
     def _put(self, can_id: int, data: bytes) -> bool:
-        # The mailboxes send by identifier, and equal ones by number: one at a time keeps the order.
+        # Mailboxes send by identifier, equal ones by mailbox number: using one at a time keeps the order.
         if self._can.info(self._info)[_PENDING_TX]:
             return False
         try:

@@ -1,7 +1,7 @@
-"""Parameters in flash: two slots, each with all groups and a CRC; a save writes the older one.
+"""Parameters in flash: two slots, each with all groups and a CRC; a save overwrites the older one.
 
-A power cut at any byte of a save leaves the other slot as it was, so what is loaded is all of the old or all of the
-new. A slot: magic, sequence number, length, CRC-32 over these and the content; the content is one record a group.
+A power failure at any byte of a save leaves the other slot unchanged, so a load returns all old or all new content.
+A slot: magic, sequence number, length, CRC-32 over these and the content; the content has one record per group.
 """
 
 import binascii
@@ -13,25 +13,25 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class Slots(Protocol):
-        """Where two slots lie."""
+        """Memory for two slots."""
 
         def read(self, slot: int) -> bytes:
-            """All that is there; empty if nothing is. May raise OSError."""
+            """Return the whole content; empty if there is none. May raise OSError."""
 
         def write(self, slot: int, data: bytes) -> None:
-            """Replace it, and return only when it is in flash. May raise OSError."""
+            """Replace the content, and return only when it is in flash. May raise OSError."""
 
     class BlockDevice(Protocol):
-        """What is used of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
+        """The used part of ``esp32.Partition`` or another block device of MicroPython: the simple interface."""
 
         def readblocks(self, block: int, buffer: bytearray) -> None:
-            """Fill the buffer from whole blocks."""
+            """Read whole blocks into the buffer."""
 
         def writeblocks(self, block: int, buffer: bytearray) -> None:
             """Erase and write whole blocks."""
 
         def ioctl(self, operation: int, argument: int) -> "int | None":
-            """4: count of blocks; 5: size of one; 3: sync."""
+            """Return for 4 the number of blocks, for 5 their size; 3: sync."""
 
 
 _MAGIC = 0x31504954  # "TIP1"
@@ -41,7 +41,7 @@ _LARGEST = 1 << 20
 
 
 class FlashStore:
-    """``save`` and ``load`` of a device over two slots. What failed is in ``error``, for a log."""
+    """``save`` and ``load`` of a device with two slots. ``error`` holds the last failure, for a log."""
 
     def __init__(self, slots: "Slots") -> None:
         self._slots = slots
@@ -54,13 +54,13 @@ class FlashStore:
                 self._sequence, self._slot, self._groups = found[0], slot, found[1]
 
     def load(self, group: str) -> "bytes | None":
-        """What was saved for a group; None if nothing was."""
+        """Return the data saved for a group; None if there is none."""
         return self._groups.get(group)
 
     def save(self, group: str, data: bytes) -> bool:
-        """Keep a group. False, and all stays as it was, when flash does not hold what was written."""
+        """Save a group. Return False, with all data unchanged, if the flash does not read back as written."""
         if self._groups.get(group) == data:
-            return True  # flash wears out: what is there already is not written again
+            return True  # flash wears out: unchanged data is not written again
         groups = dict(self._groups)
         groups[group] = bytes(data)
         sequence = self._sequence + 1 & 0xFFFFFFFF or 1
@@ -85,7 +85,7 @@ class FlashStore:
 
 
 def _newer(sequence: int, than: int) -> bool:
-    """Sequence numbers wrap: at most one save lies between the two slots."""
+    """Return whether a sequence number is newer: they wrap, and the slots differ by one save."""
     return 0 < (sequence - than & 0xFFFFFFFF) < 1 << 31
 
 
@@ -99,7 +99,7 @@ def _packed(sequence: int, groups: "dict[str, bytes]") -> bytes:
 
 
 def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]] | None":
-    """(sequence, groups) of a slot, None for one that is empty, torn or damaged. More may follow the content."""
+    """Return (sequence, groups) of a slot, None if it is empty, incomplete or damaged. Padding may follow."""
     if len(image) < _HEAD_SIZE:
         return None
     magic, sequence, length, crc = struct.unpack(_HEAD, image[:_HEAD_SIZE])
@@ -117,25 +117,25 @@ def _unpacked(image: bytes) -> "tuple[int, dict[str, bytes]] | None":
 
 
 class FileSlots:
-    """Two files in a folder of the board's file system (littlefs or FAT), which is made if it is missing."""
+    """Two files in a directory of the board's file system (littlefs or FAT), which is created if it is missing."""
 
     def __init__(self, folder: str) -> None:
         self._folder = folder
         try:
             os.mkdir(folder)
         except OSError:
-            pass  # it is there; if not, the first write says so
+            pass  # it exists; if not, the first write raises the error
 
     def _path(self, slot: int) -> str:
         return "%s/slot%d.bin" % (self._folder, slot)
 
     def read(self, slot: int) -> bytes:
-        """The content of the file."""
+        """Return the content of the file."""
         with open(self._path(slot), "rb") as file:
             return file.read()
 
     def write(self, slot: int, data: bytes) -> None:
-        """Replace the file; closing brings it into flash, and ``os.sync`` where there is one."""
+        """Replace the file; closing it writes it to flash, with ``os.sync`` if available."""
         with open(self._path(slot), "wb") as file:
             file.write(data)
         if hasattr(os, "sync"):
@@ -145,7 +145,7 @@ class FileSlots:
 class BlockSlots:
     """Two halves of a block device without a file system, such as ``esp32.Partition.find(label="tip")[0]``.
 
-    Raises ValueError for a device of less than two blocks.
+    Raises ValueError for a device with less than two blocks.
     """
 
     def __init__(self, device: "BlockDevice") -> None:
@@ -155,7 +155,7 @@ class BlockSlots:
         self._device, self._count = device, count // 2
 
     def read(self, slot: int) -> bytes:
-        """Whole blocks, as many as the head of the content asks for."""
+        """Return whole blocks, as many as the header of the content requires."""
         first = bytearray(self._size)
         self._device.readblocks(slot * self._count, first)
         magic, _sequence, length, _crc = struct.unpack(_HEAD, first[:_HEAD_SIZE])
@@ -167,7 +167,7 @@ class BlockSlots:
         return bytes(first + rest)
 
     def write(self, slot: int, data: bytes) -> None:
-        """Erase and write the blocks; OSError when they do not hold it."""
+        """Erase and write the blocks; OSError if the content does not fit."""
         blocks = (len(data) + self._size - 1) // self._size
         if blocks > self._count:
             raise OSError(28)  # ENOSPC

@@ -1,4 +1,4 @@
-"""Avia HX711: 24 bits, a clock and a data pin that are driven by hand.
+"""Avia HX711: 24 bits, with a clock and a data pin driven by software.
 
 Facts of the data sheet: DOUT low says that a conversion is ready; each rising edge of PD_SCK then brings a bit, most
 significant first, and the 25th puts DOUT high again. 25, 26 or 27 pulses in all choose what is converted next: channel
@@ -23,10 +23,10 @@ UNKNOWN_TEMPERATURE = -0x8000
 
 
 class Hx711:
-    """One chip with one gauge. ``lock`` and ``unlock`` keep interrupts away while 25 bits are clocked out:
-    ``machine.disable_irq`` and ``machine.enable_irq``. One that came while PD_SCK is high would switch the chip off.
+    """One chip with one gauge. ``lock`` and ``unlock`` disable interrupts while 25 bits are read:
+    ``machine.disable_irq`` and ``machine.enable_irq``. An interrupt while PD_SCK is high would power the chip down.
 
-    Raises ValueError for a gain or a rate that the chip has not.
+    Raises ValueError for a gain or a rate that the chip does not have.
     """
 
     channels, bits, count_min, count_max = 1, 24, -0x800000, 0x7FFFFF
@@ -44,14 +44,14 @@ class Hx711:
         self.temperature = UNKNOWN_TEMPERATURE
         self._three = bytearray(3)
         self._left = SETTLING
-        self._asleep = True  # PD_SCK is put high first: a reset, whatever state the chip is in
+        self._asleep = True  # PD_SCK is set high first: a reset from any state of the chip
         self._next_us = 0
         self._deadline_us = 0
         self._sck.value(1)
         self._begun = False
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """The counts of a conversion that is ready; a chip that is silent or out of step is reset."""
+        """Return the counts of a finished conversion; a chip that is silent or out of step is reset."""
         if not self._begun:
             self._begun, self._next_us = True, now_us + RESET_US
         if now_us < self._next_us:
@@ -60,7 +60,7 @@ class Hx711:
             self._sck.value(0)
             self._asleep = False
             self._left = SETTLING
-            # The oscillator is off by up to a third, and the first conversion takes four.
+            # The oscillator's error is up to a third, and the first conversion takes four periods.
             self._deadline_us = now_us + 2 * SETTLING * self.period_us
             return None
         if self._dout.value():
@@ -78,7 +78,7 @@ class Hx711:
             value = value << 1 | dout()
             sck(0)
         sck(1)
-        after = dout()  # the 25th pulse puts it high: if not, bits were lost or won
+        after = dout()  # the 25th pulse sets it high: if not, bits were lost or inserted
         sck(0)
         for _ in range(self._pulses - 25):
             sck(1)

@@ -1,11 +1,11 @@
-"""The node on a board whose microcontroller has a CAN controller: copy to the board as :main.py."""
+"""Main program for a microcontroller with a CAN controller: copy to the board as :main.py."""
 
 from firmware import board, start
 
 try:
     from machine import CAN
 except ImportError:
-    from pyb import CAN  # of MicroPython up to 1.27
+    from pyb import CAN  # MicroPython up to 1.27
 
     from firmware.can_pyb import PybCan
 

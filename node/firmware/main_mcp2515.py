@@ -1,4 +1,4 @@
-"""The node on a board with an MCP2515 on SPI: copy to the board as :main.py."""
+"""Main program for an MCP2515 on SPI: copy to the board as :main.py."""
 
 from machine import SPI, Pin
 

@@ -14,10 +14,10 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class I2C(Protocol):
-        """What is used of ``machine.I2C``; an error on the bus is an OSError."""
+        """The used part of ``machine.I2C``; an error on the bus is an OSError."""
 
         def readfrom_mem_into(self, address: int, register: int, buffer: bytearray) -> None:
-            """Fill the buffer from registers."""
+            """Read registers into the buffer."""
 
         def writeto_mem(self, address: int, register: int, data: bytes) -> None:
             """Write registers."""
@@ -34,20 +34,20 @@ UNKNOWN_TEMPERATURE = -0x8000
 SUPPLY = 1 << 11  # of 2124h
 
 RETRY_US = 20000  # after an error on the bus
-POWER_UP_US = 10000  # PUR must have come
-REGULATOR_US = 250000  # the analogue supply has settled
-CALIBRATION_US = 2000000  # CALS must have gone
-CONVERSIONS_LOST = 4  # so many periods without a conversion: begin anew
+POWER_UP_US = 10000  # time-out of PUR
+REGULATOR_US = 250000  # settling time of the analogue supply
+CALIBRATION_US = 2000000  # time-out of CALS
+CONVERSIONS_LOST = 4  # restart after this number of periods without a conversion
 
 _RESET, _POWER_UP, _SETTLE, _CALIBRATE, _RUN = 0, 1, 2, 3, 4
 
 
 class Nau7802:
-    """One chip on an I2C bus; two need two buses or a multiplexer, because the address is fixed.
+    """One chip on an I2C bus; two chips need two buses or a multiplexer, because the address is fixed.
 
-    ``channels`` is 1 or 2; with two each reading costs ``discard`` + 1 conversions a channel. ``ldo_millivolts`` is
-    what the chip's own regulator gives the bridge, 0 where AVDD is supplied from outside. The offset of amplifier and
-    converter is calibrated inside the chip at each start, for each channel. Raises ValueError for a setting it has not.
+    ``channels`` is 1 or 2; with two each reading takes ``discard`` + 1 conversions per channel. ``ldo_millivolts`` is
+    the bridge supply from the chip's regulator, 0 for an external AVDD. The chip calibrates the offset of amplifier and
+    converter at each start, for each channel. Raises ValueError for a setting that it does not have.
     """
 
     bits, count_min, count_max = 24, -0x800000, 0x7FFFFF
@@ -77,14 +77,14 @@ class Nau7802:
         self._state, self._next_us, self._deadline_us = _RESET, 0, 0
 
     def poll(self, now_us: int) -> "tuple[int, ...] | None":
-        """One small step of whatever comes next; the counts of all channels when the last of them is there."""
+        """Run one small step; return the counts of all channels after the last of them."""
         if now_us < self._next_us:
             return None
         try:
             if self._state == _RUN:
                 return self._run(now_us)
             self._start(now_us)
-        except OSError:  # no acknowledge, or the bus is stuck
+        except OSError:  # no acknowledge, or the bus is blocked
             self._again(now_us)
         return None
 
@@ -101,7 +101,7 @@ class Nau7802:
                 self._configure()
                 self._to(_SETTLE, now_us + REGULATOR_US, 0)
             elif now_us > self._deadline_us:
-                self.faults |= SUPPLY  # it answers, but does not come up
+                self.faults |= SUPPLY  # it responds, but does not power up
                 self._again(now_us)
         elif self._state == _SETTLE:
             self._begin_calibration(0, now_us)
@@ -133,21 +133,21 @@ class Nau7802:
         else:
             self._channel = 0
             self._write(CTRL2, self._ctrl2())
-            self._write(PU_CTRL, self._power)  # CS: conversions begin now
+            self._write(PU_CTRL, self._power)  # CS: starts the conversions
             self._left = 6 if self._discard < 6 else self._discard
             self._to(_RUN, now_us, now_us + self._conversion_us * CONVERSIONS_LOST)
 
     def _run(self, now_us: int) -> "tuple[int, ...] | None":
         power = self._read(PU_CTRL)
         if power & (PUA | PUR) != PUA | PUR:
-            self.faults |= SUPPLY  # it was without power and has lost its settings
+            self.faults |= SUPPLY  # it lost its power and its settings
             self._again(now_us)
             return None
         if not power & CR:
             if now_us > self._deadline_us:
                 self._again(now_us)
             return None
-        self._i2c.readfrom_mem_into(self._address, ADCO, self._three)  # takes CR back
+        self._i2c.readfrom_mem_into(self._address, ADCO, self._three)  # clears CR
         self._next_us = now_us + self._conversion_us // 2
         self._deadline_us = now_us + self._conversion_us * CONVERSIONS_LOST
         if self._left:

@@ -1,8 +1,8 @@
-"""Gauges behind converter chips as the node's gauge source: chips are polled, and never waited for.
+"""Gauges on converter chips as the node's gauge source: chips are polled without waiting.
 
 A chip is any object with ``poll(now_us)`` (a tuple of counts when all of its channels have new ones, or None),
-``channels`` (how many), ``count_min``, ``count_max`` (the ends of its range), ``bits``, ``period_us`` (between two
-complete readings), ``faults`` (bits of 2124h that it knows of) and ``temperature`` (0.01 degC, -0x8000 for unknown).
+``channels`` (their number), ``count_min``, ``count_max`` (the ends of its range), ``bits``, ``period_us`` (between two
+complete readings), ``faults`` (its bits of 2124h) and ``temperature`` (0.01 degC, -0x8000 for unknown).
 """
 
 from tipforce.dictionary import table
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from typing import Protocol
 
     class Chip(Protocol):
-        """A converter with one or more gauges behind it."""
+        """A converter with one or more gauges."""
 
         channels: int
         bits: int
@@ -24,18 +24,18 @@ if TYPE_CHECKING:
         temperature: int
 
         def poll(self, now_us: int) -> "tuple[int, ...] | None":
-            """The counts of all channels when there are new ones."""
+            """Return the counts of all channels if there are new ones."""
 
 
-WIRE_BREAK_US = 1000000  # a gauge that stays so long at an end of the range has a wire broken
+WIRE_BREAK_US = 1000000  # a gauge at an end of the range for this time has a broken wire
 
 
 class Gauges(Source):
-    """One or more chips of one kind of range; the gauges in the order of the chips and of their channels.
+    """One or more chips with equal ranges; the gauges are in the order of the chips and of their channels.
 
-    ``counts_per_microstrain`` of the bridge, gauge factor, gain and reference together: the default of 6122h, which
-    a calibration replaces. A reading is there when every chip has converted anew; a chip that is gone or stands still
-    gives none, and the core reports the silence (2124h bit 8) after 100 ms.
+    ``counts_per_microstrain`` combines bridge, gauge factor, gain and reference: the default of 6122h, which
+    a calibration replaces. A reading needs a new conversion of every chip; without one, as from a missing or frozen
+    chip, the core reports no data (2124h bit 8) after 100 ms.
 
     Raises ValueError without chips, or for chips of unequal ranges.
     """
@@ -59,7 +59,7 @@ class Gauges(Source):
 
     @property
     def period_us(self) -> int:
-        """The sample period 6114h, but never shorter than what the chips can do."""
+        """The sample period 6114h, but never shorter than the chips allow."""
         return max(self._wanted_us, self.conversion_us)
 
     @period_us.setter
@@ -67,14 +67,14 @@ class Gauges(Source):
         self._wanted_us = value
 
     def poll(self, now_us: int) -> None:
-        """Look after the chips: the loop calls this each time around."""
+        """Poll the chips; the loop calls this in each pass."""
         for k in range(len(self.chips)):
             counts = self.chips[k].poll(now_us)
             if counts is not None:
                 self._fresh[k] = counts
 
     def read(self, now_us: int) -> "Reading | None":
-        """The newest counts of all gauges once every chip has new ones."""
+        """Return the newest counts of all gauges once every chip has new ones."""
         self.poll(now_us)
         counts: "list[int]" = []
         faults, temperature = 0, table.UNKNOWN_I16
@@ -95,7 +95,7 @@ class Gauges(Source):
         return Reading(tuple(counts), faults, temperature)
 
     def due_us(self, now_us: int) -> int:
-        """When the next conversion is there, for a filter."""
+        """Return the time of the next conversion, for a filter."""
         return now_us + self.period_us
 
     def _wires_broken(self, counts: "list[int]", now_us: int) -> bool:
@@ -109,13 +109,13 @@ class Gauges(Source):
 
 
 def signed24(data: "bytes | bytearray") -> int:
-    """Three bytes, most significant first, in two's complement."""
+    """Return three bytes, most significant first, as a two's complement number."""
     value = data[0] << 16 | data[1] << 8 | data[2]
     return value - 0x1000000 if value & 0x800000 else value
 
 
 def choice(name: str, value: int, allowed: "tuple[int, ...]") -> int:
-    """The place of a setting among those that a chip has. Raises ValueError that names them."""
+    """Return the index of a setting among those of a chip. Raises ValueError that lists them."""
     if value not in allowed:
         raise ValueError("%s: %r, allowed %s" % (name, value, ", ".join([str(one) for one in allowed])))
     return allowed.index(value)

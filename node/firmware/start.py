@@ -1,4 +1,4 @@
-"""From the settings in board.py to a running node: what both main programs do."""
+"""Start a node from the settings in board.py: the common part of both main programs."""
 
 from . import board
 from .app import Clock, Firmware
@@ -11,13 +11,13 @@ if TYPE_CHECKING:
 
 
 def node(port: "CanPort") -> Firmware:
-    """The node on this board with this controller."""
+    """Return the node on this board with this controller."""
     gauges = Gauges(board.chips(), board.COUNTS_PER_MICROSTRAIN)  # type: ignore[no-untyped-call]
     return Firmware(board.NODE_ID, gauges, port, FlashStore(FileSlots(board.FOLDER)), board.serial(), Clock())
 
 
 def run(port: "CanPort") -> None:
-    """Be that node until power goes, under the watchdog where one is wanted."""
+    """Run the node until power-off, with the watchdog if it is enabled."""
     firmware = node(port)
     if not board.WATCHDOG_MS:
         firmware.run()
