@@ -133,7 +133,7 @@ def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(capsys: pytest.C
         ("--max-stress -5", "limit max_stress_pascals = -5000000.0"),
         ("--yield 500 --safety 0", "--safety 0.0: allowed is above 0"),
         ("--radius 16", "radius_m = 0.016"),
-        ("--gauge-length 100", "no design found inside the limits"),
+        ("--gauge-length 100", "no design found within the limits"),
         ("-o absent/layout.toml", "-o absent/layout.toml: the folder absent does not exist"),
     ],
 )

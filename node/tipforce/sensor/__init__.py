@@ -1,4 +1,4 @@
-"""The physics, without CAN: geometry, strain, force, contact, calibration, dynamics, design."""
+"""Physics of the sensor, without CAN: geometry, strain, force, contact, calibration, dynamics, design."""
 
 from tipforce._lazy import lazy
 

@@ -269,7 +269,7 @@ def test_a_radius_beyond_the_envelope() -> None:
 
 @pytest.mark.parametrize("limits", [Limits(gauge_length_m=0.1), Limits(min_thickness_m=0.05), Limits(slit_m=1e-9)])
 def test_limits_that_leave_nothing(limits: Limits) -> None:
-    with pytest.raises(InputError, match="no design found inside the limits"):
+    with pytest.raises(InputError, match="no design found within the limits"):
         search(3, "theta", limits, LOADS, starts=1)
 
 

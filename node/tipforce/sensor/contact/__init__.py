@@ -1,1 +1,1 @@
-"""From gauge strain to force and contact, with uncertainty and redundancy; scalar*.py also run on MicroPython."""
+"""Gauge strain to force and contact, with uncertainty and redundancy; scalar*.py also run on MicroPython."""

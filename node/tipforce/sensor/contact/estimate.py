@@ -1,4 +1,4 @@
-"""Many samples: force -> contact, its uncertainty, its status. The formulas of scalar.py for numpy arrays."""
+"""Contacts of many samples: force to contact, uncertainty, status. The formulas of scalar.py for numpy arrays."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ StatusArray = npt.NDArray[np.uint8]
 class Contact:
     """Contacts of n samples; every array has the shape (n,), or (...) for forces of shape (..., 3).
 
-    NaN stands for unknown: all five for a force that is not finite, the angles where F1 = F3 = 0.
+    NaN means unknown: all five for a force that is not finite, the angles if F1 = F3 = 0.
     """
 
     P_newtons: FloatArray
@@ -32,11 +32,11 @@ class Contact:
     delta_rad: FloatArray
     """phi - theta, in (-pi, pi]: at most pi/2 in size for a pull, at least pi/2 for a push."""
     miss_newtons: FloatArray
-    """How far |F2| exceeds hypot(F1, F3), else zero: above zero the contact was taken as tangential."""
+    """Excess of |F2| over hypot(F1, F3), else zero: above zero the contact was taken as tangential."""
 
 
 class Limits(NamedTuple):
-    """What a status is judged by; a plain tuple of the same order serves scalar.status_bits()."""
+    """Input of a status; a plain tuple of the same order is the input of scalar.status_bits()."""
 
     contact_on_newtons: float
     contact_off_newtons: float
@@ -84,8 +84,8 @@ def estimate(
     """Return (F, contacts) of gauge readings: force_from_strain(), then contacts().
 
     C: (3, n) newtons per unit strain; strain: (..., n); offset_strain: (n,); tare_newtons: (3,). F: (..., 3)
-    newtons. Raises InputError where the shapes do not fit. Where only forces are wanted, force_from_strain()
-    computes no angles.
+    newtons. Raises InputError where the shapes do not fit. For forces alone, force_from_strain() avoids the
+    computation of angles.
     """
     F = force_from_strain(C, strain, offset_strain, tare_newtons)
     return F, contacts(F, pull=pull)
@@ -180,7 +180,7 @@ def status(
 
 
 def _forces(F_newtons: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
-    """F with the rows that are not finite set to zero, and which rows are finite."""
+    """Return F with the rows that are not finite set to zero, and which rows are finite."""
     F = np.asarray(F_newtons, dtype=np.float64)
     if F.ndim < 1 or F.shape[-1] != 3:
         raise InputError(f"F has the shape {F.shape}: allowed is (..., 3), newtons")
@@ -189,7 +189,7 @@ def _forces(F_newtons: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
 
 
 def _covariances(covariance_F: npt.ArrayLike, F: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """The covariances with those that are not finite set to zero, and which are finite."""
+    """Return the covariances with those that are not finite set to zero, and which are finite."""
     covariance = np.asarray(covariance_F, dtype=np.float64)
     if covariance.shape not in {(3, 3), (*F.shape, 3)}:
         raise InputError(f"covariance_F has the shape {covariance.shape}: allowed is (3, 3) or {(*F.shape, 3)}")
@@ -198,13 +198,13 @@ def _covariances(covariance_F: npt.ArrayLike, F: FloatArray) -> tuple[FloatArray
 
 
 def _scaled(F: FloatArray) -> tuple[FloatArray, IntArray]:
-    """(f, exponent) with F = f 2^exponent and the largest |f| in [0.5, 1): squares stay in range."""
+    """Return (f, exponent) with F = f 2^exponent and the largest |f| in [0.5, 1): squares stay in range."""
     exponent = np.frexp(np.abs(F).max(axis=-1))[1].astype(np.int64)
     return np.ldexp(F, -exponent[..., np.newaxis]), exponent
 
 
 def _triangle(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """(hypotenuse, hypotenuse times |cos(delta)|, |F2| - hypotenuse or zero), as in scalar.contact()."""
+    """Return (hypotenuse, hypotenuse times |cos(delta)|, |F2| - hypotenuse or zero), as in scalar.contact()."""
     a1, a2, a3 = np.moveaxis(np.abs(f), -1, 0)
     large, small = np.maximum(a1, a3), np.minimum(a1, a3)
     hypotenuse = np.sqrt(large * large + small * small)
@@ -215,20 +215,20 @@ def _triangle(f: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 
 def _wrapped(angle_rad: FloatArray) -> FloatArray:
-    """The angle, at most one turn off, in (-pi, pi]."""
+    """Return the angle, at most one turn off, in (-pi, pi]."""
     down = np.where(angle_rad > np.pi, angle_rad - scalar.TWO_PI, angle_rad)
     return np.where(down <= -np.pi, down + scalar.TWO_PI, down)
 
 
 def _scaled_covariance(covariance: FloatArray) -> tuple[FloatArray, IntArray]:
-    """(K, half) with covariance = K 2^(2 half) and variances at most 1."""
+    """Return (K, half) with covariance = K 2^(2 half) and variances at most 1."""
     variances = np.diagonal(covariance, axis1=-2, axis2=-1)
     half = (np.frexp(np.maximum(variances.max(axis=-1), 0.0))[1].astype(np.int64) + 1) // 2
     return np.ldexp(covariance, -2 * half[..., np.newaxis, np.newaxis]), half
 
 
 def _deviation(K: FloatArray, g1: FloatArray, g2: FloatArray, g3: FloatArray) -> FloatArray:
-    """sqrt(g K g), as in scalar.py."""
+    """Return sqrt(g K g), as in scalar.py."""
     variance = (
         g1 * (K[..., 0, 0] * g1 + 2.0 * (K[..., 0, 1] * g2 + K[..., 0, 2] * g3))
         + g2 * (K[..., 1, 1] * g2 + 2.0 * K[..., 1, 2] * g3)
@@ -244,7 +244,7 @@ def _worst_deviation(K: FloatArray) -> FloatArray:
 
 
 def _finite_slope(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
-    """Slope of asin over one standard uncertainty, as scalar.finite_slope() describes."""
+    """Return the slope of asin over one standard uncertainty, as scalar.finite_slope() describes."""
     inward = _arc(x, cosine, -np.minimum(step, 1.0 + x))
     outward = _arc(x, cosine, np.minimum(step, cosine * cosine / (1.0 + x)))
     chords = np.sqrt(0.5 * (inward * inward + outward * outward)) / step
@@ -260,7 +260,7 @@ def _arc(x: FloatArray, cosine: FloatArray, step: FloatArray) -> FloatArray:
 
 
 def _times_power(value: FloatArray, exponent: IntArray) -> FloatArray:
-    """value 2^exponent in two steps, infinite where it overflows."""
+    """Return value 2^exponent in two steps, infinite where it overflows."""
     first = exponent // 2
     result: FloatArray = value * np.ldexp(1.0, first) * np.ldexp(1.0, exponent - first)
     return result
@@ -275,7 +275,7 @@ def _check_limits(limits: Limits) -> None:
 
 
 def _hysteresis(P_newtons: FloatArray, limits: Limits, was_present: bool) -> BoolArray:
-    """Contact over time: each sample takes the state of the last one that switched it on or off."""
+    """Return contact over time: each sample has the state of the last one that switched it on or off."""
     with np.errstate(invalid="ignore"):
         on = P_newtons >= limits.contact_on_newtons
         off = ~(P_newtons >= limits.contact_off_newtons)

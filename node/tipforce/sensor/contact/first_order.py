@@ -1,4 +1,4 @@
-"""Where the first-order uncertainty of contact.py can be trusted, and where an interval needs a warning beside it."""
+"""Validity of the first-order uncertainty of contact.py: where it holds, and where an interval needs a warning."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 CURVATURE_LIMIT = 0.25
 """Largest curvature() with which first order holds.
 
-For theta: |F2| / P at least two standard uncertainties below 1. bench/coverage.py measures what it is worth.
+For theta: |F2| / P is at least two standard uncertainties below 1. bench/coverage.py measures its coverage.
 """
 
 
 def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArray:
-    """Return by how much the first-order slopes of P, phi, theta change over one standard uncertainty: (..., 3).
+    """Return the change of the first-order slopes of P, phi, theta over one standard uncertainty: (..., 3).
 
     F: (..., 3) newtons; covariance_F: (3, 3) or (..., 3, 3), N^2. Three fractions of the slope itself, with x =
     F2 / P = sin(delta) and u(x) its standard uncertainty:
@@ -25,11 +25,11 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     - P: u_t^2 / (P u(P)), u_t the uncertainty of the force across its own direction: twice the bias of P over
       u(P) (s / P for isotropic noise s, whose bias is s^2 / 2P). Or theta's first where that is larger: where the
       line of action may miss by noise, P is projected, and u(P) then is larger than its spread;
-    - phi: u(P) / P, as a force that comes out too small swings too far;
-    - theta: u(x) / cos^2(delta), as asin'' / asin' = x / cos^2 with x = 1, or phi's where that is larger. It
+    - phi: u(P) / P, because a force that is too small has too large an angular error;
+    - theta: u(x) / cos^2(delta), as asin'' / asin' = x / cos^2 with x = 1, or that of phi if it is larger. It
       grows without bound towards a tangential contact, and is infinite where the line of action misses.
 
-    The load sense has no part in it. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
+    The load sense has no effect. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
     InputError for other shapes.
     """
     F = np.asarray(F_newtons, dtype=np.float64)
@@ -54,7 +54,7 @@ def first_order_holds(
 ) -> BoolArray:
     """Return whether the standard uncertainties of P, phi, theta can be trusted: shape (..., 3), in this order.
 
-    True where curvature() is at most limit; False for what is unknown. For theta that is u(F2 / P) <= limit
+    True where curvature() is at most limit; False for unknown values. For theta that is u(F2 / P) <= limit
     cos^2(delta). Raises InputError for other shapes, and for a limit that is not positive.
     """
     if not limit > 0.0:
@@ -65,7 +65,7 @@ def first_order_holds(
 
 
 def _sine_uncertainty(f: FloatArray, covariance_F: npt.ArrayLike) -> FloatArray:
-    """P times the standard uncertainty of F2 / P for unit forces f; covariance in N^2."""
+    """Return P times the standard uncertainty of F2 / P for unit forces f; covariance in N^2."""
     hypotenuse = np.hypot(f[..., 0], f[..., 2])
     x = np.clip(f[..., 1] / hypotenuse, -1.0, 1.0)
     gradient = np.stack([-x * f[..., 0] / hypotenuse, np.ones_like(x), -x * f[..., 2] / hypotenuse], axis=-1)

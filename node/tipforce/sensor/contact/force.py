@@ -1,4 +1,4 @@
-"""The force vector F = (F1, F2, F3): from a load on the tip, and from the strain of the gauges."""
+"""Force vector F = (F1, F2, F3) from a load on the tip, and from the strain of the gauges."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def force_from_strain(
     offset_strain: npt.ArrayLike = 0.0,
     tare_newtons: npt.ArrayLike = 0.0,
 ) -> FloatArray:
-    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) and what reality adds.
+    """Return F = C (strain - offset) - tare in newtons, shape (..., 3): equation (1) with offset and tare.
 
     C: (3, n), newtons per unit strain. strain: (..., n). offset_strain: (n,) or a scalar. tare_newtons: (3,)
     or a scalar. NaN or infinity in a strain makes that row NaN or infinite, no other. Raises InputError where

@@ -1,12 +1,12 @@
-"""More than three gauges: which contradict the others, and the force from those that are left.
+"""Fault detection with more than three gauges: gauges that contradict the others, and the force from the rest.
 
 V = A F + e with the covariance Sigma of e; C = (A^T Q A)^-1 A^T Q, Q = Sigma^-1, is the weighted inverse. n - 3
 combinations of the gauges do not depend on the force (parity directions); their chi-square is r Q r with the residual
-r = V - A C V. A fault f in gauge k adds f P e_k to r, P = I - A C, so all that can be told of it lies in one direction
-of parity space. Two gauges whose directions are parallel can never be told apart; that is so exactly where the other
-n - 2 gauges have no rank 3 among themselves, whatever their noise. With four gauges there is one direction and nothing
-can be isolated, unless one gauge alone is visible: it then responds to no force at all. A gauge without which the rest
-has no rank 3 is invisible: its fault passes as a force.
+r = V - A C V. A fault f in gauge k adds f P e_k to r, P = I - A C, so its effect is confined to one direction
+of parity space. Two gauges with parallel directions cannot be distinguished; that is so exactly if the other
+n - 2 gauges have no rank 3, whatever their noise. With four gauges there is one direction and no fault
+can be isolated, unless only one gauge is visible: it then responds to no force at all. A gauge is invisible if the
+others have no rank 3: its fault looks like a force.
 
 scalar_redundancy.py has the same formulas for one sample on a microcontroller.
 """
@@ -25,12 +25,12 @@ from tipforce.sensor.contact import scalar_redundancy
 from tipforce.sensor.contact.scalar_redundancy import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
 
 NONE, UNCLEAR = -1, -2
-"""Faults.isolated: nothing wrong; something wrong that no single gauge, or more than one, explains."""
+"""Values of Faults.isolated: no fault; a fault that no single gauge, or more than one, explains."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Subset:
-    """How to get the force from some of the gauges."""
+    """Force from some of the gauges."""
 
     C: FloatArray
     """(3, n), newtons per unit strain; zero columns for the gauges left out."""
@@ -40,7 +40,7 @@ class Subset:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parity:
-    """What the residuals of n > 3 gauges can show."""
+    """Information in the residuals of n > 3 gauges."""
 
     A: FloatArray
     """(n, 3), strain per newton."""
@@ -49,9 +49,9 @@ class Parity:
     Q: FloatArray
     """(n, n), inverse of the gauges' covariance."""
     P: FloatArray
-    """(n, n), I - A C: column k is what a unit fault of gauge k leaves in the residuals."""
+    """(n, n), I - A C: column k is the residual of a unit fault of gauge k."""
     visible: FloatArray
-    """(n,), chi-square per squared unit fault of each gauge; zero: a fault of it does not show."""
+    """(n,), chi-square per squared unit fault of each gauge; zero: its fault is invisible."""
 
     @property
     def degrees(self) -> int:
@@ -61,12 +61,12 @@ class Parity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Faults:
-    """Verdicts on readings of shape (..., n)."""
+    """Fault decisions for readings of shape (..., n)."""
 
     chi_square: FloatArray
-    """(...), chi-square of n - 3 degrees of freedom where nothing is wrong; NaN for strains that are not finite."""
+    """(...), chi-square of n - 3 degrees of freedom without a fault; NaN for strains that are not finite."""
     fault: BoolArray
-    """(...), something is wrong (or a strain is not finite)."""
+    """(...), a fault is present (or a strain is not finite)."""
     candidates: BoolArray
     """(..., n), where fault: the gauges each of which alone explains the residuals."""
     isolated: IntArray
@@ -85,12 +85,12 @@ def weighted_inverse(A: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
     root = _root(covariance_strain2, matrix.shape[0])
     whitened = np.linalg.solve(root, matrix)
     if np.linalg.matrix_rank(whitened) < 3:
-        raise InputError("the gauges cannot tell the three forces apart: A has no rank 3")
+        raise InputError("the gauges cannot separate the three forces: allowed is A of rank 3")
     return np.asarray(np.linalg.solve(root.T, np.linalg.pinv(whitened).T).T, dtype=np.float64)
 
 
 def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> FloatArray:
-    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: what a calibration says of the structure.
+    """Return A = Sigma C^T (C Sigma C^T)^-1, (n, 3), strain per newton: the structure as a calibration describes it.
 
     It inverts weighted_inverse() exactly; for a C that was not weighted by this covariance, as a plain
     pseudo-inverse with unequal gauges, it gives some A with C A = I but not the true one. C: (3, n). Raises
@@ -99,7 +99,7 @@ def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
     matrix, covariance = _matrix(C), np.asarray(covariance_strain2, dtype=np.float64)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:
-        raise InputError("C has no rank 3: the calibration does not tell the three forces apart")
+        raise InputError("the calibration cannot separate the three forces: allowed is C of rank 3")
     A = np.linalg.solve(matrix @ covariance @ matrix.T, matrix @ covariance).T
     return np.asarray(A, dtype=np.float64)
 
@@ -110,7 +110,7 @@ def without(
     left_out: Sequence[int],
     condition_limit: float = CONDITION_LIMIT,
 ) -> Subset | None:
-    """Return how to get the force without some gauges (from 0), or None where the rest has no rank 3.
+    """Return the force from all but some gauges (from 0), or None if the rest has no rank 3.
 
     C: (3, n), weighted by covariance_strain2 (n, n). No rank 3: fewer than three gauges left, or the condition
     number (2-norm) of their matrix over the limit. Raises InputError as structure_matrix() does, and for gauges
@@ -133,14 +133,14 @@ def without(
 
 
 def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
-    """Return what the residuals of n > 3 gauges can show. C: (3, n), weighted by covariance_strain2 (n, n).
+    """Return the information in the residuals of n > 3 gauges. C: (3, n), weighted by covariance_strain2 (n, n).
 
     Raises InputError as structure_matrix() does, and for n = 3, where every reading fits some force.
     """
     matrix, covariance = _matrix(C), np.asarray(covariance_strain2, dtype=np.float64)
     n = matrix.shape[1]
     if n < 4:
-        raise InputError("three gauges leave no parity direction: fault detection needs at least four")
+        raise InputError("three gauges have no parity direction: fault detection needs at least four")
     A = structure_matrix(matrix, covariance)
     Q, P = np.linalg.inv(covariance), np.eye(n) - A @ matrix
     visible = np.einsum("ki,ik->k", Q, P)
@@ -151,8 +151,8 @@ def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
 def separation(model: Parity) -> FloatArray:
     """Return the sine of the angle between the parity directions of each two gauges: (n, n), 0 to 1.
 
-    0: the two can never be told apart. Small: only by a fault that is larger by 1 / sine than one that just
-    shows. NaN for gauges whose faults do not show at all.
+    0: the two cannot be distinguished. Small: only by a fault that is larger by 1 / sine than the smallest visible
+    one. NaN for gauges whose faults are invisible.
     """
     R = model.Q @ model.P
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -163,14 +163,14 @@ def separation(model: Parity) -> FloatArray:
 
 
 def alike(model: Parity, smallest_sine: float = 1e-6) -> list[tuple[int, int]]:
-    """Return the pairs of gauges that no fault up to 1 / smallest_sine of what just shows can tell apart."""
+    """Return the pairs of gauges that no fault up to 1 / smallest_sine of the smallest visible one distinguishes."""
     sine = separation(model)
     n = len(sine)
     return [(i, k) for i in range(n) for k in range(i + 1, n) if sine[i, k] < smallest_sine]
 
 
 def detectable_strain(model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE) -> FloatArray:
-    """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: none shows."""
+    """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: invisible."""
     threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees)
     with np.errstate(divide="ignore"):
         found: FloatArray = np.sqrt((threshold - model.degrees) / model.visible)
@@ -185,12 +185,12 @@ def detect(
     exclusion_rate: float = EXCLUSION_RATE,
     variance_factor: npt.ArrayLike = 1.0,
 ) -> Faults:
-    """Return the verdicts on readings of shape (..., n), strain with the offsets taken off.
+    """Return the fault decisions for readings of shape (..., n), strain with the offsets subtracted.
 
-    A reading is faulty where chi-square passes the threshold of false_alarm_rate; a gauge is a candidate where
-    what its best-fitting fault leaves (n - 4 degrees of freedom) stays under that of exclusion_rate, so the true
-    one is missed at that rate. Isolated is the only candidate. variance_factor, (...): by how much the residuals
-    vary more than the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and
+    A reading is faulty if chi-square exceeds the threshold of false_alarm_rate; a gauge is a candidate if the
+    residual of its best-fitting fault (n - 4 degrees of freedom) is below that of exclusion_rate, so the true one
+    is missed at that rate. Isolated is the only candidate. variance_factor, (...): ratio of the residuals' variance
+    to that of the gauges' noise; a calibrated C adds 1 + G^T N^-1 G. Raises InputError for other shapes, and
     for rates outside (0, 1).
     """
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
@@ -210,7 +210,7 @@ def detect(
         fault = ~(chi_square <= alarm)
         candidates = np.zeros(V.shape, dtype=np.bool_)
         for k in np.flatnonzero(model.visible):
-            # With four gauges nothing is left but rounding, and every gauge explains all.
+            # With four gauges only rounding is left, and every gauge explains all.
             rest = r - (weighed[..., k] / model.visible[k])[..., np.newaxis] * model.P[:, k]
             left = np.sum(rest * (rest @ model.Q), axis=-1) / factor
             candidates[..., k] = fault & ((n == 4) | (left <= exclusion)) & np.isfinite(chi_square)
@@ -226,7 +226,7 @@ def _matrix(C: npt.ArrayLike) -> FloatArray:
 
 
 def _root(covariance_strain2: npt.ArrayLike, n: int) -> FloatArray:
-    """The lower Cholesky factor."""
+    """Return the lower Cholesky factor."""
     covariance = np.asarray(covariance_strain2, dtype=np.float64)
     if covariance.shape != (n, n):
         raise InputError(f"covariance_strain2 has the shape {covariance.shape}: allowed is {(n, n)}")
@@ -234,6 +234,6 @@ def _root(covariance_strain2: npt.ArrayLike, n: int) -> FloatArray:
         return np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
     except np.linalg.LinAlgError:
         raise InputError(
-            "covariance_strain2 is not positive definite: with more than three gauges their noise decides what each "
-            "is worth; give every gauge a noise above zero"
+            "covariance_strain2 is not positive definite: with more than three gauges their noise sets their "
+            "weights; allowed is a noise above zero for every gauge"
         ) from None

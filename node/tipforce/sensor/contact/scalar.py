@@ -1,9 +1,9 @@
-"""One sample: force -> contact, its uncertainty and its status, for a microcontroller.
+"""Contact of one sample: force to contact, its uncertainty and its status, for a microcontroller.
 
-Needs the math module only and keeps to what MicroPython has. contact.py holds the same formulas for arrays,
-and the tests hold both together. Forces in newtons, angles in radians unless a name says degrees. Nothing
-here raises for bad numbers: NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 =
-P cos(phi): equation (16) of the paper.
+Needs only the math module and the MicroPython subset. estimate.py has the same formulas for arrays, and the tests
+compare both. Forces in newtons, angles in radians unless a name says degrees. Functions here do not raise for
+bad numbers: NaN or infinity in gives NaN out. F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi):
+equation (16) of the paper.
 """
 
 from math import asin, atan2, frexp, ldexp, pi, sqrt
@@ -12,7 +12,7 @@ NAN = float("nan")
 TWO_PI = 2.0 * pi
 DEGREES = 180.0 / pi
 
-# The status byte. Bits 0, 4, 5, 6 come from status_bits(); the others are known to whoever reads the gauges.
+# The status byte. Bits 0, 4, 5, 6 come from status_bits(); the reader of the gauges sets the others.
 CONTACT_PRESENT = 0x01
 CALIBRATED = 0x02
 SATURATED = 0x04
@@ -22,14 +22,14 @@ MISSES_TIP = 0x20
 OUTSIDE_PAD = 0x40
 FRONT_END_FAULT = 0x80
 
-# What a status byte makes unknown.
+# Values that a status byte marks unknown.
 UNKNOWN_FORCE = 0x01  # F1, F2, F3 and P
 UNKNOWN_PHI = 0x02
 UNKNOWN_THETA = 0x04
 UNKNOWN_GAUGES = 0x08
 
 MISS_COVERAGE_FACTOR = 3.0  # standard uncertainties by which |F2| must exceed P before the load misses the tip
-MISS_FLOOR = 1e-6  # times P: rounding of single-precision coefficients, which no noise covariance knows
+MISS_FLOOR = 1e-6  # times P: rounding of single-precision coefficients, which is not in the noise covariance
 THETA_RESOLVED_DEG = 30.0  # largest standard uncertainty with which theta still counts as resolved
 SMALLEST_STEP = 1e-30  # noise over load below which an angle counts as exactly known
 SMALLEST_COSINE = 1e-15  # sqrt(SMALLEST_STEP): keeps slopes, and their squares in single precision, finite
@@ -40,8 +40,8 @@ def contact(F1: float, F2: float, F3: float, pull: bool) -> tuple[float, float, 
     """Return (P, phi, theta, miss) for one force: newtons, radians, radians, newtons.
 
     pull: True where the load pulls at the surface (a rope), False where it pushes (a contact): it selects one
-    of the two points where the line of action cuts the tip. phi and theta lie in (-pi, pi]. miss is how far
-    |F2| exceeds hypot(F1, F3); where it is positive the line of action passes the tip, the contact is taken
+    of the two points where the line of action meets the tip. phi and theta lie in (-pi, pi]. miss is the excess of
+    |F2| over hypot(F1, F3); if it is positive the line of action misses the tip, the contact is taken
     as tangential and P = (hypot + |F2|) / 2. No load: P = 0, phi and theta NaN. F1 = F3 = 0: phi and theta
     NaN. Loads from 1e-300 to 1e300 N keep full precision; a P beyond the largest float is infinite.
     """
@@ -80,8 +80,8 @@ def uncertainty(
 ) -> tuple[float, float, float]:
     """Return the standard uncertainties (u_P, u_phi, u_theta) in newtons, radians, radians.
 
-    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, but
-    for the angle between force and surface normal, where 1 / |cos(delta)| gives way to finite_slope(): near a
+    cov: the upper triangle (11, 12, 13, 22, 23, 33) of the covariance of F, N^2. First order, J cov J^T, except
+    for the angle between force and surface normal, where finite_slope() replaces 1 / |cos(delta)|: near a
     tangential contact the first order grows without bound, while the real spread of theta stays near SNR **
     -0.5. No load, or F1 = F3 = 0: u_P for the worst direction, the angles NaN. NaN or infinity in: all NaN.
     """
@@ -129,7 +129,7 @@ def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, f
 def finite_slope(x: float, cosine: float, step: float) -> float:
     """Return the slope of asin at x over one standard uncertainty: root mean square of the two chords.
 
-    x = |F2| / P in [0, 1], cosine = sqrt(1 - x^2) handed in because it is known better than x tells, step =
+    x = |F2| / P in [0, 1], cosine = sqrt(1 - x^2), passed because it is more precise than x, step =
     standard uncertainty of x. Far from x = 1 it is 1 / cosine; at x = 1 the outward chord is zero and it is
     about step ** -0.5.
     """
@@ -156,7 +156,7 @@ def status_bits(
     (contact-on N, contact-off N, theta minimum, theta maximum in degrees) with contact-off <= contact-on and
     minimum <= maximum; the pad may run across 180 degrees (150 to 210). was_present: the sample before had
     CONTACT_PRESENT. NaN is never a contact; a NaN in theta or in any uncertainty leaves theta unresolved.
-    OUTSIDE_PAD is judged only where theta is known: with a contact, theta resolved, the tip not missed.
+    OUTSIDE_PAD is set only if theta is known: with a contact, theta resolved, the tip not missed.
     """
     on, off, theta_min_deg, theta_max_deg = limits
     bits = 0
@@ -175,10 +175,10 @@ def status_bits(
 
 
 def unknown(status: int, rank_left_is_3: bool = False) -> int:
-    """Return what a status byte makes unknown, as bits UNKNOWN_FORCE, _PHI, _THETA and _GAUGES.
+    """Return the values that a status byte makes unknown, as bits UNKNOWN_FORCE, _PHI, _THETA and _GAUGES.
 
-    rank_left_is_3: with more than three gauges, those that are not saturated still determine all three
-    forces, and the node used only them: SATURATED then takes nothing away.
+    rank_left_is_3: with more than three gauges, the unsaturated ones still determine all three forces, and the
+    node used only them: SATURATED then makes no value unknown.
     """
     bits = 0
     if status & (STALE | FRONT_END_FAULT):
@@ -195,7 +195,7 @@ def unknown(status: int, rank_left_is_3: bool = False) -> int:
 def _prepare(
     F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]
 ) -> tuple[float, float, float, float, float, tuple[float, float, float, float, float, float], int, int] | None:
-    """(f1, f2, f3, hypotenuse, cosine, K, exponent, half), scaled by powers of two; None for NaN.
+    """Return (f1, f2, f3, hypotenuse, cosine, K, exponent, half), scaled by powers of two; None for NaN.
 
     F = f 2^exponent, cov = K 2^(2 half): neither squares of forces nor covariances over- or underflow.
     """
@@ -225,21 +225,21 @@ def _prepare(
 
 
 def _deviation(K: tuple[float, float, float, float, float, float], g1: float, g2: float, g3: float) -> float:
-    """sqrt(g K g), the larger of it and zero: rounding may make an exactly known combination negative."""
+    """Return sqrt(g K g), or zero if rounding makes an exactly known combination negative."""
     k11, k12, k13, k22, k23, k33 = K
     variance = g1 * (k11 * g1 + 2.0 * (k12 * g2 + k13 * g3)) + g2 * (k22 * g2 + 2.0 * k23 * g3) + g3 * k33 * g3
     return sqrt(max(0.0, variance))
 
 
 def _worst_deviation(K: tuple[float, float, float, float, float, float]) -> float:
-    """Largest standard deviation of (F1, F3) along any direction of their plane."""
+    """Return the largest standard deviation of (F1, F3) along any direction of their plane."""
     k11, _, k13, _, _, k33 = K
     difference = 0.5 * (k11 - k33)
     return sqrt(max(0.0, 0.5 * (k11 + k33) + sqrt(difference * difference + k13 * k13)))
 
 
 def _arc(x: float, cosine: float, step: float) -> float:
-    """|asin(x + step) - asin(x)| from the chord between two points of the unit circle: no cancellation."""
+    """Return |asin(x + step) - asin(x)| from the chord between two points of the unit circle: no cancellation."""
     other = sqrt(max(0.0, cosine * cosine - step * (2.0 * x + step)))
     total = cosine + other
     ratio = (2.0 * x + step) / total if total > 0.0 else 0.0
@@ -247,6 +247,6 @@ def _arc(x: float, cosine: float, step: float) -> float:
 
 
 def _times_power(value: float, exponent: int) -> float:
-    """value 2^exponent in two steps: infinity or zero where one step would raise."""
+    """Return value 2^exponent in two steps: infinity or zero where one step would raise."""
     first = exponent // 2
     return value * ldexp(1.0, first) * ldexp(1.0, exponent - first)

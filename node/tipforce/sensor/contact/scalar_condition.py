@@ -1,4 +1,4 @@
-"""Condition number of a calibration matrix without numpy: the node itself refuses a bad one."""
+"""Condition number of a calibration matrix without numpy: the node itself rejects a bad one."""
 
 from math import sqrt
 
@@ -7,7 +7,7 @@ _CONVERGED = 1e-15
 
 
 def condition_number(rows: "list[list[float]]") -> float:
-    """The 2-norm condition number of a matrix given as its (few) rows of equal length; infinite when singular.
+    """Return the 2-norm condition number of a matrix given as a few rows of equal length; infinite when singular.
 
     One-sided Jacobi: rows are rotated against each other until all are orthogonal; their lengths are then the
     singular values, each with full relative accuracy. NaN where an element is not finite.

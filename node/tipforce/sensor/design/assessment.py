@@ -1,4 +1,4 @@
-"""A structure judged twice, by beam theory and by the frame, and the designs of a set that no other beats."""
+"""Assess a structure by beam theory and by the frame model, and find the designs of a set that no other dominates."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, FrameModel
 
 AGREEMENT = 0.03
-"""What beam theory and the frame may differ by, relative, before a design counts as not proven."""
+"""Relative difference of beam theory and frame above which a design counts as not proven."""
 
 
 @dataclass(frozen=True, slots=True)
 class Assessment:
-    """A structure judged twice: by beam theory, and by the frame with shear and elastic roots."""
+    """Assessment of a structure: by beam theory, and by the frame with shear and elastic roots."""
 
     name: str
     geometry: Geometry
@@ -26,7 +26,7 @@ class Assessment:
     theory: Merit
     frame: Merit
     frame_finite_joint: Merit
-    """The frame with the joint a block of width h2 as well: how much the joint's size matters."""
+    """The frame with the joint as a block of width h2: shows the effect of the joint's size."""
     worst_stress_pascals: float
     worst_strain: float
     """The largest reading of a gauge."""
@@ -40,7 +40,7 @@ class Assessment:
 
     @property
     def agrees(self) -> bool:
-        """Whether beam theory and the frame agree within AGREEMENT."""
+        """True if beam theory and the frame agree within AGREEMENT."""
         return self.disagreement <= AGREEMENT
 
 
@@ -95,13 +95,13 @@ FIGURES: dict[str, Callable[[Assessment], float]] = {
     "singular": lambda entry: 1.0 / entry.theory.smallest_singular_value,
     "condition": lambda entry: entry.theory.condition_number,
 }
-"""What each objective of the search makes small."""
+"""The quantities that the search's objectives minimise."""
 
 
 def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment], float]]) -> list[Assessment]:
-    """Return the entries that no other beats in every figure, less being better, the best in the first one first.
+    """Return the entries that no other dominates in every figure (smaller is better), the best in the first one first.
 
-    An entry that is better by less than one percent counts as beaten.
+    An entry that is better by less than one percent counts as dominated.
     """
     kept: list[Assessment] = []
     for entry in sorted(entries, key=lambda e: tuple(figure(e) for figure in figures)):

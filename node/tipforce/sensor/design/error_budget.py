@@ -1,8 +1,8 @@
-"""The error budget of P, phi, theta: each cause carried through C, the calibration and the contact to first order.
+"""Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order.
 
 A cause is a set of independent elementary errors; each moves the estimated force by a vector that depends on the load.
-The covariance of F is the sum of their outer products, and standard_uncertainties() turns it into P, phi, theta.
-A fixed offset, gain, shift or angle is no noise: its row says how far the estimates of many such sensors scatter.
+The covariance of F is the sum of their outer products; standard_uncertainties() converts it to P, phi, theta.
+A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Causes:
     """Standard uncertainties of the causes. The defaults are assumptions to be replaced."""
 
     noise_strain: float | None = None
-    """White noise of each gauge; None: the covariance that the sensor states."""
+    """White noise of each gauge; None: the covariance of the sensor."""
     resolution_strain: float = 0.1e-6
     """One step of the gauge's converter (INTEGER16 in 0.1 microstrain)."""
     gain: float = 1e-3
@@ -45,15 +45,15 @@ class Causes:
     apparent_strain_per_K: float = 1e-6
     """Apparent strain that all gauges share."""
     mismatch_strain_per_K: float = 0.2e-6
-    """Apparent strain of each gauge beside that."""
+    """Apparent strain of each gauge in addition."""
     sensitivity_per_K: float = 3e-4
     """Relative change of all strains: Young's modulus of steel, and the gauge factor."""
     load_angle_rad: float = 0.5 * DEGREE
     """Scatter of the direction of each calibration load."""
     gravity_rad: float = 0.5 * DEGREE
-    """Angle between the two set-ups in which the x-loads and the y-loads were hung: the y-loads all turn by it."""
+    """Angle between the two set-ups for the x-loads and the y-loads: all y-loads rotate by it."""
     gauge_shift_m: float = 0.2e-3
-    """Of each gauge along its beam; counts only where C comes from theory, a calibration takes it out."""
+    """Of each gauge along its beam; only if C comes from theory, because a calibration removes it."""
     off_axis_newtons: float = 0.5
     """Load along the width of the beams."""
     lateral_offset_m: float = 0.3e-3
@@ -64,7 +64,7 @@ class Causes:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sensor:
-    """What the budget needs to know of a sensor."""
+    """Properties of a sensor for the budget."""
 
     C: FloatArray
     """(3, n), newtons per unit strain."""
@@ -75,10 +75,10 @@ class Sensor:
     pull: bool
     """Load sense of the readings."""
     calibrated: bool
-    """True: C was fitted to loads. False: it comes from theory, so gauges that sit elsewhere are not known to it."""
+    """True: C was fitted to loads. False: it comes from theory, with gauges at their nominal places."""
     geometry: Geometry | None = None
     positions: tuple[GaugePosition, ...] = ()
-    """Where the gauges sit; without it (or the geometry) shift and off-axis load cannot be told."""
+    """Positions of the gauges; without them (or the geometry) shift and off-axis load are unknown."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,7 +102,7 @@ class Loads:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Row:
-    """What one cause contributes to m loads."""
+    """Contribution of one cause to m loads."""
 
     cause: str
     covariance_F: FloatArray
@@ -113,14 +113,14 @@ class Row:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Budget:
-    """The rows, their sum, and what could not be told."""
+    """The rows, their sum, and the omitted causes."""
 
     rows: list[Row]
     total: Row
     holds: BoolArray
     """(m, 3): first_order_holds() of the total, for P, phi, theta."""
     left_out: dict[str, str]
-    """Cause -> why it has no row."""
+    """Cause -> reason why it has no row."""
 
 
 def groove_loads(P_newtons: float = CALIBRATION_WEIGHT_NEWTONS) -> Loads:
@@ -132,7 +132,7 @@ def groove_loads(P_newtons: float = CALIBRATION_WEIGHT_NEWTONS) -> Loads:
 def pad_loads(
     P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool, largest_delta_deg: float = 45.0
 ) -> Loads:
-    """Return loads all over a pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
+    """Return loads over a whole pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
     theta_deg, delta_deg = np.meshgrid(
         np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0),
         np.arange(-largest_delta_deg, largest_delta_deg + 1e-9, 15.0),
@@ -146,7 +146,7 @@ def budget(sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Load
     """Return the budget of some loads.
 
     calibration_loads: those that C was fitted to, one reading each and as many unloaded (default: the paper's
-    grooves). Repeats lower the calibration's noise, not its angles, as a groove keeps its angle. Raises
+    grooves). Repetitions lower the calibration's noise, not its angles, as a groove keeps its angle. Raises
     InputError where the shapes do not fit.
     """
     n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
@@ -169,8 +169,8 @@ def elementary_errors(
 ) -> tuple[dict[str, FloatArray], dict[str, str]]:
     """Return (cause -> errors of F, (q, m, 3) newtons, one for each of q independent standard deviations; left out).
 
-    A cause that cannot act has zeros: a calibration takes out where the gauges sit, and C from theory knows no
-    loads. The second says why a cause is missing because it cannot be told.
+    A cause without effect has zeros: a calibration removes gauge positions, and C from theory has no
+    loads. The second gives the reason for each cause that cannot be computed.
     """
     C, F, n = sensor.C, loads.F, sensor.C.shape[1]
     strain = F @ sensor.A.T
@@ -197,7 +197,7 @@ def elementary_errors(
         found["calibration noise"] = found["load angle"] = found["gravity"] = none
     if sensor.geometry is None or len(sensor.positions) != n:
         missing = ["off-axis load"] if sensor.calibrated else ["gauge position", "off-axis load"]
-        left_out = dict.fromkeys(missing, "the places of the gauges are not known")
+        left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
     else:
         if not sensor.calibrated:
             slopes = _position_slopes(sensor.geometry, sensor.positions)
@@ -209,8 +209,8 @@ def elementary_errors(
 def turn_errors(calibration_loads: Loads, F: FloatArray) -> FloatArray:
     """Return the errors of F, (r, m, 3), newtons per radian, from turning each of r calibration loads.
 
-    The fit takes the load for F_i while it is F_i + angle F'_i: its strain is wrong by A F'_i, the fit by
-    A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), whatever A is. The rows of N: the loads, and as many
+    The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by
+    A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. The rows of N: the loads, and as many
     unloaded readings.
     """
     G = _with_one(calibration_loads.F)
@@ -219,9 +219,9 @@ def turn_errors(calibration_loads: Loads, F: FloatArray) -> FloatArray:
 
 
 def gravity_residual(angle_rad: float, calibration_loads: Loads | None = None) -> float:
-    """Return what such an angle between x-loads and y-loads leaves in the residuals of the fit, over the load (RMS).
+    """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit.
 
-    To be held against the error that it makes in P, angle / 2 at phi = 45 degrees: next to nothing shows.
+    Compare it with the resulting error of P, angle / 2 at phi = 45 degrees: the residuals hardly show it.
     """
     hung = groove_loads() if calibration_loads is None else calibration_loads
     turned = hung.turned * (angle_rad * _along_y(hung))[:, np.newaxis]
@@ -232,7 +232,7 @@ def gravity_residual(angle_rad: float, calibration_loads: Loads | None = None) -
 
 
 def _leverage(calibration_loads: Loads, F: FloatArray) -> FloatArray:
-    """G^T N^-1 G, (m,): how much of the variance of one calibration reading arrives at F."""
+    """Return G^T N^-1 G, (m,): the part of the variance of one calibration reading that propagates to F."""
     G = _with_one(F)
     N = _normal_matrix(_with_one(calibration_loads.F))
     return np.asarray(np.einsum("mi,mi->m", G, np.linalg.solve(N, G.T).T), dtype=np.float64)
@@ -243,18 +243,18 @@ def _with_one(F: FloatArray) -> FloatArray:
 
 
 def _normal_matrix(G: FloatArray) -> FloatArray:
-    """N: the loads, and as many unloaded readings."""
+    """Return N: the loads, and as many unloaded readings."""
     return np.asarray(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), dtype=np.float64)
 
 
 def _along_y(loads: Loads) -> BoolArray:
-    """Which loads hang along y rather than along x."""
+    """Return which loads hang along y rather than along x."""
     found: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
     return found
 
 
 def _covariance(errors: FloatArray) -> FloatArray:
-    """The sum of outer products, (m, 3, 3), of errors (q, m, 3)."""
+    """Return the sum of outer products, (m, 3, 3), of errors (q, m, 3)."""
     by_load = errors.transpose(1, 2, 0)
     return np.asarray(by_load @ by_load.transpose(0, 2, 1), dtype=np.float64)
 
@@ -264,13 +264,13 @@ def _row(cause: str, covariance_F: FloatArray, F: FloatArray, pull: bool) -> Row
 
 
 def _factor(covariance: FloatArray) -> FloatArray:
-    """B with B B^T = covariance, also where that is singular."""
+    """Return B with B B^T = covariance, also for a singular one."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
 
 
 def _position_slopes(geometry: Geometry, positions: tuple[GaugePosition, ...]) -> FloatArray:
-    """Strain per newton and metre of shift along the beam, (n, 3)."""
+    """Return strain per newton and metre of shift along the beam, (n, 3)."""
     slopes = []
     for place in positions:
         length = geometry.a_m if place.beam == "H" else geometry.d_m
@@ -287,7 +287,7 @@ def _off_axis(
     causes: Causes,
     per_gauge: FloatArray,
 ) -> FloatArray:
-    """Errors of F from an off-axis load by each gauge's lateral offset, then by each gauge's misalignment."""
+    """Return errors of F from an off-axis load by each gauge's lateral offset, then by each gauge's misalignment."""
     wrenches = causes.off_axis_newtons * off_axis_wrenches(geometry, theta_rad)
     centred = wrench_strain_matrix(geometry, [PlacedGauge(place) for place in positions])
     errors = []

@@ -1,7 +1,7 @@
-"""How good a structure is: predicted uncertainties, noise, condition number, worst stress, closure of the slit.
+"""Figures of merit of a structure: predicted uncertainties, noise, condition number, worst stress, slit closure.
 
 All figures are closed formulas of Table 1's beam theory; optimise any of them, report the others beside it. The
-condition number alone says nothing about noise: it stays the same when every gauge reads half as much.
+condition number alone does not contain noise: it is unchanged if every gauge reads half as much.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as
 
 @dataclass(frozen=True, slots=True)
 class LoadSet:
-    """The loads that uncertainties are averaged over: contacts on the pad, pushes within the friction cone.
+    """The loads over which uncertainties are averaged: contacts on the pad, pushes within the friction cone.
 
     Uniform in theta over the pad and in the angle between push and inward normal. Raises InputError for a load,
     pad or friction coefficient out of range.
@@ -78,7 +78,7 @@ class LoadSet:
 
 @dataclass(frozen=True, slots=True)
 class Merit:
-    """What a strain matrix is worth at a stated gauge noise and load set."""
+    """Figures of a strain matrix at a given gauge noise and load set."""
 
     u_P_newtons: float
     """Standard uncertainties: RMS over the load set, from gauge noise alone, first order."""
@@ -87,7 +87,7 @@ class Merit:
     noise_gain_newtons: float
     """sqrt(trace(C C^T)) in newtons per microstrain."""
     smallest_singular_value: float
-    """Of the strain matrix, in microstrain per newton: the least that the gauges see of a force."""
+    """Of the strain matrix, in microstrain per newton: the smallest reading of the gauges for a unit force."""
     condition_number: float
 
 
@@ -140,8 +140,8 @@ def slit_closure(geometry: Geometry, load_newtons: float) -> float:
 
 def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
     """Return E b times that closure per newton, at the place along an arm where it is largest; same shapes."""
-    # F1 lifts the tip by a^3 / 24 EI against the joint, F2 turns it by r a / 8 EI; I = h1^3 / 12. What each leaves
-    # of the slit at the fraction x of an arm adds up to the largest sum at x = r / (2 a + 3 r).
+    # F1 lifts the tip by a^3 / 24 EI against the joint, F2 rotates it by r a / 8 EI; I = h1^3 / 12. Their effects on
+    # the slit at the fraction x of an arm have the largest sum at x = r / (2 a + 3 r).
     x = r / (2.0 * a + 3.0 * r)
     lift = 0.5 * a * (1.0 - x * x * (3.0 - 2.0 * x))
     turn = 1.5 * r * x * (1.0 - x) ** 2

@@ -1,4 +1,4 @@
-"""Figure 9 of the paper by simulation: a rope in the grooves of section 4.1, a calibration as in 4.3, its errors."""
+"""Figure 9 of the paper by simulation: errors at the grooves of section 4.1 after a calibration as in section 4.3."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Grooves:
-    """The directions in which a rope pulls, one entry per groove."""
+    """Directions in which a rope pulls, one entry per groove."""
 
     theta_rad: FloatArray
     phi_rad: FloatArray
@@ -46,7 +46,7 @@ def paper_grooves() -> Grooves:
     """Return the 19 grooves of section 4.1.
 
     The paper does not state their sense; a rope can only pull away from the tip. So grooves along x pull to +x
-    (phi = 0) where theta is below 90 degrees and to -x (phi = 180) above; grooves along y pull up (phi = 90).
+    (phi = 0) if theta is below 90 degrees and to -x (phi = 180) above; grooves along y pull up (phi = 90).
     """
     along_x = np.array([True] * len(X_GROOVES_DEG) + [False] * len(Y_GROOVES_DEG))
     theta = np.radians(X_GROOVES_DEG + Y_GROOVES_DEG)
@@ -63,7 +63,7 @@ def simulate_groove_errors(
     seed: int,
     P_newtons: float = CALIBRATION_WEIGHT_NEWTONS,
 ) -> GrooveErrors:
-    """Return the errors that equal, independent, normal gauge noise makes at the paper's grooves.
+    """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves.
 
     Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section
     4.3 does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading. Three

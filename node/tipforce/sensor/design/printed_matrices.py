@@ -1,4 +1,4 @@
-"""The paper's three measured calibration matrices: what three printed digits allow, and whether they agree."""
+"""The paper's three measured calibration matrices: the range that three printed digits allow, and their consistency."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tipforce.sensor.structure.strain import condition_number
 
 
 class RoundingRange(NamedTuple):
-    """Which condition numbers matrices have that print as the given one."""
+    """Range of the condition numbers of matrices that print as the given one."""
 
     printed: float
     """Of the printed entries themselves."""
@@ -26,7 +26,7 @@ class RoundingRange(NamedTuple):
 
 
 class CommonShifts(NamedTuple):
-    """The gauge shifts that come nearest to three measured condition numbers at once."""
+    """The gauge shifts that best fit three measured condition numbers at once."""
 
     shifts_m: dict[str, float]
     """Per gauge point, inward along its beam, the same in every case that uses the point."""
@@ -49,7 +49,7 @@ def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> Rou
 
 
 def measured_rows() -> dict[str, dict[str, FloatArray]]:
-    """Return per case and gauge point the row of the inverted matrix: what the gauge read per F, shape (3,)."""
+    """Return per case and gauge point the row of the inverted matrix: the gauge's reading per F, shape (3,)."""
     rows: dict[str, dict[str, FloatArray]] = {}
     for case in CASES:
         inverse = np.linalg.inv(np.array(MEASURED_MATRICES[case], dtype=np.float64))
@@ -58,7 +58,7 @@ def measured_rows() -> dict[str, dict[str, FloatArray]]:
 
 
 def shared_gauge_disagreement() -> dict[str, float]:
-    """Return per gauge that several cases share how far its rows differ, relative to the longest of them.
+    """Return per gauge of several cases the difference of its rows, relative to the longest of them.
 
     The same gauge on the same body must have one row; the largest entry of the difference counts.
     """
@@ -73,7 +73,7 @@ def shared_gauge_disagreement() -> dict[str, float]:
 def nearest_common_shifts(
     geometry: Geometry, conditions: dict[str, float], largest_shift_m: float = 6e-3, steps: int = 25
 ) -> CommonShifts:
-    """Return the shifts of K, S, L, R, U, one set for all three cases, that come nearest to the condition numbers.
+    """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
 
     Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts. Case I holds K, S and
     U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.

@@ -1,4 +1,4 @@
-"""What the paper prints, number by number, so that ours can stand beside it. Nothing here is computed."""
+"""Numbers printed in the paper, for comparison. This module computes nothing."""
 
 from __future__ import annotations
 

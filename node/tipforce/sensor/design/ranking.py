@@ -1,4 +1,4 @@
-"""All 56 ways to pick three of the eight gauge points, ranked by condition number or by noise."""
+"""Rank all 56 choices of three of the eight gauge points by condition number or by noise."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ Figure = Literal["condition", "thin", "equilibrated", "noise"]
 
 
 class RankedLayout(NamedTuple):
-    """One pair of mirrored layouts, which share every figure. Infinite where the three forces cannot be told apart."""
+    """One pair of mirrored layouts, which share every figure. Infinite if they cannot separate the three forces."""
 
     points: tuple[str, ...]
     mirrored: tuple[str, ...]
-    """The same points where a layout is its own mirror (none of three points is)."""
+    """The same points if a layout is its own mirror (none of three points is)."""
     case: str
     """I, II, III, or empty."""
     condition: float
@@ -83,5 +83,5 @@ def _ranked(geometry: Geometry, points: tuple[str, ...]) -> RankedLayout:
 
 
 def _finite(condition: float) -> float:
-    """Rounding makes a singular matrix look barely regular."""
+    """Return infinity for a singular matrix that rounding makes barely regular."""
     return condition if condition < 1e12 else float("inf")

@@ -1,8 +1,8 @@
-"""Better structures: multi-start search over dimensions and gauge places, under limits that the maker sets.
+"""Search for better structures: multi-start over dimensions and gauge places, within limits set by the manufacturer.
 
-Every way to spread the gauges over the faces of the beams is one configuration (mirror images count once). Within
-one, all variables are continuous: sequential quadratic programming (scipy's SLSQP) from several random starts, with
-exact derivatives (a complex step through the formulas of Table 1, made continuous).
+Every distribution of the gauges over the faces of the beams is one configuration (mirror images count once). In
+one configuration, all variables are continuous: sequential quadratic programming (scipy's SLSQP) from several random
+starts, with exact derivatives (a complex step through the formulas of Table 1, made continuous).
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ Objective = Literal["theta", "noise", "singular", "condition"]
 OBJECTIVES: tuple[Objective, ...] = ("theta", "noise", "singular", "condition")
 
 TRADE_OFF_STEPS = tuple((np.arange(1, 10) / 10).tolist())
-"""How far down from the objective's optimum towards the least condition number, on a logarithmic scale."""
+"""Fractions of the way from the objective's optimum to the least condition number, on a logarithmic scale."""
 
-_POWER = 32  # of the norm that stands for the largest or smallest singular value: within 3.5 %, and smooth
-_PENALTY = 30.0  # on the square of log(condition number / ceiling): a ceiling is kept within some percent
-_TIE_BREAK = 1e-3  # weight of the noise, where the condition number alone leaves the thickness open
+_POWER = 32  # of the norm that replaces the largest or smallest singular value: within 3.5 %, and smooth
+_PENALTY = 30.0  # on the square of log(condition number / ceiling): a ceiling is met within a few percent
+_TIE_BREAK = 1e-3  # weight of the noise, because the condition number alone does not determine the thickness
 _FEASIBLE = 1e-7
 _FAILED = 1e3
 
 Score = Callable[[FloatArray], tuple[float, FloatArray]]
-"""Strain matrix (n, 3) in microstrain per newton -> what to minimise, and its derivative by the matrix (n, 3)."""
+"""Strain matrix (n, 3) in microstrain per newton -> the minimised value, and its derivative by the matrix (n, 3)."""
 
 
 def score(objective: Objective, loads: LoadSet) -> Score:
     """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
 
-    The condition number alone leaves the beams' thickness open, since it does not change when all gauges read
-    less; a thousandth of the noise is added to settle it. Raises InputError for an unknown objective.
+    The condition number alone does not determine the beams' thickness, since it is unchanged when all gauges read
+    less; a thousandth of the noise is added to determine it. Raises InputError for an unknown objective.
     """
     if objective not in OBJECTIVES:
         raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
@@ -62,9 +62,9 @@ def mixed(parts: Sequence[tuple[float, Score]]) -> Score:
 
 
 def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatArray] | None:
-    """Return the local optimum near x as (score, point), or None where it violates a limit.
+    """Return the local optimum near x as (score, point), or None if it violates a limit.
 
-    Raises EnvironmentLackError where scipy is missing.
+    Raises EnvironmentLackError if scipy is missing.
     """
     try:
         from scipy.optimize import minimize
@@ -98,7 +98,7 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
 
 
 def _trace(A: FloatArray, W: FloatArray) -> tuple[float, FloatArray]:
-    """log sqrt(tr(W (A^T A)^-1)) and its derivative."""
+    """Return log sqrt(tr(W (A^T A)^-1)) and its derivative."""
     try:
         inverse = np.linalg.inv(A.T @ A)
     except np.linalg.LinAlgError:
@@ -111,7 +111,7 @@ def _trace(A: FloatArray, W: FloatArray) -> tuple[float, FloatArray]:
 
 
 def _extreme(A: FloatArray, sign: float) -> tuple[float, FloatArray]:
-    """log of the largest singular value (sign +1), or of 1 / the smallest (-1), as a smooth norm of all three."""
+    """Return log of the largest singular value (sign +1), or of 1 / the smallest (-1), as a smooth norm of all."""
     U, values, V = np.linalg.svd(A, full_matrices=False)
     if not values[-1] > 0.0:
         return _FAILED, np.zeros_like(A)
@@ -131,11 +131,11 @@ def search(
     seed: int = 0,
     done: Callable[[], None] = lambda: None,
 ) -> list[Design]:
-    """Return the best design of each configuration that has one inside the limits, the best first.
+    """Return the best design of each configuration that has one within the limits, the best first.
 
     starts: random starts per configuration; done is called after each. The same seed gives the same designs.
-    Raises InputError for values out of range or where no start ends inside the limits, EnvironmentLackError
-    where scipy is missing.
+    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError
+    if scipy is missing.
     """
     if starts < 1:
         raise InputError(f"{starts} starts: allowed is 1 or more")
@@ -152,7 +152,7 @@ def search(
             value, x = min(ends, key=lambda end: end[0])
             best.append((value, problem.design(x, objective)))
     if not best:
-        raise InputError("no design found inside the limits: allow more envelope, stress or slit, or more starts")
+        raise InputError("no design found within the limits: increase envelope, stress, slit or the number of starts")
     return [design for _, design in sorted(best, key=lambda item: item[0])]
 
 
@@ -167,7 +167,7 @@ def trade_off(
 ) -> list[Design]:
     """Return designs between the best one for an objective and the one of the least condition number.
 
-    The condition number is held under ceilings (TRADE_OFF_STEPS of the way from best to least, softly). Each
+    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each
     optimum is the start of the next: downwards from best and from each of others, upwards from least. done is
     called after each. Raises as search() does.
     """
@@ -188,7 +188,7 @@ def trade_off(
 
 
 def _below(part: Score, ceiling: float) -> Score:
-    """A penalty for a score above its ceiling; far smoother for the search than a constraint."""
+    """Return a penalty for a score above its ceiling; much smoother for the search than a constraint."""
 
     def penalty(A: FloatArray) -> tuple[float, FloatArray]:
         value, slope = part(A)

@@ -1,4 +1,4 @@
-"""What a search for a better structure may vary, and within which limits: variables, strain, constraints."""
+"""Variables, strain matrix and constraints of the search for a better structure."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from tipforce.sensor.design.figures_of_merit import (
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 
-UNIT_M = 1e-3  # the search counts in millimetres, and strain in microstrain
-_DIMENSIONS = 6  # a, d, r, h1, h2, width: then the places of the gauges
+UNIT_M = 1e-3  # the search uses millimetres and microstrain
+_DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
 _SCALE = np.array([15.0, 15.0, 15.0, 0.4, 0.65, 10.0])
 _PLACE_SCALE = 15.0
 
 
 @dataclass(frozen=True, slots=True)
 class Limits:
-    """What a structure may be, lengths in metres; the defaults are the paper's fabricated body and its stress.
+    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
 
     Raises InputError for a value out of range, naming it.
     """
@@ -43,13 +43,13 @@ class Limits:
     free_width: bool = False
     """True: the width may also be smaller, down to a tenth."""
     radius_m: float | None = None
-    """Of the tip, where it is given; None: free."""
+    """Of the tip, if given; None: free."""
     min_thickness_m: float = 0.2e-3
     """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
     slenderness: float = 10.0
-    """Least length over thickness of each beam (of an arm between joint and tip): where beam theory holds."""
+    """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
     wall_m: float = 0.0
-    """Least r - a, what attaches the beam's ends to the tip; the paper has a = r."""
+    """Least r - a, the wall between the beam's ends and the tip's surface; the paper has a = r."""
     gauge_length_m: float = 1e-3
     clearance_m: float = 0.0
     """Between a gauge and a corner, a beam's end, or another gauge; the paper names none."""
@@ -57,10 +57,10 @@ class Limits:
     """The load must not close it."""
     load_newtons: float = PAPER_LOAD_NEWTONS
     max_stress_pascals: float | None = None
-    """Anywhere on the beams at load_newtons, at the worst angle; None: what the paper's body bears there."""
+    """Anywhere on the beams at load_newtons, at the worst angle; None: that of the paper's body."""
     youngs_modulus_pascals: float = FABRICATED.youngs_modulus_pascals
     upper_face: bool = False
-    """True: gauges may also sit inside the slit, on the upper face of the horizontal beam."""
+    """True: gauges may also be inside the slit, on the upper face of the horizontal beam."""
 
     def __post_init__(self) -> None:
         zero_allowed = {"wall_m", "clearance_m", "slenderness"}
@@ -75,14 +75,14 @@ class Limits:
 
     @property
     def stress_pascals(self) -> float:
-        """max_stress_pascals, or the default that stands for it."""
+        """max_stress_pascals, or its default."""
         if self.max_stress_pascals is None:
             return worst_stress(FABRICATED, self.load_newtons)
         return self.max_stress_pascals
 
 
 class Slot(NamedTuple):
-    """One face of one beam, where gauges can sit; the fields of a GaugePosition without the place."""
+    """One face of one beam that can carry gauges; the fields of a GaugePosition without the position."""
 
     beam: Literal["H", "V"]
     side: Literal["left", "right"]
@@ -90,7 +90,7 @@ class Slot(NamedTuple):
 
 
 class Design(NamedTuple):
-    """A structure with its gauges, and what the search minimised to find it."""
+    """A structure with its gauges, and the minimised value."""
 
     geometry: Geometry
     gauges: tuple[GaugePosition, ...]
@@ -98,7 +98,7 @@ class Design(NamedTuple):
 
 
 def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ...]]:
-    """Return the ways to spread n gauges over the faces, at least one on each beam, mirror images once.
+    """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once.
 
     Raises InputError for fewer than 3 or more than 5 gauges.
     """
@@ -143,7 +143,7 @@ class Problem:
         return stress
 
     def constraints(self, x: AnyArray) -> AnyArray:
-        """What must not be negative, (m, k): stress, slit, envelope, wall, slenderness, room between gauges."""
+        """Return the constraints, not negative, (m, k): stress, slit, envelope, wall, slenderness, gauge spacing."""
         limits = self.limits
         a, d, r, h1, h2, b = x[:, :_DIMENSIONS].T
         load, wall = limits.load_newtons, limits.wall_m / UNIT_M
@@ -160,7 +160,7 @@ class Problem:
         return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
 
     def design(self, x: FloatArray, objective: str) -> Design:
-        """The point (6 + n,) as a design."""
+        """Return the point (6 + n,) as a design."""
         a, d, r, h1, h2, b = (float(value) for value in x[:_DIMENSIONS] * UNIT_M)
         geometry = Geometry(a, d, r, h1, h2, b, self.limits.youngs_modulus_pascals)
         places = zip(self.slots, x[_DIMENSIONS:], strict=True)
@@ -168,13 +168,13 @@ class Problem:
         return Design(geometry, tuple(gauges), objective)
 
     def point(self, design: Design) -> FloatArray:
-        """The variables (6 + n,) of a design of this configuration."""
+        """Return the variables (6 + n,) of a design of this configuration."""
         g = design.geometry
         lengths = [g.a_m, g.d_m, g.r_m, g.h1_m, g.h2_m, g.width_m, *(gauge.position_m for gauge in design.gauges)]
         return np.array(lengths) / UNIT_M
 
     def start(self, rng: np.random.Generator) -> FloatArray:
-        """A random point, near or inside the limits."""
+        """Return a random point, near or inside the limits."""
         limits = self.limits
         reach = 0.5 * limits.envelope_x_m / UNIT_M
         height = limits.envelope_y_m / UNIT_M
@@ -198,14 +198,14 @@ class Problem:
         return result
 
     def _gaps(self) -> tuple[FloatArray, FloatArray]:
-        """Room between neighbours on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
+        """Return the spacing on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
         length, clearance = self.limits.gauge_length_m / UNIT_M, self.limits.clearance_m / UNIT_M
         unit = np.eye(_DIMENSIONS + len(self.slots))
         a, d, _, _, h2, _ = unit[:_DIMENSIONS]
         slopes, least = list[FloatArray](), list[float]()
         for slot in dict.fromkeys(self.slots):
             places = [unit[_DIMENSIONS + k] for k, other in enumerate(self.slots) if other == slot]
-            # The vertical beam covers h2 / 2 on either side of the middle, and above it nothing bends.
+            # The vertical beam covers h2 / 2 on either side of the middle, and above it there is no bending.
             inner, end = (0.5 * h2, a) if slot.beam == "H" else (0.0 * h2, d)
             slopes += [after - before for before, after in itertools.pairwise((inner, *places, end))]
             least += [0.5 * length + clearance, *[length + clearance] * (len(places) - 1), 0.5 * length + clearance]

@@ -1,4 +1,4 @@
-"""Figure 6 of the paper: how the condition number answers to gauges that sit elsewhere along their beams."""
+"""Figure 6 of the paper: the condition number as a function of gauge shifts along the beams."""
 
 from __future__ import annotations
 
@@ -15,12 +15,12 @@ from tipforce.sensor.structure.layouts import Layout, layout
 
 
 class Influence(NamedTuple):
-    """What a shift of one gauge does to the condition number of a layout."""
+    """Effect of a shift of one gauge on the condition number of a layout."""
 
     slope_per_mm: float
-    """Change per millimetre inward, at the nominal place."""
+    """Change per millimetre inward, at the nominal position."""
     change: float
-    """Change for the whole shift that was asked for."""
+    """Change for the whole requested shift."""
 
 
 def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
@@ -38,7 +38,7 @@ def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.Ar
 
 
 def influences(geometry: Geometry, gauges: Layout, shift_m: float) -> list[Influence]:
-    """Return per gauge how its shift alone changes the condition number. Raises as condition_against_shift()."""
+    """Return per gauge the effect of its shift alone on the condition number. Raises as condition_against_shift()."""
     step = 1e-9
     found = condition_against_shift(geometry, gauges, [0.0, step, shift_m])[:-1]
     return [Influence((row[1] - row[0]) / step * 1e-3, row[2] - row[0]) for row in found.tolist()]
@@ -60,7 +60,7 @@ def shift_to_reach(
 ) -> float:
     """Return the smallest inward shift of the gauges at `moving` that gives the layout a condition number.
 
-    The other gauges stay others_m off their points. NaN where no shift up to largest_shift_m does. Raises
+    The other gauges stay others_m off their points. NaN if no shift up to largest_shift_m does. Raises
     InputError for a point that is not in the layout.
     """
     points = layout(gauges)

@@ -1,6 +1,6 @@
-"""Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and where, condition numbers by unit.
+"""Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and places, condition numbers by unit.
 
-Tension is positive everywhere, but for table_1(), which keeps the paper's signs. Angles are in degrees here, because
+Tension is positive everywhere, except in table_1(), which keeps the paper's signs. Angles are in degrees here, because
 the tables print degrees.
 """
 
@@ -37,7 +37,7 @@ SYMBOLS = {
 """Table 1 as formulas for (g1, g2, g3), stress times width per newton; ^ is a power."""
 
 THIN_UNIT = 1.5
-"""thin_limit_matrix() counts in 3/2 a / h1^2, Table 2 in a / h1^2."""
+"""thin_limit_matrix() has the unit 3/2 a / h1^2, Table 2 the unit a / h1^2."""
 
 
 class Table1Row(NamedTuple):
@@ -52,11 +52,11 @@ class Table1Row(NamedTuple):
 
 
 class Maximum(NamedTuple):
-    """The largest value of P (g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi)) for P = 1 and where it is reached."""
+    """Largest value of P (g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi)) for P = 1, and its angles."""
 
     value: float
     theta_deg: float
-    """0 to 180. NaN: it is reached at every theta."""
+    """0 to 180. NaN: reached at every theta."""
     phi_deg: float
     """In (-180, 180]; phi + 180 gives the same with the opposite sign. For theta = NaN: phi - theta."""
 
@@ -75,7 +75,7 @@ class Table3Row(NamedTuple):
     """The theory column of Table 3 for one layout."""
 
     thin: float
-    """Condition number in the thin-beam limit: what the paper prints."""
+    """Condition number in the thin-beam limit, as printed in the paper."""
     actual: float
     row_equilibrated: float
     noise_gain_newtons: float
@@ -106,7 +106,7 @@ def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
     if not 0.0 <= theta <= pi:
         theta = 0.0 if abs(theta) < 0.5 * pi else pi
     up, along = g1 + g2 * cos(theta), g3 - g2 * sin(theta)
-    # Rounded: sin(180 degrees) is not quite zero, and -0 or 180 - 1e-14 degrees print badly.
+    # Rounded: sin(180 degrees) is not exactly zero, and -0 or 180 - 1e-14 degrees print badly.
     return Maximum(hypot(up, along), round(degrees(theta), 9) + 0.0, round(degrees(atan2(up, along)), 9) + 0.0)
 
 

@@ -1,1 +1,1 @@
-"""How the structure moves: modes, the exact held step, impacts, the slit, integrators to compare with."""
+"""Dynamics of the structure: modes, the exact held step, impacts, the slit, integrators for comparison."""

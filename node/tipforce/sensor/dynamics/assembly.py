@@ -1,4 +1,4 @@
-"""Modes, a body that strikes the tip, the slit and a load, put together as one switched linear system.
+"""Combine modes, a body that strikes the tip, the slit and a load into one switched linear system.
 
 States: a = omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
 constant. They are scaled so that energy is half the sum of their squares: without damping and load the matrix is
@@ -22,17 +22,17 @@ from tipforce.sensor.dynamics.switched import Switched
 
 @dataclass(frozen=True, slots=True)
 class Striker:
-    """A body that meets the tip. Raises InputError for values out of range."""
+    """A body that strikes the tip. Raises InputError for values out of range."""
 
     mass_kg: float
-    """inf: a stop that the finger drives against at constant speed."""
+    """inf: a stop that the finger hits at constant speed."""
     speed_m_s: float
     """Towards the tip, relative to the fixture."""
     stiffness: float
-    """Of the contact: N/m where the exponent is 1, N/m^1.5 where it is 1.5 (Hertz)."""
+    """Of the contact: N/m for exponent 1, N/m^1.5 for 1.5 (Hertz)."""
     exponent: float = 1.0
     theta_rad: float = 0.5 * math.pi
-    """Where on the tip."""
+    """Place on the tip."""
     phi_rad: float | None = None
     """Direction of the contact force on the tip; None is a push along the inward normal, theta + pi."""
 
@@ -80,7 +80,7 @@ class Assembly:
         self.system = Switched(A, push, closure, self._compliance())
 
     def start(self, structure: State | None = None) -> FloatArray:
-        """Return the state at the moment of touch: structure at rest if None, no load."""
+        """Return the state at the moment of contact: structure at rest if None, no load."""
         X = np.zeros(self.size)
         if self.modes is not None and structure is not None:
             X[: self.n] = structure.position / self.modes.omega_rad_s
@@ -99,11 +99,11 @@ class Assembly:
         return State(X[: self.n] * omega, X[self.n : 2 * self.n] * omega)
 
     def body_speed(self, X: FloatArray) -> float:
-        """Speed of the body towards the tip, m/s."""
+        """Return the speed of the body towards the tip, m/s."""
         return float(X[self.speed]) / self._speed_scale
 
     def elastic(self, X: FloatArray, contact_newtons: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Elastic force (3,) in the arms and in the vertical beam."""
+        """Return the elastic force (3,) in the arms and in the vertical beam."""
         if self.modes is None:
             return np.zeros(3), np.zeros(3)
         z = X[: self.n] * self.modes.omega_rad_s
@@ -125,7 +125,7 @@ class Assembly:
         return 1.0 if self.slit is None else math.sqrt(float(self.slit.compliance[0, 0]))
 
     def _striker_rows(self, A: FloatArray, striker: Striker) -> tuple[FloatArray, FloatArray]:
-        """Fill in how overlap and speed move; (push, closure) of the contact."""
+        """Set the rates of overlap and speed; return (push, closure) of the contact."""
         n, root = self.n, math.sqrt(striker.stiffness)
         along = self._shape @ striker.direction
         A[self.overlap, self.speed] = root / self._speed_scale

@@ -1,4 +1,4 @@
-"""The mass of the beams, spread along them as they bend: the consistent mass matrix."""
+"""Mass of the beams, distributed along them as they bend: the consistent mass matrix."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ from tipforce.sensor.structure.plane_frame import FrameModel
 def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:
     """Return the mass matrix (6, 6), kg, for (motion of the joint, motion of the tip relative to it), each as y.
 
-    Beams move as their end loads bend them (Hermite's cubic along, linear stretch); shear, root compliance, rotatory
-    inertia and the beams' own inner modes are left out.
+    Beams deform as their end loads bend them (Hermite's cubic along, linear stretch); shear, root compliance, rotatory
+    inertia and the beams' own inner modes are neglected.
     """
     g = geometry
     inner = 0.5 * g.h2_m if model.finite_joint else 0.0
@@ -31,7 +31,7 @@ def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel
 
 
 def _local_mass(length: float, mass_per_length: float) -> FloatArray:
-    """Along, across, rotation at either end (Przemieniecki, Theory of Matrix Structural Analysis, 11.3)."""
+    """Return rows along, across, rotation at either end (Przemieniecki, Theory of Matrix Structural Analysis, 11.3)."""
     L = length
     bend = np.array(
         [
@@ -48,7 +48,7 @@ def _local_mass(length: float, mass_per_length: float) -> FloatArray:
 
 
 def _end(geometry: Geometry, place: tuple[float, float], direction: tuple[float, float]) -> FloatArray:
-    """Local displacement (along, across, rotation) at a place of a body per its motion y = (v, r rotation, u)."""
+    """Return the local displacement (along, across, rotation) of a place per body motion y = (v, r rotation, u)."""
     (x, y), (c, s), r = place, direction, geometry.r_m
     u, v = np.array([0.0, -y / r, 1.0]), np.array([1.0, x / r, 0.0])
     return np.array([c * u + s * v, -s * u + c * v, [0.0, 1.0 / r, 0.0]])

@@ -1,4 +1,4 @@
-"""Eigenvalues of a small symmetric positive definite matrix, the small ones as exact as the large ones."""
+"""Eigenvalues of a small symmetric positive definite matrix, with full relative accuracy also for the small ones."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def jacobi(matrix: FloatArray) -> tuple[FloatArray, FloatArray]:
 
 
 def _rotate(A: FloatArray, Q: FloatArray, i: int, j: int) -> bool:
-    """One rotation that makes A[i, j] zero; False where it changes nothing."""
+    """Apply one rotation that makes A[i, j] zero; return False if it changes nothing."""
     a, b, g = float(A[i, i]), float(A[j, j]), float(A[i, j])
     half = 0.5 * (b - a) / g
     tangent = math.copysign(1.0, half) / (abs(half) + math.hypot(1.0, half))
@@ -42,7 +42,7 @@ def _rotate(A: FloatArray, Q: FloatArray, i: int, j: int) -> bool:
     for M in (A.T, A, Q):  # rows, then columns: A.T is a view
         x, y = M[:, i].copy(), M[:, j].copy()
         M[:, i], M[:, j] = c * x - s * y, s * x + c * y
-    # The exact diagonal: the products above would leave rounding of the larger in the smaller.
+    # Set the exact diagonal: the products above would leave rounding of the larger entry in the smaller.
     A[i, i], A[j, j] = a - tangent * g, b + tangent * g
     A[i, j] = A[j, i] = 0.0
     return a != A[i, i] or b != A[j, j] or abs(tangent) > 1e-16

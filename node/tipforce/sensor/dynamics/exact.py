@@ -1,4 +1,4 @@
-"""Closed solutions to measure integrators against: a load that rises and falls as a cosine, a step, a half sine."""
+"""Closed solutions as references for integrators: a load that rises and falls as a cosine, a step, a half sine."""
 
 from __future__ import annotations
 
@@ -32,8 +32,8 @@ def harmonic(
 ) -> tuple[FloatArray, State]:  # fmt: skip
     """Return (elastic force (m, 3), state at the last time) from rest under mean + cosine cos(2 pi f t) + sine sin.
 
-    The three are forces (3,). Steady state in closed form, plus the free motion that makes the start fit. No mode
-    may be undamped at that very frequency.
+    The three are forces (3,). Steady state in closed form, plus the free motion that matches the start. No mode
+    may be undamped at exactly that frequency.
     """
     t = np.asarray(times_s, dtype=np.float64)
     angle = 2.0 * math.pi * frequency_hz * t[:, np.newaxis]
@@ -51,13 +51,13 @@ def harmonic(
 
 
 def raised_cosine(modes: Modes, force: npt.ArrayLike, period_s: float, times_s: npt.ArrayLike) -> FloatArray:
-    """Return the elastic force (m, 3) from rest under force (1 - cos(2 pi t / period)) / 2, for ever."""
+    """Return the elastic force (m, 3) from rest under force (1 - cos(2 pi t / period)) / 2, without end."""
     F = np.asarray(force, dtype=np.float64)
     return harmonic(modes, 0.5 * F, -0.5 * F, 0.0 * F, 1.0 / period_s, times_s)[0]
 
 
 def step(modes: Modes, force: npt.ArrayLike, times_s: npt.ArrayLike) -> FloatArray:
-    """Return the elastic force (m, 3) after a force is put on at time 0."""
+    """Return the elastic force (m, 3) after a step of the force at time 0."""
     g = modes.load_shape @ np.asarray(force, dtype=np.float64)
     z, _ = free(modes, State(-g, np.zeros_like(g)), times_s)
     found: FloatArray = (g + z) @ modes.force_shape.T

@@ -1,7 +1,7 @@
 """Exact stepping of the structure under a load that is linear between its samples: first-order hold, the default.
 
-Exact for such a load at any step: no stability limit, no phase error, no damping of its own. Error against a smooth
-load is that of replacing it by straight lines, step^2 / 8 times its curvature, and nothing else.
+Exact for such a load at any step: no stability limit, no phase error, no numerical damping. The only error for a
+smooth load is that of its linear interpolation, step^2 / 8 times its curvature.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from tipforce.sensor.dynamics.model import Modes
 
 Vector = tuple[float, float, float]
 Coefficients = tuple[tuple[Vector, Hold, Vector], ...]
-"""Per mode: load row, hold, force column; named tuples are tuples to the node."""
+"""Per mode: load row, hold, force column; the node uses the named tuples as plain tuples."""
 
 _LARGEST_X = 1e300
 
 
 class State(NamedTuple):
-    """Where the modes are."""
+    """Positions and velocities of the modes."""
 
     position: FloatArray
     """(n,): modal positions z, in units of the static response."""
@@ -34,10 +34,10 @@ class State(NamedTuple):
 
 
 class Response(NamedTuple):
-    """What a load does to the structure."""
+    """Response of the structure to a load."""
 
     elastic_newtons: FloatArray
-    """(m, 3): F as the gauges of the arms see it, at the times of the loads."""
+    """(m, 3): F as measured by the gauges of the arms, at the times of the loads."""
     end: State
 
 
@@ -65,7 +65,7 @@ def holds(modes: Modes, step_s: float) -> list[Hold]:
 
 
 def node_coefficients(modes: Modes, step_s: float) -> Coefficients:
-    """Return what ``tipforce.sources.dynamic_load.DynamicLoad`` takes, for one length of step: plain floats.
+    """Return the arguments of ``tipforce.sources.dynamic_load.DynamicLoad`` for one step length: plain floats.
 
     Raises InputError for a step out of range.
     """
@@ -95,7 +95,7 @@ def respond(modes: Modes, loads_newtons: npt.ArrayLike, step_s: float, start: St
 def respond_at(
     modes: Modes, times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike, start: State | None = None
 ) -> Response:
-    """The same for samples at any rising times (m,). Equal times are a jump of the load.
+    """Return the same for samples at any rising times (m,). Equal times are a jump of the load.
 
     Raises InputError for shapes that do not fit, or times that fall or are not finite.
     """
@@ -124,11 +124,11 @@ def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
 
 
 def _scan(held: FloatArray, drive: FloatArray, start: State) -> tuple[FloatArray, FloatArray]:
-    """All states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
+    """Return all states (m, n) of the recurrence, in blocks: about 2 sqrt(m) passes through Python instead of m.
 
     Within a block all start from zero, all blocks at once; then the state at the end of each block is carried to the
-    next, and its free motion is added: powers of the step's matrix. Not the closed form at multiples of the step: they
-    round, and thousands of radians per step would show it.
+    next, and its free motion is added by powers of the step's matrix. The closed form at multiples of the step is not
+    used: multiples round, which thousands of radians per step would show.
     """
     steps, n = drive.shape[1:]
     if steps == 0:

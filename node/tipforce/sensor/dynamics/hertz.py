@@ -1,7 +1,7 @@
 """Impact with a Hertzian contact, P = k overlap^1.5: scipy's DOP853 in contact, matrix exponentials in free flight.
 
 The end of contact and the peak are events on the integrator's dense output. Relative tolerance per step 1e-13: times,
-peak and rebound speed come out within 1e-11 of the closed form on rigid ground.
+peak and rebound speed agree with the closed form on rigid ground within 1e-11.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from tipforce.sensor.dynamics.switched import March, Touch
 
 RELATIVE_TOLERANCE = 1e-13
 _ABSOLUTE = 1e-16
-"""Of the square root of twice the impact's energy, which is the size of the states."""
+"""Relative to the square root of twice the impact's energy, the scale of the states."""
 
 
 def hertz_impact(
@@ -38,7 +38,7 @@ def hertz_impact(
 
 
 class _Run:
-    """States as in Assembly, whose linear contact serves the free flight."""
+    """States as in Assembly, whose linear contact computes the free flight."""
 
     def __init__(
         self, modes: Modes | None, striker: Striker, start: State | None, times_s: FloatArray, until_s: float
@@ -57,7 +57,7 @@ class _Run:
         self.rows: list[FloatArray] = []
 
     def contact(self) -> None:
-        """From touch to parting, or to the end of the run."""
+        """Integrate from contact to separation, or to the end of the run."""
         try:
             from scipy.integrate import solve_ivp
         except ImportError as error:
@@ -87,7 +87,7 @@ class _Run:
             self.state[self.assembly.overlap] = 0.0  # by definition, not by rounding
 
     def free(self) -> None:
-        """From parting to the next touch, or to the end of the run."""
+        """Step from separation to the next contact, or to the end of the run."""
         march = March(self.assembly.system, self.state, self.time_s)
         march.part(0)
         touched = False
@@ -107,7 +107,7 @@ class _Run:
         return self._stiffness * math.pow(max(float(self._overlap @ X), 0.0), 1.5)
 
     def _note_until(self, end_s: float, state_at: Callable[[float], FloatArray]) -> None:
-        """Samples up to a time."""
+        """Add the samples up to a time."""
         due = int(np.searchsorted(self._samples, end_s, side="right"))
         for time_s in self._samples[:due]:
             X = state_at(float(time_s))

@@ -1,7 +1,7 @@
-"""A body strikes the tip, or the finger a stop: contact force, contact times, and what the gauges see of it.
+"""Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
 
 Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: hertz.py, which needs scipy.
-Contact begins at time 0 and may open and close again: the tip rings. Nothing is lost in the contact itself.
+Contact starts at time 0 and may open and close again, because the tip vibrates. The contact itself is lossless.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ from tipforce.sensor.dynamics.switched import March, Touch
 
 
 class Impact(NamedTuple):
-    """What happened between 0 and the end of a run."""
+    """Results between 0 and the end of a run."""
 
     touches: tuple[Touch, ...]
     """Contact 0 is the body's, if there is one; the next two are the stops of the left and right arm."""
     elastic_newtons: FloatArray
-    """(m, 3): F in the arms at the sample times. Their gauges see this, and near a closed stop its local bending."""
+    """(m, 3): F in the arms at the sample times: the gauges measure it, plus local bending near a closed stop."""
     vertical_newtons: FloatArray
     """(m, 3): F in the vertical beam."""
     contact_newtons: FloatArray
@@ -46,7 +46,7 @@ def impact(
     slit: SlitStop | None = None,
     start: State | None = None,
 ) -> Impact:
-    """Return the course of an impact that begins at 0, structure at rest unless ``start`` says otherwise.
+    """Return the course of an impact that starts at 0, structure at rest unless ``start`` says otherwise.
 
     modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
     a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
@@ -78,7 +78,7 @@ def overload(
 ) -> Impact:
     """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
 
-    The sample times are those of the load, which must rise strictly. Raises InputError for times or shapes that do
+    The sample times are those of the load and must rise strictly. Raises InputError for times or shapes that do
     not fit, or loads that are not finite.
     """
     t, F = np.asarray(times_s, dtype=np.float64), checked_loads(loads_newtons)
@@ -100,7 +100,7 @@ def overload(
 
 
 def touching(assembly: Assembly, state: FloatArray) -> March:
-    """Return a run that begins with the body's contact just closed."""
+    """Return a run that starts with the body's contact just closed."""
     march = March(assembly.system, state)
     march.close(0)
     return march

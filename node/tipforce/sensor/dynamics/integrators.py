@@ -1,8 +1,8 @@
-"""Integrators of other kinds, for comparison only: all other code uses first_order_hold.py.
+"""Integrators of other kinds, for comparison only: all other modules use first_order_hold.py.
 
-All take the same problem, load and times, and return the elastic force at the times and what it cost. None knows that
-the system is linear between events; a contact is a force that is 0 while open. What grows without bound is returned as
-infinite or not a number: an unstable run is a result, too.
+All have the same problem, load and times, and return the elastic force at the times and their cost. None uses the
+linearity between events; a contact is a force that is 0 while open. Values that grow without bound are returned as
+infinite or NaN: an unstable run is a valid result.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ SCIPY_METHODS = ("Radau", "BDF", "LSODA", "DOP853")
 
 
 class Run(NamedTuple):
-    """What an integrator returns."""
+    """Result of an integrator."""
 
     elastic_newtons: FloatArray
     """(m, 3)."""
     evaluations: int
-    """Of the right-hand side, or of the residual where it is solved for the acceleration."""
+    """Evaluations of the right-hand side, or of the residual if it is solved for the acceleration."""
 
 
 class Problem:
-    """The modes under a load, or struck by a body with linear contact; at rest at first."""
+    """The modes under a load, or struck by a body with linear contact; at rest at the start."""
 
     def __init__(self, modes: Modes, striker: Striker | None = None) -> None:
         if striker is not None and striker.exponent != 1.0:
@@ -64,13 +64,13 @@ class Problem:
 
 
 def no_load(time_s: float) -> FloatArray:
-    """A load of nothing."""
+    """Return a zero load."""
     del time_s
     return np.zeros(3)
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
-    """The classic method, order 4, one step from each time to the next. Stable without damping up to
+    """Integrate by the classic method, order 4, one step from each time to the next. Stable without damping up to
     omega h = 2 sqrt(2); see rk4_stability_limit().
     """
     t = _times(times_s)
@@ -88,13 +88,13 @@ def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
 
 
 def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
-    """Average acceleration (beta 1/4, gamma 1/2): order 2, stable at any step, no damping of its own."""
+    """Integrate by average acceleration (beta 1/4, gamma 1/2): order 2, stable at any step, no numerical damping."""
     return _alpha(problem, load, times_s, 0.0, 0.0)
 
 
 def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_inf: float = 0.8) -> Run:
-    """Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is what one step leaves of a mode that
-    is far too fast for it. Raises InputError for another rho_inf.
+    """Integrate as Chung and Hulbert (1993): order 2, stable at any step; rho_inf, 0 to 1, is the factor per step of a
+    mode that is far too fast for it. Raises InputError for another rho_inf.
     """
     if not 0.0 <= rho_inf <= 1.0:
         raise InputError(f"rho_inf = {rho_inf!r}: allowed is 0 to 1")
@@ -102,9 +102,9 @@ def generalised_alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, rho_
 
 
 def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: str, rtol: float) -> Run:
-    """scipy's solve_ivp with the relative tolerance ``rtol``; absolute: rtol times the state that 1 N makes.
+    """Integrate by scipy's solve_ivp with relative tolerance ``rtol``; absolute: rtol times the state of 1 N.
 
-    Raises InputError for another method than SCIPY_METHODS. A run that scipy gives up is NaN from there on.
+    Raises InputError for another method than SCIPY_METHODS. A run that scipy abandons is NaN from there on.
     """
     if method not in SCIPY_METHODS:
         raise InputError(f"method = {method!r}: allowed is {', '.join(SCIPY_METHODS)}")
@@ -122,14 +122,14 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 
 
 def rk4_stability_limit(damping_ratio: float) -> float:
-    """Return the largest omega h at which RK4 does not let a mode grow, from |R(z)| = 1, R its stability polynomial.
+    """Return the largest omega h at which RK4 does not amplify a mode, from |R(z)| = 1, R its stability polynomial.
 
     Undamped 2 sqrt(2); the mode's z = omega h (-zeta +- i sqrt(1 - zeta^2)), or its faster real one above 1.
     """
     zeta = complex(damping_ratio)
     unit = -zeta + 1j * np.sqrt(1.0 - zeta * zeta)
     unit = min(unit, -2.0 * zeta - unit, key=lambda root: root.real)
-    # |R(x unit)|^2 - 1 is a polynomial in x; x = 0 is a root of it and no limit.
+    # |R(x unit)|^2 - 1 is a polynomial in x; its root x = 0 is not a limit.
     R = np.array([unit**4 / 24.0, unit**3 / 6.0, unit**2 / 2.0, unit, 1.0])
     grows = np.polymul(R, R.conj()).real
     grows[-1] = 0.0

@@ -1,4 +1,4 @@
-"""One mode over one step, its load linear in between: the exact update in closed form.
+"""Step one mode exactly in closed form, with its load linear during the step.
 
 A mode in its own time tau = omega t and in units of its static response z:
 
@@ -7,8 +7,8 @@ A mode in its own time tau = omega t and in units of its static response z:
     z1 = p11 z + p12 w + b10 g0 + b11 g1,    w1 = p21 z + p22 w + b20 g0 + b21 g1
 
 With s the impulse response, I0 its integral (the step response) and J the integral of that: p11 = 1 - I0, p12 = s,
-p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, b20 = s - I0 / x. Where the textbook's
-differences of nearly equal numbers would lose digits, another form of the same functions is taken: a power series for
+p21 = -s, p22 = 1 - I0 - 2 zeta s; b11 = J / x, b10 = I0 - J / x, b21 = I0 / x, b20 = s - I0 / x. If the textbook's
+differences of nearly equal numbers would lose digits, another form of the same functions is used: a power series for
 short steps, two decaying exponentials for strong damping.
 """
 
@@ -18,7 +18,7 @@ import math
 from typing import NamedTuple
 
 SHORT_STEP = 1.0
-"""The power series serves while x and the fast decay rate times x are below this."""
+"""The power series is used while x and the fast decay rate times x are below this."""
 _STRONG_DAMPING = 1.5
 _SERIES_TERMS = 40
 
@@ -50,7 +50,7 @@ def hold(x: float, zeta: float) -> Hold:
 
 
 def _responses(x: float, zeta: float) -> tuple[float, float, float, float]:
-    """s, I0, J / x and p22."""
+    """Return s, I0, J / x and p22."""
     fast = zeta + math.sqrt((zeta - 1.0) * (zeta + 1.0)) if zeta > 1.0 else 1.0
     if x * max(fast, 1.0) < SHORT_STEP:
         return _series(x, zeta)
@@ -62,7 +62,7 @@ def _responses(x: float, zeta: float) -> tuple[float, float, float, float]:
 
 
 def _series(x: float, zeta: float) -> tuple[float, float, float, float]:
-    """s = sum of c_n x^n / n! with c_1 = 1, c_2 = -2 zeta, c_n+2 = -2 zeta c_n+1 - c_n: Taylor, from the equation."""
+    """Return s = sum c_n x^n / n! with c_1 = 1, c_2 = -2 zeta, c_n+2 = -2 zeta c_n+1 - c_n (Taylor)."""
     s = step = ramp = 0.0
     before, term = 0.0, x  # c_n x^n / n! for n = 0 and 1
     for n in range(1, _SERIES_TERMS):
@@ -76,7 +76,7 @@ def _series(x: float, zeta: float) -> tuple[float, float, float, float]:
 
 
 def _near_critical(x: float, zeta: float) -> tuple[float, float]:
-    """exp(-zeta x) times sin(beta x) / beta and cos(beta x), beta = sqrt(1 - zeta^2); hyperbolic above 1."""
+    """Return exp(-zeta x) times sin(beta x) / beta and cos(beta x), beta = sqrt(1 - zeta^2); hyperbolic above 1."""
     if zeta <= 1.0:
         beta = math.sqrt((1.0 - zeta) * (1.0 + zeta))
         decay = math.exp(-zeta * x)
@@ -87,7 +87,7 @@ def _near_critical(x: float, zeta: float) -> tuple[float, float]:
 
 
 def _two_exponentials(x: float, fast: float, zeta: float) -> tuple[float, float, float, float]:
-    """Decay rates ``fast`` and 1 / fast: every function is a difference of two terms of different size."""
+    """Use decay rates ``fast`` and 1 / fast: every function is a difference of two terms of different size."""
     slow = 1.0 / fast
     spread = 2.0 * math.sqrt((zeta - 1.0) * (zeta + 1.0))
     e_slow, e_fast = math.exp(-slow * x), math.exp(-fast * x)
@@ -98,7 +98,7 @@ def _two_exponentials(x: float, fast: float, zeta: float) -> tuple[float, float,
 
 
 def _mean_rise(y: float) -> float:
-    """1 - (1 - exp(-y)) / y, without loss for small y."""
+    """Return 1 - (1 - exp(-y)) / y, without loss of digits for small y."""
     if y > 0.5:
         return 1.0 + math.expm1(-y) / y
     total, term = 0.0, 1.0

@@ -1,12 +1,12 @@
-"""The tip on its beams as an oscillator: masses, modes, and how a force becomes what the gauges see.
+"""The tip on its beams as an oscillator: masses, modes, and the transfer from force to gauge readings.
 
 Bodies: the tip is rigid, a half cylinder of steel, joined to the outer beam ends by rigid massless legs; the fixture
-does not move. The joint is massless and so are the beams unless asked for: then the same force F passes both beams,
-three modes remain, and all gauges see one elastic force. With a joint or beams that have mass there are six modes, the
-joint's far above, and the gauges of the arms and of the vertical beam see different forces.
+does not move. Joint and beams are massless by default: then the same force F passes both beams,
+three modes remain, and all gauges measure one elastic force. A joint or beams with mass have six modes, the
+joint's far above the others, and the gauges of the arms and of the vertical beam measure different forces.
 
-Coordinates are y = (v, r rotation, u): the motion that F = (F1, F2, F3) does work on, in metres. Small motions; no
-gravity; damping is one ratio per mode, nothing that the paper measured.
+Coordinates are y = (v, r rotation, u): the displacements conjugate to F = (F1, F2, F3), in metres. Small motions; no
+gravity; damping is an assumed ratio per mode, which the paper did not measure.
 """
 
 from __future__ import annotations
@@ -28,12 +28,12 @@ STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""
 HIGHEST_DAMPING_RATIO = 1e6
 LARGEST_RATIO_OF_3, LARGEST_RATIO_OF_6 = 1e16, 1e12
-"""Of omega^2, highest to lowest mode. Three modes keep their digits up to it; of six the highest keep four at least."""
+"""Of omega^2, highest to lowest mode. Three modes keep their digits up to it; of six the highest keep at least four."""
 
 
 @dataclass(frozen=True, slots=True)
 class RigidBody:
-    """A body that moves in the plane. Raises InputError for values that no body has."""
+    """A body that moves in the plane. Raises InputError for physically impossible values."""
 
     mass_kg: float
     centroid_m: float
@@ -54,7 +54,7 @@ class RigidBody:
     def matrix(self, r_m: float) -> FloatArray:
         """Return the mass matrix (3, 3) in the coordinates y, kg."""
         m, offset = self.mass_kg, self.centroid_m / r_m
-        # A turn by +rotation moves the centre of mass, above the origin, towards -x.
+        # A rotation by +rotation moves the centre of mass, above the origin, towards -x.
         return np.array(
             [[m, 0.0, 0.0], [0.0, self.inertia_kg_m2 / r_m / r_m, -m * offset], [0.0, -m * offset, m]],
         )
@@ -81,9 +81,9 @@ class Modes:
     load_shape: FloatArray
     """(n, 3): modal load per newton of F."""
     force_shape: FloatArray
-    """(3, n): elastic force in the arms of the horizontal beam per modal position; what their gauges see as F."""
+    """(3, n): elastic force in the arms of the horizontal beam per modal position; their gauges measure it as F."""
     vertical_force_shape: FloatArray
-    """(3, n): the same for the vertical beam. Equal to force_shape where joint and beams have no mass."""
+    """(3, n): the same for the vertical beam. Equal to force_shape if joint and beams are massless."""
 
     @property
     def frequency_hz(self) -> FloatArray:
@@ -104,15 +104,15 @@ def modes(
     beam_density_kg_m3: float = 0.0,
     model: FrameModel = EULER_BERNOULLI,
 ) -> Modes:
-    """Return the modes of one body: 3 where joint and beams are massless, else 6.
+    """Return the modes of one body: 3 if joint and beams are massless, else 6.
 
     damping_ratio: one for all modes or one for each, lowest first. tip: half_cylinder(geometry) if None. joint: a
-    rigid block at the origin. beam_density_kg_m3: of the beams, 0 leaves their mass out. Raises InputError for a body
-    whose stiffness or frequencies floating point cannot hold, a joint without mass beside massless beams, or damping
+    rigid block at the origin. beam_density_kg_m3: of the beams, 0 neglects their mass. Raises InputError for a body
+    whose stiffness or frequencies floating point cannot represent, a joint without mass with massless beams, or damping
     ratios out of range or in wrong number.
     """
     if not 0.0 <= beam_density_kg_m3 < math.inf:
-        raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (left out) or more, finite")
+        raise InputError(f"beam_density_kg_m3 = {beam_density_kg_m3!r}: allowed is 0 (neglected) or more, finite")
     frame, r = Frame(geometry, model), geometry.r_m
     tip_mass = (tip or half_cylinder(geometry)).matrix(r)
     arms, vertical = compliances(frame)
@@ -144,7 +144,7 @@ def compliances(frame: Frame) -> tuple[FloatArray, FloatArray]:
 
 
 def _eigen(mass: FloatArray, compliance: FloatArray, geometry: Geometry) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """omega, and L, Q with mass = L L^T and L^T compliance L = Q diag(1 / omega^2) Q^T."""
+    """Return omega, and L, Q with mass = L L^T and L^T compliance L = Q diag(1 / omega^2) Q^T."""
     try:
         L = np.asarray(np.linalg.cholesky(mass), dtype=np.float64)
     except np.linalg.LinAlgError:

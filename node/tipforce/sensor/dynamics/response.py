@@ -1,4 +1,4 @@
-"""What the gauges miss: the elastic force against the applied one, by frequency and after a step."""
+"""Dynamic error of the gauges: the elastic force compared with the applied one, by frequency and after a step."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
 def frequency_of_error(modes: Modes, error: float) -> float:
     """Return the lowest frequency in Hz at which quasi_static_error() reaches ``error``, by bisection.
 
-    Raises InputError unless 0 < error <= 0.5: a larger one lies near resonance.
+    Raises InputError unless 0 < error <= 0.5: a larger one is near resonance.
     """
     if not 0.0 < error <= 0.5:
         raise InputError(f"error = {error!r}: allowed is above 0, at most 0.5")

@@ -1,7 +1,7 @@
-"""From a load to what a converter samples: structure, analogue anti-alias filter, one sample each period.
+"""From a load to converter samples: structure, analogue anti-alias filter, one sample per period.
 
-Structure and filter are one linear system, and the load is linear between its samples: the result is exact, whatever
-the steps. The filter sees the elastic force; a gauge is a fixed combination of F, so it may as well come before.
+Structure and filter are one linear system, and the load is linear between its samples: the result is exact for any
+steps. The filter input is the elastic force; a gauge is a fixed combination of F, so filtering F is equivalent.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ class AntiAlias:
     """A low-pass filter of gain 1: RC (order 1) or Butterworth (order 2). Raises InputError for values out of range."""
 
     cutoff_hz: float
-    """Where the gain is 1 / sqrt(2)."""
+    """Frequency at which the gain is 1 / sqrt(2)."""
     order: int = 1
 
     def __post_init__(self) -> None:
@@ -51,7 +51,7 @@ def sampled(
 ) -> FloatArray:
     """Return F as sampled at 0, period, 2 period ... while the load lasts, (k, 3), newtons.
 
-    loads_newtons: (m, 3), step_us apart. modes None: the load itself reaches the filter. anti_alias None: no filter.
+    loads_newtons: (m, 3), step_us apart. modes None: the load itself is filtered. anti_alias None: no filter.
     settled: True starts in equilibrium under the first load, False at rest without. Raises InputError for shapes that
     do not fit, loads that are not finite, or times that are not positive whole microseconds.
     """
@@ -80,7 +80,7 @@ def sampled(
             X = moves[gap_us] @ X
             now_us += gap_us
         if now_us % step_us == 0:
-            X[N : N + 3] = F[now_us // step_us]  # a jump of rounding, or the first load
+            X[N : N + 3] = F[now_us // step_us]  # a jump by rounding, or the first load
         found.append(output @ X)
     return np.array(found)
 

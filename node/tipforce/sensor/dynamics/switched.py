@@ -2,10 +2,10 @@
 
     X' = A X + sum_j push_j N_j,    N >= 0,    closure - compliance N <= 0 where N = 0, = 0 where N > 0
 
-closure_j = closure_row_j X is how far contact j would overlap. For every set of closed contacts this is one linear
-system, whose state after any time is a matrix exponential. An event is where the next contact closes, or a closed one
-stops pressing. Steps are short against the fastest oscillation and against the time since the last disturbance (a fast
-decay matters only then), and turning points between steps are looked at, so that a graze is not missed.
+closure_j = closure_row_j X is the overlap of contact j without contact forces. For every set of closed contacts this is
+one linear system, whose state after any time is a matrix exponential. An event is the closing of a contact, or the end
+of the pressure of a closed one. Steps are short relative to the fastest oscillation and to the time since the last
+disturbance (a fast decay matters only then), and turning points between steps are checked, so that a graze is found.
 """
 
 from __future__ import annotations
@@ -30,14 +30,14 @@ class Touch(NamedTuple):
     contact: int
     begin_s: float
     end_s: float
-    """inf where it was still closed at the end."""
+    """inf if it was still closed at the end."""
     peak_newtons: float
     peak_s: float
 
 
 @dataclass(frozen=True, slots=True)
 class Switched:
-    """The matrices of the system above, N states and n contacts."""
+    """Matrices of the system above, N states and n contacts."""
 
     A: FloatArray
     """(N, N), all contacts open, 1/s."""
@@ -68,7 +68,7 @@ def exponential(A: FloatArray) -> FloatArray:
     norm = float(np.linalg.norm(A, ord=1))
     halvings = max(0, math.frexp(norm)[1] + 2) if norm > 0.0 else 0
     small = A * 0.5**halvings
-    # The identity is added last: E - 1 keeps what is small beside 1.
+    # The identity is added last: E - 1 keeps the digits of values far below 1.
     change, term = small.copy(), small
     for n in range(2, _TERMS + 1):
         term = term @ small / n
@@ -99,7 +99,7 @@ class March:
         return self._regime().forces @ self.state
 
     def advance(self, until_s: float, stop_at_event: bool = False) -> bool:
-        """Run to ``until_s``; True if it stopped at an event before. Raises InputError for a run of over 2 million
+        """Run to ``until_s``; return True if an event stopped it before. Raises InputError for a run of over 2 million
         steps.
         """
         while self.time_s < until_s:
@@ -125,21 +125,21 @@ class March:
         return False
 
     def disturbed(self) -> None:
-        """Say that the load has a kink now: fast decays begin anew."""
+        """Note a kink of the load now: fast decays restart."""
         self._disturbed_s = self.time_s
 
     def close(self, contact: int) -> None:
-        """Say that an open contact touches now, with overlap 0 and about to grow."""
+        """Note that an open contact closes now, with overlap 0 and about to grow."""
         self._fresh, self._disturbed_s = (contact,), self.time_s
         self._closed = tuple(sorted((*self._closed, contact)))
         self._begun[contact] = Touch(contact, self.time_s, math.inf, 0.0, self.time_s)
 
     def part(self, contact: int) -> None:
-        """Say that an open contact has parted just now, with overlap 0 and about to fall."""
+        """Note that an open contact has just separated, with overlap 0 and about to fall."""
         self._fresh, self._disturbed_s = (contact,), self.time_s
 
     def finish(self) -> tuple[Touch, ...]:
-        """Return all contacts by begin; one that is still closed ends at inf."""
+        """Return all contacts by start; one that is still closed ends at inf."""
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
@@ -149,20 +149,20 @@ class March:
         return found
 
     def _step_s(self, regime: _Regime) -> tuple[float, int]:
-        """Length of the next step, and k where that is finest_s 2^k."""
+        """Return the length of the next step, and k if that is finest_s 2^k."""
         wanted = min(0.3 * (self.time_s - self._disturbed_s), regime.coarsest_s) / regime.finest_s
         k = math.floor(math.log2(wanted)) if 1.0 < wanted < math.inf else 0
         return math.ldexp(regime.finest_s, k), k
 
     def _first_event(self, regime: _Regime, h: float, after: FloatArray) -> tuple[float, int] | None:
-        """(time from now, contact) of the first change within h."""
+        """Return (time from now, contact) of the first change within h."""
         now, then = regime.violation @ self.state, regime.violation @ after
         rate_now, rate_then = regime.violation @ (regime.A @ self.state), regime.violation @ (regime.A @ after)
         first: tuple[float, int] | None = None
         for j in range(len(now)):
             row, low, high = regime.violation[j], 0.0, h
             if j in self._fresh and rate_now[j] < 0.0:
-                # It has just switched: the violation starts at 0, up to rounding, and falls. It may come back.
+                # It has just switched: the violation starts at 0, up to rounding, and falls. It may rise again.
                 if then[j] <= 0.0:
                     continue
                 low = _root(regime.A, self.state, row @ regime.A, 0.0, h)
@@ -227,7 +227,7 @@ def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:
 
 
 def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: float) -> float:
-    """Where row X(tau) rises through 0 in (low, high]: Newton's steps, with bisection as the safeguard."""
+    """Find where row X(tau) rises through 0 in (low, high]: Newton's steps, with bisection as the safeguard."""
     slope = row @ A
     tau = 0.5 * (low + high)
     for _ in range(100):

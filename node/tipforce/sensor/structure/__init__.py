@@ -1,1 +1,1 @@
-"""The structure: geometry, gauge layouts, strain per force, beam and frame models."""
+"""Model of the structure: geometry, gauge layouts, strain per force, beam and frame models."""

@@ -1,4 +1,4 @@
-"""Gauges at points of Table 1 or anywhere along the beams: one strain matrix for both, and what a set must fulfil."""
+"""Gauges at points of Table 1 or anywhere along the beams: one strain matrix for both, and the rules for a set."""
 
 from __future__ import annotations
 
@@ -18,12 +18,12 @@ Gauge = str | GaugePosition
 
 
 def place(geometry: Geometry, gauge: Gauge) -> GaugePosition:
-    """Return where a gauge sits. Raises InputError for an unknown point."""
+    """Return the position of a gauge. Raises InputError for an unknown point."""
     return nominal_position(geometry, gauge) if isinstance(gauge, str) else gauge
 
 
 def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ...]:
-    """Return the gauges, SG1 first, if they are usable.
+    """Return the gauges, SG1 first, if they are valid.
 
     Raises InputError for fewer than 3 or more than 8, an unknown point, beam, side or face, a position off its
     beam, or two gauges at one place.
@@ -35,7 +35,7 @@ def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ..
         spot = place(geometry, gauge)
         strain_row(geometry, *spot)
         if spot.beam == "V":
-            spot = spot._replace(face="lower")  # the face tells nothing there
+            spot = spot._replace(face="lower")  # the face has no effect there
         if spot in seen:
             raise InputError(f"gauge point {gauge_name(gauge)} is given more than once: each place is allowed once")
         seen[spot] = gauge
@@ -45,7 +45,7 @@ def check_gauges(geometry: Geometry, gauges: Sequence[Gauge]) -> tuple[Gauge, ..
 def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
     """Return the strain per newton of F, shape (n, 3), tension positive: Table 1, made continuous.
 
-    The points' rows are strain_matrix()'s own to the last bit. Raises InputError as check_gauges() does, and for
+    The points' rows are bit-identical to strain_matrix(). Raises InputError as check_gauges() does, and for
     a beam too thin for floating point.
     """
     check_gauges(geometry, gauges)
@@ -55,7 +55,7 @@ def gauge_matrix(geometry: Geometry, gauges: Sequence[Gauge]) -> FloatArray:
 
 
 def gauge_name(gauge: Gauge) -> str:
-    """Return the gauge as people read it: `K_H`, or `H right 1.33` (beam, side, millimetres from the joint)."""
+    """Return the gauge for display: `K_H`, or `H right 1.33` (beam, side, millimetres from the joint)."""
     if isinstance(gauge, str):
         return gauge
     upper = " upper" if gauge.beam == "H" and gauge.face == "upper" else ""

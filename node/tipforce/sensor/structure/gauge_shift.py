@@ -1,4 +1,4 @@
-"""Strain at any place along the two beams: Table 1 made continuous, for gauges that sit elsewhere than at its points.
+"""Strain at any place along the two beams: Table 1 made continuous, for gauges beside its points.
 
 Between its ends a beam carries no load, so the strain on its surface varies linearly along it. A gauge of finite
 length therefore reads the strain at its middle, exactly; one of 1 mm that begins at a corner reads 0.5 mm from it.
@@ -20,24 +20,24 @@ Beam = Literal["H", "V"]
 Side = Literal["left", "right"]
 Face = Literal["lower", "upper"]
 
-_SLACK = 1e-9  # relative: a position of 15 mm written in other units still is the end of a beam of 15 mm
+_SLACK = 1e-9  # relative: a position of 15 mm in other units is still the end of a beam of 15 mm
 
 
 class GaugePosition(NamedTuple):
-    """Where the middle of one gauge sits."""
+    """Position of the middle of one gauge."""
 
     beam: Beam
-    """H: the horizontal beam, which carries the tip. V: the vertical beam, which stands on the fixture."""
+    """H: the horizontal beam, which carries the tip. V: the vertical beam, which is fixed to the fixture."""
     side: Side
     """H: the arm at negative x (left) or positive x (right). V: the face at negative or positive x."""
     position_m: float
     """Distance from the joint along the beam: 0 to a on H (L and R are at a), 0 to d on V (T and U are at d)."""
     face: Face = "lower"
-    """H only: the face towards the fixture (lower, where the paper's gauges sit) or towards the tip (upper)."""
+    """H only: the face towards the fixture (lower, position of the paper's gauges) or towards the tip (upper)."""
 
 
 def nominal_position(geometry: Geometry, point: str) -> GaugePosition:
-    """Return the place of a point of Table 1. Raises InputError for an unknown point."""
+    """Return the position of a point of Table 1. Raises InputError for an unknown point."""
     places: dict[str, GaugePosition] = {
         "L": GaugePosition("H", "left", geometry.a_m),
         "R": GaugePosition("H", "right", geometry.a_m),
@@ -75,24 +75,24 @@ def strain_row(
 
 
 def position_matrix(geometry: Geometry, positions: list[GaugePosition]) -> FloatArray:
-    """Return the strain matrix (n, 3) of gauges at these places, tension positive. Raises as strain_row() does."""
+    """Return the strain matrix (n, 3) of gauges at these positions, tension positive. Raises as strain_row() does."""
     return np.array([strain_row(geometry, *position) for position in positions], dtype=np.float64).reshape(-1, 3)
 
 
 def shifted(geometry: Geometry, gauge: str | GaugePosition, shift_m: float) -> GaugePosition:
-    """Return the place shift_m from a point of Table 1, or another place, along its beam.
+    """Return the position shift_m from a point of Table 1, or another position, along its beam.
 
     Positive is inward: away from the nearer end of the beam. Raises InputError for an unknown point; a shift
-    beyond the beam is refused by strain_row().
+    beyond the beam is rejected by strain_row().
     """
     place = nominal_position(geometry, gauge) if isinstance(gauge, str) else gauge
     return place._replace(position_m=place.position_m + _inward(geometry, place) * shift_m)
 
 
 def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
-    """Return the strain matrices (..., n, 3) of a layout whose gauges sit shifts_m (..., n) inward of their points.
+    """Return the strain matrices (..., n, 3) of a layout with gauges shifts_m (..., n) inward of their points.
 
-    shifts_m: as shifted() counts them, one number per gauge in the last axis, or a scalar for all. Raises
+    shifts_m: sign as in shifted(), one number per gauge in the last axis, or a scalar for all. Raises
     InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
     """
     points = layout(gauges)
@@ -117,18 +117,18 @@ def _inward(geometry: Geometry, place: GaugePosition) -> float:
 def _horizontal(
     geometry: Geometry, sign: float, s: FloatArray, face: Face
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Stress for unit width: each arm is clamped to the joint at s = 0 and to the rigid tip at s = a."""
+    """Return stress for unit width: each arm is clamped to the joint at s = 0 and to the rigid tip at s = a."""
     a, r, h1 = geometry.a_m, geometry.r_m, geometry.h1_m
     bend = 1.0 if face == "lower" else -1.0
     shear = bend * (1.5 * a / h1 / h1) * (1.0 - 2.0 * s / a)
     moment = bend * sign * (3.0 * r / h1 / h1) * (1.0 - 1.5 * s / a)
-    # Half of the force along x reaches the joint through either arm: one is stretched, one pressed.
+    # Half of the force along x reaches the joint through either arm: one in tension, one in compression.
     axial = np.full_like(s, sign * 0.5 / h1)
     return shear, moment, axial
 
 
 def _vertical(geometry: Geometry, sign: float, s: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Stress for unit width, tension positive: a cantilever that carries the whole load at its top."""
+    """Return stress for unit width, tension positive: a cantilever that carries the whole load at its top."""
     r, h1, h2 = geometry.r_m, geometry.h1_m, geometry.h2_m
     axial = np.full_like(s, 1.0 / h2)
     moment = np.full_like(s, sign * 6.0 * r / h2 / h2)

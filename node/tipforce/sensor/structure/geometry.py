@@ -1,4 +1,4 @@
-"""The dimensions of the fingertip body: two thin beams in a T, a rigid half-cylinder tip, a rigid fixture."""
+"""Dimensions of the fingertip body: two thin beams in a T, a rigid half-cylinder tip, a rigid fixture."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import dataclass, fields, replace
 from tipforce.errors import InputError
 
 THIN_BEAM_RATIO = math.sqrt(8.0 / 3.0)
-"""h2 / h1 that makes the largest stresses of both beams equal where a = d = r (section 3.1: 1.633)."""
+"""h2 / h1 that makes the largest stresses of both beams equal for a = d = r (section 3.1: 1.633)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -16,7 +16,7 @@ class Geometry:
     """One fingertip body, with the symbols of figure 2 of the paper.
 
     The horizontal beam spans 2 a between its two outer ends, which carry the tip; the vertical beam joins its
-    middle to the fixture. Raises InputError, naming the field, where a value is not a positive finite number.
+    middle to the fixture. Raises InputError, naming the field, if a value is not a positive finite number.
     """
 
     a_m: float
@@ -58,4 +58,4 @@ FABRICATED = Geometry(
     width_m=10e-3,
     youngs_modulus_pascals=205e9,
 )
-"""The body that section 4.2 describes (its "b" is d); Young's modulus is assumed, for steel AISI 4340."""
+"""The body of section 4.2 (its "b" is d); Young's modulus is assumed, for steel AISI 4340."""

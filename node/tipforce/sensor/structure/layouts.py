@@ -1,4 +1,4 @@
-"""Where the gauges sit: the points of Table 1, the cases of Table 3, their mirrors, and custom sets."""
+"""Gauge layouts: the points of Table 1, the cases of Table 3, their mirrors, and custom sets."""
 
 from __future__ import annotations
 
@@ -63,8 +63,8 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
 def mirror(name_or_points: Layout) -> tuple[str, ...]:
     """Return the layout mirrored at the y-axis, gauge by gauge.
 
-    A mirrored gauge reads for (F1, F2, F3) what the original reads for (F1, -F2, -F3): tension stays positive
-    and the condition number stays the same. Raises InputError as layout() does.
+    For (F1, F2, F3) a mirrored gauge has the original's reading for (F1, -F2, -F3): tension stays positive
+    and the condition number is unchanged. Raises InputError as layout() does.
     """
     return tuple(MIRROR[point] for point in layout(name_or_points))
 

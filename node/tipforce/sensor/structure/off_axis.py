@@ -1,11 +1,11 @@
-"""Loads out of the plane: what gauges read of them, by a three-dimensional beam model (section 3.3 of the paper).
+"""Loads out of the plane: their effect on the gauges by a three-dimensional beam model (section 3.3 of the paper).
 
 Axes: x along the horizontal beam, y from the fixture to the tip, z along the width; origin at the middle of the
 horizontal beam. Both arms of the horizontal beam join a rigid tip to a rigid joint; the vertical beam is clamped.
 Euler-Bernoulli bending in both planes, axial force, torsion. Torsion is St Venant's, with warping either free, or
-(thin-rectangle theory of Vlasov) held at every beam end: then the shear of torsion vanishes at the ends, as the paper
-says, but an axial strain y z phi'' takes its place, which a gauge off the centre line does see.
-Left out: shear deformation, the compliance of tip and fixture, stress concentration in the corners.
+(thin-rectangle theory of Vlasov) restrained at every beam end: then the shear of torsion vanishes at the ends, as the
+paper states, but an axial strain y z phi'' replaces it, to which a gauge off the centre line responds.
+Neglected: shear deformation, the compliance of tip and fixture, stress concentration in the corners.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ POISSON_RATIO = 0.29
 
 @dataclass(frozen=True, slots=True)
 class PlacedGauge:
-    """One gauge with its errors of placement."""
+    """One gauge with its placement errors."""
 
     position: GaugePosition
     lateral_offset_m: float = 0.0
@@ -63,10 +63,10 @@ class _Section:
     twist: float  # G J, N m^2
     surface_shear: float  # largest shear strain on the wide face per newton metre of torque
     lateral_shear: float  # shear strain on the centre line per newton of lateral force
-    decay_m: float  # sqrt(E Cw / G J): how far held warping reaches; 0 where warping is free
+    decay_m: float  # sqrt(E Cw / G J): decay length of restrained warping; 0 if warping is free
 
     def torsion_profile(self, s: float) -> tuple[float, float]:
-        """(phi' G J / T, its derivative along s) at s from one end; both ends hold the warping."""
+        """Return (phi' G J / T, its derivative along s) at s from one end; warping is restrained at both ends."""
         if self.decay_m == 0.0:
             return 1.0, 0.0
         # Decaying exponentials from both ends: cosh of a long beam would overflow.
@@ -75,7 +75,7 @@ class _Section:
         return 1.0 - (near + far) / both, (near - far) / both / self.decay_m
 
     def torsion_length(self) -> float:
-        """The length that twists freely: held warping stiffens the ends."""
+        """Return the length that twists freely: restrained warping stiffens the ends."""
         if self.decay_m == 0.0:
             return self.length_m
         return self.length_m - 2.0 * self.decay_m * tanh(0.5 * self.length_m / self.decay_m)
@@ -125,7 +125,7 @@ def wrench_strain_matrix(
 
 
 def planar_part(geometry: Geometry, wrench_matrix: FloatArray) -> FloatArray:
-    """Return what the (n, 6) matrix says of F = (F1, F2, F3): (n, 3). F1 = Fy, F2 = Mz / r, F3 = Fx."""
+    """Return the part of the (n, 6) matrix for F = (F1, F2, F3): (n, 3). F1 = Fy, F2 = Mz / r, F3 = Fx."""
     return np.stack(
         (wrench_matrix[:, 1], geometry.r_m * wrench_matrix[:, 5], wrench_matrix[:, 0]), axis=-1, dtype=np.float64
     )
@@ -140,7 +140,7 @@ def off_axis_wrenches(geometry: Geometry, theta_rad: npt.ArrayLike) -> FloatArra
 
 
 def off_centre_wrenches(phi_rad: npt.ArrayLike, z_m: float) -> FloatArray:
-    """Return what 1 N in the plane, applied z_m off the middle plane, adds to its planar wrench: (..., 6)."""
+    """Return the addition to the planar wrench by 1 N in the plane, applied z_m off the middle plane: (..., 6)."""
     phi = np.asarray(phi_rad, dtype=np.float64)
     zero = np.zeros_like(phi)
     return np.stack((zero, zero, zero, -z_m * np.sin(phi), z_m * np.cos(phi), zero), axis=-1)
@@ -156,10 +156,10 @@ def apparent_force(
     warping_held: bool = False,
     inward_m: float = 0.0,
 ) -> ApparentForce:
-    """Return the force that a planar calibration makes of unwanted wrenches (m, 6).
+    """Return the force that a planar calibration computes from unwanted wrenches (m, 6).
 
-    Every gauge of the layout is placed off by the two amounts, with either sign, and calibrated in the plane as
-    it sits; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
+    Every gauge of the layout is misplaced by the two amounts, with either sign, and calibrated in the plane at
+    that place; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
     from the fixed ends. Raises InputError for an unusable layout.
     """
     points = layout(gauges)
@@ -201,7 +201,7 @@ def _section(geometry: Geometry, length_m: float, h: float, warping_held: bool, 
 
 
 def _arm_loads(beam: _Section) -> dict[str, FloatArray]:
-    """Per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm.
+    """Return per arm the (6, 6) map from a wrench on the tip to the load at the arm's outer end, both on the arm.
 
     The arms share the wrench as two springs in parallel between rigid bodies do.
     """
@@ -234,7 +234,7 @@ def _cantilever_diagonal(beam: _Section) -> list[float]:
 
 
 def _on_arm(beam: _Section, arms: dict[str, FloatArray], gauge: PlacedGauge) -> tuple[FloatArray, FloatArray]:
-    """(axial strain, shear strain xz) per unit of wrench, (6,) each, on a face of the horizontal beam."""
+    """Return (axial strain, shear strain xz) per unit of wrench, (6,) each, on a face of the horizontal beam."""
     side, s, z = gauge.position.side, gauge.position.position_m, gauge.lateral_offset_m
     sign = -1.0 if side == "left" else 1.0
     y = -0.5 * beam.thickness_m if gauge.position.face == "lower" else 0.5 * beam.thickness_m
@@ -249,7 +249,7 @@ def _on_arm(beam: _Section, arms: dict[str, FloatArray], gauge: PlacedGauge) -> 
 
 
 def _on_stem(geometry: Geometry, beam: _Section, gauge: PlacedGauge) -> tuple[FloatArray, FloatArray]:
-    """(axial strain, shear strain yz) per unit of wrench, (6,) each, on a face of the vertical beam."""
+    """Return (axial strain, shear strain yz) per unit of wrench, (6,) each, on a face of the vertical beam."""
     s, z = gauge.position.position_m, gauge.lateral_offset_m
     x = -0.5 * beam.thickness_m if gauge.position.side == "left" else 0.5 * beam.thickness_m
     Fx, Fy, Fz, Mx, My, Mz = np.eye(6)
@@ -263,5 +263,5 @@ def _on_stem(geometry: Geometry, beam: _Section, gauge: PlacedGauge) -> tuple[Fl
 
 
 def _lateral(beam: _Section, z: float) -> float:
-    """Shear strain on the face per newton along z: a parabola over the width."""
+    """Return the shear strain on the face per newton along z: a parabola over the width."""
     return beam.lateral_shear * (1.0 - (2.0 * z / beam.width_m) ** 2)

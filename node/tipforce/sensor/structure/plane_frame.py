@@ -1,4 +1,4 @@
-"""A plane frame by the direct stiffness method: an independent model of the body, to check beam theory against.
+"""A plane frame by the direct stiffness method: an independent model of the body, to verify beam theory.
 
 Three bodies, each rigid: the fixture, the joint, the tip. Three elastic beams, each one two-node element with a 6 x 6
 stiffness matrix: the vertical beam (fixture to joint) and the two arms of the horizontal beam (joint to tip). A beam
@@ -6,9 +6,9 @@ that carries load at its ends only is exact with one element. Signs: x to the ri
 counter-clockwise; tension is positive.
 
 The unknowns are the motion of the joint relative to the fixture and of the tip relative to the joint, not of each
-relative to the ground. An element feels no rigid motion, so nothing is lost; but a thin beam's tiny axial stiffness
-term is then never added to another beam's bending term 1e14 times smaller, and a body of 1 nm thickness is solved to
-rounding, where absolute unknowns lose all digits of the sum. Diagonal scaling does the rest.
+relative to the ground. Rigid motion does not load an element, so nothing is lost; but a thin beam's tiny axial
+stiffness term is then never added to another beam's bending term 1e14 times smaller, and a body of 1 nm thickness is
+solved to rounding, where absolute unknowns lose all digits of the sum. Diagonal scaling does the rest.
 
 In the limit EULER_BERNOULLI (rigid roots, rigid joint without width) the frame equals Table 1 of the paper to
 rounding, its lever h1 / 2 included.
@@ -32,19 +32,19 @@ from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
-"""E b h^2 times the rotation of a root per moment, where the beam springs from an elastic half plane.
+"""E b h^2 times the rotation of a root per moment, for a beam on an elastic half plane.
 
 A moment M enters as the linear traction 12 M y / h^3; Flamant's solution gives the surface's displacement
 -(2 / pi E) integral p(y') ln|y - y'| dy', and its mean slope, weighted by the traction, is 18 / (pi E b h^2) M (plane
-stress): the beam is as good as 0.48 h longer.
+stress): equivalent to a beam that is 0.48 h longer.
 """
 
 
 class RootCompliance(NamedTuple):
-    """How far a clamped end gives way: springs in series with the beam, dimensionless; 0 is rigid."""
+    """Compliance of a clamped end: springs in series with the beam, dimensionless; 0 is rigid."""
 
     rotation: float = 0.0
-    """E b h^2 times rotation per moment; HALF_PLANE_ROTATION where the wall is large."""
+    """E b h^2 times rotation per moment; HALF_PLANE_ROTATION for a large wall."""
     along: float = 0.0
     """E b times displacement along the beam per force. A half plane has no value of its own: its displacement
     grows with the logarithm of the distance to where it is held."""
@@ -57,18 +57,18 @@ RIGID = RootCompliance()
 
 @dataclass(frozen=True, slots=True)
 class FrameModel:
-    """What the beams, their roots and the joint are taken to be. Raises InputError for values out of range."""
+    """Assumptions on the beams, their roots and the joint. Raises InputError for values out of range."""
 
     shear: bool = False
-    """True: Timoshenko beams, that also yield to shear. False: Euler-Bernoulli."""
+    """True: Timoshenko beams, with shear deformation. False: Euler-Bernoulli."""
     shear_coefficient: float = 5.0 / 6.0
     """Timoshenko's kappa of a rectangle; Cowper's 10 (1 + nu) / (12 + 11 nu) is 0.849."""
     poisson_ratio: float = 0.29
     root: RootCompliance = RIGID
     """At each of the six beam ends, the joint's included."""
     finite_joint: bool = False
-    """True: the joint is a rigid block h2 wide, the arms begin at its sides. False: they meet at its middle,
-    as in Table 1. In both the vertical beam begins h1 / 2 below the middle."""
+    """True: the joint is a rigid block h2 wide, the arms start at its sides. False: they meet at its middle,
+    as in Table 1. In both the vertical beam starts h1 / 2 below the middle."""
 
     def __post_init__(self) -> None:
         if not 0.0 < self.shear_coefficient <= 1.0:
@@ -84,7 +84,7 @@ EULER_BERNOULLI = FrameModel()
 """The assumptions of Table 1."""
 TIMOSHENKO = FrameModel(shear=True)
 ELASTIC_ROOTS = FrameModel(shear=True, root=RootCompliance(rotation=HALF_PLANE_ROTATION))
-"""Shear and roots that rotate: the nearest of the three to a real body."""
+"""Shear and roots that rotate: the closest of the three to a real body."""
 
 
 class _Element(NamedTuple):
@@ -103,9 +103,9 @@ class _Element(NamedTuple):
 
 
 class Frame:
-    """The frame of one body, solved once for F1 = 1, F2 = 1, F3 = 1 newton.
+    """Frame model of one body, solved once for F1 = 1, F2 = 1, F3 = 1 newton.
 
-    Raises InputError where the body is so thin or thick that floating point cannot hold its stiffness, or where
+    Raises InputError for a body so thin or thick that floating point cannot represent its stiffness, or if
     a finite joint is wider than the horizontal beam.
     """
 
@@ -122,15 +122,15 @@ class Frame:
         }
         # A force on the tip is the force and its moment about the origin; F = (Fy, M / r, Fx), equation (16).
         loads = np.array([[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.0, geometry.r_m, 0.0]])
-        # The joint carries what the tip carries: both blocks see the same loads.
+        # The joint carries the load of the tip: the loads of both blocks are equal.
         self._joint = _solve([self._vertical], loads)
         self._tip = _solve(list(self._arms.values()), loads)
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
         """Return the strain per newton of F, shape (n, 3), tension positive.
 
-        gauges: points of Table 1 or GaugePosition; a point of the arms at the joint (K_H, S_H) sits where the
-        arm begins. gauge_length_m: 0 for the strain at the place itself, else the mean over that length around
+        gauges: points of Table 1 or GaugePosition; a point of the arms at the joint (K_H, S_H) is where the
+        arm starts. gauge_length_m: 0 for the strain at the place itself, else the mean over that length around
         it. Raises InputError for an unknown gauge, one off its beam, or one whose length reaches beyond it.
         """
         if not 0.0 <= gauge_length_m < math.inf:
@@ -146,9 +146,9 @@ class Frame:
         return self._joint.motion / (self.geometry.width_m * self.geometry.youngs_modulus_pascals)
 
     def slit_closure(self, fractions: npt.ArrayLike) -> FloatArray:
-        """Return by how much the slit between tip and horizontal beam narrows, m per newton of F, (2, m, 3).
+        """Return the decrease of the slit width between tip and horizontal beam, m per newton of F, (2, m, 3).
 
-        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip. The slit is taken
+        fractions: (m,) places along the left and the right arm, 0 at the joint, 1 at the tip. The slit is assumed
         to run along the upper face of the horizontal beam: the paper's figure is not in its text.
         """
         xi = np.asarray(fractions, dtype=np.float64)[:, np.newaxis]
@@ -192,7 +192,7 @@ class _Solution(NamedTuple):
 
 
 def _solve(elements: list[_Element], loads: FloatArray) -> _Solution:
-    """Assemble what holds one body, scale its diagonal to 1, solve for three loads (columns of (3, 3))."""
+    """Assemble the stiffness of one body, scale its diagonal to 1, solve for three loads (columns of (3, 3))."""
     stiffness = np.sum([e.motion.T @ e.stiffness[3:, 3:] @ e.motion for e in elements], axis=0)
     diagonal = np.diagonal(stiffness)
     if not (np.isfinite(stiffness).all() and (diagonal > 1e-300).all()):
@@ -219,7 +219,7 @@ def _element(start: tuple[float, float], end: tuple[float, float], thickness: fl
 
 
 def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray:
-    """The textbook 6 x 6 matrix of a beam for E = 1 and width = 1 (Przemieniecki, Matrix Structural Analysis, 5.6)."""
+    """Return the 6 x 6 stiffness matrix of a beam if E = width = 1 (Przemieniecki, Matrix Structural Analysis, 5.6)."""
     h, L = thickness, length
     shear_modulus = 0.5 / (1.0 + model.poisson_ratio)
     slender = h / L
@@ -240,7 +240,7 @@ def _stiffness(length: float, thickness: float, model: FrameModel) -> FloatArray
 
 
 def _with_springs(K: FloatArray, thickness: float, root: RootCompliance) -> FloatArray:
-    """Springs in series at both ends: f = K (u - C f), so f = (I + K C)^-1 K u. C = 0 leaves K as it is."""
+    """Add springs in series at both ends: f = K (u - C f), so f = (I + K C)^-1 K u. C = 0 leaves K unchanged."""
     end = [root.along, root.across, root.rotation / thickness / thickness]
     if not any(end):
         return K
@@ -248,7 +248,7 @@ def _with_springs(K: FloatArray, thickness: float, root: RootCompliance) -> Floa
 
 
 def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: float) -> FloatArray:
-    """Strain (3,) per newton at distance s from A, on the face at local y = outward * thickness / 2."""
+    """Return strain (3,) per newton at distance s from A, on the face at local y = outward * thickness / 2."""
     forces = element.stiffness[:, 3:] @ (element.motion @ motion)
     h = element.thickness
     fraction = s / element.length
@@ -258,9 +258,9 @@ def _surface_strain(element: _Element, motion: FloatArray, s: float, outward: fl
 
 
 def _deflection(element: _Element, motion: FloatArray, xi: FloatArray) -> FloatArray:
-    """Upward deflection of an arm relative to the joint, (m, 3) per newton, by Hermite's cubic.
+    """Return the upward deflection of an arm relative to the joint, (m, 3) per newton, by Hermite's cubic.
 
-    The end motion is the tip's: the little that shear and springs change between the ends is left out.
+    The end motion is the tip's: the small changes by shear and springs between the ends are neglected.
     """
     _, w, turn = element.motion @ motion
     shape = w * xi**2 * (3.0 - 2.0 * xi) + turn * element.length * xi**2 * (xi - 1.0)
@@ -269,8 +269,8 @@ def _deflection(element: _Element, motion: FloatArray, xi: FloatArray) -> FloatA
 
 
 def _span(spot: GaugePosition, s: float, gauge_length_m: float, length: float) -> tuple[float, float]:
-    """Both ends of a gauge, as distances from A."""
-    half, slack = 0.5 * gauge_length_m, 1e-6 * length  # what an optimiser leaves of a limit
+    """Return both ends of a gauge, as distances from A."""
+    half, slack = 0.5 * gauge_length_m, 1e-6 * length  # tolerance for an optimiser at a limit
     if s - half < -slack or s + half > length + slack:
         raise InputError(
             f"gauge of length {gauge_length_m!r} m at {spot.position_m!r} m on the {spot.side} of beam {spot.beam}: "

@@ -1,4 +1,4 @@
-"""From force to strain: Table 1 of the paper for all eight gauge points, its matrices and their quality.
+"""Force to strain: Table 1 of the paper for all eight gauge points, its matrices and their quality.
 
 Every matrix multiplies F = (F1, F2, F3) = P (sin(phi), sin(phi - theta), cos(phi)), equation (16).
 """
@@ -80,7 +80,7 @@ def thin_limit_matrix(gauges: Layout) -> FloatArray:
 def calibration_matrix(geometry: Geometry, gauges: Layout) -> FloatArray:
     """Return C of equation (1), shape (3, n), newtons per unit strain: the pseudo-inverse of strain_matrix().
 
-    Raises InputError for an unusable layout, and where the gauges cannot tell the three forces apart (rank
+    Raises InputError for an unusable layout, and if the gauges cannot separate the three forces (rank
     below 3).
     """
     matrix = strain_matrix(geometry, gauges)
@@ -115,7 +115,7 @@ def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
 def noise_gain(C: npt.ArrayLike) -> float:
     """Return sqrt(trace(C C^T)) for C (3, n): root sum square of the noise of F per equal gauge noise.
 
-    In the unit of C: newtons per unit strain. Unlike the condition number it says how much noise really
-    arrives.
+    In the unit of C: newtons per unit strain. Unlike the condition number it contains the actual noise
+    of F.
     """
     return float(np.linalg.norm(np.asarray(C, dtype=np.float64)))
