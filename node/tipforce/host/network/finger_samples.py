@@ -144,9 +144,7 @@ class ContactReader:
 
     def _why(self) -> str:
         if Status.STALE in self._last_status and self._repeated:
-            return (
-                f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}: its converter has no new one"
-            )
+            return f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}: its converter has no new one"
         if self._received:
             return ""
         state = self._connection.heartbeats.state(self._node_id)
