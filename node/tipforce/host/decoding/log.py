@@ -81,8 +81,8 @@ def read_log(
     ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges if the log has all of them;
     otherwise it gives the uncertainties of the node's values. ``gauges``: number per node (default: the calibration's,
     else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
-    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with another
-    number of gauges.
+    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with other
+    gauges.
     """
     names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
     given: dict[int | None, Calibration] = {}
