@@ -20,7 +20,7 @@ The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipfo
 ``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.running`` and ``tipforce.scene``. They follow semantic
 versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without notice.
 
-Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN stands for unknown. All errors
+Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
 """
 

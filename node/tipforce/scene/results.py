@@ -32,7 +32,7 @@ class Contact:
     """The contact PDOs of one finger; k samples."""
 
     t_s: FloatArray
-    """(k,): since the scene began."""
+    """(k,): since the start of the scene."""
     estimated: FloatArray
     """(k, 3): P newtons, phi and theta degrees, as decoded; NaN where the node says unknown."""
     applied: FloatArray

@@ -127,7 +127,7 @@ def _account(
     frames: FrameArray,
     built: list[str],
 ) -> Outcome:
-    """Decode, compare, judge, write what is left to write."""
+    """Decode the frames, check the expectations, write the table and the plot."""
     from tipforce.scene import results
 
     messages: Messages = {}

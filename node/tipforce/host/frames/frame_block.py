@@ -13,7 +13,7 @@ from tipforce.host.frames.frame_array import FrameArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandumpBlock:
-    """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): -x said TX.
+    """Frames from text: ``frames`` FRAME (n,); ``interface`` (n,) indexes ``names``; ``sent`` (n,): TX in -x.
 
     ``timed`` is False for a line without timestamp; its ``t_ns`` is 0. ``fd``: the CAN FD frames, in order.
     """
@@ -26,7 +26,7 @@ class CandumpBlock:
     fd: tuple[FdFrame, ...] = ()
 
     def __len__(self) -> int:
-        """Number of all frames, CAN FD included."""
+        """Return the number of all frames, CAN FD included."""
         return len(self.frames) + len(self.fd)
 
     def take(self, rows: npt.NDArray[np.bool_] | slice, fd_rows: npt.NDArray[np.bool_] | None = None) -> CandumpBlock:

@@ -158,7 +158,7 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
 
 
 def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
-    """Request 1018h from every node-id at once; return those without response. Two responses: a duplicate node-id."""
+    """Request 1000h from every node-id at once; return those without response. Two responses: a duplicate node-id."""
     started_s = time.monotonic()
     answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
     connection.buffer.clear()

@@ -151,7 +151,7 @@ class CandumpParser:
         return packed, t_ns is not None
 
     def _line(self, line: str) -> tuple[int | None, int, int, int, bytes, str | None] | FdFrame | None:
-        """One frame as (t_ns, interface, can_id, length, data, R or T), or CAN FD; None: no frame.
+        """Return one frame as (t_ns, interface, can_id, length, data, R or T), or CAN FD; None: no frame.
 
         An FD frame of a line without a timestamp has t_ns -1. ValueError: the reason.
         """
