@@ -28,8 +28,8 @@ from bench.live_loopback import ROOT, bound_receiver
 from playwright.sync_api import Browser, Page, sync_playwright
 from websockets.sync.client import connect
 
-from host.bus_with_nodes import beam_calibration
 from tipforce.host.live.receive import SocketReceiver
+from tipforce.scene import beam_calibration
 from tipforce_tools.view.fingers import Finger, with_layout
 from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.server import ViewServer
