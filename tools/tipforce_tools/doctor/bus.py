@@ -27,7 +27,7 @@ def configuration_check(flags: Mapping[str, Any]) -> Check:
     sources += [f"{name}={os.environ[name]}" for name in VARIABLES if os.environ.get(name)]
     sources += [str(path) for path in _configuration_files()]
     if flags.get("interface") is None and not sources[len(given) and 1 :]:
-        return Check("configuration", "note", "no bus is named", "name it: -i socketcan -c can0, or write ~/.canrc")
+        return Check("configuration", "note", "no bus given", "name it: -i socketcan -c can0, or write ~/.canrc")
     try:
         config = can.util.load_config(config={k: v for k, v in flags.items() if v is not None})
     except (can.CanError, ValueError) as error:

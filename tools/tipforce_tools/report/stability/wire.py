@@ -214,7 +214,7 @@ def _same_cob_id() -> Observed:
         decoder.remap(6, "Contact", _FREE_COB_ID, [(indices.PROCESS_VALUE + table.INT16_FORM, 7, 16)])
     except InputError as error:
         said = str(error)
-    held = codes == [emcy.COB_ID_COLLISION] and "node 5's Contact has it" in said
+    held = codes == [emcy.COB_ID_COLLISION] and "already assigned to Contact of node 5" in said
     return Observed(held, f"EMCY {codes[0]:04X}h; {said}")
 
 
