@@ -17,6 +17,7 @@ from tipforce.sensor.calibration.regressors import (
     OffsetBasis,
     bad_tares,
     direction_scatter,
+    grooves,
     offset_basis,
     reference_map,
 )
@@ -141,6 +142,7 @@ def _problem(readings: Readings, model: Model, scales: Scales, basis: OffsetBasi
         V=readings.strain / scales.strain,
         g=np.concatenate((force_vector(*load) / scales.newtons, basis.columns), axis=1),
         D=direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
+        groove=grooves(readings.phi_rad, readings.theta_rad),
         weight=np.ones(m) if readings.weight is None else readings.weight,
         observed=observed,
         Sigma=Sigma,

@@ -38,6 +38,12 @@ def direction_scatter(
     return D
 
 
+def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> npt.NDArray[np.int64]:
+    """Return which rows have the same phi and theta, (m,), numbered from 0: their angles are off by the same error."""
+    places = np.round(np.stack((phi_rad, theta_rad), axis=-1), 6)
+    return np.unique(places, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
+
+
 def tare_groups(unloaded: BoolArray, usable: BoolArray) -> list[list[int]]:
     """Return the usable unloaded rows, those with no usable load between them together."""
     groups: list[list[int]] = []

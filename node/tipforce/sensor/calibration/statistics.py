@@ -86,7 +86,7 @@ def result(
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
     Sigma = found.Sigma * scales.strain**2
     C = left_inverse(A, Sigma)
-    residual = found.residual * scales.strain
+    residual = found.unexplained * scales.strain
     sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
     return Fit(
         C=C,
@@ -128,7 +128,7 @@ def _sizes(problem: Problem, found: Solution, loaded: BoolArray) -> tuple[float,
     counts = problem.observed.sum(axis=1)
     inverse = observed_inverse(found.R, problem.observed)
     squares = np.einsum("ik,ikl,il->i", found.residual, inverse, found.residual)
-    free = counts * (1.0 - found.leverage)
+    free = counts - found.absorbed
 
     def size(rows: BoolArray) -> float:
         total = float(free[rows].sum())
