@@ -75,7 +75,7 @@ def test_the_calibration_record_of_three_gauges() -> None:
     for row in staged:
         sizes[row.index] += types.data_type(row.letter).size or 0
     assert list(sizes.values()) == [36, 12, 13, 24, 21]
-    assert sum(sizes.values()) == 106
+    assert sum(sizes.values()) == 158
 
 
 def test_views_have_the_default_of_the_value_they_show() -> None:

@@ -69,7 +69,7 @@ def test_values_of_every_kind(connection: Connection) -> None:
     sdo = connection.sdo(NODE)
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
     assert sdo.read(od.DEVICE_NAME)  # a string: more than four bytes, segmented
-    assert len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) == 106
+    assert len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) == 158
     sdo.write(od.HEARTBEAT_PRODUCER_MS, 500)
     assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 500
     sdo.write(od.CALIBRATION_OFFSET[2], 1.5e-6)
@@ -252,7 +252,7 @@ def test_four_threads_with_a_domain_among_them(connection: Connection) -> None:
             try:
                 if k == 0:
                     sdo.write(od.CALIBRATION_STAGED_RECORD, bytes((count,)) * 36 + bytes(70))
-                elif len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) != 106:
+                elif len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) != 158:
                     wrong.append(k)
             except Exception as error:
                 wrong.append(error)
