@@ -277,9 +277,11 @@ def _from_values(n: int, values: Sequence[float]) -> Calibration:
     radius, theta_min, theta_max, on, off, sense = take(6)
     calibrated, overload, low, high, model = take(5)
     limits, offsets_per_K = np.array(take(n)), np.array(take(n))
+    gain_per_K, redundancy_limit = left
     return Calibration(
         matrix, offsets, covariance, int(serial), int(date), temperature, int(layout), radius, theta_min, theta_max,
-        on, off, bool(sense), calibrated, overload, low, high, model, limits, offsets_per_K, *left,
+        on, off, bool(sense), calibrated, overload, low, high, model, limits, offsets_per_K, gain_per_K,
+        redundancy_limit,
     )  # fmt: skip
 
 
