@@ -131,7 +131,7 @@ def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes
     path.write_bytes(content)
     talk = node(path)
     assert talk.device.storage.damaged == ["communication", "application", "calibration"]
-    assert talk.calibration() == (bytes(106), 0, 0)
+    assert talk.calibration() == (bytes(158), 0, 0)
     # Storing anew heals it.
     assert talk.put("I", 0x1010, 1, SAVE) == 0
     assert node(path).device.storage.damaged == []

@@ -54,7 +54,7 @@ SIGNATURE_ZERO, SIGNATURE_TARA = 0x6F72657A, 0x61726174  # "zero", "tara"
 SIGNATURE_COMMIT, SIGNATURE_OPEN = 0x74696D63, 0x6E65706F  # "cmit", "open"
 
 SOFTWARE_VERSION = "0.1.0"
-REVISION = 0x00010000
+REVISION = 0x00020000
 # Product code 1018h:2: the sensor, options, and the number of gauges in the last four bits.
 PRODUCT, PRODUCT_SIMULATED, PRODUCT_24_BIT, PRODUCT_GAUGES = 0x54500000, 0x100, 0x200, 0xF
 # Of the gauges: (bits, counts per microstrain). Both have a full scale of 3276.8 microstrain.
@@ -416,6 +416,34 @@ def _calibration(n: int) -> "tuple[Object, ...]":
             (4, "Contact-on force", "on_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
             (5, "Contact-off force", "off_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
             (6, "Load sense (0 push, 1 pull)", "load_sense", U8, "rw", STAGED, 0, 0, 1),
+        ),
+        _record(
+            0x2112, "Calibration validity", "calibration",
+            (1, "Calibrated force (0 not known)", "calibrated_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (2, "Overload force (0 not known)", "overload_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (3, "Lowest temperature", "temperature_minimum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (4, "Highest temperature (both 0 not known)", "temperature_maximum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (5, "Relative model uncertainty of the force", "model_uncertainty", REAL32, "rw", STAGED, 0.0),
+        ),
+        _array(
+            0x2113, "Converter limit (0 span alone)", "calibration.converter_limit", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain",
+        ),
+        _array(
+            0x2114, "Offset against temperature", "calibration.offset_temperature", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain/K",
+        ),
+        _var(
+            0x2115, "Gain of the force against temperature", "calibration.gain_temperature",
+            REAL32, "rw", STAGED, 0.0, unit="1/K",
+        ),
+        _var(
+            0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit",
+            REAL32, "rw", STAGED, 0.0,
         ),
     )
 

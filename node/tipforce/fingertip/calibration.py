@@ -8,7 +8,7 @@ import struct
 
 from tipforce.device import codes
 from tipforce.dictionary import indices, table
-from tipforce.sensor.contact.scalar_condition import condition_number
+from tipforce.sensor.contact.scalar_condition import condition_number, singular_range
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     Covariance = tuple[float, float, float, float, float, float]
     Solver = tuple[list[list[float]], Covariance]
 
+NORM_MIN, NORM_MAX = 10.0, 1e7  # of C, 2-norm, N per unit strain: beyond, some unit is mistaken
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _ROUNDING = 1e-5  # of variances: that of REAL32, with room for a node that works in single precision
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
@@ -42,7 +43,8 @@ class Active:
         after_facts = 4 * n + 4
         triangle = n * (n + 1) // 2
         self.noise = values[after_facts : after_facts + triangle]
-        _radius, theta_min, theta_max, on, off, sense = values[after_facts + triangle :]
+        pad = after_facts + triangle
+        _radius, theta_min, theta_max, on, off, sense = values[pad : pad + 6]
         self.limits = (on, off, theta_min, theta_max)
         self.pull = bool(sense)
         self._solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
@@ -135,6 +137,10 @@ class Calibration:
         od.writers[indices.CALIBRATION_GUARD] = self._write_guard
         od.writers[indices.CALIBRATION_STAGED_RECORD] = self._write_record
 
+    def _pad(self) -> int:
+        """Where 2110h:1 is among the fields."""
+        return 4 * self._n + 4 + self._n * (self._n + 1) // 2
+
     def staged_record(self) -> bytes:
         """The staged record as one byte string (2141h)."""
         return struct.pack(self.packing, *[self._od.values[key] for key in self._keys])
@@ -172,14 +178,18 @@ class Calibration:
 
     # --- objects --------------------------------------------------------------------------------------------
 
-    def _condition(self) -> float:
+    def _staged_matrix(self) -> "list[list[float]]":
         n = self._n
         values, first = self._od.values, indices.CALIBRATION_MATRIX << 8 | 1
         rows: "list[list[float]]" = [[values[first + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
-        return condition_number(rows)
+        return rows
 
     def _read_facts(self, sub: int) -> "Value":
-        return self._condition() if sub == 5 else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
+        return (
+            condition_number(self._staged_matrix())
+            if sub == 5
+            else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
+        )
 
     def _read_check(self, sub: int) -> "Value":
         if sub == 2:
@@ -198,7 +208,7 @@ class Calibration:
         if self._locked:
             return codes.DEVICE_STATE
         fields = struct.unpack(self.packing, value)  # type: ignore[arg-type]
-        if fields[-1] > 1:
+        if fields[self._pad() + 5] > 1:
             return codes.INVALID_VALUE  # 2110h:6 load sense, the one field with limits of its own
         self._stage(value)  # type: ignore[arg-type]
         return 0
@@ -223,15 +233,22 @@ class Calibration:
         record = self.staged_record()
         if self._od.values[_EXPECTED_CRC] != crc32(record):
             return codes.INCOMPATIBLE
-        candidate = struct.unpack(self.packing, record)
-        theta_min, theta_max, on, off = candidate[-5:-1]
+        candidate, pad = struct.unpack(self.packing, record), self._pad()
+        theta_min, theta_max, on, off = candidate[pad + 1 : pad + 5]
         if any(field - field != 0 for field in candidate) or theta_min > theta_max or off > on:
             return codes.INVALID_VALUE
         n = self._n
-        if not _is_covariance(_square(candidate[4 * n + 4 : 4 * n + 4 + n * (n + 1) // 2], n)):
+        if not _is_covariance(_square(candidate[4 * n + 4 : pad], n)):
             return codes.INVALID_VALUE  # a negative variance would pass for no uncertainty at all
-        if not self._condition() <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
+        calibrated, overload, coldest, hottest, model = candidate[pad + 6 : pad + 11]
+        never_negative = (calibrated, overload, model, candidate[-1]) + candidate[pad + 11 : pad + 11 + n]
+        if min(never_negative) < 0.0 or coldest > hottest:
+            return codes.INVALID_VALUE
+        largest, smallest = singular_range(self._staged_matrix())
+        if smallest == 0.0 or not largest / smallest <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
             return codes.TOO_HIGH
+        if not NORM_MIN <= largest <= NORM_MAX:
+            return codes.TOO_HIGH if largest > NORM_MAX else codes.TOO_LOW
         self.active = self._unpack(record)
         self._generation = (self._generation + 1) & 0xFFFFFFFF
         return 0
