@@ -28,9 +28,7 @@ DIRECTIONS = np.array([[0.0, 0.0, 2.0], [1.0, 1.0, -2.0], [-3.0, 3.0, 0.0], [0.0
 
 STATED_SCATTER_RAD = float(np.radians(0.5))
 """What the fit is told of load directions."""
-_CLEAN = Faults(
-    drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None
-)
+_CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
 CONDITIONS: dict[str, tuple[Faults, str]] = {
     "offset and noise": (_CLEAN, "none"),
     "linear drift": (replace(_CLEAN, drift_strain=15e-6, warm_up=0.0), "linear"),

@@ -91,7 +91,7 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
 
     identity, reader = found.identity, found.reader
     args.serial = identity.serial
-    guide_finish.check_model(args, steps, identity.gauges)
+    guide_finish.check_model(args, identity.gauges)
     path = Path(args.session or f"session-{identity.serial}.csv")
     session = Session(path, steps, identity.serial, identity.gauges, found.temperature_degC is not None)
     loads = sum(step.mode != "tare" for step in steps)

@@ -25,6 +25,24 @@ class OffsetBasis(NamedTuple):
     """(q,): the same columns at the last row, where the result gives the offset."""
     kinks: BoolArray
     """(q,): which columns are kinks, as large as the data ask for (penalised)."""
+    temperature_span_K: float = 0.0
+    """Kelvins per unit of the last column, which then is the temperature; 0: there is none."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the columns that are no kinks."""
+        count = int((~self.kinks).sum())
+        if not self.temperature_span_K:
+            return ("offset", "drift")[:count]
+        return (*("offset", "drift")[: count - 1], "temperature")
+
+    def with_temperature(self, change_K: FloatArray) -> OffsetBasis:
+        """The same with a column of temperature, (m,), against the reference. Raises InputError for a constant one."""
+        span = float(np.abs(change_K).max())
+        if not span > 0.0:
+            raise InputError("a temperature coefficient needs rows at different temperatures")
+        columns = np.concatenate((self.columns, (change_K / span)[:, np.newaxis]), axis=1)
+        return OffsetBasis(columns, np.append(self.reference, 0.0), np.append(self.kinks, False), span)
 
 
 def direction_scatter(

@@ -109,9 +109,7 @@ def unseen_forces(rng: np.random.Generator, count: int) -> FloatArray:
     return force_vector(rng.uniform(0.3, 4.4, count), theta + delta + turn, theta)
 
 
-def schedule(
-    rng: np.random.Generator, weights_newtons: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def schedule(rng: np.random.Generator, weights_newtons: tuple[float, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     rows: list[tuple[float, float, float]] = []
     paper = paper_grooves()
     for phi, theta in rng.permutation(np.stack((paper.phi_rad, paper.theta_rad), axis=-1)):

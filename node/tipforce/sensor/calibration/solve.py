@@ -137,6 +137,34 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
     return found._replace(converged=converged)
 
 
+class Extra(NamedTuple):
+    """Coefficients that a fit has not, and what they would change in it."""
+
+    value: FloatArray
+    """(k,)."""
+    covariance: FloatArray
+    """(k, k)."""
+    coefficients: FloatArray
+    """(n, p): those of the fit beside them."""
+
+
+def extra(problem: Problem, found: Solution, columns: FloatArray) -> Extra:
+    """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise that the fit has found.
+
+    Raises LinAlgError where the rows do not determine them.
+    """
+    n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
+    AD = found.coefficients[:, :3] @ problem.D
+    whitener = _whitener(found.R, problem.observed)
+    X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(AD), n, n * p)
+    rows = np.concatenate((X, whitener @ columns, whitener @ problem.V[..., np.newaxis]), axis=-1)
+    effect = _Effect.of(whitener @ (np.sqrt(found.scatter.groove) * AD), problem.groove)
+    prior = np.insert(_prior_rows(problem, found.kink_variance), [n * p] * k, 0.0, axis=1)
+    beta, root = _solved(effect.marginal(rows).reshape(-1, n * p + k + 1), prior, n * p + k)
+    added = root[n * p :]
+    return Extra(beta[n * p :], added @ added.T, beta[: n * p].reshape(n, p))
+
+
 def pick(problem: Problem, rows: BoolArray) -> Problem:
     """Return the problem with the readings of the other rows left out."""
     return problem._replace(observed=problem.observed & rows[:, np.newaxis])
@@ -167,13 +195,13 @@ def _step(
     whitener = _whitener(R, problem.observed) * np.sqrt(u)[:, np.newaxis, np.newaxis]
     common = np.sqrt(scatter.groove) * AD
     X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(u), n, n * p)
-    y = (whitener @ problem.V[..., np.newaxis])
+    y = whitener @ problem.V[..., np.newaxis]
     effect = _Effect.of(whitener @ common, problem.groove)
     rows = effect.marginal(np.concatenate((X, y), axis=-1)).reshape(-1, n * p + 1)
     beta, root = _solved(rows, _prior_rows(problem, restless), n * p)
     coefficients, blocks = beta.reshape(n, p), (root @ root.T).reshape(n, p, n, p)
     of_beta = effect.per_groove(X)
-    moved = effect.conditional((y - X @ beta[:, np.newaxis]))
+    moved = effect.conditional(y - X @ beta[:, np.newaxis])
     unexplained = problem.V - problem.g @ coefficients.T
     residual = unexplained - (common @ moved)[..., 0]
     # A fitted value is (g - B K T) beta + B z, z the part of the groove's angle that the readings leave open.

@@ -15,6 +15,8 @@ from tipforce.sensor.calibration.solve import Problem, Solution, observed_invers
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 FloatArray = npt.NDArray[np.float64]
+HOLD_OUT_CAP = 8.0
+"""Squared distance per gauge beyond which a row counts no more against a model."""
 BoolArray = npt.NDArray[np.bool_]
 
 
@@ -62,6 +64,8 @@ def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covarian
     inner = np.linalg.inv(A.T @ W @ A)
     J = -np.einsum("ak,jl->alkj", C, C) + np.einsum("aj,kl->alkj", inner, W @ (np.eye(n) - A @ C))
     spread: FloatArray = np.einsum("alkj,kjmi,almi->al", J, covariance, J)
+    if not (spread >= -1e-9 * np.abs(spread).max()).all():
+        raise np.linalg.LinAlgError("the covariance of the matrix is not positive")
     return np.sqrt(np.maximum(spread, 0.0))
 
 
@@ -116,7 +120,20 @@ def result(
         loads=_by_load(readings, problem.observed, residual, C, found.leverage),
         drift=model.drift,
         loss=model.loss,
+        groove_scatter=float(np.sqrt(found.scatter.groove)),
+        hang_scatter=float(np.sqrt(found.scatter.hang)),
+        hold_out_score=_hold_out_score(problem, found),
     )
+
+
+def _hold_out_score(problem: Problem, found: Solution) -> float:
+    """See Fit.hold_out_score: a row that was fitted is predicted with the covariance R (R - H)^-1 R, others R + H."""
+    used = problem.observed.any(axis=1)
+    n = found.R.shape[1]
+    left = found.R - found.H + 1e-9 * found.R
+    inside = 2.0 * np.linalg.slogdet(found.R)[1] - np.linalg.slogdet(left)[1]
+    size = np.where(used, inside, np.linalg.slogdet(found.R + found.H)[1])
+    return float(-0.5 * np.sum(size + np.minimum(found.distance, HOLD_OUT_CAP * n)))
 
 
 def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
