@@ -81,6 +81,8 @@ def run(args: argparse.Namespace) -> int:
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     _check_layout(args, data)
+    if not 0 <= args.serial < 2**32:
+        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
     fit, model, scores = fit_of(args, data)
     calibration = calibration_of(args, data, fit)
     notes = fit_report.notes(data, fit, model, args.layout, calibration, scores)
@@ -180,8 +182,6 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
         gauges = read_layout(args.layout)[1]
         points = [gauge for gauge in gauges if isinstance(gauge, str)]
         code = layout_code(points) if len(points) == len(gauges) else CUSTOM_LAYOUT_CODE
-    if not 0 <= args.serial < 2**32:
-        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
     day = args.date or datetime.date.today()
     return Calibration(
         fit.C, fit.offset_strain, fit.noise_covariance_strain2, args.serial,

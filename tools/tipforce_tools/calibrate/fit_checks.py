@@ -31,10 +31,10 @@ def check_readings(args: argparse.Namespace, data: Measurements, readings: Readi
     limit = np.full(readings.strain.shape[1], np.inf if args.saturation is None else args.saturation * 1e-6)
     loads = np.stack((readings.P_newtons, readings.phi_rad, readings.theta_rad), axis=-1)
     for rail in rails(readings.strain, loads, limit):
-        value = abs(rail.strain) * 1e6 * (1.0 - 1e-9)
+        value = np.floor(abs(rail.strain) * 1e9) / 1e3  # below what the converter shows
         raise InputError(
             f"{rail.words(data.line)}: that is what a converter's limit looks like. If it is, give --saturation "
-            f"{value:.6g}; if the readings have no limit, --saturation none"
+            f"{value:.10g}; if the readings have no limit, --saturation none"
         )
 
 

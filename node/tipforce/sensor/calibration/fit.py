@@ -76,8 +76,13 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
     """Fit, and fit again with a gain that depends on temperature where the rows show one."""
     change, T = _change_K(readings), readings.temperature_degC
     gain, fitted = 0.0, _fitted(readings, model, 0.0)
-    if T is None or not change.any():
+    if T is None:
         return fitted.fit
+    low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
+    if not change.any():
+        unknown = np.full(n, np.nan)
+        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        return replace(fitted.fit, temperature=none)
     fitted_gain = False
     for _ in range(MAX_GAIN_PASSES):
         more, u = gain_of(fitted.problem, fitted.found, change)
@@ -91,7 +96,7 @@ def _with_gain(readings: Readings, model: Model) -> Fit:
     )
     k = factor(fitted.fit.dof)
     shown = Temperature(
-        reference_temperature_degC(T), float(T.min()), float(T.max()), offsets, k * u_offsets, model.temperature,
+        reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
         gain if fitted_gain else more, k * u, fitted_gain,
     )  # fmt: skip
     return replace(fitted.fit, temperature=shown)

@@ -24,8 +24,9 @@ START_RESTLESS, SMALLEST_RESTLESS = 0.05, 1e-5
 """Standard deviation of a drift's kinks, as a fraction of the readings: to begin with, and at least."""
 STATED_WORTH = 6.0
 """The stated scatter of a groove counts as so many observed angles: a few grooves show little of their own."""
-START_HANG, SMALLEST_HANG = 0.1, 1e-8
-"""Variance of the angle that is new in every row, in units of the stated one: to begin with, and at least."""
+START_HANG, HANG_WORTH = 0.1, 1.0
+"""Variance of the angle that is new in every row, in units of the stated one, before any data; it counts as so many
+observed angles."""
 MAX_STEPS = 300
 TOLERANCE = 1e-5
 """Relative change of A at which the steps end; 1e-3 of the noise, of which a few per cent do not matter."""
@@ -309,7 +310,8 @@ def _scatter(problem: Problem, found: Solution) -> Scatter:
     e = np.where(problem.observed, found.residual, 0.0)
     angle = found.scatter.hang * (pull @ e[..., np.newaxis])
     decided = found.scatter.hang * np.einsum("ijk,ikl,ijl->", pull, found.R - found.H, pull)
-    return Scatter(groove, max(float(np.square(angle).sum()) / max(float(decided), 0.01), SMALLEST_HANG))
+    hang = (HANG_WORTH * START_HANG + float(np.square(angle).sum())) / (HANG_WORTH + max(float(decided), 0.0))
+    return Scatter(groove, hang)
 
 
 def observed_inverse(R: FloatArray, observed: BoolArray) -> FloatArray:
@@ -328,11 +330,11 @@ def _judged(
     share = np.einsum("ikl,ilk->i", inverse, H)
     # The residual of a row that was fitted has the covariance R - H, direction by direction; one that was not, R + H.
     # In units of R, so that a direction in which the row alone decides (R = H) gives 0 / tiny, not 0 / 0.
-    root = np.linalg.cholesky(np.where(np.eye(R.shape[1], dtype=np.bool_), inverse + (inverse == 0.0), inverse))
+    whitener = _whitener(R, observed)
     e = np.where(observed | ~used[:, np.newaxis], residual, 0.0)
-    taken = root.transpose(0, 2, 1) @ H @ root
+    taken = whitener @ H @ whitener.transpose(0, 2, 1)
     left = (1.0 + 1e-9) * np.eye(R.shape[1]) - taken
-    whitened = (root.transpose(0, 2, 1) @ e[..., np.newaxis])[..., 0]
+    whitened = (whitener @ e[..., np.newaxis])[..., 0]
     inside = np.einsum("ik,ik->i", whitened, np.linalg.solve(left, whitened[..., np.newaxis])[..., 0])
     outside = np.einsum("ik,ik->i", residual, np.linalg.solve(R + H, residual[..., np.newaxis])[..., 0])
     dof = float((counts.sum() - share.sum()) / residual.shape[1])
