@@ -89,7 +89,7 @@ class Reports:
     def _request_faults(self) -> None:
         """Send the TPDOs that map 2124h, at most every FAULTS_PERIOD_US."""
         now_us = self._device.now_us
-        if self._next_us - FAULTS_PERIOD_US > now_us:
+        if self._next_us - FAULTS_PERIOD_US >= now_us:
             return  # one is due already
         due_us = max(now_us, self._next_us)
         asked = False
