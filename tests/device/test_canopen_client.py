@@ -3,6 +3,7 @@
 import struct
 import zlib
 from collections.abc import Callable, Iterator
+from importlib.metadata import version
 from pathlib import Path
 
 import can
@@ -16,6 +17,7 @@ from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
+CANOPEN = tuple(map(int, version("canopen").split(".")[:2]))
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
 RECORD = struct.pack(
     "<9f3fIIfB6f5fB13f",
@@ -109,6 +111,9 @@ def test_the_eds_of_a_node_makes_a_dictionary(client: Client) -> None:
     assert set(client.network.add_node(5, upload_eds=True).object_dictionary) == expected
 
 
+@pytest.mark.skipif(
+    CANOPEN < (2, 4), reason="canopen's block client before 2.4 returns wrong bytes after a lost segment"
+)
 def test_block_upload_with_lost_segments(client: Client) -> None:
     """Of each block's frames the fifth is lost once: the client acknowledges four, the server goes on from there."""
     lost: set[bytes] = set()

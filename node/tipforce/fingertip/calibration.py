@@ -1,6 +1,6 @@
 """The calibration a node holds: one staged record that SDO writes fill, one active record that a commit replaces.
 
-OBJECTS.md, manufacturer area: 2100h-2106h, 2110h, 2140h, 2141h.
+docs/objects.md, manufacturer area: 2100h-2106h, 2110h, 2140h, 2141h.
 """
 
 import binascii

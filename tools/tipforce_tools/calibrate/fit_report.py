@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
@@ -13,8 +12,6 @@ from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools.cli import common
 from tipforce_tools.cli.layout_file import read_layout
-
-FloatArray = npt.NDArray[np.float64]
 
 UE = 1e6
 

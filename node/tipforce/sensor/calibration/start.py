@@ -7,11 +7,9 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution, observed_inverse
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 FALSE_ALARM = 0.01
 """Chance that a fit without any outlier names one."""

@@ -5,17 +5,14 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import t_quantile
 from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution, observed_inverse
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Scales(NamedTuple):

@@ -1,7 +1,7 @@
 """More than three gauges, for a microcontroller: force without a dead gauge, and which gauge contradicts the others.
 
-Needs the math module only and keeps to what MicroPython has; parity.py holds the same for arrays and explains it. What
-a node needs is worked out once, when a calibration becomes active: subsets() for the forces, parity() for the check.
+Needs the math module only and keeps to what MicroPython has; redundancy.py holds the same for arrays and explains it.
+A node computes subsets() for the forces and parity() for the check once, when a calibration becomes active.
 Matrices are lists of rows, noise is the upper triangle of the gauges' covariance by rows (object 2106h), strain^2.
 """
 
