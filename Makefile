@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test oldest report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
 
 help: ## this list
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -15,6 +15,9 @@ demo: bootstrap-demo ## the main job with no hardware
 test: lint ## style, types, imports, all tests, and the tests on a real vcan
 	$(PYTHON) -m pytest -n auto --dist=worksteal
 	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
+
+oldest: ## the tests that use canopen, with the oldest one that pyproject.toml allows; a venv of its own
+	@tests/oldest.sh
 
 lint: bootstrap-test ## style, types and imports
 	@$(MAKE) --no-print-directory -j2 --output-sync=target lint-style lint-types lint-imports
@@ -32,8 +35,8 @@ lint-imports:
 report: bootstrap-test ## error against run time and extreme cases: build/report/index.html, within ten minutes
 	.venv/bin/tipforce report -o build/report
 
-docs: bootstrap-test ## the Python API reference, from the docstrings: build/api/index.html
-	$(PYTHON) -m tipforce_tools.api_reference -o build/api
+docs: bootstrap-test ## the documentation site: build/site/index.html
+	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --strict --quiet
 
 long: bootstrap-test ## the full counts of every long check, and the reports; about two hours
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
@@ -56,8 +59,8 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
-	.venv/bin/tipforce vcan -- $(PYTHON) -m tipforce_tools.conformance.document > docs/conformance.md.new
-	mv docs/conformance.md.new docs/conformance.md
+	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
+	mv build/conformance.md docs/conformance.md
 
 generate: bootstrap-test ## write the committed files that come from the object dictionary
 	@$(PYTHON) -m tipforce.dictionary.generate

@@ -75,7 +75,7 @@ def main() -> int:
         print(
             f"\nRMS force error in mN; fit / knows = {ratio:.3f}, C only {matrix_ratio:.3f} (allowed {ALLOWED_RATIO})\n"
         )
-        header = ["what goes wrong", "C", "worst entry of C", "force", "false alarms"]
+        header = ["fault", "C", "worst entry of C", "force", "false alarms"]
         print(table(header, coverage_rows(found), args.markdown))
         print(f"\nper cent of {simulations} simulations that the 95 % intervals hold")
     low, high = ALLOWED_PERCENT

@@ -187,7 +187,11 @@ def layout_table(positions: dict[str, GaugePosition], markdown: bool) -> str:
         left = without(C, covariance, [k])
         gain = "no rank 3" if left is None else f"{noise_gain(left.C) / noise_gain(C):.2f}"
         rows.append([name, f"{detectable[k]:.1f}", ", ".join(twins) or "none", gain])
-    return table(["gauge", "just shows, microstrain", "not told from", "noise of F without it, times"], rows, markdown)
+    return table(
+        ["gauge", "smallest detected, microstrain", "not distinguished from", "noise of F without it, times"],
+        rows,
+        markdown,
+    )
 
 
 def rate_table(found: list[Rate], kind: str, markdown: bool) -> str:
@@ -211,17 +215,17 @@ def report(
 ) -> str:
     """All tables with their captions."""
     title = "### {}" if markdown else "{}"
-    parts = [title.format("Five gauges: what shows, and what a loss costs"), layout_table(FIVE, markdown)]
+    parts = [title.format("Five gauges: smallest fault, and cost of a loss"), layout_table(FIVE, markdown)]
     parts += [title.format("Five gauges: detected / isolated / wrongly isolated, %")]
     parts += [rate_table(found[5], kind, markdown) for kind in SIZES]
-    parts += [title.format("Six gauges, three a beam"), layout_table(SIX, markdown)]
+    parts += [title.format("Six gauges, three on each beam"), layout_table(SIX, markdown)]
     parts += [rate_table(found[6], "offset, microstrain", markdown)]
     parts += [title.format("Five gauges: C weighted by one covariance, and which one the record holds")]
     rows = [[name, f"{alarm:.2f}", f"{error:.4f}"] for name, (alarm, error) in weighed.items()]
     parts += [table(["C weighted by", "false alarms, %", "RMS error of F without U, N"], rows, markdown)]
     among = min(rate.among for rate in found[5] if rate.detected > 50.0)
     parts += [
-        f"{trials} trials a rate, gauge noise 1 microstrain, false alarms set to {100 * FALSE_ALARM_RATE:g} %, "
+        f"{trials} trials per rate, gauge noise 1 microstrain, false alarms set to {100 * FALSE_ALARM_RATE:g} %, "
         f"exclusion to {100 * EXCLUSION_RATE:g} %. The faulty gauge is among those named in at least {among:.1f} % of "
         "the readings where a fault is detected (rates above 50 %).",
         "False alarms over "

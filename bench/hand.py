@@ -129,16 +129,17 @@ Frames are `struct can_frame` in datagrams over UDP sockets on 127.0.0.1. The fi
 `running/loop.py`), the SYNC in another, in place of the kernel's broadcast manager{realtime}.
 The host is a `Hand` with the receiver of SocketCAN (`host/live/receive.py`), a consumer in another thread, and its own
 connection for SDO and heartbeats.
-That the same code works on a real SocketCAN bus is tested in `tests/vcan/test_hand_session.py`. What is late here is
-mostly this machine: three processes share its cores with other work, and a finger that is not scheduled answers late.
+`tests/vcan/test_hand_session.py` tests the same code on a real SocketCAN bus. Most delays here come from the machine:
+three processes share its cores with other work, and a finger that is not scheduled responds late.
 
 ## Rows
-Values are rows times fingers. Delayed: came after the next SYNC, and still into their own row by the sample counter.
-Stale: the finger had no new conversion (one each 500 us; it answers several SYNCs at once when it was late): P is
-unknown, and said to be. Missing: values that are not there. Late: answers that came after their row was given out (each
-leaves its value missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
+
+Values are rows times fingers. Delayed: received after the next SYNC, assigned to their own row by the sample counter.
+Stale: the finger had no new conversion (one each 500 us; after a delay it responds to several SYNCs at once), so P is
+flagged as unknown. Missing: absent values. Late: samples that came after their row was delivered (each leaves its value
+missing). Mixed: PDOs of two samples in one row. Doubtful: not shown, because the counter says that it
 may be old. Dropped frames: by the kernel or a buffer. Overrun: rows that the consumer did not take. Latency: from the
-SYNC (the kernel's time stamp) to the row in the consumer's hands, milliseconds.
+SYNC (the kernel's time stamp) to the delivery of the row to the consumer, milliseconds.
 
 | hand | seconds | rows | values | delayed | stale | missing | late | mixed | doubtful | rows not whole | dropped \
 | overrun | latency p50 | p99 | largest | CPU host | CPU fingers |
@@ -146,8 +147,9 @@ SYNC (the kernel's time stamp) to the row in the consumer's hands, milliseconds.
 """
 JITTER = """
 ## SYNC
-As the host receives them: deviation of each period from the nominal one, microseconds. Skipped: left out by their
-sender, because it was more than half a period late.
+
+Deviation of each received period from the nominal one, microseconds. Skipped: not sent, because the sender was more
+than half a period late.
 
 | hand | sent by a | periods | skipped | mean period | p50 | p99 | largest |
 |---|---|---|---|---|---|---|---|
@@ -156,7 +158,7 @@ sender, because it was more than half a period late.
 
 def page(outcomes: list[Outcome], options: str, realtime: bool) -> str:
     """The document."""
-    how = ", both with the scheduling class SCHED_FIFO, as they stand for hardware" if realtime else ""
+    how = ", both with SCHED_FIFO in place of hardware" if realtime else ""
     lines = [HEAD.format(machine=machine(), options=options, realtime=how) + "\n".join(map(report, outcomes))]
     lines.append(JITTER + "\n".join(map(report_jitter, outcomes)) + "\n")
     return "\n".join(lines)

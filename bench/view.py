@@ -26,6 +26,7 @@ from typing import Any
 
 from bench.live_loopback import ROOT, bound_receiver
 from playwright.sync_api import Browser, Page, sync_playwright
+from websockets.sync.client import connect
 
 from host.bus_with_nodes import beam_calibration
 from tipforce.host.live.receive import SocketReceiver
@@ -133,10 +134,10 @@ def sent_rows(source: ListenSource) -> int:
 
 @contextlib.contextmanager
 def silent_reader(port: int) -> Iterator[None]:
-    """A browser that asks for the stream and then reads nothing."""
-    with socket.create_connection(("127.0.0.1", port)) as one:
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-        one.sendall(f"GET /events?bin=2 HTTP/1.1\r\nHost: 127.0.0.1:{port}\r\n\r\n".encode())
+    """A page that asks for the stream and then reads nothing."""
+    with connect(f"ws://127.0.0.1:{port}/live", max_queue=1, ping_interval=None) as page:
+        page.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        page.send('{"do": "stream", "bin": 2}')
         yield
 
 

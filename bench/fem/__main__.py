@@ -20,7 +20,7 @@ from bench.fem.table_3 import Variant
 from tipforce.sensor.design.published import CASES
 from tipforce_tools.fem.limit import extrapolate_matrix
 from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.solve import Model, solve
+from tipforce_tools.fem.plane_stress import Model, solve
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -19,7 +19,7 @@ from tipforce_tools.fem.gauges import Face, face, nearest_place, strain_matrix
 from tipforce_tools.fem.limit import Limit, corner_exponent, extrapolate
 from tipforce_tools.fem.mesh import GRADING, Resolution
 from tipforce_tools.fem.outline import STATED
-from tipforce_tools.fem.solve import Model, solve
+from tipforce_tools.fem.plane_stress import Model, solve
 
 FloatArray = npt.NDArray[np.float64]
 GAUGES = ("L", "R", "K_H", "S_H", "U")

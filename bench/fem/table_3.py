@@ -18,7 +18,7 @@ from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce_tools.fem.gauges import nearest_place, strain_matrix
 from tipforce_tools.fem.mesh import Resolution
 from tipforce_tools.fem.outline import STATED
-from tipforce_tools.fem.solve import Model, Patch, Solution, solve
+from tipforce_tools.fem.plane_stress import Model, Patch, Solution, solve
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -15,10 +15,8 @@ from rclpy.node import Node
 from rclpy.qos import qos_profile_sensor_data
 from tipforce_msgs.msg import FingertipContact
 
-from tipforce.errors import TipforceError
-from tipforce.host.decoding.decoder import Samples
-from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+import tipforce
+from tipforce.host import PolledHand, Samples
 
 FLAGS = ("contact", "calibrated", "saturated", "stale", "fault")
 
@@ -63,7 +61,7 @@ class Bridge(Node):  # type: ignore[misc]  # rclpy has no types
         }
         given = {name: self.declare_parameter(name, value).value for name, value in default.items()}
         self._radius_m = given["tip_radius_m"]
-        self._connection = Connection.open(given["channel"], given["interface"])
+        self._connection = tipforce.open(given["channel"], given["interface"])
         self._hand = PolledHand(self._connection, list(given["node_ids"]))
         self._topics = {
             n: (
@@ -80,7 +78,7 @@ class Bridge(Node):  # type: ignore[misc]  # rclpy has no types
         """One SYNC: a contact for each finger that answered, and a wrench where it is known."""
         try:
             row = self._hand.sample(timeout_s=self._period_s)
-        except TipforceError as error:
+        except tipforce.TipforceError as error:
             self.get_logger().error(str(error), throttle_duration_sec=1.0)
             return
         for node_id, (wrenches, contacts) in self._topics.items():

@@ -13,11 +13,8 @@ import can
 import numpy as np
 import pytest
 
-from simulated_hand import beam_calibration, finger, running
-from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
-from tipforce.host.network.faulty_bus import Faults, FaultyBus, quiet
-from tipforce.host.network.finger import FingertipClient
+import tipforce
+from tipforce.host import Faults, FaultyBus, PolledHand, quiet
 
 BUS: dict[str, Any] = {
     "interface": os.environ.get("CAN_INTERFACE", "virtual"),
@@ -31,12 +28,10 @@ CONTACT = {node_id: 0x280 + node_id for node_id in FINGERS}
 @pytest.fixture
 def hand() -> Iterator[tuple[PolledHand, FaultyBus]]:
     """Five fingers that are calibrated and started, and the bus through which you hear them."""
-    fingers = [finger(n, (P, 90.0, 45.0)) for n, P in zip(FINGERS, FORCES_NEWTONS.tolist(), strict=True)]
-    with running(fingers, **BUS):
+    loads = {n: (P, 90.0, 45.0) for n, P in zip(FINGERS, FORCES_NEWTONS.tolist(), strict=True)}
+    with tipforce.simulated_hand(FINGERS, loads, **BUS):
         bus = FaultyBus(can.Bus(**BUS), Faults(), seed=1)
-        with Connection(bus) as connection:
-            for node_id in FINGERS:
-                FingertipClient(connection.sdo(node_id)).apply_calibration(beam_calibration(), store=False)
+        with tipforce.Bus(bus) as connection:
             found = PolledHand(connection, FINGERS)
             found.start()
             yield found, bus

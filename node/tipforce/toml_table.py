@@ -42,7 +42,7 @@ def read_table(path: str | Path, place: str) -> dict[str, Any]:
 
 
 def convert(kind: type[T], content: object, place: str, finite: bool = True) -> T:
-    """``content`` (what tomllib gave) as ``kind``; ``place`` is how the message calls it ("scenes/x.toml").
+    """``content`` (what tomllib gave) as ``kind``; ``place`` is how the message calls it ("scenes/tap.toml").
 
     A field may be a number, a string, a list of these, a table of free keys with such values, a struct, or a list of
     structs (plain values may stand among them); where a list holds a union of structs, each with a tag, the key

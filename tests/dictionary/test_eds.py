@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
+from dictionary.eds_lint import lint_eds
 from tipforce.dictionary import table, types
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
 from tipforce.dictionary.eds_file import parse
-from tipforce.dictionary.lint import lint_eds
 from tipforce.dictionary.rows import Row, objects, rows
 from tipforce.errors import InputError
 

@@ -135,7 +135,7 @@ def test_parse_refuses(letter: str, text: str) -> None:
 
 def test_words_of_cia_309_3() -> None:
     for word in ("b", "i8", "i16", "i32", "u8", "u16", "u32", "r32", "vs", "os", "d"):
-        assert types.word_of_letter(types.letter_of_word(word)) == word
+        assert types.data_type(types.letter_of_word(word)).word == word
     assert types.letter_of_word("U16") == "H"
     with pytest.raises(InputError, match="u16"):
         types.letter_of_word("word")

@@ -48,8 +48,7 @@ def test_decoded_with(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 
 
 def test_the_hand_test_runs_where_a_user_copies_it(tmp_path: Path) -> None:
-    for name in ("simulated_hand.py", "test_hand.py"):
-        (tmp_path / name).write_text((DOCS / "examples" / name).read_text())
+    (tmp_path / "test_hand.py").write_text((DOCS / "examples" / "test_hand.py").read_text())
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", "CAN_"))}
     done = subprocess.run(
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_hand.py"],
@@ -57,9 +56,3 @@ def test_the_hand_test_runs_where_a_user_copies_it(tmp_path: Path) -> None:
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert "3 passed" in done.stdout
-
-
-def test_every_file_that_the_documents_link_to_is_there() -> None:
-    for document in ("recipes.md", "ci.md"):
-        for target in re.findall(r"\]\(([^)#]+)\)", (DOCS / document).read_text()):
-            assert (DOCS / target).exists(), f"{document}: {target}"

@@ -9,8 +9,8 @@ from pathlib import Path
 import canopen
 import pytest
 
+from dictionary.eds_lint import lint_eds
 from tipforce.dictionary.eds import dcf_text, eds_text
-from tipforce.dictionary.lint import lint_eds
 from tipforce.dictionary.table import CONVERTER_24
 from tipforce.host.configuration.configuration_file import read_configuration
 from tipforce_tools.cli.main import main

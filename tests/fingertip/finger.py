@@ -33,7 +33,7 @@ def matrix(n: int = 3) -> list[list[float]]:
 
 
 def packing(n: int = 3) -> str:
-    """The calibration record as OBJECTS.md gives it, written down once more."""
+    """The calibration record as docs/objects.md gives it, written a second time."""
     return f"<{3 * n}f{n}fIIfB{n * (n + 1) // 2}f5fB5f{n}f{n}f2f"
 
 

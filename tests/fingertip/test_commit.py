@@ -50,7 +50,7 @@ def test_crc_mismatch(talk: Finger) -> None:
 
 
 def test_a_single_element_written_after_the_check_is_seen(talk: Finger) -> None:
-    # TRAPS.md: one wrong element flipped a force's sign for months, because nobody compared.
+    # docs/dependencies.md: one wrong element flipped a force's sign for months, because nobody compared.
     talk.stage(record(C=DOUBLED))
     assert talk.put("f", 0x2100, 5, -2e4) == 0
     refuse(talk, CRC)

@@ -1,4 +1,4 @@
-"""The calibration record (OBJECTS.md): its layout, and that the staged objects, 2141h and 2140h show the same bytes."""
+"""The calibration record (docs/objects.md): its layout; the staged objects, 2141h and 2140h have the same bytes."""
 
 import binascii
 import math

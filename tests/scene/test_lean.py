@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-from tipforce.scene.parts import computes, identifiers, parts
+from tipforce.scene.scene_parts import computes, identifiers, parts
 from tipforce.scene.schema import Scene, read_scene
 
 ROOT = Path(__file__).parents[2]

@@ -16,8 +16,8 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.scene.loads import load_of
-from tipforce.scene.parts import bus_load, identifiers
 from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.scene_parts import bus_load, identifiers
 from tipforce.scene.schema import Scene, read_scene
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix

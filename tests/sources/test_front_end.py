@@ -12,10 +12,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from dictionary.eds_lint import lint_eds
 from fingertip.finger import FAULT, PUSH, SATURATED, UNKNOWN, Finger, record, strain_per_newton
 from tipforce.dictionary import table
 from tipforce.dictionary.eds import eds_text, file_name
-from tipforce.dictionary.lint import lint_eds
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.network.finger import Identity
 from tipforce.sources.dynamic_forces import DynamicForces

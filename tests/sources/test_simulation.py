@@ -1,4 +1,4 @@
-"""Faults of a simulated node (2200h): each shows as OBJECTS.md says, and nothing wrong is shown as live."""
+"""Faults of a simulated node (2200h): each shows as docs/objects.md says, and nothing wrong is shown as live."""
 
 import math
 

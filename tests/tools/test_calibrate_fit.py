@@ -209,17 +209,14 @@ def test_a_fit_table_of_somebody_else_does_not_hinder(data: Path, tmp_path: Path
     path = tmp_path / "cal.toml"
     assert main(["calibrate", "fit", str(data), "-o", str(path), "-q", *LIMIT]) == 0
     text = path.read_text()
-    path.write_text(text.replace("dof = ", "degrees = "))
+    path.write_text(text.replace("normal_matrix = ", "matrix = ").replace("parameter_covariance_", "covariance_"))
     assert read_calibration(path).gauges == 3
-    with pytest.raises(InputError, match=r"cal\.toml: fit\.dof is missing"):
+    with pytest.raises(InputError, match=r"cal\.toml: fit: parameter_covariance_microstrain2 is missing"):
         read_fit(path)
     path.write_text(text.replace("condition_number = ", "condition_number = inf\nof_somebody_else = nan #", 1))
     record = read_fit(path)
     assert record is not None
     assert record.condition_number == math.inf
-    path.write_text(text.replace("normal_matrix = ", "normal_matrx = "))
-    with pytest.raises(InputError, match=r"cal\.toml: fit\.normal_matrx: no such key; did you mean normal_matrix\?"):
-        read_fit(path)
     path.write_text(text[: text.index("[fit]")])
     assert read_fit(path) is None
     path.write_text(text[: text.index("[fit]")] + "[fit]\ndof = 1.0\nresidual_covariance_microstrain2 = [[1.0]]\n"

@@ -1,19 +1,26 @@
-"""`tipforce completion`: each shell knows every command, action, flag and choice, and its script runs."""
+"""`tipforce completion`: each shell, itself, completes every command, action, flag and value."""
 
 from __future__ import annotations
 
+import argparse
 import json
+import os
+import pty
+import select
 import shutil
 import subprocess
+import time
 from pathlib import Path
 
 import pytest
 
 from tipforce_tools.cli.main import COMMANDS, main
-from tipforce_tools.completion import command, model
+from tipforce_tools.completion import command
+from tipforce_tools.completion.script import script
+from tools.command_lines import LINES, PARSERS
 
-LINES = {" ".join(line.path): line for line in model.command_lines()}
-SCRIPTS = {shell: command.script(shell, tuple(LINES.values())) for shell in command.SHELLS}
+SCRIPTS = {shell: script(shell) for shell in command.SHELLS}
+WAIT_S = 60.0
 DRIVER = """
 while IFS= read -r typed; do
     COMP_LINE=$typed COMP_POINT=${#typed}
@@ -23,77 +30,89 @@ done
 """
 
 
+def flags(parser: argparse.ArgumentParser) -> list[str]:
+    return [
+        name for action in parser._actions if action.help != argparse.SUPPRESS for name in action.option_strings
+    ]  # fmt: skip
+
+
 def bash(tmp_path: Path, *typed: str) -> list[list[str]]:
-    """What bash offers after each of these beginnings of a command line."""
-    script = tmp_path / "tipforce.bash"
-    script.write_text(SCRIPTS["bash"] + DRIVER)
-    words = ["bash", "--norc", "--noprofile", str(script)]
+    """What bash completes after each of these beginnings of a command line."""
+    path = tmp_path / "tipforce.bash"
+    path.write_text(SCRIPTS["bash"] + DRIVER)
+    words = ["bash", "--norc", "--noprofile", str(path)]
     done = subprocess.run(
-        words, input="\n".join(typed) + "\n", capture_output=True, text=True, check=False, cwd=tmp_path, timeout=60
+        words, input="\n".join(typed) + "\n", capture_output=True, text=True, check=False, cwd=tmp_path, timeout=WAIT_S
     )
-    assert (done.returncode, done.stderr) == (0, "")
+    assert done.returncode == 0
+    # A script has no readline, whose options shtab sets.
+    assert [line for line in done.stderr.splitlines() if "compopt" not in line] == []
     return [line.split() for line in done.stdout.splitlines()]
 
 
-def test_the_model_has_every_command_and_action() -> None:
-    assert {line.path[0] for line in LINES.values()} == set(COMMANDS)
-    assert {path for path in LINES if path.startswith("calibrate ")} == {
-        f"calibrate {action}" for action in LINES["calibrate"].actions
-    }
+def test_the_parsers_are_those_of_every_command_and_action() -> None:
+    assert LINES["tipforce"] == list(COMMANDS)
+    assert LINES["tipforce calibrate"] == ["fit", "apply", "guide", "verify"]
+    assert all(flags(parser)[:2] == ["-h", "--help"] for parser in PARSERS.values())
 
 
-def test_bash_knows_every_command(tmp_path: Path) -> None:
-    ((*offered,),) = bash(tmp_path, "tipforce ")
-    assert set(offered) == {*COMMANDS, "--help", "--version"}
-    for name, (found,) in zip(COMMANDS, zip(bash(tmp_path, *(f"tipforce {name}" for name in COMMANDS))), strict=True):
-        assert name in found
+def test_bash_completes_every_command(tmp_path: Path) -> None:
+    ((*completed,),) = bash(tmp_path, "tipforce ")
+    assert set(completed) == set(COMMANDS)
+    assert set(bash(tmp_path, "tipforce -")[0]) == {"-h", "--help", "-V", "--version"}
+    found = bash(tmp_path, *(f"tipforce {name}" for name in COMMANDS))
+    assert all(name in completed for name, completed in zip(COMMANDS, found, strict=True))
 
 
-def test_bash_knows_every_flag_and_action(tmp_path: Path) -> None:
-    """For each command line: its flags behind `-`, or its actions."""
-    answers = bash(tmp_path, *(f"tipforce {path} {'' if line.actions else '-'}" for path, line in LINES.items()))
-    for (path, line), offered in zip(LINES.items(), answers, strict=True):
-        names = [name for flag in line.flags for name in flag.names]
-        assert offered == ([*line.actions, "--help"] if line.actions else names), path
+def test_bash_completes_every_action_and_flag(tmp_path: Path) -> None:
+    found = bash(tmp_path, *(f"{path} {'' if actions else '-'}" for path, actions in LINES.items()))
+    for (path, actions), completed in zip(LINES.items(), found, strict=True):
+        assert completed == (actions or flags(PARSERS[path])), path
 
 
-def test_bash_knows_every_choice(tmp_path: Path) -> None:
+def test_bash_completes_every_choice(tmp_path: Path) -> None:
     """For each flag with choices, in each of its spellings; and for the first positional word."""
     typed, expected = [], []
-    for path, line in LINES.items():
-        for flag in line.flags:
-            if flag.value is not None and flag.value.words and not flag.value.sources:
-                typed += [f"tipforce {path} {name} " for name in flag.names]
-                expected += [list(flag.value.words)] * len(flag.names)
-        if line.positionals and line.positionals[0].words and not line.positionals[0].sources:
-            typed.append(f"tipforce {path} ")
-            expected.append(list(line.positionals[0].words))
+    for path, parser in PARSERS.items():
+        positionals = [action for action in parser._actions if not action.option_strings]
+        for action in parser._actions:
+            if action.choices is not None and action.help != argparse.SUPPRESS:
+                names = action.option_strings or ([""] if action is positionals[0] else [])
+                typed += [f"{path} {name} " if name else f"{path} " for name in names]
+                expected += [[str(choice) for choice in action.choices]] * len(names)
     assert len(typed) > 50
     assert bash(tmp_path, *typed) == expected
 
 
+COMPLETIONS = [
+    ("tipforce ca", "calibrate"),
+    ("tipforce sdo ", "read write dump"),
+    ("tipforce sdo -i virtual -c x --fd re", "read"),
+    ("tipforce sdo read 5 calibration.gen", "calibration.generation"),
+    ("tipforce sdo write 5 heartbeat.prod", "heartbeat.producer_ms"),
+    ("tipforce dump --color=al", "always"),
+    ("tipforce dump --color al", "always"),
+    ("tipforce dump --color=never --deco", "--decode"),
+    ("tipforce dump -i soc", "socketcan socketcand"),
+    ("tipforce export ", "eds dbc dcf c"),
+    ("tipforce calibrate fit --drift ", "none tare linear"),
+    ("tipforce node --node-id 1", "1 10 11 12 13 14 15"),
+]
+
+
 @pytest.mark.parametrize(
-    ("typed", "offered"),
+    ("typed", "completed"),
     [
-        ("tipforce ca", "calibrate"),
-        ("tipforce sdo ", "read write dump"),
-        ("tipforce sdo -i virtual -c x --fd re", "read"),
-        ("tipforce sdo read 5 calibration.gen", "calibration.generation"),
+        *COMPLETIONS,
         ("tipforce sdo read 5 heartbeat.consumer:", "1 2 3 4"),
-        ("tipforce sdo write 5 heartbeat.prod", "heartbeat.producer_ms"),
-        ("tipforce dump --color=al", "always"),
-        ("tipforce dump --color al", "always"),
-        ("tipforce dump -i soc", "socketcan socketcand"),
-        ("tipforce export ", "eds dbc dcf c"),
         ("tipforce export eds ", ""),
-        ("tipforce calibrate fit --drift ", "none tare linear"),
         ("tipforce node --layout I", "I II III"),
         ("tipforce scan --wait ", ""),
-        ("tipforce nothing -", ""),
+        ("tipforce nothing -", "-h --help -V --version"),
     ],
 )
-def test_bash_offers(tmp_path: Path, typed: str, offered: str) -> None:
-    assert bash(tmp_path, typed) == [offered.split()]
+def test_bash_completes(tmp_path: Path, typed: str, completed: str) -> None:
+    assert bash(tmp_path, typed) == [completed.split()]
 
 
 @pytest.mark.parametrize(
@@ -104,63 +123,93 @@ def test_bash_offers(tmp_path: Path, typed: str, offered: str) -> None:
         "plot x --calibration r",
     ],
 )  # fmt: skip
-def test_bash_offers_files(tmp_path: Path, typed: str) -> None:
+def test_bash_completes_files(tmp_path: Path, typed: str) -> None:
     (tmp_path / "run.log").touch()
     assert "run.log" in bash(tmp_path, f"tipforce {typed}")[0]
 
 
-def test_bash_offers_programs_behind_vcan(tmp_path: Path) -> None:
+def test_bash_completes_programs_behind_vcan(tmp_path: Path) -> None:
     assert "python3" in bash(tmp_path, "tipforce vcan -- python")[0]
 
 
 def test_no_script_starts_python() -> None:
-    for shell, script in SCRIPTS.items():
-        code = [line for line in script.splitlines() if not line.lstrip().startswith(("#", "complete -c", "'"))]
+    for shell, text in SCRIPTS.items():
+        code = [line for line in text.splitlines() if "complete " not in line and "[" not in line]
         assert not any(word in line for line in code for word in ("python ", "$(tipforce", "(tipforce ")), shell
 
 
-@pytest.mark.parametrize("shell", ["fish", "zsh"])
-def test_the_other_shells_know_every_flag(shell: str) -> None:
-    for path, line in LINES.items():
-        for flag in () if line.actions else line.flags:
-            for name in flag.names:
-                long = name.startswith("--")
-                wanted = f"-{'l' if long else 's'} {name.lstrip('-')} " if shell == "fish" else name
-                assert wanted in SCRIPTS[shell], (path, name)
+class Zsh:
+    """An interactive zsh on a terminal of its own, in which the script is a completion function."""
+
+    def __init__(self, folder: Path) -> None:
+        (folder / "_tipforce").write_text(SCRIPTS["zsh"])
+        environment = {"PATH": os.environ["PATH"], "HOME": str(folder), "TERM": "dumb"}
+        self._terminal, theirs = pty.openpty()
+        self._process = subprocess.Popen(
+            ["zsh", "-f", "-i", "+o", "PROMPT_SP"], stdin=theirs, stdout=theirs, stderr=theirs, cwd=folder,
+            env=environment, start_new_session=True,
+        )  # fmt: skip
+        os.close(theirs)
+        setup = "stty cols 200; PS1=; fpath=($PWD $fpath); autoload -U compinit; compinit -u -D; bindkey '^I' "
+        self.type(setup + "complete-word; print RE''ADY\n", "READY")
+
+    def type(self, keys: str, wanted: str) -> str:
+        """Send keys, and wait until the terminal shows ``wanted``; what it has shown."""
+        os.write(self._terminal, keys.encode())
+        shown, deadline_s = "", time.monotonic() + WAIT_S
+        while wanted not in shown:
+            readable, _, _ = select.select([self._terminal], [], [], max(deadline_s - time.monotonic(), 0.0))
+            assert readable, f"{keys!r}: {wanted!r} is not in {shown!r}"
+            shown += os.read(self._terminal, 4096).decode(errors="replace")
+        return shown
+
+    def close(self) -> None:
+        self._process.kill()
+        self._process.wait()
+        os.close(self._terminal)
 
 
 @pytest.mark.skipif(shutil.which("zsh") is None, reason="no zsh here")
-def test_zsh_takes_the_script(tmp_path: Path) -> None:
-    script = tmp_path / "_tipforce"
-    script.write_text(SCRIPTS["zsh"])
-    code = f"fpath=({tmp_path} $fpath); autoload -U compinit; compinit -u -D; autoload +X _tipforce; "
-    code += "print $_comps[tipforce]"
-    done = subprocess.run(["zsh", "-f", "-c", code], capture_output=True, text=True, check=False, timeout=60)
-    assert (done.returncode, done.stdout, done.stderr) == (0, "_tipforce\n", "")
-    assert subprocess.run(["zsh", "-n", str(script)], check=False, timeout=60).returncode == 0
+def test_zsh_completes(tmp_path: Path) -> None:
+    """Typed words, the TAB key, and what the terminal shows then."""
+    (tmp_path / "run.log").touch()
+    zsh = Zsh(tmp_path)
+    try:
+        for typed, shown in (
+            ("ca", "calibrate"), ("calibrate ", "compare a calibration file"), ("dump --color=al", "always"),
+            ("dump --color al", "always"), ("sdo read 5 calibration.gen", "generation"), ("plot r", "run.log"),
+            ("sdo read 5 heartbeat.consumer:", "heartbeat.consumer:4"), ("plot x.log r", "run.log"),
+            ("plot x.log -o r", "run.log"), ("node --layout II", "III"), ("calibrate fit --dr", "--drift"),
+            ("vcan findm", "findmnt"),
+        ):  # fmt: skip
+            found = zsh.type(f"tipforce {typed}\t", shown)
+            assert "_arguments" not in found, found
+            zsh.type("\x15print DO''NE\n", "DONE")
+    finally:
+        zsh.close()
 
 
 @pytest.mark.skipif(shutil.which("fish") is None, reason="no fish here")
-@pytest.mark.parametrize(
-    ("typed", "offered"),
-    [
-        ("tipforce ", set(COMMANDS)),
-        ("tipforce calibrate ", set(LINES["calibrate"].actions)),
-        ("tipforce calibrate fit --drift ", {"none", "tare", "linear"}),
-        ("tipforce sdo read 5 calibration.gen", {"calibration.generation"}),
-        ("tipforce dump --deco", {"--decode"}),
-    ],
-)
-def test_fish_offers(tmp_path: Path, typed: str, offered: set[str]) -> None:
-    script = tmp_path / "tipforce.fish"
-    script.write_text(SCRIPTS["fish"])
-    code = f"source {script}; complete -C '{typed}'"
+def test_fish_completes(tmp_path: Path) -> None:
+    (tmp_path / "tipforce.fish").write_text(SCRIPTS["fish"])
+    (tmp_path / "run.log").touch()
+    lines = [
+        ("tipforce ", " ".join(COMMANDS)), ("tipforce calibrate ", "apply fit guide verify"),
+        ("tipforce plot x.log -o r", "run.log"), ("tipforce plot x.log r", "run.log"),
+        ("tipforce sdo read 5 heartbeat.consumer:", " ".join(f"heartbeat.consumer:{k}" for k in range(1, 5))),
+        ("tipforce node --layout II", "II III"), *COMPLETIONS,
+    ]  # fmt: skip
+    code = "; ".join(["source tipforce.fish", *(f"complete -C '{typed}'; echo" for typed, _ in lines)])
     done = subprocess.run(
-        ["fish", "--no-config", "-c", code], capture_output=True, text=True, check=False, timeout=60,
+        ["fish", "--no-config", "-c", code], capture_output=True, text=True, check=False, timeout=WAIT_S, cwd=tmp_path,
         env={"HOME": str(tmp_path), "PATH": "/usr/bin:/bin"},
     )  # fmt: skip
     assert (done.returncode, done.stderr) == (0, "")
-    assert {line.partition("\t")[0] for line in done.stdout.splitlines()} == offered
+    found = [part.split("\n") for part in done.stdout.split("\n\n")]
+    for (typed, wanted), completed in zip(lines, found, strict=False):
+        words = {line.partition("\t")[0].rpartition("=")[2] for line in completed if line}
+        assert words == set(wanted.split()), typed
+    assert len(found) == len(lines) + 1
 
 
 @pytest.mark.parametrize("shell", command.SHELLS)

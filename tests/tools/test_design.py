@@ -204,7 +204,7 @@ def test_missing_matplotlib_names_the_extra(
 ) -> None:
     monkeypatch.setitem(sys.modules, "matplotlib", None)
     assert main(["design", "table", "1", "-o", str(tmp_path)]) == 2
-    assert "pip install 'tipforce[plot]'" in capsys.readouterr().err
+    assert 'pip install "tipforce[plot]"' in capsys.readouterr().err
 
 
 def test_head_ends_it_quietly() -> None:

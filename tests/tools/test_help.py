@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from tipforce_tools.cli.main import COMMANDS
-from tipforce_tools.completion.model import command_lines
+from tools.command_lines import LINES
 
 HEAVY = (
     "numpy",
@@ -17,12 +17,14 @@ HEAVY = (
     "cantools",
     "msgspec",
     "rich",
+    "shtab",
+    "websockets",
     "matplotlib",
     "scipy",
     "pyarrow",
     "importlib.metadata",
 )
-PATHS = [line.path for line in command_lines()]
+PATHS = [tuple(path.split()[1:]) for path in LINES]
 CODE = f"""\
 import contextlib, io, sys
 from tipforce_tools.cli.main import main

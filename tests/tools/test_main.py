@@ -24,7 +24,7 @@ from tipforce.errors import (
 from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 
-HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "hypothesis")
+HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets", "hypothesis")
 
 
 def run_python(code: str, *words: str) -> subprocess.CompletedProcess[str]:

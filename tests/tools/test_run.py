@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from tipforce.scene.parts import identifiers, parts
+from tipforce.scene.scene_parts import identifiers, parts
 from tipforce.scene.schema import read_scene
 from tipforce_tools.cli.main import main
 from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies

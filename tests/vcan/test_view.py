@@ -14,6 +14,7 @@ from urllib.parse import urlsplit
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
@@ -31,7 +32,7 @@ Message = dict[str, Any]
 
 
 class Page:
-    """A page as a browser has it: what it fetches, and its stream of events."""
+    """A page as a browser has it: what it fetches, and its stream."""
 
     def __init__(self, command: Command) -> None:
         wait_until(lambda: "\n" in command.stdout or command.ended, "the page's address should be told")
@@ -39,14 +40,11 @@ class Page:
         parts = urlsplit(json.loads(command.stdout)["url"])
         assert (parts.hostname, parts.path, parts.query) == ("127.0.0.1", "/", "")
         self.command, self._port = command, parts.port
-        self._stream = self._connect()
-
-    def _connect(self) -> http.client.HTTPConnection:
-        return http.client.HTTPConnection("127.0.0.1", self._port, timeout=WAIT_S)
+        self._address = f"ws://127.0.0.1:{parts.port}/live"
 
     def get(self, path: str) -> tuple[str, bytes]:
         """Media type and content."""
-        connection = self._connect()
+        connection = http.client.HTTPConnection("127.0.0.1", self._port, timeout=WAIT_S)
         connection.request("GET", path)
         answer = connection.getresponse()
         assert answer.status == 200
@@ -55,13 +53,20 @@ class Page:
         return found
 
     def __enter__(self) -> Self:
-        self._stream.request("GET", "/events?bin=20")
-        self._events = self._stream.getresponse()
-        assert self._events.getheader("Content-Type") == "text/event-stream; charset=utf-8"
+        self._connecting = connect(self._address)
+        self._socket = self._connecting.__enter__()
+        self._socket.send('{"do": "stream"}')
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._stream.close()
+        self._connecting.__exit__(None, None, None)
+
+    def setup(self) -> Message:
+        """What a page asks for first."""
+        with connect(self._address) as socket:
+            socket.send('{"do": "setup"}')
+            found: Message = json.loads(socket.recv(WAIT_S))["answer"]
+        return found
 
     def messages(self, last: Callable[[Message], bool]) -> list[Message]:
         """Every message up to the first of which ``last`` holds."""
@@ -69,10 +74,7 @@ class Page:
         deadline_s = time.monotonic() + WAIT_S
         while not found or not last(found[-1]):
             assert time.monotonic() < deadline_s, found[-1:]
-            line = self._events.readline()
-            assert line, f"the stream ended\n{self.command.stderr}"
-            if line.startswith(b"data: "):
-                found.append(json.loads(line[6:]))
+            found.append(json.loads(self._socket.recv(WAIT_S))["answer"])
         return found
 
 
@@ -136,7 +138,7 @@ def check_page(title: str, page: Page) -> None:
     with page:
         messages = [page.messages(all_live)[-1] for _ in range(SAMPLES)]
     check_ages(messages)
-    setup = json.loads(page.get("/api/setup")[1])
+    setup = page.setup()
     assert [finger["node_id"] for finger in setup["fingers"]] == list(LOADS)
     assert setup["title"].startswith(title)
     z = coverage_factor(SAMPLES * len(LOADS) * 3)

@@ -98,6 +98,12 @@ def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tupl
     return _unique(found)
 
 
+def is_mapping(index: int) -> bool:
+    """Whether an index is a PDO mapping parameter: its sub-index 0 counts mapped objects."""
+    received = communication.RPDO_MAPPING <= index <= communication.LAST_RPDO_MAPPING
+    return received or communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING
+
+
 def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Message, ...]:
     messages = []
     known = rows(n)
@@ -129,11 +135,8 @@ def _signals_of(row: Row, start: int, n: int) -> list[Signal]:
     if row.index == indices.STATUS:
         return [_flag(row, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
     if row.index == indices.FAULTS:
-        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated") for k in range(n)]
-        return gauges + [
-            _flag(row, start, k, f"fault_{name}", f"front end: {name.replace('_', ' ')}")
-            for k, name in table.FAULT_BITS
-        ]
+        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)]
+        return gauges + [_flag(row, start, k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
     return [_measurement(row, start, n) or _plain(row, start, n)]
 
 

@@ -80,11 +80,6 @@ def letter_of_word(word: str) -> str:
     return found
 
 
-def word_of_letter(letter: str) -> str:
-    """The CiA 309-3 data type word for a letter of the table. Raises InputError for an unknown letter."""
-    return data_type(letter).word
-
-
 def encode(letter: str, value: Value) -> bytes:
     """The bytes that go on the wire for ``value``. Raises InputError naming the value and what is allowed."""
     kind = data_type(letter)

@@ -1,5 +1,7 @@
 """The application on the device: gauge readings to strain, force, contact and CiA 404 objects. Runs on MicroPython."""
 
+import sys
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce.fingertip.filters import FIRST_ORDER as FIRST_ORDER
@@ -34,4 +36,6 @@ def __getattr__(name: str) -> object:
     """Public names are imported when they are first used."""
     if name in _MODULES:
         return getattr(__import__(__name__ + "." + _MODULES[name], None, None, (name,)), name)
+    if sys.implementation.name == "micropython":  # it asks here before it looks for a submodule
+        return __import__(__name__ + "." + name, None, None, (name,))
     raise AttributeError(name)

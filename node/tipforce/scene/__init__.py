@@ -4,11 +4,11 @@ from tipforce._lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from tipforce.scene.parts import Part as Part
-    from tipforce.scene.parts import parts as parts
     from tipforce.scene.run import Options as Options
     from tipforce.scene.run import Outcome as Outcome
     from tipforce.scene.run import run_scene as run_scene
+    from tipforce.scene.scene_parts import Part as Part
+    from tipforce.scene.scene_parts import parts as parts
     from tipforce.scene.schema import Scene as Scene
     from tipforce.scene.schema import read_scene as read_scene
     from tipforce.scene.simulated_bus import beam_calibration as beam_calibration
@@ -19,8 +19,8 @@ _MODULES = {
     "run_scene": "run",
     "Options": "run",
     "Outcome": "run",
-    "Part": "parts",
-    "parts": "parts",
+    "Part": "scene_parts",
+    "parts": "scene_parts",
     "beam_calibration": "simulated_bus",
 }
 __all__ = [

@@ -7,8 +7,8 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.device.codes import EMCY_BASE
 from tipforce.scene import schema
 from tipforce.scene.build import PDO_NAMES, Finger
@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Decoder, Samples
     from tipforce.host.frames.frame_array import FrameArray
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 QUANTITIES = ("P", "phi", "theta")
 _NO_PDO = "contact PDO not sent"

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.scene import schema
 from tipforce.sensor.dynamics.slit import closing_load
 from tipforce.sensor.structure.geometry import FABRICATED
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def slit_closed(slit: schema.Slit, applied: FloatArray) -> npt.NDArray[np.bool_]:

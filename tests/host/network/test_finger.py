@@ -20,10 +20,11 @@ from host.bus_with_nodes import (
     finger,
     fresh_sample,
 )
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError
-from tipforce.host.configuration.calibration import Calibration, FloatArray, difference
+from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.hand.polled import PolledHand
 from tipforce.host.network.connection import Connection
 from tipforce.host.network.finger import FingertipClient
@@ -186,7 +187,7 @@ def test_a_frame_corrupted_on_the_way_is_noticed(bench: Bench, monkeypatch: pyte
 
 
 def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
-    """iCub's updater reads back and does not compare (TRAPS.md). Here a read-back segment is corrupted."""
+    """A known updater reads back and does not compare (docs/dependencies.md). Here a read-back segment is corrupted."""
     seen = iter(range(1000))
 
     def corrupting(message: can.Message) -> can.Message:

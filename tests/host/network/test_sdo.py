@@ -220,7 +220,7 @@ def test_a_bus_that_refuses_is_named(connection: Connection, bus: FaultyBus, mon
 
 
 def test_four_threads_read_at_once(connection: Connection) -> None:
-    """TRAPS.md: canopen's own client gives 28 to 58 errors here."""
+    """docs/dependencies.md: canopen's own client gives 28 to 58 errors here."""
     sdo = connection.sdo(NODE)
     places = (od.IDENTITY_SERIAL, od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.DEVICE_TYPE)
     expected = [sdo.read(entry) for entry in places]

@@ -20,7 +20,6 @@ from tipforce.sensor.dynamics.integrators import (
     Problem,
     Run,
     generalised_alpha,
-    interpolated,
     newmark,
     no_load,
     rk4_stability_limit,
@@ -127,17 +126,13 @@ def test_rk4_at_a_1_khz_step_grows_and_the_implicit_ones_do_not() -> None:
 def test_newmark_keeps_the_energy_and_alpha_removes_fast_modes() -> None:
     stiff = modes(FABRICATED, beam_density_kg_m3=7850.0)
     t = np.arange(2001) * 1e-3
-    jump = interpolated([0.0, 1e-3], np.vstack((0.0 * F, F)))
+
+    def jump(time_s: float) -> FloatArray:
+        return F * min(time_s / 1e-3, 1.0)
+
     kept = newmark(Problem(stiff), jump, t).elastic_newtons
     removed = generalised_alpha(Problem(stiff), jump, t, 0.5).elastic_newtons
     assert np.abs(np.diff(kept[-200:], axis=0)).max() > 5.0 * np.abs(np.diff(removed[-200:], axis=0)).max()
-
-
-def test_piecewise_linear_loads_are_interpolated() -> None:
-    t, loads = np.array([0.0, 0.01, 0.03]), np.outer([0.0, 1.0, -1.0], F)
-    run = runge_kutta_4(Problem(BODY), interpolated(t, loads), np.linspace(0.0, 0.03, 3001))
-    wanted = respond_at(BODY, t, loads).elastic_newtons
-    np.testing.assert_allclose(run.elastic_newtons[[0, 1000, 3000]], wanted, rtol=0.0, atol=1e-8)
 
 
 @pytest.mark.parametrize(("name", "method", "order"), FIXED, ids=[row[0] for row in FIXED])

@@ -63,8 +63,6 @@ def test_from_one_nanometre_to_ten_millimetres(h1_m: float) -> None:
     found = frame.strain_matrix(POINTS)
     scale = np.abs(table).max(axis=1, keepdims=True)
     np.testing.assert_allclose(found / scale, table / scale, rtol=0, atol=1e-12)
-    assert frame.condition_number_scaled < 40.0
-    assert frame.condition_number_unscaled > 1e3 * frame.condition_number_scaled
     for case in ("I", "II", "III"):
         wanted = condition_number(strain_matrix(thin(h1_m), case))
         assert condition_number(frame.strain_matrix(LAYOUTS[case])) == pytest.approx(wanted, rel=1e-10)

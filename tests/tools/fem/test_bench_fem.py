@@ -10,7 +10,7 @@ from bench.fem.figures import distance, worst_error
 
 from tipforce_tools.fem.limit import extrapolate_matrix
 from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.solve import Model, Solution, solve
+from tipforce_tools.fem.plane_stress import Model, Solution, solve
 
 
 @pytest.fixture(scope="module")

@@ -15,7 +15,7 @@ from tipforce_tools.fem.gauges import face, nearest_place, strain_matrix
 from tipforce_tools.fem.limit import corner_exponent, extrapolate
 from tipforce_tools.fem.mesh import GRADING, Resolution
 from tipforce_tools.fem.outline import STATED, Outline
-from tipforce_tools.fem.solve import Model, Solution, solve
+from tipforce_tools.fem.plane_stress import Model, Solution, solve
 
 FloatArray = npt.NDArray[np.float64]
 GAUGES = ("S_H", "U")

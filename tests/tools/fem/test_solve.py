@@ -20,7 +20,7 @@ from tipforce.sensor.structure.strain import condition_number
 from tipforce_tools.fem.gauges import strain_matrix
 from tipforce_tools.fem.mesh import Resolution, triangulate
 from tipforce_tools.fem.outline import STATED, Outline
-from tipforce_tools.fem.solve import Model, Patch, Plane, Solution, _stiffness, solve
+from tipforce_tools.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve
 
 FloatArray = npt.NDArray[np.float64]
 

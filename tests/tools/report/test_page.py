@@ -188,7 +188,7 @@ def test_without_matplotlib_the_extra_is_named(report: Report, monkeypatch: pyte
 def test_the_document_takes_the_figures_over(
     report: Report, written: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tipforce_tools.report import document
+    from bench import report_document as document
 
     docs, built = tmp_path / "docs", written[0].parent
     (docs / "figures").mkdir(parents=True)

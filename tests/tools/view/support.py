@@ -8,9 +8,10 @@ import json
 import math
 import time
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
+from websockets.sync.client import connect
 
 from host.bus_with_nodes import beam_calibration
 from tipforce.errors import RefusedError
@@ -20,6 +21,7 @@ from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.server import ViewServer
 
+WAIT_S = 10.0
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
 
@@ -97,9 +99,9 @@ class MovingSource:
 
 
 @contextlib.contextmanager
-def serving(source: Any, **rules: Any) -> Iterator[ViewServer]:
-    """A running server on a free port of 127.0.0.1."""
-    server = ViewServer(source, Guard(**rules), ("127.0.0.1",))
+def serving(source: Any, port: int = 0, **rules: Any) -> Iterator[ViewServer]:
+    """A running server on 127.0.0.1, on a free port unless one is given."""
+    server = ViewServer(source, Guard(**rules), ("127.0.0.1",), port)
     server.start()
     try:
         yield server
@@ -107,41 +109,67 @@ def serving(source: Any, **rules: Any) -> Iterator[ViewServer]:
         server.close()
 
 
-def ask(
-    server: ViewServer, path: str, method: str = "GET", body: str | None = None, **headers: str | None
-) -> tuple[int, dict[str, str], bytes]:
+def get(server: ViewServer, path: str, method: str = "GET", **headers: str | None) -> tuple[int, dict[str, str], bytes]:
     """One request; headers by their names with _ for -, None leaves one out. Status, headers in lower case, body."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.guard.port, timeout=10)
+    connection = http.client.HTTPConnection("127.0.0.1", server.guard.port, timeout=WAIT_S)
     sent: dict[str, str | None] = {"Host": f"127.0.0.1:{server.guard.port}"}
     sent |= {name.replace("_", "-"): value for name, value in headers.items()}
     connection.putrequest(method, path, skip_host=True, skip_accept_encoding=True)
     for name, value in sent.items():
         if value is not None:
             connection.putheader(name, value)
-    if body is not None:
-        connection.putheader("Content-Length", str(len(body)))
-    connection.endheaders(body.encode() if body is not None else None)
+    connection.endheaders()
     answer = connection.getresponse()
     found = answer.status, {name.lower(): value for name, value in answer.getheaders()}, answer.read()
     connection.close()
     return found
 
 
-def first_messages(server: ViewServer, path: str, count: int) -> list[dict[str, Any]]:
-    """The first server-sent events of a stream."""
-    connection = http.client.HTTPConnection("127.0.0.1", server.guard.port, timeout=10)
-    connection.request("GET", path)
-    answer = connection.getresponse()
-    assert answer.status == 200
-    found: list[dict[str, Any]] = []
-    while len(found) < count:
-        line = answer.readline()
-        if not line:
-            break
-        if line.startswith(b"data: "):
-            found.append(json.loads(line[6:]))
-    connection.close()
-    return found
+class Page:
+    """A page as a browser has it; it reads what it asks for, and no more than websockets' queue beside."""
+
+    def __init__(self, server: ViewServer, **options: Any) -> None:
+        port = server.guard.port
+        options = {"origin": f"http://127.0.0.1:{port}"} | options
+        self._connecting = connect(
+            f"ws://127.0.0.1:{port}/live", compression=None, max_size=None, max_queue=1, **options
+        )
+        self._number = 0
+
+    def send(self, do: str, **request: Any) -> int:
+        """Send a request; its number."""
+        self._number += 1
+        self.socket.send(json.dumps({"id": self._number, "do": do} | request))
+        return self._number
+
+    def receive(self) -> dict[str, Any]:
+        """The next message."""
+        found: dict[str, Any] = json.loads(self.socket.recv(WAIT_S))
+        return found
+
+    def ask(self, do: str, **request: Any) -> Any:
+        """The answer of a request, or its error as text."""
+        number = self.send(do, **request)
+        while (message := self.receive())["id"] != number:
+            pass
+        return message.get("answer", message.get("error"))
+
+    def stream(self, count: int, **request: Any) -> list[dict[str, Any]]:
+        """The first messages of a new stream."""
+        number = self.send("stream", **request)
+        messages: list[dict[str, Any]] = []
+        while len(messages) < count:
+            message = self.receive()
+            if message["id"] == number:
+                messages.append(message["answer"])
+        return messages
+
+    def __enter__(self) -> Self:
+        self.socket = self._connecting.__enter__()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._connecting.__exit__(None, None, None)
 
 
 def known(value: float) -> bool:

@@ -7,14 +7,14 @@ from http import HTTPStatus
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools.view.guard import WRITE_HEADER, Guard, access_token, host_names
+from tipforce_tools.view.guard import Guard, access_token, host_names
 
 HOST = {"Host": "127.0.0.1:8404"}
 ORIGIN = HOST | {"Origin": "http://127.0.0.1:8404"}
 
 
-def status(guard: Guard, method: str, headers: dict[str, str], token: str = "") -> int:
-    refusal = guard.check(method, headers, token)
+def status(guard: Guard, headers: dict[str, str], token: str = "") -> int:
+    refusal = guard.check(headers, token)
     return HTTPStatus.OK if refusal is None else refusal.status
 
 
@@ -30,30 +30,26 @@ def status(guard: Guard, method: str, headers: dict[str, str], token: str = "") 
     ],
 )  # fmt: skip
 def test_reading(headers: dict[str, str], expected: int) -> None:
-    assert status(Guard(port=8404), "GET", headers) == expected
+    assert status(Guard(port=8404), headers) == expected
 
 
-def test_writing_needs_everything() -> None:
+def test_writing_needs_permission_and_an_origin() -> None:
     guard = Guard(port=8404, allow_writes=True)
-    whole = ORIGIN | {WRITE_HEADER: guard.write_token}
-    assert status(guard, "POST", whole) == 200
-    assert status(Guard(port=8404, write_token=guard.write_token), "POST", whole) == 403
-    for name in ("Origin", WRITE_HEADER):
-        assert status(guard, "POST", {k: v for k, v in whole.items() if k != name}) == 403
-    assert status(guard, "POST", whole | {WRITE_HEADER: "x" + guard.write_token}) == 403
-    assert status(guard, "POST", whole | {WRITE_HEADER: ""}) == 403
+    assert guard.read_only(ORIGIN) == ""
+    assert guard.read_only(HOST) == "a page that changes something needs an Origin"
+    assert Guard(port=8404).read_only(ORIGIN) == "read-only: start it with --allow-writes"
 
 
 def test_beyond_loopback_everybody_needs_the_token() -> None:
     token = access_token("192.0.2.1", "auto")
     guard = Guard(host_names("192.0.2.1"), token, port=8404)
     host = {"Host": "192.0.2.1:8404"}
-    assert status(guard, "GET", host) == 401
-    assert status(guard, "GET", host, token) == 200
-    assert status(guard, "GET", host, token[:-1]) == 401
-    assert status(guard, "GET", host | {"Cookie": f"a=b; tipforce_access={token}"}) == 200
-    assert status(guard, "GET", host | {"Cookie": "tipforce_access="}) == 401
-    assert status(guard, "GET", {"Host": "127.0.0.1:8404"}, token) == 421
+    assert status(guard, host) == 401
+    assert status(guard, host, token) == 200
+    assert status(guard, host, token[:-1]) == 401
+    assert status(guard, host | {"Cookie": f"a=b; tipforce_access={token}"}) == 200
+    assert status(guard, host | {"Cookie": "tipforce_access="}) == 401
+    assert status(guard, {"Host": "127.0.0.1:8404"}, token) == 421
 
 
 def test_tokens() -> None:

@@ -9,10 +9,10 @@ import signal
 import subprocess
 import sys
 import time
-import urllib.request
 
 import numpy as np
 import pytest
+from websockets.sync.client import connect
 
 from tipforce.errors import InputError
 from tipforce_tools.cli.main import main
@@ -79,8 +79,9 @@ def test_the_command_serves_and_ends_quietly() -> None:
     )  # fmt: skip
     assert process.stdout is not None
     url = json.loads(process.stdout.readline())["url"]
-    with urllib.request.urlopen(url + "api/setup", timeout=WAIT_S) as answer:
-        setup = json.load(answer)
+    with connect(url.replace("http", "ws") + "live") as page:
+        page.send('{"do": "setup"}')
+        setup = json.loads(page.recv(WAIT_S))["answer"]
     assert setup["fingers"] == []
     assert setup["no_tare"] == "this page only listens to the bus"
     process.send_signal(signal.SIGTERM)

@@ -2,40 +2,35 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import socket
 import time
+from typing import Any
 
 import pytest
+from websockets.exceptions import ConnectionClosed, InvalidStatus
+from websockets.frames import CloseCode
 
+from tipforce_tools.view import page as view_page
 from tipforce_tools.view.blocks import CONTACT
-from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY, WRITE_HEADER
-from tipforce_tools.view.server import ViewServer, static_files
-from tools.view.support import MovingSource, ask, first_messages, serving
-
-
-def post(server: ViewServer, node_id: object, **changes: str | None) -> tuple[int, dict[str, object]]:
-    """A tare as the page asks for it, with other headers where the test says so."""
-    headers: dict[str, str | None] = {
-        "Origin": f"http://127.0.0.1:{server.guard.port}", WRITE_HEADER: server.guard.write_token,
-        "Content-Type": "application/json",
-    }  # fmt: skip
-    status, _, body = ask(server, "/api/tare", "POST", json.dumps({"node_id": node_id}), **(headers | changes))
-    return status, json.loads(body)
+from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY
+from tipforce_tools.view.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
+from tools.view.support import WAIT_S, MovingSource, Page, get, serving
 
 
 def test_files_and_headers() -> None:
     with serving(MovingSource()) as server:
-        for path in ("/", *static_files(), "/api/setup", "/nothing", "/api/at?t=x"):
-            _, headers, body = ask(server, path)
+        for path in ("/", *static_files(), "/nothing", "/live"):
+            _, headers, body = get(server, path)
             assert headers["content-security-policy"] == CONTENT_SECURITY_POLICY
             assert headers["x-content-type-options"] == "nosniff"
             assert headers["referrer-policy"] == "no-referrer"
             assert headers["cache-control"] == "no-store"
             assert "set-cookie" not in headers
             assert b"http://" not in body.replace(b"http://www.w3.org/2000/svg", b"")  # nothing from elsewhere
-        assert ask(server, "/")[1]["content-type"].startswith("text/html")
-        assert ask(server, "/", "HEAD")[2] == b""
+        assert get(server, "/")[1]["content-type"].startswith("text/html")
+        assert get(server, "/", "HEAD")[2] == b""
 
 
 def test_the_page_needs_nothing_that_its_policy_forbids() -> None:
@@ -57,120 +52,195 @@ def test_the_page_needs_nothing_that_its_policy_forbids() -> None:
 )  # fmt: skip
 def test_no_other_file_can_be_named(path: str) -> None:
     with serving(MovingSource()) as server:
-        assert ask(server, path)[0] == 404
+        assert get(server, path)[0] == 404
+
+
+def handshake(server: ViewServer, **options: Any) -> int:
+    """Status of the handshake of a WebSocket that is refused."""
+    with pytest.raises(InvalidStatus) as refused, Page(server, **options):
+        pass
+    return refused.value.response.status_code
 
 
 def test_other_names_and_origins_are_refused() -> None:
     with serving(MovingSource(), allow_writes=True) as server:
-        assert ask(server, "/api/setup", Host="evil.example")[0] == 421
-        assert ask(server, "/api/setup", Host=None)[0] == 421
-        assert ask(server, "/events", Origin="http://evil.example")[0] == 403
-        assert post(server, 1, Origin="http://evil.example")[0] == 403
-        assert ask(server, "/api/setup", "PUT")[0] == 501
-        assert ask(server, "/api/setup", "OPTIONS")[0] == 501
+        assert get(server, "/", Host="evil.example")[0] == 421
+        assert get(server, "/", Host=None)[0] == 421
+        assert get(server, "/", Origin="http://evil.example")[0] == 403
+        assert get(server, "/", "PUT")[0] == get(server, "/", "POST")[0] == 405
+        for origin in ("http://evil.example", "null", f"http://localhost:{server.guard.port}"):
+            assert handshake(server, origin=origin) == 403
+        assert handshake(server, additional_headers={"Sec-Fetch-Site": "cross-site"}) == 403
+        with socket.create_connection(("127.0.0.1", server.guard.port), timeout=WAIT_S) as raw:
+            raw.sendall(b"GET /live HTTP/1.1\r\nHost: evil.example\r\nHost: 127.0.0.1\r\n\r\n")
+            assert raw.recv(100).startswith(b"HTTP/1.1 400 ")
 
 
 def test_tare_only_where_it_is_allowed() -> None:
     source = MovingSource()
-    with serving(source) as server:
-        assert post(server, 1) == (403, {"error": "read-only: start it with --allow-writes"})
-        setup = json.loads(ask(server, "/api/setup")[2])
-        assert (setup["no_tare"], setup["token"]) == ("read-only: start it with --allow-writes", "")
+    read_only = "read-only: start it with --allow-writes"
+    with serving(source) as server, Page(server) as page:
+        assert page.ask("tare", node_id=1) == read_only
+        assert page.ask("setup")["no_tare"] == read_only
     with serving(source, allow_writes=True) as server:
-        assert json.loads(ask(server, "/api/setup")[2])["token"] == server.guard.write_token
-        assert post(server, 1, **{WRITE_HEADER: None})[0] == 403
-        assert post(server, 1, Origin=None)[0] == 403
+        with Page(server, origin=None) as page:
+            assert page.ask("tare", node_id=1) == "a page that changes something needs an Origin"
         assert source.tared == []
-        assert post(server, 1) == (200, {"text": "tared"})
-        assert source.tared == [1]
-        assert post(server, 3) == (409, {"error": "node 3: the force is unknown"})
-        for wrong in (9, "1", None, 1.5):
-            assert post(server, wrong)[0] == 400
-        assert post(server, "1")[1] == {"error": "tare: node_id is '1': expected int, got str"}
-        assert ask(server, "/api/setup", "POST", "{}", Origin=f"http://127.0.0.1:{server.guard.port}",
-                   **{WRITE_HEADER: server.guard.write_token})[0] == 404  # fmt: skip
-        assert source.tared == [1]
-    with serving(MovingSource(no_tare="a log can't be tared"), allow_writes=True) as server:
-        assert post(server, 1) == (403, {"error": "a log can't be tared"})
+        with Page(server) as page:
+            assert page.ask("setup")["no_tare"] == ""
+            assert page.ask("tare", node_id=1) == {"text": "tared"}
+            assert source.tared == [1]
+            assert page.ask("tare", node_id=3) == "node 3: the force is unknown"
+            assert page.ask("tare", node_id=9) == "node-id 9: no finger of this page"
+    with serving(MovingSource(no_tare="a log can't be tared"), allow_writes=True) as server, Page(server) as page:
+        assert page.ask("tare", node_id=1) == "a log can't be tared"
+    assert source.tared == [1]
 
 
 def test_a_token_opens_the_page_once_and_becomes_a_cookie() -> None:
     token = "abcdefghijklmnop-1"
     with serving(MovingSource(), access_token=token) as server:
-        assert ask(server, "/")[0] == 401
-        assert ask(server, "/api/setup")[0] == 401
-        status, headers, _ = ask(server, f"/?token={token}")
+        assert get(server, "/")[0] == 401
+        assert handshake(server) == 401
+        status, headers, _ = get(server, f"/?token={token}")
         assert (status, headers["location"]) == (303, "/")
         cookie = headers["set-cookie"]
         assert "HttpOnly" in cookie
         assert "SameSite=Strict" in cookie
-        assert ask(server, "/", Cookie=cookie.split(";")[0])[0] == 200
+        cookie = cookie.split(";")[0]
+        assert get(server, "/", Cookie=cookie)[0] == 200
         assert server.url.endswith(f"/?token={token}")
+        with Page(server, additional_headers={"Cookie": cookie}) as page:
+            assert page.ask("setup")["title"] == "test hand"
 
 
 @pytest.mark.parametrize(
-    "path",
-    ["/api/at", "/api/at?t=nan", "/api/history?from=0&to=1e12&bin=1", "/api/history?from=500&to=1", "/events?bin=0",
-     "/events?speed=0&from=1", "/events?bin=-1", "/api/history?from=0&to=1&bin=1e99"],
+    "message",
+    [
+        "", "{", "[]", "\udcff".encode("utf-8", "surrogatepass"), '{"do": "at"}', '{"do": "nothing"}', '{"id": 1}',
+        '{"do": "at", "t": "x"}', '{"do": "at", "t": -1}', '{"do": "at", "t": 1e999}',
+        '{"do": "history", "start": 0, "end": 1e12, "bin": 1}', '{"do": "history", "start": 500, "end": 1, "bin": 1}',
+        '{"do": "history", "start": 0, "end": 1, "bin": 1e99}', '{"do": "stream", "bin": 0}',
+        '{"do": "stream", "start": 1, "speed": 0}', '{"do": "setup", "more": 1}', '{"do": "tare", "node_id": "1"}',
+        '{"do": "tare", "node_id": null}', '{"do": "tare", "node_id": 1.5}',
+    ],
 )  # fmt: skip
-def test_wrong_numbers_are_refused(path: str) -> None:
-    with serving(MovingSource()) as server:
-        status, _, body = ask(server, path)
-        assert status == 400
-        assert json.loads(body)["error"]
+def test_wrong_requests_are_refused(message: str | bytes) -> None:
+    source = MovingSource()
+    with serving(source, allow_writes=True) as server, Page(server) as page:
+        page.socket.send(message)
+        assert page.receive()["error"]
+        assert page.ask("setup")["title"] == "test hand"  # the page goes on
+    assert source.tared == []
+
+
+def test_a_long_request_ends_the_connection() -> None:
+    with serving(MovingSource()) as server, Page(server) as page:
+        page.socket.send(" " * 5000)
+        with pytest.raises(ConnectionClosed) as closed:
+            page.receive()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == CloseCode.MESSAGE_TOO_BIG
 
 
 def test_the_stream_is_live_and_the_past_can_be_asked_for() -> None:
     source = MovingSource(2)
-    with serving(source) as server:
+    with serving(source) as server, Page(server) as page:
         time.sleep(0.1)
-        messages = first_messages(server, "/events?bin=20", 12)
+        messages = page.stream(12)
         assert [message["t"] for message in messages] == sorted(message["t"] for message in messages)
         assert messages[-1]["fingers"][1]["w"] == "live"
         assert messages[-1]["fingers"][1]["c"][0] == pytest.approx(2.0, abs=0.06)
         t = messages[-1]["t"]
-        past = json.loads(ask(server, f"/api/at?t={messages[5]['end']}")[2])
-        assert past["fingers"][0]["w"] == "live"
-        found = json.loads(ask(server, f"/api/history?from={t - 1000}&to={t}&bin=20")[2])
+        assert page.ask("at", t=messages[5]["end"])["fingers"][0]["w"] == "live"
+        found = page.ask("history", start=t - 1000, end=t, bin=20)
         assert len(found["i"]) == len(found["v"]) > 5
         assert all(len(row) == 20 for row in found["v"])
         source.status[1] = CONTACT | 128
         time.sleep(0.15)
-        assert first_messages(server, "/events?bin=20", 2)[-1]["fingers"][1]["why"] == "front-end fault"
+        assert page.stream(2)[-1]["fingers"][1]["why"] == "front-end fault"
         source.stopped = True
         time.sleep(0.3)
-        assert [f["w"] for f in first_messages(server, "/events?bin=20", 1)[0]["fingers"]] == ["stale", "stale"]
+        assert [f["w"] for f in page.stream(1)[0]["fingers"]] == ["stale", "stale"]
+
+
+def test_a_paused_page_gets_nothing() -> None:
+    with serving(MovingSource()) as server, Page(server) as page:
+        page.stream(3)
+        assert page.ask("pause") == {}
+        with pytest.raises(TimeoutError):
+            page.socket.recv(0.3)
+        assert len(page.stream(3)) == 3
 
 
 def test_the_buffer_as_csv() -> None:
     source = MovingSource(2)
-    with serving(source) as server:
+    with serving(source) as server, Page(server) as page:
         time.sleep(0.2)
         source.stopped = True
         time.sleep(0.1)
-        status, headers, body = ask(server, "/api/buffer.csv")
-        assert status == 200
-        assert "attachment" in headers["content-disposition"]
-        lines = body.decode().splitlines()
+        number, content = page.send("csv"), b""
+        while isinstance(part := page.socket.recv(WAIT_S), bytes):
+            content += part
+        assert json.loads(part) == {"id": number, "answer": {"bytes": len(content)}}
+        lines = content.decode().splitlines()
         assert lines[0].startswith("t_s,node_id,name,P_N,phi_deg,theta_deg,u_P_N")
         assert len(lines) == 1 + 2 * source.model.counters.rows
         assert lines[2].split(",")[1:6] == ["2", "f2", lines[2].split(",")[3], "-90", "90"]
 
 
-def test_a_browser_that_does_not_read_holds_up_nobody() -> None:
+def test_a_page_that_does_not_read_slows_nobody(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_page, "SEND_TIMEOUT_S", 0.5)
     source = MovingSource(3)
-    with serving(source) as server:
-        with socket.create_connection(("127.0.0.1", server.guard.port)) as slow:
-            slow.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
-            slow.sendall(f"GET /events?bin=1 HTTP/1.1\r\nHost: 127.0.0.1:{server.guard.port}\r\n\r\n".encode())
-            time.sleep(0.5)
-            before = source.model.counters.rows
-            fast = first_messages(server, "/events?bin=20", 30)
-            assert len(fast) == 30
+    with serving(source) as server, Page(server, ping_interval=None) as slow:
+        slow.socket.socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+        slow.send("stream", bin=1)
+        before = source.model.counters.rows
+        with Page(server) as page:
+            messages = page.stream(30)
             assert source.model.counters.rows > before + 50
-            assert fast[-1]["fingers"][0]["w"] == "live"
-        # It left: its thread ends, the page goes on.
-        assert ask(server, "/api/setup")[0] == 200
+            assert messages[-1]["fingers"][0]["w"] == "live"
+            # It is dropped in the end; the page goes on.
+            deadline_s = time.monotonic() + WAIT_S
+            while len(server.pages) > 1:
+                assert time.monotonic() < deadline_s
+                time.sleep(0.05)
+            assert page.ask("setup")["title"] == "test hand"
+
+
+def test_a_page_that_breaks_off_is_no_error(caplog: pytest.LogCaptureFixture) -> None:
+    with serving(MovingSource()) as server:
+        with Page(server) as page:
+            page.stream(2)
+            page.socket.socket.shutdown(socket.SHUT_RDWR)
+        deadline_s = time.monotonic() + WAIT_S
+        while server.pages:
+            assert time.monotonic() < deadline_s
+            time.sleep(0.05)
+    assert [record.getMessage() for record in caplog.records if record.levelname not in ("DEBUG", "INFO")] == []
+
+
+def test_no_number_of_connections_locks_others_out() -> None:
+    with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
+        # Some say nothing; pages say what they want, and then take nothing.
+        for _ in range(2 * MAX_OTHERS):
+            stack.enter_context(socket.create_connection(("127.0.0.1", server.guard.port), timeout=WAIT_S))
+        assert get(server, "/")[0] == 200
+        pages = [stack.enter_context(Page(server)) for _ in range(MAX_PAGES)]
+        assert pages[-1].ask("setup")["title"] == "test hand"
+        time.sleep(1.1)
+        assert len(stack.enter_context(Page(server)).stream(3)) == 3
+        assert len(server.pages) == MAX_PAGES
+
+
+def test_there_is_a_limit_of_pages_that_are_at_work() -> None:
+    with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
+        for _ in range(MAX_PAGES):
+            stack.enter_context(Page(server)).ask("setup")
+        with pytest.raises(ConnectionClosed) as closed, Page(server) as page:
+            page.receive()
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == CloseCode.TRY_AGAIN_LATER
 
 
 def test_a_pump_that_fails_is_told() -> None:
@@ -179,9 +249,9 @@ def test_a_pump_that_fails_is_told() -> None:
     def fail() -> None:
         raise OSError("bus is gone")
 
-    with serving(source) as server:
+    with serving(source) as server, Page(server) as page:
         source.pump = fail  # type: ignore[method-assign]
         deadline_s = time.monotonic() + 5
         while not source.model.error and time.monotonic() < deadline_s:
             time.sleep(0.01)
-        assert json.loads(ask(server, "/api/setup")[2])["picture"]["error"] == "OSError: bus is gone"
+        assert page.ask("setup")["picture"]["error"] == "OSError: bus is gone"

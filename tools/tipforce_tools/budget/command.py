@@ -10,13 +10,10 @@ from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from tipforce.arrays import FloatArray
     from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.design.error_budget import Budget, Causes, Loads, Sensor
 
-    FloatArray = npt.NDArray[np.float64]
 
 _FLAGS = (
     ("--noise", "UE", "gauge noise, microstrain (default: the file's covariance; 1 without a file)"),
@@ -43,7 +40,6 @@ surface normal either way; the table then shows the root mean square and the lar
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce budget`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = _EPILOG
     parser.add_argument("file", nargs="?", metavar="CAL.toml")
     parser.add_argument("--layout", metavar="NAME|FILE", help="where the gauges sit: I, II, III or a layout file")

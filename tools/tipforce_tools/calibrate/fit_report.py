@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
@@ -15,8 +14,6 @@ from tipforce.sensor.contact.redundancy import parity
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools.cli import common
 from tipforce_tools.cli.layout_file import read_layout
-
-FloatArray = npt.NDArray[np.float64]
 
 UE = 1e6
 

@@ -137,7 +137,7 @@ def check_node(connection: Connection, args: argparse.Namespace) -> Found:
         raise RefusedError(f"{name}: its sample counter (2121h) does not move: it does not measure; reset it")
     faults = client.sdo.read(od.FAULTS)
     if faults >> table.FAULT_NO_DATA:
-        names = ", ".join(word.replace("_", " ") for bit, word in table.FAULT_BITS if faults >> bit & 1)
+        names = ", ".join(word.replace("_", " ") for bit, word, _ in table.FAULT_BITS if faults >> bit & 1)
         raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): mend it before you calibrate")
     temperature = reader.temperature_degC()
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)

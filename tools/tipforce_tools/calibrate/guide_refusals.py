@@ -62,7 +62,7 @@ def _unusable(capture: Capture) -> list[Refusal]:
             "is another node stopping it, or is the bus overloaded? try again",
         ))  # fmt: skip
     if capture.faulty:
-        names = [name.replace("_", " ") for bit, name in table.FAULT_BITS if capture.faults >> bit & 1]
+        names = [name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if capture.faults >> bit & 1]
         found.append(Refusal(
             f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
             f"{': ' + ', '.join(names) if names else ''})",

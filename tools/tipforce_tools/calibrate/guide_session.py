@@ -15,14 +15,12 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.capture import Capture
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce_tools.calibrate.guide_plan import EXTRA, Step
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Row(NamedTuple):

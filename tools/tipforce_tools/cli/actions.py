@@ -20,6 +20,10 @@ class CommandParser(argparse.ArgumentParser):
     """action -> one line of help."""
     told_dest = "action"
 
+    def __init__(self, prog: str, description: str) -> None:
+        # Descriptions and epilogs keep their lines: examples and tables are in them.
+        super().__init__(prog, description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
+
     def error(self, message: str) -> NoReturn:
         """Exit with code 2."""
         required = message.partition("the following arguments are required: ")[2].lower()
@@ -40,7 +44,6 @@ def add_choice(parser: argparse.ArgumentParser, dest: str, told: Mapping[str, st
 
     What the epilog holds comes behind these lines.
     """
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = f"{dest}s:\n{lines(told)}\n\n{parser.epilog or ''}"
     parser.add_argument(dest, choices=tuple(told))
     if isinstance(parser, CommandParser):
@@ -49,7 +52,6 @@ def add_choice(parser: argparse.ArgumentParser, dest: str, told: Mapping[str, st
 
 def add_action(parser: argparse.ArgumentParser, command: str, actions: Actions) -> None:
     """The action; its own flags are for its own parser: the bus flags alone cost a fifth of a second."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     told = {name: summary for name, (_, summary) in actions.items()}
     if isinstance(parser, CommandParser):
         parser.told = told
@@ -72,6 +74,5 @@ def action_parser(command: str, action: str, actions: Actions) -> CommandParser:
     module_name, summary = actions[action]
     description = summary[0].upper() + summary[1:] + "."
     parser = CommandParser(prog=f"tipforce {command} {action}", description=description)
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     importlib.import_module(module_name).add_arguments(parser)
     return parser

@@ -1,7 +1,6 @@
 """`tipforce completion bash|zsh|fish`: arguments, and nothing else."""
 
 import argparse
-import importlib
 
 from tipforce_tools.cli import common
 
@@ -29,16 +28,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the script: 0."""
-    from tipforce_tools.completion.model import command_lines
+    from tipforce_tools.completion.script import script
 
-    text = script(args.shell, command_lines())
+    text = script(args.shell)
     if args.json:
         common.print_json({"shell": args.shell, "script": text})
     else:
         print(text, end="")
     return 0
-
-
-def script(shell: str, lines: object) -> str:
-    """The script of one of SHELLS for command lines of ``model.command_lines``."""
-    return str(importlib.import_module(f"tipforce_tools.completion.{shell}").script(lines))

@@ -26,6 +26,12 @@ class CheckError(Exception):
         self.got = got
 
 
+def check(right: object, expected: str, got: str) -> None:
+    """Raise CheckError where something is not right."""
+    if not right:
+        raise CheckError(expected, got)
+
+
 class NotApplicableError(Exception):
     """The device lacks what the case is about; the text says what."""
 

@@ -36,7 +36,6 @@ exit codes: 0 all that apply passed, 1 a case failed, 2 usage, 5 the node does n
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce conformance`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EPILOG
     what = parser.add_mutually_exclusive_group(required=True)
     what.add_argument("--node-id", type=common.node_id, metavar="ID", help="the device, 1 to 127")

@@ -31,7 +31,6 @@ exit codes: 0 ok, 1 a bad line with --strict or a full disk, 2 usage, or no log 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce decode` to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="*", metavar="LOG", help="files and globs; - or none is stdin")

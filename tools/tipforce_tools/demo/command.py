@@ -19,8 +19,8 @@ DEFAULT_SEED = 20261121
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce demo`."""
     parser.epilog = (
-        "Every error must lie inside its bound: z x standard uncertainty (z for a family-wise error of 1e-6 over all "
-        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Exit code 1 if "
+        "Every error must lie inside its bound: z x standard uncertainty (z for a family-wise error of 1e-6 over all\n"
+        "comparisons) + half a count of each gauge, propagated + half a step of the PDO's resolution. Exit code 1 if\n"
         "one does not."
     )
     parser.add_argument("--seed", type=int, default=DEFAULT_SEED, help="of the simulated noise (default %(default)s)")

@@ -17,8 +17,8 @@ from pathlib import Path
 
 import can
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.errors import RefusedError
@@ -35,8 +35,6 @@ from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
-
-FloatArray = npt.NDArray[np.float64]
 
 CASES = ("I", "II", "III")
 WEIGHT_NEWTONS = 4.4

@@ -9,20 +9,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_shift import nominal_position
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
-from tipforce_tools.design.plots import BLUE, GREEN, GREY, VERMILLION, new_figure
+from tipforce_tools.cli.figures import new_figure
+from tipforce_tools.design.plots import BLUE, GREEN, GREY, VERMILLION
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-FloatArray = npt.NDArray[np.float64]
 
 MM = 1e3
 LEG_MM, LEG_TOP_MM, SLIT_MM = 2.0, 2.5, 0.25

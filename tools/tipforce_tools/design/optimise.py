@@ -37,7 +37,6 @@ class Outcome(NamedTuple):
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce design optimise`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Envelope and stress default to the room that the paper's fabricated body takes and the worst stress that it\n"
         "bears at the load; it names no least thickness or slenderness. Exit code 1 where beam theory and the frame\n"

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import argparse
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.design.groove_errors import simulate_groove_errors
 from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS, CASES
 from tipforce.sensor.design.ranking import ranked_layouts
@@ -18,6 +16,7 @@ from tipforce.sensor.design.shift_study import condition_against_shift
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
+from tipforce_tools.cli.figures import new_figure, plotting, save
 from tipforce_tools.design.section import Section
 
 if TYPE_CHECKING:
@@ -25,7 +24,14 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 # Okabe and Ito's palette: told apart with any colour vision. Line style or marker differ too, for black and white.
-BLUE, VERMILLION, GREEN, PURPLE, GREY = "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#555555"
+BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#555555"
+STYLE = {
+    "font.size": 9.0,
+    "grid.color": "#dddddd",
+    "legend.edgecolor": "none",
+    "legend.framealpha": 1.0,
+    "savefig.dpi": 150,
+}
 STYLES = ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, ":", "D"))
 
 
@@ -47,54 +53,9 @@ def draw(args: argparse.Namespace) -> Iterator[Path]:
     for name in makers if args.what == "all" else (args.what,):
         for stem, make in makers[name]:
             path = args.output / f"{stem}.{args.format}"
-            with plotting():
+            with plotting(STYLE):
                 save(make(), path)
             yield path
-
-
-@contextmanager
-def plotting() -> Iterator[None]:
-    """matplotlib set up for small, readable, reproducible files. Raises EnvironmentLackError where it is missing."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise EnvironmentLackError(
-            "figures need matplotlib, which is not installed: pip install 'tipforce[plot]'"
-        ) from None
-    settings: Any = {
-        "svg.hashsalt": "tipforce",
-        "svg.fonttype": "none",
-        "font.size": 9.0,
-        "axes.grid": True,
-        "grid.color": "#dddddd",
-        "axes.axisbelow": True,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "legend.edgecolor": "none",
-        "legend.framealpha": 1.0,
-        "savefig.dpi": 150,
-        "figure.constrained_layout.use": True,
-    }
-    with matplotlib.rc_context(settings):
-        yield
-
-
-def save(figure: Figure, path: Path) -> None:
-    """Write the figure without a date. Raises InputError for an unknown ending or a path that cannot be written."""
-    if path.suffix not in (".svg", ".png"):
-        raise InputError(f"figure {path}: allowed are the endings .svg and .png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, metadata={"Date": None} if path.suffix == ".svg" else {"Software": None})
-    except OSError as error:
-        raise InputError(f"figure {path}: {error.strerror}") from error
-
-
-def new_figure(width_inch: float, height_inch: float) -> Figure:
-    """A figure that no window toolkit sees."""
-    from matplotlib.figure import Figure
-
-    return Figure(figsize=(width_inch, height_inch))
 
 
 def figure_6() -> Figure:
@@ -244,7 +205,7 @@ def off_axis() -> Figure:
 
 def draw_sweep(path: Path, section: Section) -> None:
     """Draw a sweep: condition number and noise gain, one above the other. Raises as draw() does."""
-    with plotting():
+    with plotting(STYLE):
         figure = new_figure(5.6, 4.6)
         name, *_ = section.columns
         values = [record[name] for record in section.records]

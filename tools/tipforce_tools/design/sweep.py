@@ -22,7 +22,6 @@ DEFAULT_SHIFT_MM = 5.0
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce design sweep`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Dimensions are in millimetres; the others and the load stay. SG1, SG2, ... shift one gauge, all shifts all\n"
         "of them, in millimetres inward along their beams: away from the nearer end.\n"

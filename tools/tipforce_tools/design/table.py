@@ -14,7 +14,6 @@ NAMES = ("1", "2", "3", "fig6", "fig9", "off-axis")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce design table`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "1, 2, 3: the tables (3 with the ranking of all layouts). fig6: condition number against gauge shift. fig9:\n"
         "errors in the paper's grooves, simulated. off-axis: section 3.3. docs/mechanics.md explains them.\n"

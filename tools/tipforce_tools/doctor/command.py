@@ -18,7 +18,6 @@ _STYLES = {"ok": "green", "note": "yellow", "fail": "bold red"}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce doctor`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Looks at the kernel, the interfaces, where the bus's name comes from, and what is installed. With a bus it\n"
         "also opens it and listens; it never sends. Without one it tries `tipforce vcan`, which can take seconds.\n"

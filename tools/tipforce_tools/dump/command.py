@@ -29,7 +29,6 @@ a CHANNEL is a SocketCAN interface.
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce dump` and python-can's bus flags to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(

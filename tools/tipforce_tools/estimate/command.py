@@ -22,7 +22,6 @@ COLUMNS = ("line", "P_N", "phi_deg", "theta_deg", "u_P_N", "u_phi_deg", "u_theta
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce estimate`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "GAUGES.csv: SG1..SGn in microstrain; optional t_s, weight, and mode (push, pull, tare; blank: the\n"
         "calibration's load sense). With tare rows (unloaded readings) the offsets are interpolated between them,\n"

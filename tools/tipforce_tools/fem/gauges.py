@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce_tools.fem.outline import Outline
-from tipforce_tools.fem.solve import Solution
-
-FloatArray = npt.NDArray[np.float64]
+from tipforce_tools.fem.plane_stress import Solution
 
 
 class Face(NamedTuple):

@@ -10,11 +10,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
+from scipy.optimize import brentq
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 LEAST_ORDER, MOST_ORDER = 0.3, 3.0
 SAFETY = 1.25
@@ -84,10 +83,4 @@ def corner_exponent(material_angle_rad: float, mode: str) -> float:
     low, high = 0.5, 1.0 - 1e-9
     if mismatch(low) * mismatch(high) > 0.0:
         raise InputError(f"material angle {math.degrees(w):g} degrees: the {mode} mode is not singular there")
-    for _ in range(200):
-        middle = 0.5 * (low + high)
-        if mismatch(low) * mismatch(middle) <= 0.0:
-            high = middle
-        else:
-            low = middle
-    return 0.5 * (low + high)
+    return float(brentq(mismatch, low, high, xtol=1e-15))

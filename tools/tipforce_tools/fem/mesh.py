@@ -15,11 +15,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce_tools.fem.outline import NEAR_M, Corner, Outline
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 GRADING = 4.0
 """Displacement goes as r^0.5445 at a corner. A gauge that ends in one reads the corner's own displacement, wrong by

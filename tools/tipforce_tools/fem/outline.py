@@ -12,10 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-
-FloatArray = npt.NDArray[np.float64]
 
 NEAR_M = 1e-3
 """The blocks next to a corner of a beam are as long as a gauge, so that gauges end on nodes of the mesh."""
@@ -168,14 +167,6 @@ class Outline:
             if self.leg_below_m > 0.0:
                 found[outer] = Corner(edge, -half_h1, -sign, -1.0, 0.0, leg, half_h1)
         return found
-
-    def area_m2(self) -> float:
-        """Return the area of the cross-section, in closed form."""
-        outer, radius = self.half_width_m, self.tip_radius_m
-        rectangles = sum((part.right_m - part.left_m) * (part.upper_m - part.lower_m) for part in self.rectangles())
-        under_arc = outer * math.sqrt(radius**2 - outer**2) + radius**2 * math.asin(outer / radius)
-        fillets = sum((1.0 - 0.25 * math.pi) * corner.radius_m**2 for corner in self.corners().values())
-        return rectangles + under_arc - 2.0 * outer * self.tip_bottom_m + fillets
 
 
 STATED = Outline()

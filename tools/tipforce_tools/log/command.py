@@ -24,7 +24,6 @@ exit codes: 0 ended by -n, -T or --seconds, 130 by Ctrl-C or SIGTERM, 1 the disk
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce log` and python-can's bus flags to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("targets", nargs="*", metavar="CHANNEL[,FILTER...]", help="buses with their filters")

@@ -26,7 +26,6 @@ exit codes: 0 the log ended, q, or --once; 2 usage, or not one frame in the log;
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce monitor` and python-can's bus flags to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(

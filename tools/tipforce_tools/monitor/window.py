@@ -5,13 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
+
+from tipforce.arrays import IntArray
 
 WINDOW_NS = 2_000_000_000
 _LEAST_NS = 100_000_000  # a shorter time says little of a rate
 MOST = 65_536  # events kept: a full bus for more than the window
-
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -17,7 +17,6 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce load`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "With --nodes: the budget of a hand on paper, without stuffing and with as many stuff bits as can be, and\n"
         "what would fit. Exit code 1 if the worst case exceeds --limit.\n"

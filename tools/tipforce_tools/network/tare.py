@@ -13,7 +13,6 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce tare`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Tare with nothing touching the fingertip: a tare under load hides that load. It is not stored, and ends with\n"
         "a reset or a new calibration. A node without a calibration refuses (exit code 11).\n"

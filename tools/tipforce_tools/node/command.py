@@ -37,7 +37,6 @@ KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce node`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EPILOG
     parser.add_argument("--node-id", type=common.node_id, required=True, metavar="ID", help="1 to 127")
     parser.add_argument(

@@ -9,12 +9,9 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from tipforce.arrays import FloatArray
     from tipforce.sources.replay import ReplaySource
 
-    FloatArray = npt.NDArray[np.float64]
 
 _ENDS_16, _ENDS_24 = (-0x8000, 0x7FFF), (-0x800000, 0x7FFFFF)
 

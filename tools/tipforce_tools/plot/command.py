@@ -27,7 +27,6 @@ _INCHES = {"": 1.0, "in": 1.0, "cm": 1 / 2.54, "mm": 1 / 25.4}
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce plot` to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="+", metavar="LOG", help="files and globs, or -")

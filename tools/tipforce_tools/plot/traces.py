@@ -8,15 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce_tools.plot.bins import Array, Bins
 
 COVERAGE = 2.0
 """Standard uncertainties to either side that a band shows: 95 %."""
 _TURN = 360.0
 _PERIODS = 5.0  # a silence of so many periods is a gap
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

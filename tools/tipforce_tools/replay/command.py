@@ -25,7 +25,6 @@ exit codes: 0 all sent, 1 a bad line with --strict, 2 usage, or not one frame in
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce replay` and python-can's bus flags to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("log", metavar="LOG", help="a log file, or - for candump's text on stdin")

@@ -33,7 +33,6 @@ exit codes: 0 every claim held, 1 a claim did not hold or a study failed, 2 usag
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce report`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = EPILOG
     parser.add_argument("--quick", action="store_true", help="below a minute, with fewer samples and runs")
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 from html import escape
+from importlib import resources
 from pathlib import Path
 
 from tipforce.errors import InputError
@@ -12,59 +13,6 @@ from tipforce_tools.cli.common import json_line
 from tipforce_tools.report import plots, text
 from tipforce_tools.report.run import Judged, LeftOut, Report
 from tipforce_tools.report.study import Study
-
-_STYLE = """
-:root{color-scheme:light dark;--ink:#222;--paper:#fff;--soft:#555;--line:#d4d4d4;--tint:#f4f5f6;--good:#00664a;
---bad:#b3261e;--accent:#0072b2}
-*{box-sizing:border-box}
-body{margin:0;background:var(--paper);color:var(--ink);font:16px/1.5 system-ui,
--apple-system,"Segoe UI",Roboto,sans-serif}
-main{max-width:60rem;margin:0 auto;padding:1rem}
-h1{font-size:1.6rem;line-height:1.2;margin:.5rem 0}
-h2{font-size:1.25rem;margin:2.5rem 0 .5rem;border-bottom:2px solid var(--line)}
-h3{font-size:1.1rem;margin:2rem 0 .5rem;line-height:1.3}
-a{color:var(--accent)}
-nav ul{columns:2;column-gap:2.5rem;padding-left:1.2rem;margin:.5rem 0}
-dl{display:grid;grid-template-columns:max-content 1fr;gap:0 1rem;font-size:.875rem;margin:.5rem 0}
-dt{color:var(--soft)}dd{margin:0;overflow-wrap:anywhere}
-figure{margin:.5rem 0;max-width:36rem}
-svg{display:block;width:100%;height:auto}
-svg *{stroke-linejoin:round;stroke-linecap:butt}
-.label{font-family:"DejaVu Sans",Verdana,sans-serif}
-.wide{overflow-x:auto;margin:.5rem 0}
-table{border-collapse:collapse;font-size:.8125rem;width:100%}
-th,td{text-align:left;vertical-align:top;padding:.25rem .5rem;border-bottom:1px solid var(--line)}
-th{color:var(--soft);font-weight:600}
-.number{text-align:right;font-variant-numeric:tabular-nums}
-td.number{white-space:nowrap}tbody th{color:var(--ink);font-weight:400}
-.reference,.note{font-size:.875rem;color:var(--soft);max-width:46rem}
-.key{font-family:ui-monospace,Menlo,Consolas,monospace;font-size:.8125rem;overflow-wrap:anywhere}
-.outcome{font-weight:600;white-space:nowrap}
-.held{color:var(--good)}.broken{color:var(--bad)}
-.summary{background:var(--tint);padding:.5rem .75rem;border-left:4px solid var(--accent)}
-.seen{overflow-wrap:anywhere}
-@media (max-width:40rem){
-main{padding:.75rem}
-ul{padding-left:1.2rem}
-nav ul{columns:1}
-.cases thead{display:none}
-.cases tr{display:block;border-bottom:1px solid var(--line);padding:.5rem 0}
-.cases td,.cases th{display:block;border:0;padding:.1rem 0}
-.cases td[data-name]::before{content:attr(data-name) ": ";color:var(--soft)}
-}
-@media print{
-:root{color-scheme:light}
-body{font-size:10pt}
-main{max-width:none;padding:0}
-nav{display:none}
-figure{max-width:12cm;break-inside:avoid}
-tr,h2,h3{break-inside:avoid}h2,h3{break-after:avoid}
-.wide{overflow:visible}
-a{color:inherit;text-decoration:none}
-}
-"""
-_DARK = """:root{--ink:#e8e8e8;--paper:#15181b;--soft:#a9b0b6;--line:#3a4046;--tint:#1f2429;--good:#4fd6a8;
---bad:#ff8a80;--accent:#6cbcf5}"""
 
 
 def write(report: Report, directory: Path) -> list[Path]:
@@ -93,7 +41,9 @@ def style() -> str:
     rules = "".join(_colour_rules(name, value) for name, value in light)
     night = "".join(_colour_rules(name, value) for name, value in dark)
     paper = ".f-paper{fill:var(--paper)}.s-paper{stroke:var(--paper)}.label{fill:var(--ink)}"
-    return f"{_STYLE}{rules}{paper}\n@media screen and (prefers-color-scheme:dark){{{_DARK}{night}}}\n"
+    sheets = resources.files(__package__)
+    always, dark_paper = (sheets.joinpath(name).read_text(encoding="utf-8") for name in ("style.css", "dark.css"))
+    return f"{always}{rules}{paper}\n@media screen and (prefers-color-scheme:dark){{{dark_paper}{night}}}\n"
 
 
 def _colour_rules(name: str, value: str) -> str:

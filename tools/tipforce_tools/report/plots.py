@@ -5,12 +5,11 @@ from __future__ import annotations
 import io
 import math
 import re
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.cli import figures
 from tipforce_tools.report.study import Study
 
 if TYPE_CHECKING:
@@ -38,37 +37,20 @@ _ZERO_BELOW = 0.1  # an error of zero is drawn at this fraction of the smallest 
 _KEPT_STYLE = {"fill", "stroke"}
 
 
-@contextmanager
-def plotting() -> Iterator[None]:
-    """matplotlib set up for small, reproducible files. Raises EnvironmentLackError where it is missing."""
-    try:
-        import matplotlib
-    except ImportError:
-        raise EnvironmentLackError(
-            'the page needs matplotlib, which is not installed: pip install "tipforce[report]"'
-        ) from None
-    settings: Any = {
-        "svg.hashsalt": "tipforce",
-        "svg.fonttype": "none",
-        "font.size": 10.0,
-        "text.color": INK,
-        "axes.labelcolor": INK,
-        "axes.edgecolor": INK,
-        "xtick.color": INK,
-        "ytick.color": INK,
-        "axes.grid": True,
-        "grid.color": GRID,
-        "grid.linewidth": 0.6,
-        "axes.axisbelow": True,
-        "axes.spines.top": False,
-        "axes.spines.right": False,
-        "legend.frameon": False,
-        "savefig.transparent": True,
-        "savefig.dpi": 130,
-        "figure.constrained_layout.use": True,
-    }
-    with matplotlib.rc_context(settings):
-        yield
+_STYLE = {
+    "font.size": 10.0,
+    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.transparent": True,
+    "savefig.dpi": 130,
+}
+
+
+def plotting() -> AbstractContextManager[None]:
+    """The style of the report. Raises EnvironmentLackError without matplotlib, on entry."""
+    return figures.plotting(_STYLE, "report")
 
 
 def figure(study: Study) -> Figure:
@@ -170,14 +152,8 @@ def svg(study: Study) -> str:
 
 def save(study: Study, path: Path) -> None:
     """The plot as a file of its own, .svg or .png. Raises InputError where the disk refuses."""
-    if path.suffix not in (".svg", ".png"):
-        raise InputError(f"figure {path}: allowed are the endings .svg and .png")
     with plotting():
-        try:
-            metadata: Any = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-            figure(study).savefig(path, metadata=metadata, transparent=False, facecolor=PAPER)
-        except OSError as error:
-            raise InputError(f"figure {path}: {error.strerror}") from None
+        figures.save(figure(study), path, transparent=False, facecolor=PAPER)
 
 
 def _inlined(text: str, key: str) -> str:

@@ -19,8 +19,8 @@ from msgspec.structs import replace
 
 from tipforce.scene import schema
 from tipforce.scene.loads import load_of
-from tipforce.scene.parts import Part, parts
 from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.scene_parts import Part, parts
 
 _LENGTHEN = 4  # the long run of a pair against the short one: building, which both do once, drops out
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.scene.parts import Identifier
+    from tipforce.scene.scene_parts import Identifier
     from tipforce.scene.schema import Scene
 
 _SHOWN_MODULES = 8
@@ -25,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Explain; 0."""
-    from tipforce.scene.parts import bus_load, identifiers, parts
+    from tipforce.scene.scene_parts import bus_load, identifiers, parts
     from tipforce.scene.schema import read_scene
 
     scene = read_scene(args.scene)

@@ -25,7 +25,6 @@ _DIGITS = (3, 2, 2)
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Flags of `tipforce run`. python-can's own three bus flags by hand: loading python-can is for runs on a bus."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.epilog = (
         "Time is simulated, with no bus and as fast as it goes, unless the scene has a [bus] or a bus flag is given.\n"
         "Exit code 1: something that the scene expects ([[expect]]) did not hold.\n"
@@ -46,8 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the scene; 0, or 1 where an expectation did not hold."""
-    from tipforce.scene.parts import bus_load
     from tipforce.scene.run import run_scene
+    from tipforce.scene.scene_parts import bus_load
     from tipforce.scene.schema import read_scene
 
     common.set_up_logging(args)

@@ -29,7 +29,6 @@ signal n ended it, 130 interrupted
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce vcan` to `parser`."""
-    parser.formatter_class = argparse.RawDescriptionHelpFormatter
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument(

@@ -1,8 +1,8 @@
 """Who may ask the page's server for what. Pure: headers in, a refusal or nothing out.
 
 - Host must name this server: a foreign name that was bent to 127.0.0.1 (DNS rebinding) is refused.
-- Origin, where a browser sends it, must be this page; a POST must carry it.
-- A POST must carry the page's own token in a header that no foreign page can send, and writes must be allowed.
+- Origin, where a browser sends it, must be this page: browsers send it with the handshake of every WebSocket.
+- A WebSocket may write when writes are allowed and its handshake had an Origin.
 - Beyond loopback everybody needs the access token.
 """
 
@@ -12,14 +12,13 @@ import hmac
 import ipaddress
 import secrets
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from http import HTTPStatus
 
 from tipforce.errors import InputError
 
 LOOPBACK_NAMES = ("127.0.0.1", "[::1]", "localhost")
 COOKIE = "tipforce_access"
-WRITE_HEADER = "X-Tipforce-Token"
 LEAST_TOKEN = 16
 
 CONTENT_SECURITY_POLICY = (
@@ -55,10 +54,9 @@ class Guard:
     access_token: str = ""
     allow_writes: bool = False
     port: int = 0
-    write_token: str = field(default_factory=lambda: secrets.token_urlsafe(24))
 
-    def check(self, method: str, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
-        """None when a request is allowed."""
+    def check(self, headers: Mapping[str, str], query_token: str = "") -> Refusal | None:
+        """None when a request, or the handshake of a WebSocket, is allowed. ``headers`` ignore case."""
         host = headers.get("Host", "").lower()
         if host not in self._allowed_hosts():
             return Refusal(HTTPStatus.MISDIRECTED_REQUEST, "this server does not have that name")
@@ -68,16 +66,13 @@ class Guard:
             return Refusal(HTTPStatus.FORBIDDEN, "requests of other pages are refused")
         if self.access_token and not self._has_access(headers, query_token):
             return Refusal(HTTPStatus.UNAUTHORIZED, "open the address with the token that the command printed")
-        return self._check_write(headers) if method == "POST" else None
-
-    def _check_write(self, headers: Mapping[str, str]) -> Refusal | None:
-        if headers.get("Origin") is None:
-            return Refusal(HTTPStatus.FORBIDDEN, "a request that changes something needs an Origin")
-        if not self.allow_writes:
-            return Refusal(HTTPStatus.FORBIDDEN, "read-only: start it with --allow-writes")
-        if not _same(headers.get(WRITE_HEADER, ""), self.write_token):
-            return Refusal(HTTPStatus.FORBIDDEN, f"{WRITE_HEADER} is not this page's")
         return None
+
+    def read_only(self, headers: Mapping[str, str]) -> str:
+        """Why a WebSocket with this handshake, which passed ``check``, must not write; empty where it may."""
+        if not self.allow_writes:
+            return "read-only: start it with --allow-writes"
+        return "" if "Origin" in headers else "a page that changes something needs an Origin"
 
     def _has_access(self, headers: Mapping[str, str], query_token: str) -> bool:
         if query_token and _same(query_token, self.access_token):

@@ -1,29 +1,46 @@
-"""The page's HTTP server: static files, a moment, a part of the past, CSV, tare, and server-sent events.
+"""The page's server: static files and a WebSocket for each page, in one thread of an asyncio loop.
 
-One thread per request, at most MAX_CONNECTIONS. A browser that reads slowly holds up its own thread only: it has one
-message on its way, and the next one has all that it missed (see frames.Cursor).
+websockets limits the time of a handshake and the size of a message, and tells when a page takes no more. No number of
+connections locks others out: when there are too many, the one that has waited or taken nothing for the longest is
+dropped.
 """
 
 from __future__ import annotations
 
+import asyncio
+import contextlib
 import logging
 import socket
 import threading
 import time
-from http.server import ThreadingHTTPServer
+from http import HTTPStatus
 from importlib import resources
 from typing import Any
+from urllib.parse import parse_qs
+
+from websockets.asyncio.server import ServerConnection, serve
+from websockets.datastructures import Headers, MultipleValuesError
+from websockets.frames import CloseCode
+from websockets.http11 import Request, Response
 
 from tipforce.errors import EnvironmentLackError
-from tipforce_tools.view.guard import Guard
-from tipforce_tools.view.handler import Handler
+from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS, Guard, Refusal
+from tipforce_tools.view.page import Page, Pulse
 from tipforce_tools.view.sources import Source
 
 _LOG = logging.getLogger(__name__)
 
 FRAMES_A_SECOND = 33.0  # a browser sometimes gets two messages between two pictures: 30 shall be left
-MAX_CONNECTIONS = 64
+MAX_PAGES = 64
+MAX_OTHERS = 64
+"""Connections that fetch a file, or have not yet said what they want."""
+HANDSHAKE_S = 5.0
+MAX_REQUEST = 4096  # bytes
+SOCKET_PATH = "/live"
 _PUMP_S = 1.0 / FRAMES_A_SECOND
+_CLOSE_S = 2.0
+_SLOW_S = 1.0
+_SEND_BUFFER = 64 << 10  # bytes in the kernel for one page: what it is behind at most
 _TYPES = {
     "html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8",
     "svg": "image/svg+xml",
@@ -40,31 +57,42 @@ def static_files() -> dict[str, tuple[str, bytes]]:
     return found
 
 
+class Connection(ServerConnection):
+    """A connection that ViewServer counts from its first moment."""
+
+    view: ViewServer
+
+    def connection_made(self, transport: asyncio.BaseTransport) -> None:
+        """See asyncio.Protocol."""
+        super().connection_made(transport)
+        self.view.count(self)
+
+
 class ViewServer:
     """Serves one source on one or more addresses until ``close``. Raises EnvironmentLackError for a port in use."""
 
     def __init__(self, source: Source, guard: Guard, addresses: tuple[str, ...], port: int = 0) -> None:
         self.source, self.guard = source, guard
         self.files = static_files()
-        self.stopped = threading.Event()
-        self.pumped = threading.Condition()
-        """Told when rows may have come: the streams send then, each with what it has missed."""
-        self.writing = threading.Lock()
-        """One tare at a time."""
-        self._servers: list[PageServer] = []
-        self._threads = [threading.Thread(target=self._pump, name="view pump", daemon=True)]
+        self._stopped = threading.Event()
+        self._sockets: list[socket.socket] = []
+        self.pages: set[Page] = set()
+        self._others: dict[ServerConnection, None] = {}
+        self.loop, self._ending, self._pulse = asyncio.new_event_loop(), asyncio.Event(), Pulse()
+        self._pumping = threading.Thread(target=self._pump, name="view pump", daemon=True)
+        self._serving = threading.Thread(target=self._run, name="view server", daemon=True)
         for address in addresses:
+            family = socket.AF_INET6 if ":" in address else socket.AF_INET
             try:
-                server = PageServer(self, address, guard.port or port)
+                one = socket.create_server((address, guard.port or port), family=family, backlog=MAX_OTHERS)
             except OSError as error:
-                if self._servers:  # no IPv6 here, or the port is taken there
+                if self._sockets:  # no IPv6 here, or the port is taken there
                     continue
                 raise EnvironmentLackError(
                     f"{address} port {port}: {error.strerror or error}; --port 0 takes a free one"
                 ) from error
-            guard.port = server.server_address[1]
-            self._servers.append(server)
-            self._threads.append(threading.Thread(target=server.serve_forever, args=(0.1,), daemon=True))
+            guard.port = one.getsockname()[1]
+            self._sockets.append(one)
 
     @property
     def url(self) -> str:
@@ -74,21 +102,100 @@ class ViewServer:
 
     def start(self) -> None:
         """Serve, in threads."""
-        for thread in self._threads:
-            thread.start()
+        self._serving.start()
+        self._pumping.start()
 
     def close(self) -> None:
         """Serve no more."""
-        self.stopped.set()
-        for server in self._servers:
-            server.shutdown()
-            server.server_close()
-        for thread in self._threads:
-            thread.join(2.0)
+        self._stopped.set()
+        self._pumping.join(2.0)
+        self.loop.call_soon_threadsafe(self._ending.set)
+        self._serving.join(2.0 * _CLOSE_S)
+
+    # --- connections ------------------------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        self.loop.run_until_complete(self._serve())
+        self.loop.run_until_complete(self.loop.shutdown_default_executor())
+        self.loop.close()
+
+    async def _serve(self) -> None:
+        async with contextlib.AsyncExitStack() as stack:
+            for one in self._sockets:
+                server = serve(
+                    self._talk, sock=one, create_connection=self._connection,  # type: ignore[arg-type]
+                    process_request=self._respond, process_response=_secured, server_header=None, compression=None,
+                    open_timeout=HANDSHAKE_S, close_timeout=_CLOSE_S, max_size=MAX_REQUEST,
+                )  # fmt: skip
+                await stack.enter_async_context(server)
+            await self._ending.wait()
+
+    def _connection(self, *parts: Any, **options: Any) -> Connection:
+        connection = Connection(*parts, **options)
+        connection.view = self
+        return connection
+
+    def count(self, connection: ServerConnection) -> None:
+        """Take a new connection in; the oldest that is no page gives way."""
+        if len(self._others) >= MAX_OTHERS:
+            oldest = next(iter(self._others))
+            del self._others[oldest]
+            oldest.transport.abort()
+        self._others[connection] = None
+
+    async def _talk(self, connection: ServerConnection) -> None:
+        """The conversation with a page."""
+        assert connection.request is not None
+        self._others.pop(connection, None)
+        if len(self.pages) >= MAX_PAGES:
+            slowest = min(self.pages, key=lambda page: page.taken_s)
+            if time.monotonic() - slowest.taken_s < _SLOW_S:
+                await connection.close(CloseCode.TRY_AGAIN_LATER, f"allowed are {MAX_PAGES} pages")
+                return
+            slowest.socket.transport.abort()
+            self.pages.remove(slowest)
+        connection.transport.get_extra_info("socket").setsockopt(socket.SOL_SOCKET, socket.SO_SNDBUF, _SEND_BUFFER)
+        page = Page(connection, self.source, self._pulse, self.guard.read_only(connection.request.headers))
+        self.pages.add(page)
+        try:
+            await page.run()
+        finally:
+            self.pages.discard(page)
+
+    def _respond(self, connection: ServerConnection, request: Request) -> Response | None:
+        """A file, or a refusal; None where the handshake of a WebSocket may go on."""
+        path, _, query = request.path.partition("?")
+        token = parse_qs(query).get("token", [""])[-1]
+        try:
+            refusal = self.guard.check(request.headers, token)
+        except MultipleValuesError as error:
+            refusal = Refusal(HTTPStatus.BAD_REQUEST, f"duplicate header {error}")
+        if refusal is not None:
+            return connection.respond(refusal.status, refusal.text)
+        if request.method not in ("GET", "HEAD"):
+            return connection.respond(HTTPStatus.METHOD_NOT_ALLOWED, "allowed are GET and HEAD")
+        if path == SOCKET_PATH:
+            return None
+        if path == "/" and token:
+            return self._enter()
+        if path not in self.files:
+            return connection.respond(HTTPStatus.NOT_FOUND, "no such file")
+        kind, content = self.files[path]
+        headers = Headers({"Content-Type": kind, "Content-Length": str(len(content)), "Connection": "close"})
+        return Response(200, "OK", headers, content if request.method == "GET" else b"")
+
+    def _enter(self) -> Response:
+        """The token goes from the address into a cookie, out of history and sight."""
+        headers = Headers({"Location": "/", "Content-Length": "0", "Connection": "close"})
+        if self.guard.access_token:
+            headers["Set-Cookie"] = f"{COOKIE}={self.guard.access_token}; HttpOnly; SameSite=Strict; Path=/"
+        return Response(303, "See Other", headers)
+
+    # --- rows -------------------------------------------------------------------------------------------------
 
     def _pump(self) -> None:
         due_s = time.monotonic()
-        while not self.stopped.wait(max(due_s - time.monotonic(), 0.0)):
+        while not self._stopped.wait(max(due_s - time.monotonic(), 0.0)):
             due_s = max(due_s + _PUMP_S, time.monotonic() - _PUMP_S)  # a late one does not delay those after it
             try:
                 self.source.pump()
@@ -97,43 +204,8 @@ class ViewServer:
                 self.source.model.error = f"{type(error).__name__}: {error}"
                 _LOG.exception("the page's source failed")
                 return
-            with self.pumped:
-                self.pumped.notify_all()
+            self.loop.call_soon_threadsafe(self._pulse.beat)
 
 
-class PageServer(ThreadingHTTPServer):
-    """One address of a ViewServer."""
-
-    daemon_threads = True
-    block_on_close = False
-    request_queue_size = 32
-
-    def __init__(self, view: ViewServer, address: str, port: int) -> None:
-        self.view = view
-        self.address_family = socket.AF_INET6 if ":" in address else socket.AF_INET
-        self._slots = threading.BoundedSemaphore(MAX_CONNECTIONS)
-        super().__init__((address, port), Handler)
-
-    def server_bind(self) -> None:
-        """Without the look-up of the host's name that http.server does."""
-        if self.address_family == socket.AF_INET6:
-            self.socket.setsockopt(socket.IPPROTO_IPV6, socket.IPV6_V6ONLY, 1)
-        self.socket.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
-        self.socket.bind(self.server_address)
-        self.server_address = self.socket.getsockname()
-        self.server_name, self.server_port = "tipforce", self.server_address[1]
-
-    def process_request(self, request: Any, client_address: Any) -> None:
-        if self._slots.acquire(blocking=False):
-            super().process_request(request, client_address)
-        else:
-            self.shutdown_request(request)
-
-    def process_request_thread(self, request: Any, client_address: Any) -> None:
-        try:
-            super().process_request_thread(request, client_address)
-        finally:
-            self._slots.release()
-
-    def handle_error(self, request: Any, client_address: Any) -> None:
-        """A browser that goes away is no error."""
+def _secured(_connection: ServerConnection, _request: Request, response: Response) -> None:
+    response.headers.update(SECURITY_HEADERS)

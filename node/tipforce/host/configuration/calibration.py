@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices, table, types
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
 
-FloatArray = npt.NDArray[np.float64]
 _LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
 _VALIDITY = (
     "calibrated_force_newtons", "overload_force_newtons", "temperature_min_degC", "temperature_max_degC",
@@ -211,7 +211,7 @@ class Calibration:
         return self.C @ self.covariance_strain2 @ self.C.T
 
     def record(self) -> bytes:
-        """The calibration record as the node holds it (OBJECTS.md). Raises InputError for what a field cannot hold."""
+        """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
         upper = self.covariance_strain2[np.triu_indices(self.gauges)]
         facts = (self.serial, self.date, self.reference_temperature_degC, self.layout_code)
         pad = (self.tip_radius_m, self.theta_min_deg, self.theta_max_deg)

@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, version_2_bytes
@@ -19,8 +19,6 @@ from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class _Table(msgspec.Struct, forbid_unknown_fields=True):

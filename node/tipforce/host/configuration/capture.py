@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.device.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
@@ -18,9 +19,6 @@ from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.connection import Connection
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 RESOLUTION_MICROSTRAIN = 0.1
 """One step of 7130h: what every reading by PDO is rounded to."""

@@ -12,7 +12,7 @@ import msgspec
 from tipforce.device import codes, communication
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.lint_pdo import is_mapping
+from tipforce.dictionary.signals import is_mapping
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.network.sdo import SdoChannel

@@ -10,8 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from tipforce.arrays import FloatArray, IntArray
 
 MODES = ("push", "pull", "tare")
 LARGEST_ANGLE_DEG = 720.0

@@ -12,11 +12,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.measurement_rows import MODES, Block, Columns, read_block, time_faults
-
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 
 MIN_GAUGES, MAX_GAUGES = 3, 8
 LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")

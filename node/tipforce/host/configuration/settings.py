@@ -14,8 +14,8 @@ import tomli_w
 from tipforce.device import codes
 from tipforce.dictionary import names, table, types
 from tipforce.dictionary.eds import dcf_text
-from tipforce.dictionary.lint_pdo import is_mapping
 from tipforce.dictionary.rows import Row, rows
+from tipforce.dictionary.signals import is_mapping
 from tipforce.dictionary.types import Value
 from tipforce.errors import SdoAbortError
 from tipforce.host.configuration.configuration_file import NODE_ID_MARK, Configuration

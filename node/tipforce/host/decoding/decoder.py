@@ -76,7 +76,7 @@ _Run = tuple[_Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Col
 
 
 class Decoder:
-    """Decodes the TPDOs of nodes with ``n`` gauges, by the default PDOs of OBJECTS.md unless told by ``remap``.
+    """Decodes the TPDOs of nodes with ``n`` gauges, by the default PDOs of docs/objects.md unless told by ``remap``.
 
     ``malformed`` counts, by (node-id, message name), the frames so far that were shorter than their mapping and
     therefore not decoded (a node reports such an RPDO as EMCY 8210h). Of longer ones the first bytes count.

@@ -9,14 +9,13 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.rails import rails
 from tipforce.sensor.calibration.regressors import DRIFTS
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
-
-FloatArray = npt.NDArray[np.float64]
 
 LOSSES = ("huber", "soft_l1", "none")
 

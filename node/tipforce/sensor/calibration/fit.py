@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
@@ -45,8 +46,6 @@ __all__ = [
     "beam_prior", "covariance_of_estimate", "fit_calibration", "kronecker", "linear_fit",
 ]  # fmt: skip
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 MARGIN = 3.0
 """Standard deviations from the converter's limit within which a reading is left out."""

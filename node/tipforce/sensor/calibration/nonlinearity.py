@@ -5,13 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile
 from tipforce.sensor.calibration.solve import Extra, Problem, Solution, extra
 from tipforce.sensor.contact.force import force_vector
-
-FloatArray = npt.NDArray[np.float64]
 
 FALSE_ALARM = 0.005
 """Chance that a straight sensor is called nonlinear."""

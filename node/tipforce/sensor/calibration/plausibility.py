@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Readings
-
-FloatArray = npt.NDArray[np.float64]
 
 STANDARD_GRAVITY = 9.80665
 LIKE, UNLIKE = 0.95, 0.8

@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-FloatArray = npt.NDArray[np.float64]
+from tipforce.arrays import FloatArray, IntArray
 
 
 class Rail(NamedTuple):
@@ -18,7 +17,7 @@ class Rail(NamedTuple):
     strain: float
     rows: tuple[int, ...]
 
-    def words(self, lines: npt.NDArray[np.int64] | None = None) -> str:
+    def words(self, lines: IntArray | None = None) -> str:
         """As a sentence; ``lines``: of the file, (m,), else rows from 0."""
         places = [int(row) if lines is None else int(lines[row]) for row in self.rows]
         what = "rows" if lines is None else "lines"
@@ -55,7 +54,7 @@ def rails(strain: FloatArray, loads: FloatArray, limit: FloatArray) -> list[Rail
     return found
 
 
-def _repeats(rows: npt.NDArray[np.int64], others: FloatArray, loads: FloatArray) -> bool:
+def _repeats(rows: IntArray, others: FloatArray, loads: FloatArray) -> bool:
     usual = int(np.unique(others, return_counts=True)[1].max(initial=1))
     different = len(np.unique(loads[rows], axis=0)) > 1
     return bool((loads[rows, 0] > 0.0).all() and len(rows) > usual and (different or len(rows) > 2))

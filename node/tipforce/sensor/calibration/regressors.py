@@ -5,12 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 DRIFTS = ("none", "tare", "linear")
 
@@ -56,7 +53,7 @@ def direction_scatter(
     return D
 
 
-def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> npt.NDArray[np.int64]:
+def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> IntArray:
     """Return which rows have the same phi and theta, (m,), numbered from 0: their angles are off by the same error."""
     places = np.round(np.stack((phi_rad, theta_rad), axis=-1), 6)
     return np.unique(places, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
@@ -150,7 +147,7 @@ def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: 
         usable[rows[worst]] = False
 
 
-def _off_line(t: FloatArray, V: FloatArray, at: npt.NDArray[np.int64], one: int, other: int) -> FloatArray:
+def _off_line(t: FloatArray, V: FloatArray, at: IntArray, one: int, other: int) -> FloatArray:
     """How far rows lie off the line through two of their neighbours, (len(at), n)."""
     first, second = at + one, at + other
     span = t[second] - t[first]

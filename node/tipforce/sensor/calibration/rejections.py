@@ -5,13 +5,11 @@ from __future__ import annotations
 from math import comb
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray
 from tipforce.sensor.calibration.data import Readings
 from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.calibration.result import Fit
-
-BoolArray = npt.NDArray[np.bool_]
 
 LARGEST_SHARE = 0.05
 CHANCE = 0.01

@@ -7,12 +7,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.nonlinearity import Nonlinearity
 from tipforce.sensor.calibration.temperature import Temperature
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

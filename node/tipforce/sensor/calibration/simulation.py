@@ -5,17 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import Layout
 from tipforce.sensor.structure.strain import strain_matrix
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,13 +10,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 NOISE_FLOOR = 1e-7
 """Smallest standard deviation of the gauges, as a fraction of the readings: keeps exact data invertible."""
@@ -27,6 +23,8 @@ STATED_WORTH = 6.0
 START_HANG, HANG_WORTH = 0.1, 1.0
 """Variance of the angle that is new in every row, in units of the stated one, before any data; it counts as so many
 observed angles."""
+LARGEST_SCATTER = 100.0
+"""Of both variances: ten times the stated angle is a fault and no scatter."""
 MAX_STEPS = 300
 TOLERANCE = 1e-5
 """Relative change of A at which the steps end; 1e-3 of the noise, of which a few per cent do not matter."""
@@ -122,7 +120,7 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
         u = weights
         restless = _kink_variance(problem, found)
         if problem.D.any() and problem.scatter is None:
-            scatter, before = _scatter(problem, found), scatter
+            scatter, before = _scatter(problem, found, u), scatter
             change = max(change, 0.001 * max(abs(a - b) / (a + 0.01) for a, b in zip(scatter, before, strict=True)))
         if problem.Sigma is None:
             if found.dof < 0.5:
@@ -301,17 +299,20 @@ def _whitener(R: FloatArray, observed: BoolArray) -> FloatArray:
     return np.where(both, np.linalg.solve(lower, np.broadcast_to(np.eye(R.shape[1]), R.shape)), 0.0)
 
 
-def _scatter(problem: Problem, found: Solution) -> Scatter:
+def _scatter(problem: Problem, found: Solution, u: FloatArray) -> Scatter:
     """The variances of load directions: squares of the angles over how many of them the data decide (MacKay)."""
     groove = STATED_WORTH + found.scatter.groove * float(np.square(found.angle).sum())
     groove /= STATED_WORTH + float(found.angle_decided.sum())
     inverse = observed_inverse(found.R, problem.observed)
     pull = (found.coefficients[:, :3] @ problem.D).transpose(0, 2, 1) @ inverse
     e = np.where(problem.observed, found.residual, 0.0)
-    angle = found.scatter.hang * (pull @ e[..., np.newaxis])
-    decided = found.scatter.hang * np.einsum("ijk,ikl,ijl->", pull, found.R - found.H, pull)
-    hang = (HANG_WORTH * START_HANG + float(np.square(angle).sum())) / (HANG_WORTH + max(float(decided), 0.0))
-    return Scatter(groove, hang)
+    # A row that disagrees must not pass for one whose direction strays: it counts by the square of its weight.
+    share = np.square(u)
+    angle = found.scatter.hang * (pull @ e[..., np.newaxis])[..., 0]
+    decided = found.scatter.hang * np.einsum("i,ijk,ikl,ijl->", share, pull, found.R - found.H, pull)
+    hang = HANG_WORTH * START_HANG + float((share * np.square(angle).sum(axis=1)).sum())
+    hang /= HANG_WORTH + max(float(decided), 0.0)
+    return Scatter(min(groove, LARGEST_SCATTER), min(hang, LARGEST_SCATTER))
 
 
 def observed_inverse(R: FloatArray, observed: BoolArray) -> FloatArray:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import t_quantile
 from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
@@ -14,10 +14,8 @@ from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution, observed_inverse
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
-FloatArray = npt.NDArray[np.float64]
 HOLD_OUT_CAP = 8.0
 """Squared distance per gauge beyond which a row counts no more against a model."""
-BoolArray = npt.NDArray[np.bool_]
 
 
 class Scales(NamedTuple):

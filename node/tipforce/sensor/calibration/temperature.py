@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.distributions import t_quantile
 from tipforce.sensor.calibration.solve import Problem, Solution, extra
-
-FloatArray = npt.NDArray[np.float64]
 
 CHANCE = 0.005
 """That a gain which does not depend on temperature is corrected for it."""

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.geometry import Geometry
-
-FloatArray = npt.NDArray[np.float64]
 
 FALSE_ALARM_RATE = 1e-6
 """Of the redundancy check, per sample."""

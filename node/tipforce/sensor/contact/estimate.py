@@ -8,13 +8,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.force import force_from_strain
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
-BoolArray = npt.NDArray[np.bool_]
 StatusArray = npt.NDArray[np.uint8]
 
 

@@ -8,7 +8,7 @@ n - 2 gauges have no rank 3 among themselves, whatever their noise. With four ga
 can be isolated, unless one gauge alone is visible: it then responds to no force at all. A gauge without which the rest
 has no rank 3 is invisible: its fault passes as a force.
 
-scalar_parity.py has the same formulas for one sample on a microcontroller.
+scalar_redundancy.py has the same formulas for one sample on a microcontroller.
 """
 
 from __future__ import annotations
@@ -19,13 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_redundancy
 from tipforce.sensor.contact.scalar_redundancy import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
-IntArray = npt.NDArray[np.int64]
 
 NONE, UNCLEAR = -1, -2
 """Faults.isolated: nothing wrong; something wrong that no single gauge, or more than one, explains."""

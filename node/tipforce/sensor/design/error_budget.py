@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from math import pi, sqrt
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import standard_uncertainties
 from tipforce.sensor.contact.first_order import first_order_holds
@@ -22,9 +22,6 @@ from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS
 from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
-
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 
 DEGREE = pi / 180.0
 _SHIFT_STEP = 1e-3  # of a beam's length: the strain is linear along it, any step gives the derivative

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.strain import condition_number, noise_gain, stress_coefficients
 
-FloatArray = npt.NDArray[np.float64]
 AnyArray = npt.NDArray[Any]
 """Real, or complex for a complex step."""
 
@@ -147,16 +147,3 @@ def slit_compliance(a: AnyArray, r: AnyArray, h1: AnyArray) -> AnyArray:
     turn = 1.5 * r * x * (1.0 - x) ** 2
     result: AnyArray = (lift + turn) * a * a / (h1 * h1 * h1)
     return result
-
-
-def condition_bound(t: float) -> float:
-    """Return (1 + sqrt(1 + t^2)) / t: no two horizontal gauges and one vertical, on thin beams, fall below it.
-
-    t = (h1 / 2 + v d) / r, v the vertical gauge's place as a fraction of d from the joint. Proof: on thin beams
-    the horizontal gauges do not see F3, so A^T A, restricted to F2 and F3, is [[s + q, -q t], [-q t, q t^2]] with
-    q > 0, s >= 0. Its condition number is least at s = q (1 + t^2), where its root is the bound; and a principal
-    submatrix is conditioned no worse than the whole (Cauchy's interlacing). Raises InputError unless t > 0.
-    """
-    if not 0.0 < t < math.inf:
-        raise InputError(f"t = {t!r}: allowed is a positive finite number")
-    return (1.0 + math.hypot(1.0, t)) / t

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 from tipforce.sensor.contact.force import force_from_strain, force_vector
@@ -19,8 +20,6 @@ from tipforce.sensor.design.published import (
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

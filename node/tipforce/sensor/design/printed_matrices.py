@@ -8,13 +8,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.design.published import CASES, HALF_DIGIT, MEASURED_MATRICES
 from tipforce.sensor.structure.gauge_shift import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.strain import condition_number
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class RoundingRange(NamedTuple):

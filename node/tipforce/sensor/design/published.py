@@ -48,5 +48,3 @@ CALIBRATION_WEIGHT_NEWTONS = 4.4
 CALIBRATION_THETA_DEG = (0.0, 90.0)
 """Section 4.3: the grooves between which the matrices were fitted."""
 GAUGE_LENGTH_M = 1e-3
-EARLIER_SENSORS = {"[5], six axes": 4.2, "[11], three axes": 20.05}
-"""Condition numbers that the introduction compares with."""

@@ -12,13 +12,11 @@ from collections.abc import Callable, Sequence
 from typing import Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.sensor.design.figures_of_merit import LoadSet
 from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot, configurations
-
-FloatArray = npt.NDArray[np.float64]
 
 Objective = Literal["theta", "noise", "singular", "condition"]
 OBJECTIVES: tuple[Objective, ...] = ("theta", "noise", "singular", "condition")

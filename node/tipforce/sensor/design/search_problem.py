@@ -9,8 +9,8 @@ from dataclasses import dataclass, fields
 from typing import Literal, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.design.figures_of_merit import (
     PAPER_LOAD_NEWTONS,
@@ -21,8 +21,6 @@ from tipforce.sensor.design.figures_of_merit import (
 )
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-
-FloatArray = npt.NDArray[np.float64]
 
 UNIT_M = 1e-3  # the search counts in millimetres, and strain in microstrain
 _DIMENSIONS = 6  # a, d, r, h1, h2, width: then the places of the gauges

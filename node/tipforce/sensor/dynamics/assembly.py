@@ -11,15 +11,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.first_order_hold import State
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.slit import SlitStop
 from tipforce.sensor.dynamics.switched import Switched
-
-FloatArray = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import FrameModel
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def beam_mass_matrix(geometry: Geometry, density_kg_m3: float, model: FrameModel) -> FloatArray:

@@ -7,11 +7,10 @@ import math
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.dynamics.first_order_hold import State
 from tipforce.sensor.dynamics.mode_step import hold
 from tipforce.sensor.dynamics.model import Modes
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def free(modes: Modes, start: State, times_s: npt.ArrayLike) -> tuple[FloatArray, FloatArray]:

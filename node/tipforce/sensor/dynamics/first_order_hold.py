@@ -12,11 +12,10 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.mode_step import Hold, hold
 from tipforce.sensor.dynamics.model import Modes
-
-FloatArray = npt.NDArray[np.float64]
 
 Vector = tuple[float, float, float]
 Coefficients = tuple[tuple[Vector, Hold, Vector], ...]

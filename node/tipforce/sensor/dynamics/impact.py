@@ -1,6 +1,6 @@
 """A body strikes the tip, or the finger a stop: contact force, contact times, and what the gauges see of it.
 
-Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: hertz.py, tolerance stated there.
+Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: hertz.py, which needs scipy.
 Contact begins at time 0 and may open and close again: the tip rings. Nothing is lost in the contact itself.
 """
 
@@ -12,14 +12,13 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
 from tipforce.sensor.dynamics.model import Modes
 from tipforce.sensor.dynamics.slit import SlitStop
 from tipforce.sensor.dynamics.switched import March, Touch
-
-FloatArray = npt.NDArray[np.float64]
 
 
 class Impact(NamedTuple):
@@ -50,7 +49,8 @@ def impact(
     """Return the course of an impact that begins at 0, structure at rest unless ``start`` says otherwise.
 
     modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
-    a run that needs too many steps, a Hertzian contact with a slit.
+    a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
+    without scipy.
     """
     t = _checked_times(times_s, until_s)
     if striker.exponent != 1.0:

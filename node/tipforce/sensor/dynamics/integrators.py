@@ -1,4 +1,4 @@
-"""Integrators of other kinds, for comparison only: held.py is what everything else uses.
+"""Integrators of other kinds, for comparison only: all other code uses first_order_hold.py.
 
 All take the same problem, load and times, and return the elastic force at the times and what it cost. None knows that
 the system is linear between events; a contact is a force that is 0 while open. What grows without bound is returned as
@@ -13,12 +13,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
-from tipforce.sensor.dynamics.first_order_hold import checked_loads
 from tipforce.sensor.dynamics.model import Modes
 
-FloatArray = npt.NDArray[np.float64]
 Load = Callable[[float], FloatArray]
 """Time in s -> F (3,) in newtons."""
 
@@ -68,19 +67,6 @@ def no_load(time_s: float) -> FloatArray:
     """A load of nothing."""
     del time_s
     return np.zeros(3)
-
-
-def interpolated(times_s: npt.ArrayLike, loads_newtons: npt.ArrayLike) -> Load:
-    """Return the load that is linear between samples (m,), (m, 3); the last one stands thereafter."""
-    t, F = np.asarray(times_s, dtype=np.float64), checked_loads(loads_newtons)
-
-    def load(time_s: float) -> FloatArray:
-        k = min(max(int(np.searchsorted(t, time_s)), 1), len(t) - 1)
-        part = min(max((time_s - t[k - 1]) / (t[k] - t[k - 1]), 0.0), 1.0)
-        found: FloatArray = F[k - 1] + part * (F[k] - F[k - 1])
-        return found
-
-    return load
 
 
 def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:

@@ -16,15 +16,13 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
 from tipforce.sensor.dynamics.eigen import jacobi
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
-
-FloatArray = npt.NDArray[np.float64]
 
 STEEL_DENSITY = 7850.0
 """kg/m3, assumed: the paper does not state it."""
@@ -91,11 +89,6 @@ class Modes:
     def frequency_hz(self) -> FloatArray:
         """Undamped natural frequencies, (n,), lowest first."""
         return self.omega_rad_s / (2.0 * math.pi)
-
-    @property
-    def displacement_shape(self) -> FloatArray:
-        """(3, n): motion (v, r rotation, u) of the tip relative to the fixture per modal position, m."""
-        return self.load_shape.T / self.omega_rad_s / self.omega_rad_s
 
     def with_damping(self, damping_ratio: float | Sequence[float]) -> Modes:
         """Return the same modes with other damping. Raises InputError for ratios out of range."""

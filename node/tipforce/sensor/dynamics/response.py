@@ -2,29 +2,14 @@
 
 from __future__ import annotations
 
-import math
-
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import Modes
 
 ComplexArray = npt.NDArray[np.complex128]
-FloatArray = npt.NDArray[np.float64]
-
-
-def frequency_response(modes: Modes, frequency_hz: npt.ArrayLike) -> ComplexArray:
-    """Return the elastic force per applied F, (..., 3, 3), for frequencies (...), Hz; 1 at 0 Hz.
-
-    An undamped mode is infinite at its own frequency.
-    """
-    f = np.asarray(frequency_hz, dtype=np.float64)[..., np.newaxis]
-    ratio = f / modes.frequency_hz
-    dynamic = np.asarray((1.0 - ratio) * (1.0 + ratio), dtype=np.complex128) + 2j * modes.damping_ratio * ratio
-    with np.errstate(divide="ignore", invalid="ignore"):
-        gain = 1.0 / dynamic
-    return np.asarray((modes.force_shape * gain[..., np.newaxis, :]) @ modes.load_shape, dtype=np.complex128)
 
 
 def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
@@ -57,10 +42,3 @@ def frequency_of_error(modes: Modes, error: float) -> float:
             break
         low, high = (middle, high) if float(quasi_static_error(modes, middle)) < error else (low, middle)
     return high
-
-
-def step_overshoot(damping_ratio: float) -> float:
-    """Return by how much one mode exceeds a load put on at once: exp(-pi zeta / sqrt(1 - zeta^2)), 0 from 1 on."""
-    if damping_ratio >= 1.0:
-        return 0.0
-    return math.exp(-math.pi * damping_ratio / math.sqrt((1.0 - damping_ratio) * (1.0 + damping_ratio)))

@@ -13,15 +13,13 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M
 from tipforce.sensor.dynamics.model import Modes, compliances
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame, FrameModel
-
-FloatArray = npt.NDArray[np.float64]
 
 STOP_STIFFNESS = 1e7
 """N/m of the contact alone, assumed; the arm behind it is softer (in the fabricated body 2.4e6 N/m)."""

@@ -15,11 +15,9 @@ from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-
-FloatArray = npt.NDArray[np.float64]
 
 _RADIANS_PER_STEP = 0.35
 _MOST_STEPS = 2_000_000

@@ -5,15 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position, strain_row
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES, POINTS
 from tipforce.sensor.structure.strain import strain_matrix
-
-FloatArray = npt.NDArray[np.float64]
 
 Gauge = str | GaugePosition
 """A point of Table 1 by its name, or a place along a beam."""

@@ -11,11 +11,11 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS, Layout, layout
 
-FloatArray = npt.NDArray[np.float64]
 Beam = Literal["H", "V"]
 Side = Literal["left", "right"]
 Face = Literal["lower", "upper"]

@@ -17,12 +17,11 @@ from math import cos, exp, pi, sin, sqrt, tanh
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import Layout, layout
-
-FloatArray = npt.NDArray[np.float64]
 
 POISSON_RATIO = 0.29
 """Of steel; an assumption, not in the paper."""

@@ -24,13 +24,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_positions import Gauge, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS
-
-FloatArray = npt.NDArray[np.float64]
 
 HALF_PLANE_ROTATION = 18.0 / math.pi
 """E b h^2 times the rotation of a root per moment, where the beam springs from an elastic half plane.
@@ -126,17 +125,6 @@ class Frame:
         # The joint carries what the tip carries: both blocks see the same loads.
         self._joint = _solve([self._vertical], loads)
         self._tip = _solve(list(self._arms.values()), loads)
-
-    @property
-    def condition_number_scaled(self) -> float:
-        """Condition number (2-norm) of the stiffness matrix (6, 6) as solved: diagonal scaled to 1."""
-        return max(self._joint.highest, self._tip.highest) / min(self._joint.lowest, self._tip.lowest)
-
-    @property
-    def condition_number_unscaled(self) -> float:
-        """The same before the scaling, in metres, newtons and radians: what a plain solver would face."""
-        values = np.concatenate([np.linalg.eigvalsh(part.stiffness) for part in (self._joint, self._tip)])
-        return float(values.max() / values.min()) if values.min() > 0.0 else math.inf
 
     def strain_matrix(self, gauges: Sequence[Gauge], gauge_length_m: float = 0.0) -> FloatArray:
         """Return the strain per newton of F, shape (n, 3), tension positive.

@@ -8,11 +8,10 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import VERTICAL_POINTS, Layout, layout
-
-FloatArray = npt.NDArray[np.float64]
 
 _THIN_LIMIT = {
     "L": (-1.0, 1.0, 0.0),

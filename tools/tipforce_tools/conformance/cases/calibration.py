@@ -8,7 +8,7 @@ import struct
 
 from tipforce.device import codes
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 
@@ -58,8 +58,7 @@ def refused(dut: Dut, code: int) -> None:
 def staged(dut: Dut) -> None:
     data = record(dut)
     stage(dut, data)
-    if dut.read(0x2141) != data:
-        raise CheckError("the record", "another one")
+    check(dut.read(0x2141) == data, "the record", "another one")
     dut.holds("f", 0x2100, 1, NEWTONS_PER_STRAIN)
     dut.holds("f", 0x2110, 4, ON_N)
 
@@ -74,8 +73,7 @@ def staged_size(dut: Dut, more: int, code: int) -> None:
     data = record(dut)
     stage(dut, data)
     dut.refuses_bytes(0x2141, 0, (data + b"\0")[: len(data) + more], code)
-    if dut.read(0x2141) != data:
-        raise CheckError("the record", "another one")
+    check(dut.read(0x2141) == data, "the record", "another one")
 
 
 @case("tipforce 2141h", "a load sense of 2 in a record is refused", own=True)
@@ -97,8 +95,7 @@ def staged_crc(dut: Dut) -> None:
 def condition(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
     found = dut.number("f", 0x2102, 5)
-    if abs(found - 4.0) > 1e-4:
-        raise CheckError("4", str(found))
+    check(abs(found - 4.0) <= 1e-4, "4", str(found))
 
 
 @case("tipforce 2104h", "a commit activates: CRC, generation, 2140h, status bit 1", own=True)
@@ -108,11 +105,9 @@ def committed(dut: Dut) -> None:
     commit(dut, data)
     dut.holds("I", 0x2103, 3, binascii.crc32(data))
     dut.holds("I", 0x2103, 4, generation + 1)
-    if dut.read(0x2140) != data:
-        raise CheckError("the record in 2140h", "another one")
+    check(dut.read(0x2140) == data, "the record in 2140h", "another one")
     settle(dut)
-    if not dut.integer("B", 0x2120) & 2:
-        raise CheckError("status bit 1", "clear")
+    check(dut.integer("B", 0x2120) & 2, "status bit 1", "clear")
 
 
 @case("tipforce 2104h", "a staged write changes nothing that is active", own=True)
@@ -120,8 +115,7 @@ def staged_only(dut: Dut) -> None:
     data = record(dut)
     commit(dut, data)
     dut.put("f", 0x2100, 1, 1.0)
-    if dut.read(0x2140) != data:
-        raise CheckError("the committed record", "another one")
+    check(dut.read(0x2140) == data, "the committed record", "another one")
 
 
 @case("tipforce 2104h", "a wrong signature: 08000020h", own=True, each=[(0,), (0x74696D64,), (0x65766173,)])
@@ -301,5 +295,4 @@ def stored(dut: Dut) -> None:
     dut.put("I", 0x1011, 4, codes.SIGNATURE_LOAD)
     dut.reset()
     dut.holds("I", 0x2103, 3, 0)
-    if found != (data, data, generation):
-        raise CheckError("the stored record, active and staged", "another one")
+    check(found == (data, data, generation), "the stored record, active and staged", "another one")

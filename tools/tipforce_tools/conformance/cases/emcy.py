@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, START, Dut
 from tipforce_tools.conformance.setups import INVALID, break_sync, cure_error, make_error
 
@@ -36,8 +36,7 @@ def register_bits(dut: Dut) -> None:
 def cured(dut: Dut) -> None:
     make_error(dut)
     data = cure_error(dut)
-    if data[2] != 0 or dut.integer("B", 0x1001) != 0:
-        raise CheckError("error register 0", data.hex(" "))
+    check(data[2] == 0 and dut.integer("B", 0x1001) == 0, "error register 0", data.hex(" "))
 
 
 @case("CiA 301 7.2.7.1", "of two errors one ends: the register keeps the other's bits", needs=(*NEEDS, (0x1016, 1)))
@@ -46,8 +45,7 @@ def cured_one(dut: Dut) -> None:
     dut.send(0x770, "05")
     dut.expect(0x80 + dut.node_id, "30 81 11 *")
     make_error(dut)
-    if cure_error(dut)[2] != 0x11:
-        raise CheckError("error register 11h", "another one")
+    check(cure_error(dut)[2] == 0x11, "error register 11h", "another one")
 
 
 @case(
@@ -77,8 +75,7 @@ def history(dut: Dut) -> None:
     make_error(dut)
     dut.holds("B", 0x1003, 0, 1)
     found = dut.integer("I", 0x1003, 1)
-    if found & 0xFFFF != 0x8240:
-        raise CheckError("1003h:1 = ....8240h", f"{found:08X}h")
+    check(found & 0xFFFF == 0x8240, "1003h:1 = ....8240h", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.4", "the newest error is sub-index 1, the others move up", needs=(*HISTORY, (0x1016, 1)))

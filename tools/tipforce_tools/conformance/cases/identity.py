@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import Dut
 
 READ_ONLY = 0x06010002
@@ -35,8 +35,7 @@ def name(dut: Dut, index: int) -> None:
     if not dut.exists(index, 0):
         raise NotApplicableError(f"no object {index:04X}h")
     data = dut.read(index)
-    if not data or any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")):
-        raise CheckError("visible characters", data.hex(" "))
+    check(data and not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
 
 
 @case("CiA 301 7.5.2.8", "{0:04X}h cannot be written", each=[(0x1008,), (0x1009,), (0x100A,)])
@@ -49,8 +48,7 @@ def name_constant(dut: Dut, index: int) -> None:
 @case("CiA 301 7.5.2.21", "1018h has the vendor-ID, and one to four entries")
 def identity(dut: Dut) -> None:
     highest = dut.integer("B", 0x1018, 0)
-    if not 1 <= highest <= 4:
-        raise CheckError("1 to 4 entries", str(highest))
+    check(1 <= highest <= 4, "1 to 4 entries", str(highest))
     for sub in range(1, highest + 1):
         dut.integer("I", 0x1018, sub)
 
@@ -65,8 +63,7 @@ def identity_constant(dut: Dut, sub: int) -> None:
 @case("CiA 301 7.5.2.21", "product code: tipforce, the number of gauges is 3 to 8", own=True)
 def product(dut: Dut) -> None:
     found = dut.integer("I", 0x1018, 2)
-    if found & 0xFFFFFC00 != 0x54500000 or not 3 <= found & 0xFF <= 8:
-        raise CheckError("545000nnh to 545003nnh", f"{found:08X}h")
+    check(found & 0xFFFFFC00 == 0x54500000 and 3 <= found & 0xFF <= 8, "545000nnh to 545003nnh", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])
@@ -92,8 +89,7 @@ def configuration_lost(dut: Dut) -> None:
 def eds(dut: Dut) -> None:
     dut.ask("40 21 10 00", "41 21 10 00 *")
     first = dut.ask("60", "00 *")
-    if not first[1:].startswith(b"["):
-        raise CheckError("[FileInfo]", first[1:].hex(" "))
+    check(first[1:].startswith(b"["), "[FileInfo]", first[1:].hex(" "))
     dut.request("80 21 10 00 00 00 00 08")
     dut.holds("H", 0x1022, 0, 0)
 
@@ -141,5 +137,4 @@ def predefined(dut: Dut, index: int, base: int) -> None:
     if not dut.exists(index, 1):
         raise NotApplicableError(f"no object {index:04X}h")
     cob_id = dut.integer("I", index, 1)
-    if not cob_id & 0x80000000 and cob_id & 0x7FF != base + dut.node_id:
-        raise CheckError(f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")
+    check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.dut import START, Dut
 from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1
 
@@ -112,8 +112,7 @@ def inhibit(dut: Dut) -> None:
     second = dut.expect(can_id, within_ms=500)
     if second.at_us - first.at_us < 1000 * (400 - dut.link.tolerance_ms):
         raise CheckError("400 ms between two TPDOs", f"{(second.at_us - first.at_us) / 1000:.0f} ms")
-    if second.data == first.data:
-        raise CheckError("the later value", "the first one again")
+    check(second.data != first.data, "the later value", "the first one again")
 
 
 # --- what a PDO carries -----------------------------------------------------------------------------------
@@ -128,8 +127,7 @@ def counter(dut: Dut) -> None:
         dut.sleep(1)
         dut.send(0x080)
         found = dut.expect(can_id).data[0]
-        if last >= 0 and found != (last + 1) & 0xFF:
-            raise CheckError(str((last + 1) & 0xFF), str(found))
+        check(last < 0 or found == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(found))
         last = found
 
 
@@ -145,8 +143,7 @@ def one_sample(dut: Dut) -> None:
         dut.send(0x080)
         first = dut.expect(can_id).data
         other = dut.expect(second & 0x7FF).data
-        if first[7] != other[7] or first[6] != other[6]:
-            raise CheckError("one status and counter", f"{first.hex()} {other.hex()}")
+        check(first[7] == other[7] and first[6] == other[6], "one status and counter", f"{first.hex()} {other.hex()}")
 
 
 @case("tipforce 2120h", "a SYNC that finds no new sample: status bit 3, the counter repeated", needs=TPDO1, own=True)
@@ -160,8 +157,7 @@ def stale(dut: Dut) -> None:
         first, second = dut.expect(can_id).data, dut.expect(can_id).data
         if second[1] == first[1]:
             break
-    if second[1] != first[1] or not second[0] & 8:
-        raise CheckError("bit 3, and the same counter", f"{first.hex()} {second.hex()}")
+    check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
 
 
 @case("tipforce 2130h", "command {0}: {1:08X}h", own=True, each=[(4, 0x06090031), (255, 0x06090031)])
@@ -176,8 +172,7 @@ def command_refused(dut: Dut, value: int, code: int) -> None:
     each=[(1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)],
 )
 def live_sizes(dut: Dut, size: int, index: int) -> None:
-    if len(dut.read(index)) != size:
-        raise CheckError(f"{size} bytes", "another size")
+    check(len(dut.read(index)) == size, f"{size} bytes", "another size")
 
 
 @case("tipforce 2120h", "status bit 1 follows the calibration", own=True)

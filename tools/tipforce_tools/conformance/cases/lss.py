@@ -10,7 +10,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, STOP, Dut
 
 IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
@@ -50,8 +50,7 @@ def configuring(dut: Dut, numbers: list[int] | None = None) -> Iterator[list[int
     answer = dut.heard(SLAVE)
     if answer is None:
         raise NotApplicableError("no LSS slave")
-    if answer.data[0] != 0x44:
-        raise CheckError("7E4#44...", answer.data.hex(" "))
+    check(answer.data[0] == 0x44, "7E4#44...", answer.data.hex(" "))
     try:
         yield own
     finally:
@@ -96,8 +95,7 @@ def selective(dut: Dut) -> None:
         raise NotApplicableError("no LSS slave")
     found = in_configuration(dut)
     waiting(dut)
-    if answer.data != b"\x44" + bytes(7) or not found:
-        raise CheckError("44h and the configuration state", answer.data.hex(" "))
+    check(answer.data == b"\x44" + bytes(7) and found, "44h and the configuration state", answer.data.hex(" "))
 
 
 @case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.cases.lss import IDENTITY, SLAVE, identity, say
 from tipforce_tools.conformance.dut import Dut
 
@@ -24,8 +24,7 @@ def identified(dut: Dut) -> None:
     answer = dut.heard(SLAVE)
     if answer is None:
         raise NotApplicableError("no LSS slave")
-    if answer.data != b"\x4f" + bytes(7):
-        raise CheckError("4F and zeros", answer.data.hex(" "))
+    check(answer.data == b"\x4f" + bytes(7), "4F and zeros", answer.data.hex(" "))
 
 
 @case("CiA 305 6.6.1", "identify remote slave: the ends of the ranges may lie apart", needs=IDENTITY)

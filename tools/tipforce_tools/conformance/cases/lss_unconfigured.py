@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
 from tipforce_tools.conformance.cases.lss import (
     IDENTITY,
     MASTER,
@@ -96,13 +96,10 @@ def fastscan(dut: Dut) -> None:
                 if not scan(dut, number, bit, part, part):
                     number |= 1 << bit
             # The number is complete: confirm it, and go on to the next one, after the last to the first.
-            if not scan(dut, number, 0, part, (part + 1) % 4):
-                raise CheckError(f"an answer to {number:08X}h in part {part}", "silence")
+            check(scan(dut, number, 0, part, (part + 1) % 4), f"an answer to {number:08X}h in part {part}", "silence")
             found.append(number)
-        if found != own:
-            raise CheckError(str(own), str(found))
-        if not in_configuration(dut):
-            raise CheckError("the configuration state", "no answer to an inquiry")
+        check(found == own, str(own), str(found))
+        check(in_configuration(dut), "the configuration state", "no answer to an inquiry")
 
 
 @case("CiA 305 6.6.4", "fastscan with another {1}: silence", needs=IDENTITY, persistent=True, each=[
@@ -112,8 +109,7 @@ def fastscan_other(dut: Dut, part: int, _name: str) -> None:
     with unconfigured(dut) as own:
         if not scan(dut, 0, _START, 0, 0):
             raise NotApplicableError("no fastscan")
-        if part and not scan(dut, own[0], 0, 0, 1):
-            raise CheckError("an answer to the vendor-ID", "silence")
+        check(not part or scan(dut, own[0], 0, 0, 1), "an answer to the vendor-ID", "silence")
         if scan(dut, own[part] ^ 0x100, 0, part, part):
             raise CheckError("silence", "an answer to a number that is not the device's")
 
@@ -123,13 +119,11 @@ def fastscan_order(dut: Dut) -> None:
     with unconfigured(dut) as own:
         if not scan(dut, 0, _START, 0, 0):
             raise NotApplicableError("no fastscan")
-        if scan(dut, own[2], 0, 2, 3):
-            raise CheckError("silence", "an answer to the third number before the first")
+        check(not scan(dut, own[2], 0, 2, 3), "silence", "an answer to the third number before the first")
 
 
 @case("CiA 305 6.6.4", "fastscan in the configuration state: silence", needs=IDENTITY, persistent=True)
 def fastscan_configuring(dut: Dut) -> None:
     with unconfigured(dut) as own, configuring(dut, own):
-        if scan(dut, 0, _START, 0, 0):
-            raise CheckError("silence", "an answer")
+        check(not scan(dut, 0, _START, 0, 0), "silence", "an answer")
     waiting(dut)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import (
     ENTER_PRE_OPERATIONAL,
     OPERATIONAL,
@@ -190,8 +190,7 @@ def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
     dut.enter(state)
     dut.send(can_id, struct.pack("<I", 0x70000000))
     found = dut.integer("I", 0x1013)
-    if (found >= 0x70000000) != (does == "taken"):
-        raise CheckError(f"the RPDO {does}", f"1013h = {found:08X}h")
+    check((found >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {found:08X}h")
 
 
 @case("CiA 301 7.3.2.3", "an EMCY waits while STOPPED and comes after it", needs=((0x1014, 0), (0x1016, 1)))

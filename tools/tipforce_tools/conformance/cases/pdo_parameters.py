@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import case, check
 from tipforce_tools.conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
 from tipforce_tools.conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 
@@ -20,8 +20,7 @@ U8, U16, U32 = 5, 6, 7  # dummy types
 @case("CiA 301 7.5.2.37", "sub-index 0 of {2}'s communication parameters", needs=EITHER, each=BOTH)
 def highest_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     highest = dut.integer("B", communication, 0)
-    if not 2 <= highest <= 6:
-        raise CheckError("2 to 6", str(highest))
+    check(2 <= highest <= 6, "2 to 6", str(highest))
 
 
 @case("CiA 301 7.5.2.37", "sub-index 4 of {2} is reserved: 06090011h", needs=EITHER, each=BOTH)

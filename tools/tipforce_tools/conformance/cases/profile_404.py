@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
 from tipforce_tools.conformance.dut import READ_ONLY, Dut
 
 INVALID_VALUE, TOO_HIGH, TOO_LOW = 0x06090030, 0x06090031, 0x06090032
@@ -121,8 +121,7 @@ def setting_forms(dut: Dut, offset: int, form: str) -> None:
     real = dut.number("f", 0x6000 + offset, 1)
     dut.holds("h", 0x7000 + offset, 1, round(real * scale))
     dut.holds("i", 0x9000 + offset, 1, round(real * scale))
-    if abs(real - (210 if counts else 210.5)) > 1e-4:
-        raise CheckError("210.5 (counts: 210)", str(real))
+    check(abs(real - (210 if counts else 210.5)) <= 1e-4, "210.5 (counts: 210)", str(real))
 
 
 @case(
@@ -157,8 +156,7 @@ def unknown(dut: Dut, part: str) -> None:
     dut.holds("h", 0x7130, sub, table.UNKNOWN_I16)
     dut.holds("i", 0x9130, sub, table.UNKNOWN_I32)
     value = dut.number("f", 0x6130, sub)
-    if not math.isnan(value):
-        raise CheckError("NaN", str(value))
+    check(math.isnan(value), "NaN", str(value))
 
 
 @case("CiA 404 6150h", "a gauge is valid without calibration", own=True)
@@ -209,8 +207,7 @@ def load(dut: Dut) -> None:
         dut.put("f", 0x2201, 2, 90.0)
         dut.put("f", 0x2201, 1, 4.0 + before[0])
         settle(dut)
-        if abs(dut.number("f", 0x6130, 1) - unloaded) < 5:
-            raise CheckError("another strain", "the same")
+        check(abs(dut.number("f", 0x6130, 1) - unloaded) >= 5, "another strain", "the same")
     finally:
         for sub, value in enumerate(before, 1):
             dut.put("f", 0x2201, sub, value)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import case, check
 from tipforce_tools.conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
 from tipforce_tools.conformance.setups import RPDO1, disable_pdo, mapped_rpdo1
 
@@ -16,8 +16,7 @@ TIME = 0x1013
 def high_resolution(dut: Dut, at_least: int, below: int) -> None:
     """1013h, which runs on, lies in this range."""
     found = dut.integer("I", TIME)
-    if not at_least <= found < below:
-        raise CheckError(f"1013h in {at_least:08X}h..{below:08X}h", f"{found:08X}h")
+    check(at_least <= found < below, f"1013h in {at_least:08X}h..{below:08X}h", f"{found:08X}h")
 
 
 def set_time(dut: Dut) -> None:

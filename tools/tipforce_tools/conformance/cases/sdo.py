@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import Dut
 
 BEAT = ((0x1017, 0),)
@@ -127,8 +127,7 @@ def unknown_command(dut: Dut, command: str) -> None:
 def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     dut.request(f"{command} 00 00 00")
     data = dut.answer()
-    if data[0] != 0x80 or data[4:] != struct.pack("<I", 0x05040001):
-        raise CheckError("abort 05040001h", data.hex(" "))
+    check(data[0] == 0x80 and data[4:] == struct.pack("<I", 0x05040001), "abort 05040001h", data.hex(" "))
 
 
 @case("CiA 301 7.2.4.3", "a request of {0} bytes is no SDO", each=[(0,), (1,), (4,), (7,)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
 from tipforce_tools.conformance.dut import STOP, Dut
 
 UNKNOWN, BLOCK_SIZE, SEQUENCE, TIMED_OUT = 0x05040001, 0x05040002, 0x05040003, 0x05040000
@@ -65,8 +65,7 @@ def upload(dut: Dut) -> None:
     _index, data = begin(dut, 127)
     dut.request("A3")
     found = block(dut, segments(data), True)
-    if found[: len(data)] != data:
-        raise CheckError(data.hex(" "), found.hex(" "))
+    check(found[: len(data)] == data, data.hex(" "), found.hex(" "))
     dut.request(f"A2 {segments(data):02X} 7F")
     end(dut, data)
 
@@ -93,8 +92,7 @@ def changed_block_size(dut: Dut) -> None:
     found += block(dut, segments(data) - 1, True)
     dut.request(f"A2 {segments(data) - 1:02X} 7F")
     end(dut, data)
-    if found[: len(data)] != data:
-        raise CheckError(data.hex(" "), found.hex(" "))
+    check(found[: len(data)] == data, data.hex(" "), found.hex(" "))
 
 
 @case("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
@@ -105,8 +103,7 @@ def resend(dut: Dut, received: int) -> None:
     dut.request(f"A2 {received:02X} 7F")
     rest = data[7 * received :]
     found = block(dut, segments(rest), True)
-    if found[: len(rest)] != rest:
-        raise CheckError(rest.hex(" "), found.hex(" "))
+    check(found[: len(rest)] == rest, rest.hex(" "), found.hex(" "))
     dut.request(f"A2 {segments(rest):02X} 7F")
     end(dut, data)
 
@@ -126,8 +123,7 @@ def resend_last(dut: Dut) -> None:
 @case("CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", each=[(0,), (128,), (255,)])
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
-    if answer != struct.pack("<BHBI", 0x80, 0x1008, 0, BLOCK_SIZE):
-        raise CheckError("abort 05040002h", answer.hex(" "))
+    check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
 
 
 @case("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
@@ -163,15 +159,13 @@ def acknowledged_too_much(dut: Dut) -> None:
 def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
     answer = initiate(dut, 0x1000, 127, switch)
     wanted = 0x43 if how == "expedited" else 0xC6
-    if answer[0] != wanted:
-        raise CheckError(f"{wanted:02X}h", f"{answer[0]:02X}h")
+    check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
 
 
 @case("CiA 301 7.2.4.3.13", "protocol switch to a segmented upload", own=True)
 def protocol_switch_segmented(dut: Dut) -> None:
     answer = initiate(dut, 0x1008, 127, 100)
-    if answer[0] != 0x41:
-        raise CheckError("41h", f"{answer[0]:02X}h")
+    check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
     dut.read_segments()
 
 
@@ -195,8 +189,7 @@ def full_block(dut: Dut) -> None:
     dut.ask("40 21 10 00", "41 21 10 00 *")
     for offset in range(0, 35, 7):
         part = dut.ask("60" if offset % 14 == 0 else "70")[1:]
-        if part != first[offset : offset + 7]:
-            raise CheckError(part.hex(" "), first[offset : offset + 7].hex(" "))
+        check(part == first[offset : offset + 7], part.hex(" "), first[offset : offset + 7].hex(" "))
 
 
 @case("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
@@ -206,8 +199,7 @@ def refused(dut: Dut, index: int, code: int, _why: str) -> None:
     if index == 0x2104 and not dut.is_tipforce():
         raise NotApplicableError("no write-only object is known")
     answer = initiate(dut, index, 127)
-    if answer != struct.pack("<BHBI", 0x80, index, 0, code):
-        raise CheckError(f"abort {code:08X}h", answer.hex(" "))
+    check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
 @case("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[

@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
 from tipforce_tools.conformance.dut import Dut
 
 UNKNOWN, SEQUENCE, CRC, TIMED_OUT = 0x05040001, 0x05040003, 0x05040004, 0x05040000
@@ -106,8 +106,7 @@ def many(dut: Dut) -> None:
     dut.answer(f"A2 {last:02X} ..")
     end(dut, data)
     dut.answer("A1")
-    if dut.read(0x2141) != data:
-        raise CheckError("the record that was written", "another one")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
 @case(
@@ -129,8 +128,7 @@ def lost_segment(dut: Dut) -> None:
     dut.answer(f"A2 {last - 2:02X} ..")
     end(dut, data)
     dut.answer("A1")
-    if dut.read(0x2141) != data:
-        raise CheckError("the record that was written", "another one")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
 @case("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD, own=True)
@@ -144,8 +142,7 @@ def twice(dut: Dut) -> None:
     dut.answer(f"A2 {last:02X} ..")
     end(dut, data)
     dut.answer("A1")
-    if dut.read(0x2141) != data:
-        raise CheckError("the record that was written", "another one")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
 @case(

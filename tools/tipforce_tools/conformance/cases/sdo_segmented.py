@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, Dut
 
 BEAT = ((0x1017, 0),)
@@ -35,8 +35,7 @@ def begin_download(dut: Dut, size: int | None = 2) -> None:
 def upload(dut: Dut) -> None:
     _index, size = begin_upload(dut)
     found = len(dut.read_segments())
-    if found != size:
-        raise CheckError(f"{size} bytes", f"{found}")
+    check(found == size, f"{size} bytes", f"{found}")
 
 
 @case(
@@ -74,8 +73,7 @@ def upload_restart(dut: Dut) -> None:
     dut.ask("60", "0. *")
     begin_upload(dut)
     found = len(dut.read_segments())
-    if found != size:
-        raise CheckError(f"{size} bytes from the start", f"{found}")
+    check(found == size, f"{size} bytes from the start", f"{found}")
 
 
 @case("CiA 301 7.2.4.3.17", "a download segment during an upload: 05040001h")
@@ -112,8 +110,7 @@ def upload_reset(dut: Dut) -> None:
 def upload_twice(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     first = dut.read_segments()
-    if dut.read(index) != first:
-        raise CheckError("the same string", "another one")
+    check(dut.read(index) == first, "the same string", "another one")
 
 
 # --- download ---------------------------------------------------------------------------------------------
@@ -250,8 +247,7 @@ def download_timeout(dut: Dut) -> None:
 def download_many(dut: Dut) -> None:
     record = bytes(len(dut.read(0x2141)) - 1) + b"\1"
     dut.refuses_bytes(0x2141, 0, record, 0)
-    if dut.read(0x2141) != record:
-        raise CheckError("the record that was written", "another one")
+    check(dut.read(0x2141) == record, "the record that was written", "another one")
 
 
 @case("CiA 301 7.2.4.3.4", "a refused value is refused with the last segment", needs=((0x1019, 0),))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle, uncalibrated
 from tipforce_tools.conformance.dut import Dut
 
@@ -53,8 +53,9 @@ def scaling(dut: Dut) -> None:
     dut.put("f", 0x6124, 1, 10.0)
     settle(dut)
     field, value = dut.number("f", 0x6100, 1), dut.number("f", 0x6130, 1)
-    if abs(value - (0.2 * field + 10.0)) > 0.2 * 50:  # noise between two readings
-        raise CheckError(f"0.2 x {field} + 10", str(value))
+    check(
+        abs(value - (0.2 * field + 10.0)) <= 0.2 * 50, f"0.2 x {field} + 10", str(value)
+    )  # noise between two readings
 
 
 @case("CiA 404 61A0h", "filter type {0} is offered, and is that of all gauges", own=True, each=[(1,), (2,), (100,)])
@@ -111,8 +112,7 @@ def filter_block(dut: Dut, values: int) -> None:
     if not math.isnan(dut.number("f", 0x6130, 1)):
         raise CheckError("6130h:1 unknown before the first average", str(dut.number("f", 0x6130, 1)))
     dut.sleep(values)
-    if math.isnan(dut.number("f", 0x6130, 1)):
-        raise CheckError("6130h:1 known after the first average", "NaN")
+    check(not math.isnan(dut.number("f", 0x6130, 1)), "6130h:1 known after the first average", "NaN")
 
 
 @case("CiA 404 6125h", "autozero with a wrong signature: 08000020h", own=True)

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
@@ -32,8 +32,7 @@ def store(dut: Dut, sub: int) -> None:
     code = dut.try_write(0x1010, sub, struct.pack("<I", SAVE))
     if code == 0x06060000:
         raise NotApplicableError("the device has nowhere to store")
-    if code:
-        raise CheckError("parameters stored", f"abort {code:08X}h")
+    check(not code, "parameters stored", f"abort {code:08X}h")
 
 
 @case("CiA 301 7.5.2.13", "{1} with a wrong signature ({2}): 08000020h", needs=((0x1010, 1), (0x1011, 1)), each=[

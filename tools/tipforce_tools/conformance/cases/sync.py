@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import case, check
 from tipforce_tools.conformance.dut import START, Dut
 from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1, mapped_rpdo1
 
@@ -17,8 +17,7 @@ LENGTH = (*TPDO1, (0x1019, 0), (0x1014, 0))
 @case("CiA 301 7.3.3", "the default CAN-ID of SYNC is 080h", needs=((0x1005, 0),))
 def default(dut: Dut) -> None:
     found = dut.integer("I", 0x1005)
-    if found & 0x3FFFFFFF != 0x80:
-        raise CheckError("1005h = 080h", f"{found:08X}h")
+    check(found & 0x3FFFFFFF == 0x80, "1005h = 080h", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.5", "SYNC on another CAN-ID: that one alone acts", needs=(*TPDO1, (0x1005, 0)))
@@ -141,8 +140,7 @@ def start_value(dut: Dut, transmission: int, start: int, counters: tuple[int, ..
         dut.send(0x080, bytes((counter,)))
         if dut.heard(can_id, 10):
             found.append(counter)
-    if tuple(found) != answered:
-        raise CheckError(f"TPDOs with the counters {answered}", str(found))
+    check(tuple(found) == answered, f"TPDOs with the counters {answered}", str(found))
 
 
 @case("CiA 301 7.5.2.37", "without a counter the start value has no meaning", needs=COUNTER)
@@ -172,5 +170,4 @@ def window(dut: Dut, wait_ms: int, _when: str, fate: str) -> None:
     dut.send(can_id, struct.pack("<I", 0x60000000))
     dut.send(0x080)
     found = dut.integer("I", 0x1013)
-    if (found >= 0x60000000) != (fate == "taken"):
-        raise CheckError(f"the RPDO {fate}", f"1013h = {found:08X}h")
+    check((found >= 0x60000000) == (fate == "taken"), f"the RPDO {fate}", f"1013h = {found:08X}h")

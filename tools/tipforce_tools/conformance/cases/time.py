@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import case, check
 from tipforce_tools.conformance.dut import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Dut
 
 NEEDS = ((0x1012, 0),)
@@ -17,8 +17,7 @@ NOON = struct.pack("<IH", 12 * 3600 * 1000, 14000)
 @case("CiA 301 7.3.3", "the default CAN-ID of TIME is 100h", needs=NEEDS)
 def default(dut: Dut) -> None:
     found = dut.integer("I", 0x1012)
-    if found & 0x7FF != 0x100:
-        raise CheckError("CAN-ID 100h", f"{found:08X}h")
+    check(found & 0x7FF == 0x100, "CAN-ID 100h", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.15", "1012h = {0:08X}h is taken", needs=NEEDS, each=[(0x100,), (0x80000390,), (0x80000100,)])

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import pairwise
 
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import CheckError, case
+from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
 from tipforce_tools.conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, remap
 
@@ -55,8 +55,7 @@ def counted_anew(dut: Dut) -> None:
     dut.nmt(ENTER_PRE_OPERATIONAL)
     dut.nmt(START)
     found = on_syncs(dut, can_id, 3)
-    if found != [3]:
-        raise CheckError("an answer to the third SYNC", f"answers to SYNC {found}")
+    check(found == [3], "an answer to the third SYNC", f"answers to SYNC {found}")
 
 
 @case("CiA 301 7.2.2.2", "type 0: silent at a SYNC while there was no event", needs=TPDO1, own=True)
@@ -168,8 +167,7 @@ def length(dut: Dut) -> None:
     dut.nmt(START)
     dut.send(0x080)
     found = len(dut.expect(can_id).data)
-    if found != (bits + 7) // 8:
-        raise CheckError(f"{bits} bits", f"{found} bytes")
+    check(found == (bits + 7) // 8, f"{bits} bits", f"{found} bytes")
 
 
 @case("CiA 301 7.5.2.38", "a new mapping: contents in the order of the entries, little-endian", needs=TPDO1, own=True)
@@ -179,8 +177,7 @@ def remapped(dut: Dut) -> None:
     dut.send(0x080)
     data = dut.expect(can_id, lambda d: len(d) == 7).data
     wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
-    if data != wanted:
-        raise CheckError(wanted.hex(" "), data.hex(" "))
+    check(data == wanted, wanted.hex(" "), data.hex(" "))
 
 
 @case("CiA 301 7.5.2.38", "a TPDO that maps nothing is not sent", needs=TPDO1, own=True)

@@ -7,14 +7,12 @@ from decimal import Decimal, localcontext
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-FloatArray = npt.NDArray[np.float64]
 _SMALLEST = 5e-324
 _EPSILON = 2.0**-52
 

@@ -8,8 +8,8 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import first_order_hold as stepping
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
@@ -18,8 +18,6 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_tools.report.stability.case import Case, Observed, refusal
-
-FloatArray = npt.NDArray[np.float64]
 
 
 def cases() -> list[Case]:

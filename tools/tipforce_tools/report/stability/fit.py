@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
 from tipforce.sensor.contact.force import force_vector
@@ -15,7 +15,6 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.report.stability.case import Case, Observed
 
-FloatArray = npt.NDArray[np.float64]
 _NOISE = 3e-7
 _P = 4.4
 

@@ -8,7 +8,6 @@ from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.sensor.contact import scalar_condition
 from tipforce.sensor.design.figures_of_merit import LoadSet, merit
@@ -18,7 +17,6 @@ from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI
 from tipforce.sensor.structure.strain import calibration_matrix, condition_number, strain_matrix, thin_limit_matrix
 from tipforce_tools.report.stability.case import Case, Observed, refusal
 
-FloatArray = npt.NDArray[np.float64]
 _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
 
 

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
 from tipforce.errors import InputError
 from tipforce.sensor.contact import estimate, first_order, scalar
@@ -14,7 +14,6 @@ from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.report.stability import rig
 from tipforce_tools.report.stability.case import Case, Observed
 
-FloatArray = npt.NDArray[np.float64]
 _DRAWS = 40_000
 _LIMITS = estimate.Limits(0.05, 0.02, -180.0, 180.0)
 

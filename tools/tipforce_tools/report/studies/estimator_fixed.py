@@ -10,12 +10,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray, IntArray
 from tipforce_tools.report.studies.estimator_inputs import COUNT_BITS, LSB_MICROSTRAIN
 
-FloatArray = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
 Arctangent = Callable[[IntArray, IntArray], IntArray]
 Estimate = tuple[FloatArray, FloatArray]
 

@@ -9,8 +9,8 @@ from math import pi
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.fingertip.calibration import Active
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
@@ -19,7 +19,6 @@ from tipforce_tools.report.studies import estimator_fixed as fixed
 from tipforce_tools.report.studies.estimator_inputs import LSB_MICROSTRAIN, Contacts
 from tipforce_tools.report.study import Effort, Timing, quartiles
 
-FloatArray = npt.NDArray[np.float64]
 Estimate = tuple[FloatArray, FloatArray]
 """P in newtons and theta in degrees, (k,) each."""
 Method = Callable[[], Estimate]

@@ -6,8 +6,8 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.report.studies import estimator_fixed as fixed
 from tipforce_tools.report.studies import estimator_methods as methods
@@ -23,8 +23,6 @@ from tipforce_tools.report.studies.estimator_inputs import (
     tangent,
 )
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
-
-FloatArray = npt.NDArray[np.float64]
 
 FLOAT64, FLOAT32, NAIVE32 = "numpy float64 (the host's)", "numpy float32", "numpy float32, c2 = P2 - F2^2"
 NODE, MICROPYTHON = "node, one sample at a time", "node on MicroPython"

@@ -6,16 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
 from tipforce.sensor.calibration.simulation import true_matrix, unseen_forces
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, quartiles, timed
-
-FloatArray = npt.NDArray[np.float64]
 
 LOADS = (6, 12, 25, 50, 100, 200)
 NOISE_STRAIN, OFFSET_STRAIN, OUTLIER_STRAIN = 1e-6, 30e-6, 200e-6

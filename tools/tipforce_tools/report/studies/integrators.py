@@ -11,12 +11,9 @@ from typing import TYPE_CHECKING
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
-    import numpy as np
-    import numpy.typing as npt
-
+    from tipforce.arrays import FloatArray
     from tipforce.sensor.dynamics.integrators import Load, Problem
 
-    FloatArray = npt.NDArray[np.float64]
 
 STEPS = 4
 """One for each study."""

@@ -7,15 +7,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.plane_frame import FrameModel
     from tipforce_tools.fem.limit import Limit
 
-FloatArray = npt.NDArray[np.float64]
 Matrix = Callable[[], FloatArray]
 
 CASES = ("I", "II", "III")
@@ -194,7 +193,7 @@ def _beam_models() -> dict[str, Matrix]:
 def _fe_matrix(cells: int, grading: float | None) -> tuple[FloatArray, int]:
     from tipforce_tools.fem.gauges import strain_matrix
     from tipforce_tools.fem.mesh import GRADING, Resolution
-    from tipforce_tools.fem.solve import Model, solve
+    from tipforce_tools.fem.plane_stress import Model, solve
 
     solution = solve(Model(resolution=Resolution(cells, GRADING if grading is None else grading)))
     return strain_matrix(solution, GAUGES), solution.unknowns

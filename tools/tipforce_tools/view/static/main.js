@@ -1,6 +1,7 @@
 // The page: what the server sends, what is shown of it, and which moment that is.
 import { Card, sizeCanvas } from "./cards.js";
 import { Bins, LEFT, drawChart, isBad } from "./charts.js";
+import { Link, fetchCsv, save } from "./link.js";
 import { savePicture } from "./picture.js";
 import { QUANTITIES, clock, duration, nice, number } from "./format.js";
 import { MARGIN, drawLegend } from "./section.js";
@@ -17,7 +18,7 @@ const page = {
   message: null, // the last one of the server
   states: [], events: [], bins: new Bins(20),
   windowMs: 10000, speed: 1,
-  lateBy: Infinity, arrived: 0, source: null, lost: false,
+  lateBy: Infinity, arrived: 0, link: null, stream: 0, lost: false,
   scale: { mmPerNewton: 2, fullStrain: 200, barNewtons: 2, pixelsPerMm: 4 },
   dirty: false, drawnAt: 0, asked: 0,
 };
@@ -29,16 +30,10 @@ const sight = new IntersectionObserver((entries) => {
 // For measurements: messages received and pictures drawn so far.
 window.tipforce = { messages: 0, drawn: 0, longest: 0 };
 
-async function ask(path) {
-  const answer = await fetch(path);
-  if (!answer.ok) throw new Error((await answer.json()).error);
-  return answer.json();
-}
-
 // --- start -----------------------------------------------------------------------------------------------------
 
 async function begin() {
-  page.setup = await ask("/api/setup");
+  page.setup = await page.link.ask({ do: "setup" });
   const { setup } = page;
   $("title").textContent = setup.title;
   document.title = `tipforce: ${setup.title}`;
@@ -64,18 +59,20 @@ const binMs = () => Math.max(0.5, page.windowMs / BINS);
 // --- time ------------------------------------------------------------------------------------------------------
 
 function listen(parameters) {
-  page.source?.close();
   page.arrived = performance.now();
   page.lateBy = Infinity;
-  const last = page.events.length ? page.events[page.events.length - 1].n : 0;
-  const source = new EventSource(`/events?${new URLSearchParams({ bin: binMs(), after: last, ...parameters })}`);
-  page.source = source;
-  source.onmessage = (event) => {
-    if (page.source === source) receive(JSON.parse(event.data));
-  };
-  source.onerror = () => {
-    if (page.source === source && page.mode === "replay") pause();
-  };
+  const after = page.events.length ? page.events[page.events.length - 1].n : 0;
+  page.stream = page.link.send({ do: "stream", bin: binMs(), after, ...parameters });
+}
+
+// The server may be another one now: a live page begins again, a paused one keeps what it shows.
+function connected() {
+  if (!page.setup || page.mode === "live") begin().catch(failed);
+}
+
+function disconnected() {
+  page.stream = 0;
+  if (page.mode === "replay") pause();
 }
 
 async function goLive() {
@@ -90,21 +87,21 @@ async function play() {
   const atEnd = page.message.t >= page.message.end - 1;
   const from = !page.setup.live && atEnd ? page.message.start : page.message.t;
   setMode("replay");
-  listen({ from, speed: page.speed });
+  listen({ start: from, speed: page.speed });
   await fillCharts(from);
 }
 
 function pause() {
   setMode("paused");
-  page.source?.close();
-  page.source = null;
+  if (page.stream) page.link.send({ do: "pause" });
+  page.stream = 0;
 }
 
 async function goTo(t) {
   pause();
   const turn = (page.asked += 1);
-  const message = await ask(`/api/at?t=${t}`);
-  if (turn !== page.asked || page.mode !== "paused") return;
+  const message = await page.link.ask({ do: "at", t }).catch(failed);
+  if (!message || turn !== page.asked || page.mode !== "paused") return;
   take(message);
   await fillCharts(message.t);
 }
@@ -112,8 +109,8 @@ async function goTo(t) {
 async function fillCharts(until) {
   const bins = new Bins(binMs()), { mode } = page;
   page.bins = bins;
-  const found = await ask(`/api/history?from=${until - page.windowMs}&to=${until}&bin=${bins.widthMs}`);
-  if (page.bins !== bins || page.mode !== mode) return;
+  const found = await page.link.ask({ do: "history", start: until - page.windowMs, end: until, bin: bins.widthMs }).catch(failed);
+  if (!found || page.bins !== bins || page.mode !== mode) return;
   found.i.forEach((index, n) => { if (!bins.rows.has(index)) bins.set(index, found.v[n]); });
   page.dirty = true;
 }
@@ -142,7 +139,8 @@ function receive(message) {
   page.arrived = now;
   if (page.mode === "live" && delay - page.lateBy > LATE_MS) page.arrived = now - (delay - page.lateBy);
   if (message.generation !== page.setup.generation) {
-    begin();
+    page.stream = 0;
+    begin().catch(failed);
     return;
   }
   page.bins.add(message.bins);
@@ -342,13 +340,8 @@ async function tare({ node_id, label }) {
   dialog.showModal();
   await new Promise((done) => dialog.addEventListener("close", done, { once: true }));
   if (dialog.returnValue !== "yes") return;
-  const answer = await fetch("/api/tare", {
-    method: "POST",
-    headers: { "Content-Type": "application/json", "X-Tipforce-Token": page.setup.token },
-    body: JSON.stringify({ node_id }),
-  });
-  const found = await answer.json();
-  $("spoken").textContent = `${label}: ${answer.ok ? found.text : found.error}`;
+  const said = await page.link.ask({ do: "tare", node_id }).then(({ text }) => text, (error) => error.message);
+  $("spoken").textContent = `${label}: ${said}`;
   $("note").textContent = $("spoken").textContent;
 }
 
@@ -374,7 +367,7 @@ function wire() {
     while (next !== null) {
       const wanted = next;
       next = null;
-      await goTo(wanted).catch(failed);
+      await goTo(wanted);
     }
     busy = false;
   };
@@ -385,6 +378,7 @@ function wire() {
     scrubTo(Math.max(t, page.message.start));
   }));
   $("png").addEventListener("click", () => savePicture(page, shownStates(), chartOptions));
+  $("csv").addEventListener("click", () => fetchCsv().then((blob) => save(blob, "tipforce.csv"), failed));
   document.addEventListener("keydown", (event) => {
     if (event.key !== " " || event.target.closest("button, select, input, a, dialog")) return;
     event.preventDefault();
@@ -407,5 +401,5 @@ function failed(error) {
 }
 
 wire();
-begin().catch(failed);
+page.link = new Link((id, message) => { if (id === page.stream) receive(message); }, connected, disconnected);
 requestAnimationFrame(draw);

@@ -1,7 +1,8 @@
-// The view as a PNG: drawn anew at twice the size, not photographed.
+// The view as a PNG: drawn again at twice the size.
 import { drawChart } from "./charts.js";
 import { sense, stateText } from "./cards.js";
 import { K, QUANTITIES, clock, number } from "./format.js";
+import { save } from "./link.js";
 import { drawLegend, drawSection } from "./section.js";
 import { colour, font } from "./theme.js";
 
@@ -52,11 +53,5 @@ export function paintPicture(page, states, chartOptions) {
 }
 
 export function savePicture(page, states, chartOptions) {
-  paintPicture(page, states, chartOptions).toBlob((blob) => {
-    const link = document.createElement("a");
-    link.href = URL.createObjectURL(blob);
-    link.download = "tipforce.png";
-    link.click();
-    setTimeout(() => URL.revokeObjectURL(link.href), 10000);
-  }, "image/png");
+  paintPicture(page, states, chartOptions).toBlob((blob) => save(blob, "tipforce.png"), "image/png");
 }

@@ -1,6 +1,6 @@
 """Bring the figures of a finished report into docs/report.md.
 
-python -m tipforce_tools.report.document build/report docs    (after `make report`)
+python -m bench.report_document build/report docs    (after `make report`)
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ from typing import Any
 
 from tipforce_tools.report.text import shown_error, shown_time
 
-BEGIN, END = "<!-- begin: written by tipforce_tools.report.document -->\n", "<!-- end -->\n"
+BEGIN, END = "<!-- begin: written by bench.report_document -->\n", "<!-- end -->\n"
 
 
 def section(records: list[dict[str, Any]]) -> str:

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from dictionary.eds_lint import lint_eds
 from tipforce.dictionary.eds import eds_text
-from tipforce.dictionary.lint import lint_eds
 
 TEXT = eds_text(3)
 

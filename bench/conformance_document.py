@@ -20,7 +20,7 @@ from tipforce_tools.conformance.links import CORE_NODE_ID
 from tipforce_tools.conformance.report import by_clause
 from tipforce_tools.conformance.run import run_in_process
 
-COMMAND = "tipforce vcan -- python -m tipforce_tools.conformance.document > docs/conformance.md"
+COMMAND = "tipforce vcan -- python -m bench.conformance_document > docs/conformance.md"
 INTERFACE = "vcan0"
 _START_S = 20
 _HEAD = f"""\

@@ -8,8 +8,9 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 
+from dictionary import eds_lint_pdo as lint_pdo
 from tipforce.device import communication
-from tipforce.dictionary import lint_pdo, types
+from tipforce.dictionary import signals, types
 from tipforce.dictionary.eds_file import EdsFile, Section, parse
 from tipforce.errors import InputError
 
@@ -171,7 +172,7 @@ def _sub_numbers(section: Section, index: int, subs: dict[int, Section]) -> Iter
         yield f"[{section.name}]: sub-index 0 is missing"
         return
     value, highest = _integer("B", count.get("DefaultValue")), max(subs)
-    if index == communication.ERROR_HISTORY or lint_pdo.is_mapping(index):
+    if index == communication.ERROR_HISTORY or signals.is_mapping(index):
         if value is None or value > highest:
             yield count.complaint("DefaultValue", f"allowed are 0 to the highest sub-index {highest}")
     elif value != highest:

@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 from typing import Any, Literal
 
 import numpy as np
-import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.fem.mesh import Resolution, Triangles, triangulate
 from tipforce_tools.fem.outline import STATED, Outline
 
-FloatArray = npt.NDArray[np.float64]
 Plane = Literal["stress", "strain"]
 
 POISSON_RATIO = 0.29

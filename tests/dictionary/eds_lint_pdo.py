@@ -18,11 +18,6 @@ _DIRECTIONS = (
 _MOST_PDOS = 512
 
 
-def is_mapping(index: int) -> bool:
-    """Whether an index is a PDO mapping parameter: its sub-index 0 counts mapped objects."""
-    return any(first <= index < first + _MOST_PDOS for _, first, _, _ in _DIRECTIONS)
-
-
 def lint_pdos(eds: EdsFile) -> Iterator[str]:
     """Complaints about the PDO parameters and the default mappings (CiA 301, 7.5.2.33 to 7.5.2.38)."""
     for parameters, mapping, key, refused in _DIRECTIONS:

@@ -1,0 +1,252 @@
+"""What the examples of a page need and its reader need not see: files, nodes on a bus inside the process."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import functools
+import itertools
+import math
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import can
+import numpy as np
+import pytest
+
+import tipforce
+from docs.runner import Terminal
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.measurements import Measurements, write_measurements
+from tipforce.running import loop
+from tipforce.running.ports import PythonCanPort
+from tipforce.running.store import FileStore
+from tipforce.sensor.calibration.fit import Readings
+from tipforce.sensor.calibration.simulation import simulate
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce.sources import iio_sysfs
+from tipforce.sources.simulated import SimulatedSource
+from tipforce_tools.cli.layout_file import read_bridge
+from tipforce_tools.doctor import iio as doctor_iio
+from tipforce_tools.node.source import open_iio
+
+Names = dict[str, Any]
+Setup = Callable[[], contextlib.AbstractContextManager[Names]]
+SETUPS: dict[str, Setup] = {}
+_CHANNELS = itertools.count()
+
+
+def setup(page: str) -> Callable[[Callable[[], Iterator[Names]]], Setup]:
+    """Register the set-up of a page; it runs in an empty working directory and yields names for the page's Python."""
+
+    def register(function: Callable[[], Iterator[Names]]) -> Setup:
+        SETUPS[page] = contextlib.contextmanager(function)
+        return SETUPS[page]
+
+    return register
+
+
+@setup("tools.md")
+def log_of_one_finger() -> Iterator[Names]:
+    """Node 5 at 100 Hz for 1 s: 1.5 N until 0.6 s, then no contact; samples 40 to 42 are missing, heartbeats twice."""
+    lines = [f"({1_700_000_000 + t:.6f}) can0 705#05" for t in (0.001, 0.501)]
+    for k in range(100):
+        t = 1_700_000_000 + k / 100
+        contact = (1500, 9000, 4500, 0x03) if k < 60 else (5, -32768, -32768, 0x12)
+        lines.append(f"({t:.6f}) can0 080#")
+        if not 40 <= k < 43:
+            lines.append(f"({t + 0.0002:.6f}) can0 285#{struct.pack('<hhhBB', *contact, k).hex().upper()}")
+    Path("run.log").write_text("\n".join(sorted(lines)) + "\n")
+    yield {}
+
+
+@contextlib.contextmanager
+def default_bus() -> Iterator[dict[str, Any]]:
+    """A bus inside this process that python-can's configuration names."""
+    bus = {"interface": "virtual", "channel": f"docs-{next(_CHANNELS)}"}
+    with pytest.MonkeyPatch.context() as patch:
+        for key, value in bus.items():
+            patch.setitem(can.rc, key, value)
+        yield bus
+
+
+@contextlib.contextmanager
+def fingers_on_default_bus(*node_ids: int) -> Iterator[None]:
+    """Calibrated simulated fingers under 2 N on a bus of this process, which is python-can's default meanwhile."""
+    with default_bus() as bus, tipforce.simulated_hand(node_ids, dict.fromkeys(node_ids, (2.0, 90.0, 45.0)), **bus):
+        yield
+
+
+@setup("hand.md")
+def two_fingers() -> Iterator[Names]:
+    """Nodes 1 and 2."""
+    with fingers_on_default_bus(1, 2):
+        yield {}
+
+
+@setup("calibration.md")
+def simulated_calibration() -> Iterator[Names]:
+    """grooves.csv with faults in lines 50 and 61; the true matrix, and the loads of the rows without fault."""
+    sim = simulate("I", np.random.default_rng(4))
+    assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [50, 61]
+    loads = (sim.P_newtons, sim.phi_rad, sim.theta_rad)
+    write_measurements(
+        "grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ())
+    )
+    good = ~sim.true_outlier
+    yield {"true_A": sim.true_A, "loads": Readings(sim.strain[good], *(values[good] for values in loads))}
+
+
+def beam_record(noise_strain: float, serial: int) -> Calibration:
+    """Gauge case I as beam theory has it."""
+    C, covariance = calibration_matrix(FABRICATED, "I"), np.eye(3) * noise_strain**2
+    return Calibration(C, np.zeros(3), covariance, serial=serial, date=20261121, layout_code=1, pull=True)
+
+
+class Bench:
+    """Files that look like a 16-bit converter of Linux Industrial I/O, and a node that reads them."""
+
+    def __init__(self, folder: Path, bus: dict[str, Any]) -> None:
+        self.bus = bus
+        self.chip = folder / "devices" / "spi0.0" / "iio:device0"
+        self.devices = folder / "bus"
+        self.devices.mkdir(parents=True)
+        (self.chip / "scan_elements").mkdir(parents=True)
+        (self.devices / "iio:device0").symlink_to(self.chip.absolute())
+        (self.chip / "name").write_text("ad7124-4\n")
+        (self.chip / "in_voltage_scale").write_text("0.0503540\n")
+        for k in range(3):
+            (self.chip / "scan_elements" / f"in_voltage{k}_type").write_text("be:u16/16>>0\n")
+        self.stopped = threading.Event()
+        self.thread = threading.Thread()
+        self.gauges_read([0.0, 0.0, 0.0])
+
+    def gauges_read(self, microstrains: list[float]) -> None:
+        """Set the counts; a value that is read without SYNC is at most 100 ms old."""
+        for k, microstrain in enumerate(microstrains):
+            volts = 1.65 + 1.02 * 250.0 * 1.65e-6 * microstrain  # gain 250, and 2 % more
+            (self.chip / f"in_voltage{k}_raw").write_text(f"{round(volts / 50.354e-6)}\n")
+        time.sleep(0.15)
+
+    def hang(self, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
+        """Put a load on the tip."""
+        phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
+        F = [P_newtons * math.sin(phi), P_newtons * math.sin(delta), P_newtons * math.cos(phi)]
+        self.gauges_read((1e6 * strain_matrix(FABRICATED, "I") @ F).tolist())
+
+    def start_node(self) -> None:
+        """`tipforce node` with finger.toml, in a thread."""
+        flags = argparse.Namespace(
+            source="iio:spi0.0", layout="finger.toml", capture="poll", scan_rate=1000.0, trigger=None
+        )
+        source = open_iio(flags, 3, read_bridge("finger.toml"), self.devices)
+        store = FileStore(Path("node-5.json").absolute())
+        device = fingertip_node(5, source, serial=5, save=store.save, load=store.load)
+        bus = can.Bus(**self.bus)
+        self.stopped = threading.Event()
+        stopped = self.stopped.is_set
+
+        def work() -> None:
+            loop.run([device], PythonCanPort(bus), stopped)
+            bus.shutdown()
+
+        self.thread = threading.Thread(target=work)
+        self.thread.start()
+        time.sleep(0.15)
+
+    def stop_node(self) -> None:
+        """End it."""
+        self.stopped.set()
+        self.thread.join()
+
+    def disconnect(self) -> None:
+        """Take the converter away."""
+        self.chip.rename(self.chip.with_name("disconnected"))
+        time.sleep(0.3)
+
+    def connect(self) -> None:
+        """Put it back."""
+        self.chip.with_name("disconnected").rename(self.chip)
+        time.sleep(0.4)
+
+
+@setup("hardware.md")
+def converter_and_node() -> Iterator[Names]:
+    """The converter, its node, and the calibration that perfect weights would give."""
+    with default_bus() as bus, pytest.MonkeyPatch.context() as patch:
+        bench = Bench(Path("kernel"), bus)
+        patch.setattr(iio_sysfs, "ROOT", bench.devices)
+        checks = functools.partial(doctor_iio.iio_checks, bench.devices, Path("kernel"), Path("none"))
+        patch.setattr(doctor_iio, "iio_checks", checks)
+        write_calibration(Path("calibration.toml"), beam_record(4e-8, serial=1))
+        try:
+            yield {
+                "shell": Terminal("-q"),
+                "read_by_gauges": bench.gauges_read,
+                **{name: getattr(bench, name) for name in ("hang", "start_node", "stop_node", "disconnect", "connect")},
+            }
+        finally:
+            bench.stop_node()
+
+
+class ByteByByte:
+    """The node of protocol.md. ``cansend can0 FRAME`` prints the frames that it sends in response."""
+
+    def __init__(self) -> None:
+        self.source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+        self.source.load = (4.4, 90.0, 45.0)
+        flash: dict[str, bytes] = {}
+        self.device = fingertip_node(
+            5, self.source, save=lambda group, data: not flash.update({group: data}), load=flash.get
+        )
+        self.now_us = 0
+        self.record = beam_record(0.5e-6, serial=7).record()
+
+    def __call__(self, line: str) -> None:
+        """Run one line of the page."""
+        frames = []
+        if line != "# power on":
+            program, channel, frame = line.split()
+            assert (program, channel) == ("cansend", "can0")
+            identifier, digits = frame.split("#")
+            frames = [(int(identifier, 16), bytes.fromhex(digits))]
+            self.now_us += 1000
+        for can_id, data in self.device.step(self.now_us, frames)[0]:
+            print(f"{can_id:03X}#{data.hex().upper()}")
+
+    def send_segments(self, first: int, end: int) -> None:
+        """The segments of the record that the page leaves out; each must be confirmed."""
+        for k in range(first, end):
+            segment = bytes([(k % 2) << 4]) + self.record[7 * k : 7 * k + 7]
+            assert self.device.step(self.now_us, [(0x605, segment)])[0] == [
+                (0x585, bytes([0x20 | (k % 2) << 4] + [0] * 7))
+            ]
+
+
+@setup("protocol.md")
+def node_byte_by_byte() -> Iterator[Names]:
+    """The node, its source, and the record that the page writes."""
+    node = ByteByByte()
+    yield {"shell": node, "source": node.source, "send_segments": node.send_segments}
+
+
+@setup("recipes.md")
+def finger_and_files() -> Iterator[Names]:
+    """Node 5 under 2 N at phi = 90, theta = 45 degrees, and a table of loads with an offset of 12 microstrain."""
+    A, rng = strain_matrix(FABRICATED, "I"), np.random.default_rng(1)
+    directions = ((0, 20), (0, 60), (90, 30), (90, 60), (90, 90), (90, 120), (180, 120), (180, 160))
+    rows = ["SG1,SG2,SG3,P_N,phi_deg,theta_deg"]
+    for P, (phi, theta) in itertools.product((0.0, 2.2, 4.4), directions):
+        V = 1e6 * A @ force_vector(P, math.radians(phi), math.radians(theta)) + 12 + rng.normal(0, 0.5, 3)
+        rows.append(",".join(str(value) for value in (*V.round(2), P, phi, theta)))
+    Path("grooves.csv").write_text("\n".join(rows) + "\n")
+    with fingers_on_default_bus(5):
+        yield {}
