@@ -55,6 +55,7 @@ long: bootstrap-test ## the full counts of every long check, and the reports; ab
 	$(PYTHON) -m bench.tshark
 	$(PYTHON) -m bench.calibration
 	$(PYTHON) -m bench.coverage
+	$(PYTHON) -m bench.honesty
 	$(PYTHON) -m bench.fault_detection
 	$(PYTHON) -m bench.optimise
 	$(PYTHON) -m bench.fem
