@@ -171,9 +171,7 @@ class Sample:
         active, solver = self.active, self.solver
         assert active is not None
         assert solver is not None
-        V = [_MICRO * m - o for m, o in zip(self.microstrains, active.offsets)]  # noqa: B905
-        F = [sum([c * v for c, v in zip(row, V)]) for row in solver[0]]  # noqa: B905
-        return F[0], F[1], F[2]
+        return active.force(solver[0], [_MICRO * m for m in self.microstrains])
 
     def covariance(self) -> "Covariance":
         """Covariance of F, N^2, upper triangle; NaN without calibration."""
