@@ -269,4 +269,4 @@ def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Pa
     stored(tmp_path / "node.json")
     store = FileStore(tmp_path / "node.json")
     talk = finger(4, calibrated=False, store=store)  # type: ignore[arg-type]
-    assert talk.calibration() == (bytes(138), 0, 0)
+    assert talk.calibration() == (bytes(198), 0, 0)

@@ -95,6 +95,12 @@ class Active:
             self._solvers[lost] = found
         return self._solvers[lost]
 
+    def force(self, matrix: "list[list[float]]", strains: "list[float]") -> "tuple[float, float, float]":
+        """F1, F2, F3 in newtons before any tare, from gauge strain (not microstrain): F = C (V - offset)."""
+        V = [s - o for s, o in zip(strains, self.offsets)]  # noqa: B905
+        F = [sum([c * v for c, v in zip(row, V)]) for row in matrix]  # noqa: B905
+        return F[0], F[1], F[2]
+
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
     """Upper triangle of C Sigma C^T, Sigma given as its own upper triangle by rows."""

@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
+    from .active_calibration import Active
     from .application import Fingertip
-    from .calibration import Active
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h

@@ -4,12 +4,12 @@ from tipforce.device.codes import NEVER_US
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
-from .judgement import Judgement
 from .source import Source
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .active_calibration import Active, Covariance
+    from .judgement import Judgement
     from .source import Reading
 
 NAN = float("nan")
@@ -94,6 +94,8 @@ class Sample:
         self.solver = None if active is None else active.solver(self.lost)
         self.judgement: "Judgement | None" = None
         if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
+            from .judgement import Judgement  # a calibration of which nothing is known does without
+
             self.judgement = Judgement(active, self.microstrains, self.lost, reading.temperature, was_overloaded)
             self.lost |= self.judgement.left_out
             self.solver = self.judgement.solver
@@ -169,9 +171,7 @@ class Sample:
         active, solver = self.active, self.solver
         assert active is not None
         assert solver is not None
-        V = [_MICRO * m - o for m, o in zip(self.microstrains, active.offsets)]  # noqa: B905
-        F = [sum([c * v for c, v in zip(row, V)]) for row in solver[0]]  # noqa: B905
-        return F[0], F[1], F[2]
+        return active.force(solver[0], [_MICRO * m for m in self.microstrains])
 
     def covariance(self) -> "Covariance":
         """Covariance of F, N^2, upper triangle; NaN without calibration."""
