@@ -113,7 +113,7 @@ def test_a_node_finds_the_structure_again_from_matrix_and_covariance() -> None:
 @pytest.mark.parametrize(("newtons", "strain"), [(1e-3, 1.0), (1e3, 1.0), (1.0, 1e-3), (1e6, 1e3)])
 def test_units_do_not_matter(newtons: float, strain: float) -> None:
     sim = simulated(4, Faults())
-    model = Model(drift="tare", phi_scatter_rad=0.01, theta_scatter_rad=0.01)
+    model = Model(drift="tare", phi_scatter_rad=0.01, theta_scatter_rad=0.01, saturation_strain=np.inf)
     fit = fit_calibration(readings(sim), model)
     scaled = fit_calibration(readings(sim, strain=sim.strain * strain, P_newtons=sim.P_newtons * newtons), model)
     np.testing.assert_allclose(scaled.C, fit.C * newtons / strain, rtol=1e-6)
