@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import math
 import threading
 import time
@@ -91,10 +92,24 @@ class FingertipClient:
         )
 
     def calibration(self) -> Calibration | None:
-        """The active calibration, read back over SDO; None on a node that has none."""
-        if not self.sdo.read(od.CALIBRATION_ACTIVE_CRC):
+        """The active calibration, read back over SDO; None on a node that has none.
+
+        Raises RefusedError where the record is not the one whose CRC-32 the node shows (2103h:3), or is of version 1.
+        """
+        expected = self.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+        if not expected:
             return None
-        return Calibration.from_record(self.sdo.read(od.CALIBRATION_ACTIVE_RECORD))
+        record = self.sdo.read(od.CALIBRATION_ACTIVE_RECORD)
+        if binascii.crc32(record) != expected:
+            raise RefusedError(
+                f"node {self.node_id}: the calibration record read back (2140h) has CRC-32 "
+                f"0x{binascii.crc32(record):08X}, the node says 0x{expected:08X} (2103h:3): read it again; if it stays "
+                "so, commit the calibration again"
+            )
+        try:
+            return Calibration.from_record(record)
+        except InputError as error:
+            raise RefusedError(f"node {self.node_id}: {error}") from None
 
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = _silent
@@ -110,6 +125,7 @@ class FingertipClient:
                 f"node {self.node_id}: product code 0x{identity.product:08X} has {identity.gauges} gauges, "
                 f"the calibration has {calibration.gauges}"
             )
+        calibration.check()
         record, crc = calibration.record(), calibration.crc32()
         self._write_refusable(od.CALIBRATION_STAGED_RECORD, record)
         self._write_refusable(od.CALIBRATION_EXPECTED_CRC, crc)
