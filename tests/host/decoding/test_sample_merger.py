@@ -153,7 +153,7 @@ def test_health_has_no_sample_counter_and_is_a_row_of_its_own() -> None:
     found = rows([one.add(frames_of(made)), one.finish()])
     assert [row[2] for row in found] == [3, -1, -1, 4]
     names = [repr(row[3]) for row in found]
-    assert ["P_N" in name for name in names] == [True, False, False, False]
+    assert ["('P_N'" in name for name in names] == [True, False, False, False]
     assert ["temperature_degC" in name for name in names] == [False, True, True, False]
 
 
