@@ -1,4 +1,4 @@
-"""Bits 12 to 15 of 2124h: contradiction, calibrated force, temperature, overload, byte for byte (OBJECTS.md)."""
+"""Bits 12 to 15 of 2124h: contradiction, calibrated force, temperature, overload, byte for byte (docs/objects.md)."""
 
 import struct
 from itertools import pairwise

@@ -1,6 +1,6 @@
 """What the active calibration says of one sample: bits 12 to 15 of 2124h, gauges left out, uncertainty.
 
-OBJECTS.md, 2112h to 2116h and 2124h. The host judges recorded strains in the same way (host.decoding.judged).
+docs/objects.md, 2112h to 2116h and 2124h. The host judges recorded strains in the same way (host.decoding.judged).
 """
 
 from math import sqrt

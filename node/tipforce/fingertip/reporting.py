@@ -1,4 +1,4 @@
-"""What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h (OBJECTS.md)."""
+"""What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h (docs/objects.md)."""
 
 from tipforce.device import communication, emcy
 from tipforce.dictionary import indices, table

@@ -9,6 +9,7 @@ import tomllib
 from datetime import date
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import msgspec
 import numpy as np
@@ -22,6 +23,8 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
 
+UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
+"""Any numbers survive a file and a record, those that no sensor can have too."""
 REAL32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 U32 = st.integers(0, 0xFFFFFFFF)
 DATE = st.one_of(st.just(0), st.dates().map(lambda d: d.year * 10000 + d.month * 100 + d.day))
@@ -58,7 +61,8 @@ def test_a_record_survives_numbers(record: bytes) -> None:
 def test_a_record_survives_a_file(tmp_path: Path, record: bytes) -> None:
     path = tmp_path / "cal.toml"
     write_calibration(path, Calibration.from_record(record))
-    assert read_calibration(path).record() == record
+    with UNCHECKED:
+        assert read_calibration(path).record() == record
 
 
 @settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -69,7 +73,8 @@ def test_what_a_fit_gives_survives_a_file(tmp_path: Path, values: list[float]) -
     calibration = beam_calibration(C=numbers[:9].reshape(3, 3), offset_strain=numbers[9:])
     path = tmp_path / "cal.toml"
     write_calibration(path, calibration)
-    assert read_calibration(path).record() == calibration.record()
+    with UNCHECKED:
+        assert read_calibration(path).record() == calibration.record()
 
 
 def test_an_offset_between_two_real32_survives_a_file(tmp_path: Path) -> None:
@@ -123,7 +128,7 @@ def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> Non
 # --- the file -------------------------------------------------------------------------------------------------------
 
 GOOD = """[calibration]
-matrix_newtons_per_strain = [[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]
+matrix_newtons_per_strain = [[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]
 offset_microstrain = [1, 2.5, -3]
 covariance_microstrain2 = [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]
 load_sense = "pull"
@@ -138,7 +143,7 @@ def read_text(tmp_path: Path, text: str) -> Calibration:
 
 def test_a_short_file_by_hand(tmp_path: Path) -> None:
     found = read_text(tmp_path, GOOD + 'date = 2026-01-02\nlayout = "II"\nserial = 5\ntip_radius_m = 0.01\n')
-    np.testing.assert_array_equal(found.C, np.diag([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(found.C, np.diag([1e4, 2e4, 3e4]))
     np.testing.assert_allclose(found.offset_strain, [1e-6, 2.5e-6, -3e-6])
     np.testing.assert_allclose(found.covariance_strain2, np.eye(3) * 0.25e-12)
     assert (found.serial, found.date, found.layout_code, found.pull) == (5, 20260102, 2, True)
@@ -169,13 +174,21 @@ def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0], [0, 2.0], [0, 0]]", r"has shape \(3, 2\), allowed \(3, 3\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[], [], []]", r"has shape \(3, 0\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2], [0]]", r"the rows of matrix_\w+ differ in length"),
         (
-            "[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]",
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
+            "[[1, 0], [0, 2.0], [0, 0]]",
+            r"has shape \(3, 2\), allowed \(3, 3\)",
+        ),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[], [], []]", r"has shape \(3, 0\)"),
+        (
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
+            "[[1, 0, 0], [0, 2], [0]]",
+            r"the rows of matrix_\w+ differ in length",
+        ),
+        (
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
             '[["a"]]',
             r"calibration\.matrix_newtons_per_strain is \[\['a'\]\]: expected float, got str at \[0\]\[0\]",
         ),

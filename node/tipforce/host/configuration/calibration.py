@@ -20,15 +20,6 @@ from tipforce.errors import InputError
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
 
-_LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
-_VALIDITY = (
-    "calibrated_force_newtons", "overload_force_newtons", "temperature_min_degC", "temperature_max_degC",
-    "model_uncertainty", "gain_temperature_per_K", "redundancy_limit",
-)  # fmt: skip
-_NOT_NEGATIVE = (
-    "calibrated_force_newtons", "overload_force_newtons", "model_uncertainty", "converter_limit_strain",
-    "redundancy_limit",
-)  # fmt: skip
 _PER_GAUGE = ("converter_limit_strain", "offset_temperature_strain_per_K")
 
 
@@ -158,33 +149,9 @@ class Calibration:
 
     def check(self) -> None:
         """Raise InputError for a calibration that no sensor can have; the text names the field and what is allowed."""
-        S = self.covariance_strain2
-        for name, values in (("matrix", self.C), ("offset", self.offset_strain), ("covariance", S)):
-            if not np.isfinite(values).all():
-                raise InputError(f"calibration {name}: {values[~np.isfinite(values)][0]} is not finite")
-        singular = np.linalg.svd(self.C, compute_uv=False)
-        if not singular[-1] > singular[0] * _LEAST_RANK:
-            raise InputError(
-                f"calibration matrix: rank below 3 (singular values {', '.join(f'{s:.3g}' for s in singular)} N per "
-                "unit strain): it cannot tell three force components"
-            )
-        if not np.allclose(S, S.T, rtol=1e-9, atol=0.0):
-            raise InputError("calibration covariance: not symmetric")
-        if not (np.diagonal(S) > 0.0).all() or np.linalg.eigvalsh(S)[0] < -1e-9 * np.trace(S):
-            raise InputError("calibration covariance: variances must be above 0, and no correlation over 1")
-        self._check_validity()
+        from tipforce.host.configuration.calibration_check import check
 
-    def _check_validity(self) -> None:
-        """The fields of 2112h to 2116h: finite, and of the sign and order that the node's commit wants."""
-        for name in (*_VALIDITY, *_PER_GAUGE):
-            values = np.atleast_1d(getattr(self, name))
-            if not np.isfinite(values).all():
-                raise InputError(f"calibration {name}: {values[~np.isfinite(values)][0]} is not finite")
-            if name in _NOT_NEGATIVE and (values < 0.0).any():
-                raise InputError(f"calibration {name}: {values.min():g}, allowed is 0 (not known) and above")
-        low, high = self.temperature_min_degC, self.temperature_max_degC
-        if low > high:
-            raise InputError(f"calibration temperature_min_degC: {low:g} is above temperature_max_degC {high:g}")
+        check(self)
 
     @property
     def not_known(self) -> tuple[str, ...]:
