@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
-from tipforce.sensor.calibration.regressors import direction_scatter
+from tipforce.sensor.calibration.regressors import direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
-from tipforce.sensor.calibration.solve import Problem, solve
+from tipforce.sensor.calibration.solve import Problem, Scatter, solve
 from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce.sensor.contact.force import force_vector
 
@@ -26,11 +26,14 @@ FULL_SIMULATIONS, QUICK_SIMULATIONS = 2000, 60
 DIRECTIONS = np.array([[0.0, 0.0, 2.0], [1.0, 1.0, -2.0], [-3.0, 3.0, 0.0], [0.0, 0.0, 0.0]])
 """Forces, newtons, at which the covariance of an estimate is judged; the third is a push, never calibrated."""
 
-_CLEAN = Faults(drift_strain=0.0, direction_scatter_rad=0.0, outlier_share=0.0, saturation=None)
+STATED_SCATTER_RAD = float(np.radians(0.5))
+"""What the fit is told of load directions."""
+_CLEAN = Faults(drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None)
 CONDITIONS: dict[str, tuple[Faults, str]] = {
     "offset and noise": (_CLEAN, "none"),
     "linear drift": (replace(_CLEAN, drift_strain=15e-6, warm_up=0.0), "linear"),
-    "load directions": (replace(_CLEAN, direction_scatter_rad=Faults().direction_scatter_rad), "none"),
+    "angles of grooves": (replace(_CLEAN, groove_scatter_rad=STATED_SCATTER_RAD), "none"),
+    "angles of rows": (replace(_CLEAN, hang_scatter_rad=STATED_SCATTER_RAD), "none"),
     "outliers": (replace(_CLEAN, outlier_share=0.02), "none"),
     "saturation": (replace(_CLEAN, saturation=0.93), "none"),
     "everything": (Faults(), "tare"),
@@ -82,14 +85,14 @@ def simulated(seed: int, faults: Faults) -> tuple[str, Simulated]:
 
 
 def fitted(sim: Simulated, drift: str, loss: str = "huber") -> Fit:
-    """The product's fit: it is told the scatter and the converter's limit, and nothing else."""
-    scatter = sim.faults.direction_scatter_rad
+    """The product's fit: it is told a scatter (where there is any) and the converter's limit, and nothing else."""
+    scatter = STATED_SCATTER_RAD if sim.faults.groove_scatter_rad or sim.faults.hang_scatter_rad else 0.0
     model = Model(
         drift=drift,  # type: ignore[arg-type]
         loss=loss,  # type: ignore[arg-type]
         phi_scatter_rad=scatter,
         theta_scatter_rad=scatter,
-        saturation_strain=sim.saturation_strain,
+        saturation_strain=np.inf if sim.saturation_strain is None else sim.saturation_strain,
     )
     return fit_calibration(Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s), model)
 
@@ -98,19 +101,20 @@ def oracle(sim: Simulated) -> FloatArray:
     """C of the fit that knows the offset at each row, the outliers, the noise, and the true A in its weights."""
     unit, n = 1e-6, sim.strain.shape[1]
     load = sim.P_newtons, sim.phi_rad, sim.theta_rad
-    scatter = sim.faults.direction_scatter_rad
     limit = np.inf if sim.saturation_strain is None else sim.saturation_strain
     Sigma = (sim.faults.noise_strain / unit) ** 2 * np.eye(n)
     known = Problem(
         V=(sim.strain - sim.true_offset_strain) / unit,
         g=force_vector(*load),
-        D=direction_scatter(*load, scatter, scatter),
+        D=direction_scatter(*load, 1.0, 1.0),
+        groove=grooves(sim.phi_rad, sim.theta_rad),
         weight=np.ones(len(sim.strain)),
         observed=(np.abs(sim.strain) < limit) & ~sim.true_outlier[:, np.newaxis],
         Sigma=Sigma,
         prior_mean=np.zeros((n, 3)),
         prior_information=np.zeros(n),
         kinks=np.zeros(3, dtype=np.bool_),
+        scatter=Scatter(sim.faults.groove_scatter_rad**2, sim.faults.hang_scatter_rad**2),
     )
     A = solve(known, "none", 1.0).coefficients * unit
     return left_inverse(A, np.eye(n))

@@ -62,7 +62,10 @@ def good_record(rng: Random) -> bytes:
     C = [rng.uniform(-2e3, 2e3) + (2e4 if k % 4 == 0 else 0.0) for k in range(9)]
     offsets = [rng.uniform(-1e-4, 1e-4) for _ in range(3)]
     noise = [1e-13 if k in (0, 3, 5) else 0.0 for k in range(6)]
-    return struct.pack("<9f3fIIfB6f5fB", *C, *offsets, 7, 20260101, 23.0, 1, *noise, 8e-3, -60, 60, 0.05, 0.03, 0)
+    contact = (8e-3, -60, 60, 0.05, 0.03, 0)
+    # Of half the records all that is judged is known: forces, temperatures, model, converter, coefficients.
+    validity = (2.0, 6.0, 5.0, 40.0, 0.01, *[2e-3] * 3, *[1e-6] * 3, -3e-4, 0.0) if rng.random() < 0.5 else (0.0,) * 13
+    return struct.pack("<9f3fIIfB6f5fB13f", *C, *offsets, 7, 20260101, 23.0, 1, *noise, *contact, *validity)
 
 
 class Frames(Services):

@@ -37,6 +37,6 @@ def test_every_service_has_cases() -> None:
     services = """
         nmt error_control node_guarding sdo sdo_segmented sdo_block sdo_block_download tpdo rpdo pdo_parameters sync
         emcy time lss lss_identify lss_unconfigured storage identity profile_404 settings_404 interrupts_404
-        calibration bus_faults
+        calibration bus_faults validity
     """
     assert {case.name.partition(".")[0] for case in CASES} == set(services.split())

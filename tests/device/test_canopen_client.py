@@ -20,9 +20,9 @@ from tipforce.sources.simulated import SimulatedSource
 CANOPEN = tuple(map(int, version("canopen").split(".")[:2]))
 EDS = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
 RECORD = struct.pack(
-    "<9f3fIIfB6f5fB",
+    "<9f3fIIfB6f5fB13f",
     2e4, 1, 2, 3, 2e4, 4, 5, 6, 2e4, 0, 0, 0, 7, 20260101, 23, 1, 1e-13, 0, 0, 1e-13, 0, 1e-13,
-    8e-3, -60, 60, 0.05, 0.03, 0,
+    8e-3, -60, 60, 0.05, 0.03, 0, *(0.0,) * 13,
 )  # fmt: skip
 
 
@@ -194,7 +194,7 @@ def test_lss_fast_scan_gives_a_node_id() -> None:
     client = lss_client()
     found, identity = client.network.lss.fast_scan()
     assert found
-    assert identity == [0, 0x54500103, 0x00010000, 0x1234]
+    assert identity == [0, 0x54500103, 0x00020000, 0x1234]
     lss = client.network.lss
     lss.configure_node_id(5)
     lss.store_configuration()
@@ -206,7 +206,7 @@ def test_lss_fast_scan_gives_a_node_id() -> None:
 
 def test_lss_selective_inquire_configure() -> None:
     lss = (client := lss_client(5)).network.lss
-    assert lss.send_switch_state_selective(0, 0x54500103, 0x00010000, 0x1234)
+    assert lss.send_switch_state_selective(0, 0x54500103, 0x00020000, 0x1234)
     assert lss.inquire_node_id() == 5
     assert lss.inquire_lss_address(0x5D) == 0x1234
     lss.configure_node_id(9)

@@ -61,7 +61,7 @@ def random_frame(rng: random.Random, objects: list[tuple[int, int, str]]) -> tup
 
 def test_random_frames_never_raise_nor_change_the_active_calibration() -> None:
     rng, talk, objects = random.Random(1), fuzzed(), entries()
-    allowed, commits = {record(), bytes(106)}, 0  # zeros: after a restore and a reset
+    allowed, commits = {record(), bytes(158)}, 0  # zeros: after a restore and a reset
     for k in range(FRAMES):
         frame = random_frame(rng, objects)
         if k % 20 == 0:

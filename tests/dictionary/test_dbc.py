@@ -89,7 +89,7 @@ def test_health_frame_by_hand() -> None:
     assert decoded["u_P"] == "unknown"
     faults = {k for k, v in decoded.items() if "fault" in k and v}
     assert faults == {"SG2_fault", "fault_no_data", "fault_wire_break"}
-    assert (decoded["counter"], decoded["error_register"]) == (7, 0x11)
+    assert (decoded["configuration_counter"], decoded["error_register"]) == (7, 0x11)
     decoded = _decode("TIP01_Health", struct.pack("<hHHBB", 2315, 12, 0, 0, 0))
     assert decoded["temperature"] == pytest.approx(23.15)
     assert decoded["u_P"] == pytest.approx(0.012)

@@ -39,8 +39,15 @@ def test_health() -> None:
     health = {s.name: s for s in _named(4)["Health"].signals}
     assert (health["temperature"].scale, health["temperature"].unknown) == (0.01, -32768)
     assert (health["u_P"].scale, health["u_P"].unknown, health["u_P"].maximum) == (0.001, 0xFFFF, 65.534)
-    assert [s.start_bit for s in health.values()] == [0, 16, 32, 33, 34, 35, 40, 41, 42, 43, 48, 56]
-    assert {"SG4_fault", "fault_no_data", "fault_supply", "counter", "error_register"} <= set(health)
+    assert [s.start_bit for s in health.values()] == [0, 16, 32, 33, 34, 35, 40, 41, 42, 43, 44, 45, 46, 47, 48, 56]
+    assert {
+        "SG4_fault",
+        "fault_no_data",
+        "fault_supply",
+        "fault_overload",
+        "configuration_counter",
+        "error_register",
+    } <= set(health)
     assert "SG5_fault" not in health
 
 

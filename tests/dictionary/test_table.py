@@ -68,14 +68,15 @@ def test_the_calibration_record_of_three_gauges() -> None:
     staged = [row for row in rows(3).values() if row.flags & table.STAGED]
     expected = [(0x2100, s) for s in range(1, 10)] + [(0x2101, s) for s in range(1, 4)]
     expected += [(0x2102, s) for s in range(1, 5)] + [(0x2106, s) for s in range(1, 7)]
-    expected += [(0x2110, s) for s in range(1, 7)]
+    expected += [(0x2110, s) for s in range(1, 7)] + [(0x2112, s) for s in range(1, 6)]
+    expected += [(0x2113, s) for s in range(1, 4)] + [(0x2114, s) for s in range(1, 4)] + [(0x2115, 0), (0x2116, 0)]
     assert [(row.index, row.sub) for row in staged] == expected
     assert table.staged(3) == tuple((row.index, row.sub, row.letter) for row in staged)
-    sizes = dict.fromkeys((0x2100, 0x2101, 0x2102, 0x2106, 0x2110), 0)
+    sizes = dict.fromkeys((index for index, _ in expected), 0)
     for row in staged:
         sizes[row.index] += types.data_type(row.letter).size or 0
-    assert list(sizes.values()) == [36, 12, 13, 24, 21]
-    assert sum(sizes.values()) == 106
+    assert list(sizes.values()) == [36, 12, 13, 24, 21, 20, 12, 12, 4, 4]
+    assert sum(sizes.values()) == 158
 
 
 def test_views_have_the_default_of_the_value_they_show() -> None:

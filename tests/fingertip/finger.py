@@ -34,7 +34,7 @@ def matrix(n: int = 3) -> list[list[float]]:
 
 def packing(n: int = 3) -> str:
     """The calibration record as docs/objects.md gives it, written a second time."""
-    return f"<{3 * n}f{n}fIIfB{n * (n + 1) // 2}f5fB"
+    return f"<{3 * n}f{n}fIIfB{n * (n + 1) // 2}f5fB5f{n}f{n}f2f"
 
 
 def record(
@@ -44,12 +44,22 @@ def record(
     serial: int = 1,
     noise_strain: float = 9e-8,
     tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0),
+    validity: Sequence[float] = (0.0, 0.0, 0.0, 0.0, 0.0),
+    converter_limit: float = 0.0,
+    offset_per_K: float = 0.0,
+    gain_per_K: float = 0.0,
+    redundancy_limit: float = 0.0,
 ) -> bytes:
-    """A complete record; ``tip`` is 2110h. Noise below one count, so that a source without noise is not frozen."""
+    """A complete record; ``tip`` is 2110h, ``validity`` 2112h. Noise below one count: a source without is not frozen.
+
+    The fields of version 2 are those of a calibration that does not know them.
+    """
     rows = C if C is not None else matrix(n)
     variance = [noise_strain**2 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
-    return struct.pack(packing(n), *values, serial, 20240131, 23.0, 255, *variance, *tip[:5], int(tip[5]))
+    values += [serial, 20240131, 23.0, 255, *variance, *tip[:5], int(tip[5]), *validity]
+    values += [converter_limit] * n + [offset_per_K] * n + [gain_per_K, redundancy_limit]
+    return struct.pack(packing(n), *values)
 
 
 class Pdos(NamedTuple):

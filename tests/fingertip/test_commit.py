@@ -2,11 +2,12 @@
 
 import binascii
 import struct
+from typing import Any
 
 import pytest
 
 from device.tiny import Memory
-from fingertip.finger import COMMIT, OPEN, PUSH, SAVE, Finger, finger, matrix, record
+from fingertip.finger import COMMIT, OPEN, PUSH, SAVE, Finger, finger, matrix, packing, record
 
 SIGNATURE, LOCKED, CRC, VALUE, TOO_HIGH = 0x08000020, 0x08000022, 0x06040043, 0x06090030, 0x06090031
 FLAT = [[1e4, 0.0, 0.0], [0.0, 1e4, 0.0], [0.0, 0.0, 1e-1]]  # condition number 1e5
@@ -55,12 +56,12 @@ def test_a_single_element_written_after_the_check_is_seen(talk: Finger) -> None:
     refuse(talk, CRC)
 
 
-@pytest.mark.parametrize("field", [*range(12), 14, *range(16, 27)])
+@pytest.mark.parametrize("field", [*range(12), 14, *range(16, 27), *range(28, 41)])
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), float("-inf")])
 def test_value_not_finite(talk: Finger, field: int, value: float) -> None:
-    fields = list(struct.unpack("<12fIIfB6f5fB", record(C=DOUBLED)))
+    fields = list(struct.unpack(packing(), record(C=DOUBLED)))
     fields[field] = value
-    talk.stage(struct.pack("<12fIIfB6f5fB", *fields))
+    talk.stage(struct.pack(packing(), *fields))
     refuse(talk, VALUE)
 
 
@@ -77,6 +78,42 @@ def test_singular_matrix(talk: Finger) -> None:
     refuse(talk, TOO_HIGH)
     talk.stage(record(C=[[0.0] * 3] * 3))
     refuse(talk, TOO_HIGH)
+
+
+@pytest.mark.parametrize(
+    ("factor", "code"), [(1e-6, 0x06090032), (9e-4, 0x06090032), (1.1e3, TOO_HIGH), (1e6, TOO_HIGH)]
+)
+def test_a_matrix_of_a_size_that_no_fingertip_has(talk: Finger, factor: float, code: int) -> None:
+    # N per microstrain instead of N per unit strain, and the reverse; 1e4 N per unit strain is that of the node.
+    talk.stage(record(C=[[factor * value for value in row] for row in matrix()]))
+    refuse(talk, code)
+
+
+@pytest.mark.parametrize("factor", [1.1e-3, 9e2])
+def test_a_matrix_of_a_size_that_a_fingertip_may_have(talk: Finger, factor: float) -> None:
+    talk.stage(record(C=[[factor * value for value in row] for row in matrix()]))
+    assert talk.commit() == 0
+
+
+@pytest.mark.parametrize(
+    "validity",
+    [
+        {"validity": (-1.0, 0.0, 0.0, 0.0, 0.0)},
+        {"validity": (0.0, -1.0, 0.0, 0.0, 0.0)},
+        {"validity": (0.0, 0.0, 20.0, 19.0, 0.0)},
+        {"validity": (0.0, 0.0, 0.0, 0.0, -0.01)},
+        {"converter_limit": -1e-3},
+        {"redundancy_limit": -1.0},
+    ],
+)
+def test_a_validity_of_wrong_sign_or_order(talk: Finger, validity: dict[str, Any]) -> None:
+    talk.stage(record(C=DOUBLED, **validity))
+    refuse(talk, VALUE)
+
+
+def test_coefficients_of_temperature_have_either_sign(talk: Finger) -> None:
+    talk.stage(record(validity=(5.0, 20.0, -20.0, -10.0, 0.01), offset_per_K=-1e-6, gain_per_K=-1e-3))
+    assert talk.commit() == 0
 
 
 @pytest.mark.parametrize("tip", [(0.01, 60.0, -60.0, 0.05, 0.02, 0), (0.01, -60.0, 60.0, 0.02, 0.05, 0)])
@@ -153,8 +190,8 @@ def test_condition_limit_has_limits_itself(talk: Finger, value: float, code: int
 
 def test_node_never_calibrated_has_zeros() -> None:
     talk = finger(calibrated=False)
-    assert talk.calibration() == (bytes(106), 0, 0)
-    assert talk.commit() == CRC  # the expected CRC is still 0, that of 106 zero bytes is not
+    assert talk.calibration() == (bytes(158), 0, 0)
+    assert talk.commit() == CRC  # the expected CRC is still 0, that of 158 zero bytes is not
     assert not talk.sync().status & 0x02
 
 

@@ -156,7 +156,7 @@ def test_a_broken_wire_costs_its_gauge_alone() -> None:
     assert sent[6] & FAULT
 
 
-def test_a_frozen_gauge_is_left_out_and_not_shown() -> None:
+def test_a_frozen_gauge_is_left_out_and_still_shown() -> None:
     noisy = record(5, noise_strain=1e-6)
     talk = finger(5, calibrated=noisy, load=PUSH, noise_microstrain=1.0)
     sync(talk)
@@ -164,8 +164,9 @@ def test_a_frozen_gauge_is_left_out_and_not_shown() -> None:
     for _ in range(40):
         sent = sync(talk)[0x285]
     assert sent[6] & (SATURATED | FAULT) == SATURATED
-    assert talk.get("H", 0x2124) == 1 << 9
-    assert talk.get("h", 0x7130, 5) == -0x8000
+    assert talk.get("H", 0x2124) == 1 << 9 | 1 << 4
+    assert talk.get("h", 0x7130, 5) != -0x8000
+    assert [talk.get("B", 0x6150, sub) for sub in range(1, 6)] == [0, 0, 0, 0, 1]
     assert struct.unpack("<h", sent[:2])[0] == pytest.approx(1000, abs=100)
 
 

@@ -10,10 +10,10 @@ from fingertip.finger import SAVE, finger, packing, record
 from tipforce.dictionary import table
 
 
-@pytest.mark.parametrize(("n", "size"), [(3, 106), (4, 138), (5, 174), (6, 214), (7, 258), (8, 306)])
+@pytest.mark.parametrize(("n", "size"), [(3, 158), (4, 198), (5, 242), (6, 290), (7, 342), (8, 398)])
 def test_length_of_the_record(n: int, size: int) -> None:
-    # 4 (3n + n) + 13 + 4 n (n + 1) / 2 + 21
-    assert size == 16 * n + 13 + 2 * n * (n + 1) + 21 == struct.calcsize(packing(n))
+    # 4 (3n + n) + 13 + 4 n (n + 1) / 2 + 21, and in version 2 20 + 4 n + 4 n + 8
+    assert size == 16 * n + 13 + 2 * n * (n + 1) + 21 + 28 + 8 * n == struct.calcsize(packing(n))
     talk = finger(n, calibrated=False)
     for index in (0x2140, 0x2141):
         assert talk.upload(index) == bytes(size)
@@ -23,8 +23,8 @@ def test_table_declares_the_record_in_this_order() -> None:
     fields = table.staged(3)
     assert [index for index, _sub, _kind in fields] == [0x2100] * 9 + [0x2101] * 3 + [0x2102] * 4 + [0x2106] * 6 + [
         0x2110
-    ] * 6
-    assert "<" + "".join(kind for _index, _sub, kind in fields) == "<" + "f" * 12 + "IIfB" + "f" * 6 + "fffff" + "B"
+    ] * 6 + [0x2112] * 5 + [0x2113] * 3 + [0x2114] * 3 + [0x2115, 0x2116]
+    assert "".join(kind for _index, _sub, kind in fields) == "f" * 12 + "IIfB" + "f" * 6 + "fffff" + "B" + "f" * 13
 
 
 @pytest.mark.parametrize("n", [3, 5, 8])
@@ -32,6 +32,7 @@ def test_writing_2141h_sets_every_staged_object(n: int) -> None:
     talk = finger(n, calibrated=False)
     values = [float(k) for k in range(1, 4 * n + 1)] + [7, 20240229, 21.5, 3]
     values += [100.0 + k for k in range(n * (n + 1) // 2)] + [0.0078125, -30.0, 30.0, 2.0, 1.0, 1]
+    values += [5.0, 20.0, -10.0, 50.0, 0.25] + [0.5 + k for k in range(2 * n + 2)]
     data = struct.pack(packing(n), *values)
     assert talk.download(0x2141, 0, data) == 0
     read = [talk.get(kind, index, sub) for index, sub, kind in table.staged(n)]
@@ -54,7 +55,9 @@ def test_writing_each_object_gives_the_same_record(n: int) -> None:
     assert talk.get("I", 0x2103, 2) == binascii.crc32(data)
 
 
-@pytest.mark.parametrize(("size", "code"), [(0, 0x06070013), (4, 0x06070013), (105, 0x06070013), (107, 0x06070012)])
+@pytest.mark.parametrize(
+    ("size", "code"), [(0, 0x06070013), (4, 0x06070013), (106, 0x06070013), (157, 0x06070013), (159, 0x06070012)]
+)
 def test_record_of_another_length_is_refused(size: int, code: int) -> None:
     talk = finger()
     before = talk.upload(0x2141)
@@ -116,7 +119,7 @@ def test_numbers_that_are_not_finite_may_be_staged(bits: int) -> None:
 def test_load_sense_keeps_its_limits_in_both_ways() -> None:
     talk = finger()
     assert talk.put("B", 0x2110, 6, 2) == 0x06090031
-    assert talk.download(0x2141, 0, record()[:-1] + b"\x02") == 0x06090030
+    assert talk.download(0x2141, 0, record()[:105] + b"\x02" + record()[106:]) == 0x06090030
     assert talk.upload(0x2141) == record()
 
 

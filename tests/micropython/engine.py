@@ -29,7 +29,8 @@ def on_node_files() -> tuple[Path, ...]:
     MicroPython needs no ``__init__.py`` of the packages above: those name what only a PC has (docs/firmware.md).
     """
     code = (
-        "import sys, tipforce.fingertip.node, tipforce.fingertip.filters; "
+        "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.fingertip.judgement; "
+        "import tipforce.sensor.contact.scalar_parity; "
         "import tipforce.sources.simulated, tipforce.sources.front_end; "
         "print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"
     )

@@ -46,7 +46,7 @@ def nmt_and_sdo() -> list[Recording]:
     talk.send("605#7000000000000000")  # toggle bit wrong
     talk.send("605#4008100000000000")
     talk.advance(1_100_000)  # stalls: time-out
-    talk.send("605#214121006A000000")
+    talk.send("605#214121009E000000")
     talk.send("605#0041000000000000")
     talk.advance(1_100_000)
     return [talk.recording]
@@ -270,6 +270,40 @@ def many_gauges() -> list[Recording]:
     return [talk.recording]
 
 
+def judged() -> list[Recording]:
+    """Gauges that contradict each other, left out and not; forces and temperatures beyond the calibration."""
+    found = []
+    for points in (("L", "R", "T", "U"), ("L", "R", "T", "U", "K_V"), ("L", "R", "T", "U", "K_H", "S_H", "K_V", "S_V")):
+        talk = Talk(f"judged, {len(points)} gauges", layout=points)
+        for sub, value in enumerate((2.0, 4.0, 10.0, 22.0, 0.001), 1):
+            assert talk.put("f", 0x2112, sub, value) == 0
+        for k in range(len(points)):
+            assert talk.put("f", 0x2113, 1 + k, 2.5e-3) == 0
+            assert talk.put("f", 0x2114, 1 + k, 1e-6 * k) == 0
+        assert talk.put("f", 0x2115, 0, -3e-4) == 0
+        assert talk.put("f", 0x2116, 0, 30.0) == 0
+        talk.calibrate(points)
+        talk.remap(3, 0x40000485, ((0x2124, 0, 16), (0x2123, 0, 16), (0x2126, 0, 8)), transmission=255)
+        talk.start()
+        for load in ((1.0, 10.0, 5.0), (2.5, 10.0, 5.0), (4.2, 10.0, 5.0), (3.9, 10.0, 5.0), (1.0, 170.0, 185.0)):
+            talk.load(*load)
+            talk.sync(3)
+        for gauge in range(1, len(points) + 1):
+            talk.get("H", 0x2124)
+            assert talk.put("f", 0x2200, 3, 500.0) == 0  # microstrain/s
+            assert talk.put("B", 0x2200, 2, gauge) == 0
+            assert talk.put("H", 0x2200, 1, 5) == 0
+            talk.sync(30, 2000)
+            for sub in range(1, 4):
+                talk.get("f", 0x2107, sub)
+            for fault in (1, 2, 3, 0):
+                assert talk.put("H", 0x2200, 1, fault) == 0
+                talk.sync(3)
+            talk.advance(150_000)
+        found.append(talk.recording)
+    return found
+
+
 def filters() -> list[Recording]:
     """Each filter with extreme constants, under loads, saturation, silence and time asleep; stored, found again."""
     found = []
@@ -317,6 +351,6 @@ def front_ends() -> list[Recording]:
 
 
 SCRIPTS: tuple[Callable[[], list[Recording]], ...] = (
-    nmt_and_sdo, calibration, measurement, pdos, network, lss, eds, many_gauges, filters,
+    nmt_and_sdo, calibration, measurement, pdos, network, lss, eds, many_gauges, judged, filters,
     front_ends,
 )  # fmt: skip

@@ -14,14 +14,15 @@ from tipforce.running.store import FileStore
 from tipforce.sources.simulated import SimulatedSource
 
 ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
-PACKING = "<12fIIfB6f5fB"
+PACKING = "<12fIIfB6f5fB13f"
 
 
 def record(k: int) -> bytes:
     """Calibration k: every matrix element and offset tells which one it is."""
     C = [1e4 * (row == column) + k + 0.25 * row + 0.5 * column for row in range(3) for column in range(3)]
     noise = (1e-14, 0.0, 0.0, 1e-14, 0.0, 1e-14)
-    return struct.pack(PACKING, *C, k * 1e-9, 0.0, -k * 1e-9, k, 20240131, 23.0, 1, *noise, 0.01, -60, 60, 0.1, 0.05, 0)
+    values = (*C, k * 1e-9, 0.0, -k * 1e-9, k, 20240131, 23.0, 1, *noise, 0.01, -60, 60, 0.1, 0.05, 0)
+    return struct.pack(PACKING, *values, *(0.0,) * 13)
 
 
 def main(path: str, first: int) -> None:

@@ -131,7 +131,7 @@ def test_damaged_file_gives_defaults_and_is_noted(tmp_path: Path, content: bytes
     path.write_bytes(content)
     talk = node(path)
     assert talk.device.storage.damaged == ["communication", "application", "calibration"]
-    assert talk.calibration() == (bytes(106), 0, 0)
+    assert talk.calibration() == (bytes(158), 0, 0)
     # Storing anew heals it.
     assert talk.put("I", 0x1010, 1, SAVE) == 0
     assert node(path).device.storage.damaged == []
@@ -269,4 +269,4 @@ def test_calibration_group_of_another_number_of_gauges_is_not_taken(tmp_path: Pa
     stored(tmp_path / "node.json")
     store = FileStore(tmp_path / "node.json")
     talk = finger(4, calibrated=False, store=store)  # type: ignore[arg-type]
-    assert talk.calibration() == (bytes(138), 0, 0)
+    assert talk.calibration() == (bytes(198), 0, 0)

@@ -269,7 +269,7 @@ def test_a_calibration_file_beside_the_scene(tmp_path: Path) -> None:
 
 def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:
     """The node's own condition limit (2105h:1) stands in a scene too."""
-    write_calibration(tmp_path / "cal.toml", Calibration(np.diag([1.0, 1.0, 1e-6]), np.zeros(3), 1e-14 * np.eye(3)))
+    write_calibration(tmp_path / "cal.toml", Calibration(np.diag([1e6, 1e6, 50.0]), np.zeros(3), 1e-14 * np.eye(3)))
     scene = scene_of(tmp_path, TWO.replace("status = false", 'calibration = "cal.toml"'))
     with pytest.raises(InputError, match="node 3 rejects 0x2104:00: abort 0x06090031"):
         run_scene(scene, tmp_path)

@@ -138,7 +138,7 @@ def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: 
     code, out, err = tipforce("lss", "scan", "--lss-timeout", "0.05", "--json")
     assert code == 0
     assert json.loads(out) == {
-        "vendor": 0, "product": 0x54500103, "revision": 0x00010000, "serial": 7, "node_id": None, "stored": False,
+        "vendor": 0, "product": 0x54500103, "revision": 0x00020000, "serial": 7, "node_id": None, "stored": False,
     }  # fmt: skip
     assert "finds one at a time" in err
     assert unconfigured[0].sdo(20).read(od.IDENTITY_SERIAL) == 1020

@@ -112,7 +112,7 @@ def test_matrix_elements_are_staged_and_committed(remote: canopen.RemoteNode) ->
         (0x1000, 0, bytes(4), 0x06010002),
         (0x1018, 4, bytes(4), 0x06010002),
         (0x1008, 0, b"a longer name", 0x06010002),
-        (0x2140, 0, bytes(106), 0x06010002),
+        (0x2140, 0, bytes(158), 0x06010002),
         (0x5000, 0, bytes(4), 0x06020000),
         (0x1018, 9, bytes(4), 0x06090011),
         (0x1017, 0, bytes(4), 0x06070012),

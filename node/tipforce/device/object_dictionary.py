@@ -61,15 +61,20 @@ def _nearest_real32(limit: "int | float | None") -> "int | float | None":
     return None if limit is None else decode("f", encode("f", limit))  # type: ignore[return-value]
 
 
+def _nothing(_index: int, _sub: int) -> int:
+    return 0
+
+
 class ObjectDictionary:
     """Entries by index and sub-index, with their values.
 
     A service that owns an object registers hooks for its index: ``readers[index](sub)`` returns the value in place
     of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
-    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts.
+    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``watch(index, sub)`` returns
+    the key of the value that a write changes if that matters, else 0; ``changed()`` is called after such a change.
     """
 
-    __slots__ = ("_entries", "node_id", "readers", "sizes", "values", "writers")
+    __slots__ = ("_entries", "changed", "node_id", "readers", "sizes", "values", "watch", "writers")
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
@@ -78,6 +83,8 @@ class ObjectDictionary:
         self.readers: "dict[int, Callable[[int], Value]]" = {}
         self.writers: "dict[int, Callable[[int, Value], int]]" = {}
         self.sizes: "dict[int, int]" = {}
+        self.watch: "Callable[[int, int], int]" = _nothing
+        self.changed: "Callable[[], None] | None" = None
 
     def add(self, index: int, sub: int, entry: "Entry") -> None:
         """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
@@ -166,12 +173,16 @@ class ObjectDictionary:
         abort = check(entry, value)
         if abort:
             return abort
+        watched = self.watch(index, sub)
+        before = self.values[watched] if watched else 0
         writer = self.writers.get(index)
         if writer is not None:
             abort = writer(sub, value)
             if abort:
                 return abort
         self.values[index << 8 | sub] = value
+        if watched and self.values[watched] != before and self.changed is not None:
+            self.changed()
         return 0
 
     def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":

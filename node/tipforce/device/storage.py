@@ -27,7 +27,7 @@ _RESTORED = b""  # stored after a restore: empty, so the defaults apply after th
 class Storage:
     """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h."""
 
-    __slots__ = ("_device", "_groups", "_load", "_save", "damaged")
+    __slots__ = ("_device", "_groups", "_load", "_save", "after_communication", "damaged")
 
     def __init__(
         self,
@@ -39,6 +39,7 @@ class Storage:
         self._save = save
         self._load = load
         self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
+        self.after_communication: "Callable[[], None] | None" = None  # called when that group was restored
         self._groups: "dict[int, Group]" = {}
         self.add_range(COMMUNICATION, "communication", communication.FIRST, communication.LAST)
         self.add_range(APPLICATION, "application", communication.FIRST_PROFILE, communication.LAST_PROFILE)
@@ -70,6 +71,8 @@ class Storage:
                 if name in self.damaged:
                     self.damaged.remove(name)
                 restore(self._read(name))
+                if sub == COMMUNICATION and self.after_communication is not None:
+                    self.after_communication()
 
     @property
     def available(self) -> bool:

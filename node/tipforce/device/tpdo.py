@@ -94,13 +94,23 @@ class TransmitPdos:
             if pdo.active and pdo.transmission <= _SYNCHRONOUS and pdo.on_sync(counter):
                 self._device.send(pdo.can_id, pdo.pack())
 
-    def request(self, number: int) -> None:
-        """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow."""
+    def request(self, number: int, earliest_us: int = 0) -> None:
+        """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow, not earlier."""
         pdo = self._pdos[number - 1]
         pdo.pending = True
         if pdo.transmission > _SYNCHRONOUS and self._active(pdo):
-            pdo.due_us = max(self._device.now_us, pdo.free_us)
+            pdo.due_us = min(pdo.due_us, max(self._device.now_us, pdo.free_us, earliest_us))
             self._reschedule()
+
+    def announce(self, index: int) -> None:
+        """Send each event-driven TPDO that maps an object at once, or as soon as its inhibit time allows."""
+        for k, pdo in enumerate(self._pdos):
+            if pdo.transmission > _SYNCHRONOUS and self._active(pdo) and (index, 0) in pdo.keys:
+                if pdo.free_us <= self._device.now_us:
+                    self._send(pdo, self._device.now_us)
+                    self._reschedule()
+                else:
+                    self.request(k + 1)
 
     def started(self) -> None:
         """Start when the device enters OPERATIONAL: count SYNCs from here, send all event-driven TPDOs."""
@@ -121,11 +131,14 @@ class TransmitPdos:
             self._device.application.refresh(now_us)
         for pdo in self._pdos:
             if pdo.due_us <= now_us and self._active(pdo):
-                self._device.send(pdo.can_id, pdo.pack())
-                pdo.pending = False
-                pdo.free_us = now_us + pdo.inhibit_us
-                pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
+                self._send(pdo, now_us)
         self._reschedule()
+
+    def _send(self, pdo: TransmitPdo, now_us: int) -> None:
+        self._device.send(pdo.can_id, pdo.pack())
+        pdo.pending = False
+        pdo.free_us = now_us + pdo.inhibit_us
+        pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
 
     def _active(self, pdo: TransmitPdo) -> bool:
         return pdo.active and self._device.nmt.state == codes.OPERATIONAL

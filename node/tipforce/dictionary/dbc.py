@@ -19,6 +19,7 @@ EMCY_CODES = {
     emcy.NO_ERROR: "no error",
     table.EMCY_TEMPERATURE: "temperature",
     table.EMCY_GAUGE_SATURATED: "gauge saturated",
+    table.EMCY_OVERLOAD: "overload",
     table.EMCY_FRONT_END: "front end",
     table.EMCY_CALIBRATION_INVALID: "stored calibration invalid",
     emcy.CAN_OVERRUN: "CAN overrun",

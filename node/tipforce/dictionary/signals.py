@@ -135,11 +135,8 @@ def _signals_of(row: Row, start: int, n: int) -> list[Signal]:
     if row.index == indices.STATUS:
         return [_flag(row, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
     if row.index == indices.FAULTS:
-        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated") for k in range(n)]
-        return gauges + [
-            _flag(row, start, k, f"fault_{name}", f"front end: {name.replace('_', ' ')}")
-            for k, name in table.FAULT_BITS
-        ]
+        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)]
+        return gauges + [_flag(row, start, k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
     return [_measurement(row, start, n) or _plain(row, start, n)]
 
 

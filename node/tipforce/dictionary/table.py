@@ -54,7 +54,7 @@ SIGNATURE_ZERO, SIGNATURE_TARA = 0x6F72657A, 0x61726174  # "zero", "tara"
 SIGNATURE_COMMIT, SIGNATURE_OPEN = 0x74696D63, 0x6E65706F  # "cmit", "open"
 
 SOFTWARE_VERSION = "0.1.0"
-REVISION = 0x00010000
+REVISION = 0x00020000
 # Product code 1018h:2: the sensor, options, and the number of gauges in the last four bits.
 PRODUCT, PRODUCT_SIMULATED, PRODUCT_24_BIT, PRODUCT_GAUGES = 0x54500000, 0x100, 0x200, 0xF
 # Of the gauges: (bits, counts per microstrain). Both have a full scale of 3276.8 microstrain.
@@ -73,13 +73,22 @@ STATUS_BITS = (
     ("outside_pad", "theta outside the pad"),
     ("fault", "front-end fault, see 2124h"),
 )
-# Front-end faults 2124h: bits 0-7 are gauges 1-8.
+# Front-end faults 2124h: bits 0-7 are gauges 1-8; 12 to 15 are what the calibration says of the sample.
 FAULT_NO_DATA, FAULT_FROZEN, FAULT_WIRE_BREAK, FAULT_SUPPLY = 8, 9, 10, 11
+FAULT_CONTRADICTION, FAULT_BEYOND_CALIBRATED, FAULT_TEMPERATURE, FAULT_OVERLOAD = 12, 13, 14, 15
 FAULT_BITS = (
-    (FAULT_NO_DATA, "no_data"), (FAULT_FROZEN, "frozen"), (FAULT_WIRE_BREAK, "wire_break"), (FAULT_SUPPLY, "supply"),
-)  # fmt: skip
+    (FAULT_NO_DATA, "no_data", "front end: no data"),
+    (FAULT_FROZEN, "frozen", "front end: frozen"),
+    (FAULT_WIRE_BREAK, "wire_break", "front end: wire break"),
+    (FAULT_SUPPLY, "supply", "front end: supply"),
+    (FAULT_CONTRADICTION, "contradiction", "the gauges contradict each other"),
+    (FAULT_BEYOND_CALIBRATED, "beyond_calibrated", "force beyond the calibrated force: extrapolated"),
+    (FAULT_TEMPERATURE, "temperature", "temperature outside the calibration, or unknown where it is needed"),
+    (FAULT_OVERLOAD, "overload", "force beyond the overload force"),
+)
 # EMCY error codes of the application; those of CiA 301 are in tipforce.device.emcy.
 EMCY_TEMPERATURE, EMCY_GAUGE_SATURATED, EMCY_FRONT_END, EMCY_CALIBRATION_INVALID = 0x4210, 0x5010, 0x5030, 0x6320
+EMCY_OVERLOAD = 0x5020
 COMMAND_TARE, COMMAND_CLEAR_TARE, COMMAND_ZERO = 1, 2, 3
 
 
@@ -119,7 +128,7 @@ def tpdos(n: int) -> "tuple[Pdo, ...]":
             False,
             255,
             1000,
-            ((0x2122, 0), (0x2123, 0), (0x2124, 0), counter, register),
+            ((0x2122, 0), (0x2123, 0), (0x2124, 0), (0x2126, 0), register),
         ),
     ]
     if n > 3:
@@ -361,7 +370,7 @@ def _pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Objec
 
 def mapped_bits(index: int) -> int:
     """Length in bits of an object that the default PDOs map."""
-    return 8 if index in (communication.ERROR_REGISTER, 0x2120, 0x2121) else 16
+    return 8 if index in (communication.ERROR_REGISTER, 0x2120, 0x2121, 0x2126) else 16
 
 
 def _calibration(n: int) -> "tuple[Object, ...]":
@@ -417,6 +426,34 @@ def _calibration(n: int) -> "tuple[Object, ...]":
             (5, "Contact-off force", "off_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
             (6, "Load sense (0 push, 1 pull)", "load_sense", U8, "rw", STAGED, 0, 0, 1),
         ),
+        _record(
+            0x2112, "Calibration validity", "calibration",
+            (1, "Calibrated force (0 not known)", "calibrated_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (2, "Overload force (0 not known)", "overload_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (3, "Lowest temperature", "temperature_minimum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (4, "Highest temperature (both 0 not known)", "temperature_maximum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (5, "Relative model uncertainty of the force", "model_uncertainty", REAL32, "rw", STAGED, 0.0),
+        ),
+        _array(
+            0x2113, "Converter limit (0 span alone)", "calibration.converter_limit", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain",
+        ),
+        _array(
+            0x2114, "Offset against temperature", "calibration.offset_temperature", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain/K",
+        ),
+        _var(
+            0x2115, "Gain of the force against temperature", "calibration.gain_temperature",
+            REAL32, "rw", STAGED, 0.0, unit="1/K",
+        ),
+        _var(
+            0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit",
+            REAL32, "rw", STAGED, 0.0,
+        ),
     )
 
 
@@ -434,6 +471,7 @@ def _live() -> "tuple[Object, ...]":
         _var(0x2122, "Temperature", "temperature", I16, "ro", TPDO, UNKNOWN_I16, unit="0.01 degC"),
         _var(0x2123, "Standard uncertainty of P", "u_P", U16, "ro", TPDO, UNKNOWN_U16, unit="mN"),
         _var(0x2124, "Front-end faults", "faults", U16, "ro", TPDO),
+        _var(0x2126, "Configuration counter", "configuration_counter", U8, "ro", TPDO),
         _var(0x2130, "Command", "command", U16, "rw", RPDO | NOT_STORED, 0, 0, COMMAND_ZERO),
         _var(0x2140, "Active calibration record", "calibration.active_record", DOMAIN, "ro"),
         _var(0x2141, "Staged calibration record", "calibration.staged_record", DOMAIN, "rw", NOT_STORED),

@@ -8,6 +8,7 @@ from tipforce.sensor.contact import scalar
 from .calibration import CALIBRATION_GROUP, Calibration
 from .channels import Channels
 from .interrupts import Interrupts
+from .reporting import Reports
 from .sample import NO_TARE, Sample
 
 TYPE_CHECKING = False
@@ -21,12 +22,11 @@ if TYPE_CHECKING:
 
 REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
 NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
-COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, the gauges' own glue and coefficients are not vouched for
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
 _LIVE = (
     communication.MANUFACTURER_STATUS, indices.UNCERTAINTY, indices.STATUS, indices.COUNTER, indices.TEMPERATURE,
-    indices.U_P, indices.FAULTS, indices.CHANNEL_STATUS,
+    indices.U_P, indices.FAULTS, indices.CONFIGURATION_COUNTER, indices.CHANNEL_STATUS,
 )  # fmt: skip
 _LIVE_FORMS = (
     indices.FIELD_VALUE, indices.FIELD_VALUE + table.INT16_FORM, indices.FIELD_VALUE + table.INT32_FORM,
@@ -56,8 +56,10 @@ class Fingertip(Application):
         self._synced_us = -REFRESH_US
         self.sample = Sample(None, self.channels.scaling, None)
         self.interrupts = Interrupts(device, n, self.channels.exact)
+        self.reports = Reports(device)
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
+        device.storage.after_communication = self.calibration.drop_old_mapping
         self._own_live_objects(device.od)
 
     def _own_live_objects(self, od: "ObjectDictionary") -> None:
@@ -90,7 +92,8 @@ class Fingertip(Application):
         self.frozen = 0
         self.load_filter()
         self.sample = Sample(None, self.channels.scaling, self.calibration.active)
-        if "calibration" in self.device.storage.damaged:
+        self.reports.reset()
+        if "calibration" in self.device.storage.damaged or self.calibration.refused:
             self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
 
     def on_settings(self) -> None:
@@ -150,7 +153,7 @@ class Fingertip(Application):
             seen = self.source.look(now_us)
             # What the application itself calls frozen shows in a row of readings only.
             own = 1 << table.FAULT_FROZEN if self.frozen else 0
-            if seen is not None and seen | own != self.sample.faults | own:
+            if seen is not None and seen | own != self.sample.seen | own:
                 self._latch(now_us)
 
     def _latch(self, now_us: int) -> None:
@@ -177,32 +180,11 @@ class Fingertip(Application):
         before = self.sample
         self.sample = Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
-            self._counter, now_us, self.frozen, filtered, self.ends,
+            self._counter, now_us, self.frozen, filtered, self.ends, before.overloaded,
         )  # fmt: skip
-        if self.sample.faults != before.faults:
-            self._report_faults(before.faults, self.sample.faults)
-        self._watch_temperature(reading)
+        self.reports.sampled(self.sample, before.faults)
         if self.interrupts.watching:
             self.interrupts.check()
-
-    def _report_faults(self, before: int, now: int) -> None:
-        """EMCY for each bit of 2124h that came or went: a saturated gauge by its number, the front end by the bit."""
-        for bit in range(16):
-            code, detail = (
-                (table.EMCY_GAUGE_SATURATED, bit + 1) if bit < table.FAULT_NO_DATA else (table.EMCY_FRONT_END, bit)
-            )
-            if now & ~before & 1 << bit:
-                self.device.emcy.raise_error(code, emcy.PROFILE, detail)
-            elif before & ~now & 1 << bit:
-                self.device.emcy.cure(code, detail)
-
-    def _watch_temperature(self, reading: "Reading | None") -> None:
-        if reading is None or reading.temperature == table.UNKNOWN_I16:
-            return
-        if COLDEST <= reading.temperature <= HOTTEST:
-            self.device.emcy.cure(table.EMCY_TEMPERATURE)
-        else:
-            self.device.emcy.raise_error(table.EMCY_TEMPERATURE, emcy.TEMPERATURE)
 
     def _silent(self, now_us: int) -> bool:
         """The front end has given nothing for longer than a sample period can explain."""
@@ -230,7 +212,7 @@ class Fingertip(Application):
         if value == table.COMMAND_TARE:
             return self.tare()
         if value == table.COMMAND_CLEAR_TARE:
-            self._tare = NO_TARE
+            self._set_tare(NO_TARE)
         elif value == table.COMMAND_ZERO:
             return self.zero(range(self.n))
         return 0
@@ -248,9 +230,14 @@ class Fingertip(Application):
         )  # fmt: skip
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE
-        self._tare = now.force()
+        self._set_tare(now.force())
         self._tared_us = self.device.now_us
         return 0
+
+    def _set_tare(self, tare: "tuple[float, float, float]") -> None:
+        if tare != self._tare:
+            self._tare = tare
+            self.reports.changed()
 
     def zero(self, gauges: "range | list[int]") -> int:
         """Make gauges (from 0) read zero now, by x124h; refused while contact is present or cannot be ruled out."""
@@ -260,7 +247,11 @@ class Fingertip(Application):
             return codes.DEVICE_STATE
         if sample.reading is None or any(sample.overloads):
             return codes.DEVICE_STATE  # a gauge at its end, any one, is a sign of load
-        return self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
+        scaling = self.channels.scaling
+        abort = self.channels.zero(gauges, sample.reading.counts if sample.filtered is None else sample.filtered)
+        if self.channels.scaling != scaling:
+            self.reports.changed()
+        return abort
 
     # --- objects --------------------------------------------------------------------------------------------
 
@@ -289,9 +280,12 @@ class Fingertip(Application):
         return 0 if self._tare == NO_TARE else (self.device.now_us - self._tared_us) // 1000000
 
     def _write_commit(self, _sub: int, value: "Value") -> int:
+        before, tare = self.calibration.active_record(), self._tare
         abort = self.calibration.commit(value)
         if not abort:
             self._tare = NO_TARE  # it was a force by the calibration before
+            if self.calibration.active_record() != before or tare != NO_TARE:
+                self.reports.changed()
         return abort
 
     def _write_autotare(self, _sub: int, value: "Value") -> int:

@@ -6,89 +6,28 @@ docs/objects.md, manufacturer area: 2100h-2106h, 2110h, 2140h, 2141h.
 import binascii
 import struct
 
-from tipforce.device import codes
+from tipforce.device import codes, communication
 from tipforce.dictionary import indices, table
-from tipforce.sensor.contact.scalar_condition import condition_number
+from tipforce.sensor.contact.scalar_condition import condition_number, singular_range
+
+from .active_calibration import Active, square
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
-    Covariance = tuple[float, float, float, float, float, float]
-    Solver = tuple[list[list[float]], Covariance]
 
+NORM_MIN, NORM_MAX = 10.0, 1e7  # of C, 2-norm, N per unit strain: beyond, some unit is mistaken
 CALIBRATION_GROUP = 4  # sub-index of 1010h and 1011h
 _ROUNDING = 1e-5  # of variances: that of REAL32, with room for a node that works in single precision
 _STORED_TAIL = "<fI"  # condition limit 2105h:1, generation 2103h:4
+_HEALTH_MAPPING = communication.TPDO_MAPPING + 3  # of TPDO4
 _CONDITION_LIMIT, _EXPECTED_CRC = indices.CALIBRATION_GUARD << 8 | 1, indices.CALIBRATION_CHECK << 8 | 1
 
 
 def crc32(data: bytes) -> int:
     """CRC-32 (IEEE 802.3, as zlib computes it)."""
     return binascii.crc32(data) & 0xFFFFFFFF
-
-
-class Active:
-    """One calibration, unpacked: ``C`` is three rows in N per strain, ``noise`` the covariance of the gauges."""
-
-    __slots__ = ("C", "_solvers", "limits", "noise", "offsets", "pull", "record")
-
-    def __init__(self, record: bytes, values: "list[float]", n: int) -> None:
-        self.record = record
-        self.C = [values[row * n : row * n + n] for row in range(3)]
-        self.offsets = values[3 * n : 4 * n]
-        after_facts = 4 * n + 4
-        triangle = n * (n + 1) // 2
-        self.noise = values[after_facts : after_facts + triangle]
-        _radius, theta_min, theta_max, on, off, sense = values[after_facts + triangle :]
-        self.limits = (on, off, theta_min, theta_max)
-        self.pull = bool(sense)
-        self._solvers: "dict[int, Solver | None]" = {0: (self.C, _propagate(self.C, self.noise, n))}
-
-    def solver(self, lost: int) -> "Solver | None":
-        """(matrix, covariance of F in N^2) that do without the gauges of the bit mask ``lost``.
-
-        None where the gauges left have no rank 3, always so with three gauges and one lost.
-        """
-        if lost not in self._solvers:
-            found = None
-            n = len(self.offsets)
-            if n > 3:
-                from tipforce.sensor.contact import scalar_redundancy  # a node with three gauges does without
-
-                found = scalar_redundancy.leave_out(self.C, self.noise, [k for k in range(n) if lost >> k & 1])
-            self._solvers[lost] = found
-        return self._solvers[lost]
-
-    def force(self, matrix: "list[list[float]]", strains: "list[float]") -> "tuple[float, float, float]":
-        """F1, F2, F3 in newtons before any tare, from gauge strain (not microstrain): F = C (V - offset)."""
-        V = [s - o for s, o in zip(strains, self.offsets)]  # noqa: B905
-        F = [sum([c * v for c, v in zip(row, V)]) for row in matrix]  # noqa: B905
-        return F[0], F[1], F[2]
-
-
-def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":
-    """Upper triangle of C Sigma C^T, Sigma given as its own upper triangle by rows."""
-    full = _square(noise, n)
-
-    def product(a: "list[float]", b: "list[float]") -> float:
-        return sum([a[i] * full[i][j] * b[j] for i in range(n) for j in range(n)])
-
-    c1, c2, c3 = C
-    return product(c1, c1), product(c1, c2), product(c1, c3), product(c2, c2), product(c2, c3), product(c3, c3)
-
-
-def _square(noise: "Sequence[float]", n: int) -> "list[list[float]]":
-    """The symmetric matrix whose upper triangle, by rows, is ``noise``."""
-    full = [[0.0] * n for _ in range(n)]
-    k = 0
-    for i in range(n):
-        for j in range(i, n):
-            full[i][j] = full[j][i] = noise[k]
-            k += 1
-    return full
 
 
 def _is_covariance(full: "list[list[float]]") -> bool:
@@ -113,12 +52,13 @@ def _is_covariance(full: "list[list[float]]") -> bool:
 class Calibration:
     """Staged and active record of one node, and the objects that show them."""
 
-    __slots__ = ("_generation", "_keys", "_letters", "_locked", "_n", "_od", "active", "packing")
+    __slots__ = ("_generation", "_keys", "_letters", "_locked", "_n", "_od", "active", "packing", "refused")
 
     def __init__(self, od: "ObjectDictionary", n: int) -> None:
         self._od = od
         self._n = n
         self.active: "Active | None" = None
+        self.refused = False  # what is stored is no record of this version (or of another number of gauges)
         self._generation = 0
         self._locked = False
         fields = table.staged(n)
@@ -134,6 +74,10 @@ class Calibration:
         od.readers[indices.CALIBRATION_STAGED_RECORD] = lambda _sub: self.staged_record()
         od.writers[indices.CALIBRATION_GUARD] = self._write_guard
         od.writers[indices.CALIBRATION_STAGED_RECORD] = self._write_record
+
+    def _pad(self) -> int:
+        """Where 2110h:1 is among the fields."""
+        return 4 * self._n + 4 + self._n * (self._n + 1) // 2
 
     def staged_record(self) -> bytes:
         """The staged record as one byte string (2141h)."""
@@ -151,17 +95,24 @@ class Calibration:
         return tail + (b"" if self.active is None else self.active.record)
 
     def restore(self, data: "bytes | None") -> None:
-        """Take what was stored; None, or a record of another length, leaves the node uncalibrated."""
+        """Take what was stored; None leaves the node uncalibrated, and so does another length: ``refused`` says so."""
         self.active = None
         self._generation = 0
         self._od.values[_EXPECTED_CRC] = 0
         self._od.values[_CONDITION_LIMIT] = self._od.default(indices.CALIBRATION_GUARD, 1)
         tail = struct.calcsize(_STORED_TAIL)
-        if data is not None and len(data) in (tail, tail + struct.calcsize(self.packing)):
+        self.refused = data is not None and len(data) not in (tail, tail + struct.calcsize(self.packing))
+        if data is not None and not self.refused:
             self._od.values[_CONDITION_LIMIT], self._generation = struct.unpack(_STORED_TAIL, data[:tail])
             if len(data) > tail:
                 self.active = self._unpack(data[tail:])
         self._stage(self.active_record())
+        self.drop_old_mapping()
+
+    def drop_old_mapping(self) -> None:
+        """What was stored with a record of version 1 maps into TPDO4 what it carried then: its default holds."""
+        if self.refused:
+            self._od.restore_defaults(_HEALTH_MAPPING, _HEALTH_MAPPING)
 
     def _unpack(self, record: bytes) -> Active:
         return Active(record, list(struct.unpack(self.packing, record)), self._n)
@@ -172,14 +123,18 @@ class Calibration:
 
     # --- objects --------------------------------------------------------------------------------------------
 
-    def _condition(self) -> float:
+    def _staged_matrix(self) -> "list[list[float]]":
         n = self._n
         values, first = self._od.values, indices.CALIBRATION_MATRIX << 8 | 1
         rows: "list[list[float]]" = [[values[first + row * n + k] for k in range(n)] for row in range(3)]  # type: ignore[misc]
-        return condition_number(rows)
+        return rows
 
     def _read_facts(self, sub: int) -> "Value":
-        return self._condition() if sub == 5 else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
+        return (
+            condition_number(self._staged_matrix())
+            if sub == 5
+            else self._od.values[indices.CALIBRATION_FACTS << 8 | sub]
+        )
 
     def _read_check(self, sub: int) -> "Value":
         if sub == 2:
@@ -198,7 +153,7 @@ class Calibration:
         if self._locked:
             return codes.DEVICE_STATE
         fields = struct.unpack(self.packing, value)  # type: ignore[arg-type]
-        if fields[-1] > 1:
+        if fields[self._pad() + 5] > 1:
             return codes.INVALID_VALUE  # 2110h:6 load sense, the one field with limits of its own
         self._stage(value)  # type: ignore[arg-type]
         return 0
@@ -223,15 +178,22 @@ class Calibration:
         record = self.staged_record()
         if self._od.values[_EXPECTED_CRC] != crc32(record):
             return codes.INCOMPATIBLE
-        candidate = struct.unpack(self.packing, record)
-        theta_min, theta_max, on, off = candidate[-5:-1]
+        candidate, pad = struct.unpack(self.packing, record), self._pad()
+        theta_min, theta_max, on, off = candidate[pad + 1 : pad + 5]
         if any(field - field != 0 for field in candidate) or theta_min > theta_max or off > on:
             return codes.INVALID_VALUE
         n = self._n
-        if not _is_covariance(_square(candidate[4 * n + 4 : 4 * n + 4 + n * (n + 1) // 2], n)):
+        if not _is_covariance(square(candidate[4 * n + 4 : pad], n)):
             return codes.INVALID_VALUE  # a negative variance would pass for no uncertainty at all
-        if not self._condition() <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
+        calibrated, overload, coldest, hottest, model = candidate[pad + 6 : pad + 11]
+        never_negative = (calibrated, overload, model, candidate[-1]) + candidate[pad + 11 : pad + 11 + n]
+        if min(never_negative) < 0.0 or coldest > hottest:
+            return codes.INVALID_VALUE
+        largest, smallest = singular_range(self._staged_matrix())
+        if smallest == 0.0 or not largest / smallest <= self._od.values[_CONDITION_LIMIT]:  # type: ignore[operator]
             return codes.TOO_HIGH
+        if not NORM_MIN <= largest <= NORM_MAX:
+            return codes.TOO_HIGH if largest > NORM_MAX else codes.TOO_LOW
         self.active = self._unpack(record)
         self._generation = (self._generation + 1) & 0xFFFFFFFF
         return 0

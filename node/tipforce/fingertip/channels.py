@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
     from tipforce.device.object_dictionary import ObjectDictionary, Value
 
+    from .active_calibration import Active
     from .application import Fingertip
-    from .calibration import Active
 
 MAX_I16, MAX_I32 = 0x7FFF, 0x7FFFFFFF
 NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW = 1, 3, 5  # 6150h
@@ -89,7 +89,7 @@ class Channels:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample, n = self._fingertip.sample, self._n
         if sub <= n:
-            hidden = sample.unknown_early() & scalar.UNKNOWN_GAUGES or sample.lost >> sub - 1 & 1
+            hidden = sample.unknown_early() & scalar.UNKNOWN_GAUGES or sample.overloads[sub - 1]
             return scalar.NAN if hidden else sample.microstrains[sub - 1]
         if sub <= n + 3:
             return scalar.NAN if sample.unknown_early() & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]
@@ -135,11 +135,16 @@ class Channels:
 
     def _status(self, sub: int) -> int:
         """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
-        value = self.exact(sub)
+        value, sample = self.exact(sub), self._fingertip.sample
         if value == value:  # noqa: PLR0124
             scaled = value * self._per_unit[sub - 1]
             over = (scaled > MAX_I16) - (scaled < -MAX_I16)
+            if not over and sub <= self._n and sample.lost >> sub - 1 & 1:
+                return NOT_VALID  # a gauge that is left out: its reading is shown all the same
             return (0, OVERLOAD_HIGH, OVERLOAD_LOW)[over]
+        if sample.overloaded and self._n < sub <= self._n + 4 and not sample.hidden():
+            force = sample.force()[sub - self._n - 1] if sub <= self._n + 3 else 1.0
+            return OVERLOAD_LOW if force < 0.0 else OVERLOAD_HIGH
         return (NOT_VALID, OVERLOAD_HIGH, OVERLOAD_LOW)[self._overload(sub)]
 
     # --- settings -------------------------------------------------------------------------------------------

@@ -8,7 +8,8 @@ from .source import Source
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .calibration import Active
+    from .active_calibration import Active, Covariance
+    from .judgement import Judgement
     from .source import Reading
 
 NAN = float("nan")
@@ -16,7 +17,11 @@ NO_TARE = (0.0, 0.0, 0.0)
 _MICRO = 1e-6
 _ENDS = Source.count_min, Source.count_max
 # Faults that cost one gauge, which is left out where it can be spared: frozen, and a broken wire at the range's end.
-_OF_ONE_GAUGE = (1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK) >> table.FAULT_NO_DATA
+_OF_ONE_GAUGE = 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK
+_FRONT_END = 1 << table.FAULT_NO_DATA | 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK | 1 << table.FAULT_SUPPLY
+_ALL_GAUGES = 1 << table.FAULT_NO_DATA | 1 << table.FAULT_SUPPLY
+_GAUGES = (1 << table.FAULT_NO_DATA) - 1
+_CONTRADICTION, _OVERLOAD = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_OVERLOAD
 
 
 class Sample:
@@ -27,14 +32,16 @@ class Sample:
     is what a filter makes of the counts, in place of them; ``ends`` are the converter's ends. A sample without a
     reading has no values, only a status.
 
-    A gauge that is saturated or frozen is lost. With more than three gauges the others go on giving the force as long
-    as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge is missing.
+    A gauge that is saturated, frozen or contradicts the others is lost. With more than three gauges the others go on
+    giving the force as long as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge is missing.
+    ``overloaded`` is bit 15 of 2124h: the force is beyond the overload force; ``was_overloaded`` that of the sample
+    before, for its hysteresis.
     """
 
     __slots__ = (
-        "_contact", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active", "counter",
-        "faults", "filtered", "frozen", "latched_us", "lost", "microstrains", "overloads", "reading", "solver",
-        "spared", "stale", "tare",
+        "_contact", "_covariance", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active",
+        "counter", "faults", "filtered", "frozen", "judgement", "latched_us", "lost", "microstrains", "overloaded",
+        "overloads", "reading", "seen", "solver", "spared", "stale", "tare",
     )  # fmt: skip
 
     def __init__(
@@ -51,6 +58,7 @@ class Sample:
         frozen: int = 0,
         filtered: "list[float] | None" = None,
         ends: "tuple[int, int]" = _ENDS,
+        was_overloaded: bool = False,
     ) -> None:
         self.reading = reading
         self.active = active
@@ -62,26 +70,56 @@ class Sample:
         self._force: "tuple[float, float, float] | None" = None
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
+        self._covariance: "Covariance | None" = None
         self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
         self.filtered = filtered
         self.overloads: "list[int]" = []
         self.microstrains: "list[float]" = []
+        faults &= _FRONT_END  # the other bits are found here, from the reading
         if reading is not None:
             counts = reading.counts
             self.overloads = [0] * len(counts)
             lowest, highest = ends
             if max(counts) >= highest or min(counts) <= lowest:
                 self.overloads = [(c >= highest) - (c <= lowest) for c in counts]
-                for k in range(len(counts)):
-                    if self.overloads[k]:
-                        self.lost |= 1 << k
-                faults |= self.lost & ~frozen
             shown = counts if filtered is None else filtered
             self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
-        self.faults = faults
+            faults |= self._saturated()
+        self.seen = faults  # all that a source can say by itself
+        if reading is not None and active is not None and active.converter is not None:
+            self._limit(active.converter, scaling)
+            faults |= self._saturated()
+        self.lost |= faults & _GAUGES
         self.solver = None if active is None else active.solver(self.lost)
+        self.judgement: "Judgement | None" = None
+        if active is not None and active.checked and reading is not None and not faults & _ALL_GAUGES:
+            from .judgement import Judgement  # a calibration of which nothing is known does without
+
+            self.judgement = Judgement(active, self.microstrains, self.lost, reading.temperature, was_overloaded)
+            self.lost |= self.judgement.left_out
+            self.solver = self.judgement.solver
+            faults |= self.judgement.bits
         self.spared = self.lost != 0 and self.solver is not None
+        self.faults = faults | self.lost if self.spared else faults
+        self.overloaded = faults & _OVERLOAD != 0
+
+    def _saturated(self) -> int:
+        """Bits of the gauges at an end of their converter."""
+        bits = 0
+        for k in range(len(self.overloads)):
+            if self.overloads[k]:
+                bits |= 1 << k
+        return bits
+
+    def _limit(self, limits: "list[float]", scaling: "list[tuple[float, float]]") -> None:
+        """A reading (before any filter) at 2113h or beyond is at the converter's end too."""
+        assert self.reading is not None
+        for k, (gain, bias) in enumerate(scaling):
+            limit = 1e6 * limits[k]
+            microstrain = gain * self.reading.counts[k] + bias
+            if limit > 0.0 and not self.overloads[k]:
+                self.overloads[k] = (microstrain >= limit) - (microstrain <= -limit)
 
     def status(self) -> int:
         """The status byte 2120h of this sample."""
@@ -98,14 +136,22 @@ class Sample:
     def unknown(self) -> int:
         """What the status makes unknown, in the bits of ``sensor.scalar``."""
         if self._unknown < 0:
-            self._unknown = scalar.unknown(self.status(), self.spared)
+            self._unknown = scalar.unknown(self.status(), self._determined())
         return self._unknown
 
     def unknown_early(self) -> int:
         """UNKNOWN_GAUGES and UNKNOWN_FORCE of ``unknown``: no contact is needed for these; it hides angles only."""
         if self._early < 0:
-            self._early = scalar.unknown(self._early_status(), self.spared)
+            self._early = scalar.unknown(self._early_status(), self._determined())
         return self._early
+
+    def hidden(self) -> bool:
+        """Stale, or the front end failed: nothing of this sample is live."""
+        return bool(self.unknown_early() & scalar.UNKNOWN_GAUGES)
+
+    def _determined(self) -> bool:
+        """The gauges left give the force although status bit 2 is set."""
+        return self.spared and not self.overloaded
 
     def force(self) -> "tuple[float, float, float]":
         """F1, F2, F3 in newtons, tare taken off; NaN while the status leaves them unknown or there is no reading."""
@@ -113,10 +159,28 @@ class Sample:
             if self.active is None or self.solver is None or self.reading is None:
                 self._force = (NAN, NAN, NAN)
             else:
-                f1, f2, f3 = self.active.force(self.solver[0], [_MICRO * m for m in self.microstrains])
+                f1, f2, f3 = self._total()
                 t1, t2, t3 = self.tare
                 self._force = (f1 - t1, f2 - t2, f3 - t3)
         return self._force
+
+    def _total(self) -> "tuple[float, float, float]":
+        """F = C (V - offset) before any tare, with what the judgement found where there is one."""
+        if self.judgement is not None:
+            return self.judgement.force or (NAN, NAN, NAN)
+        active, solver = self.active, self.solver
+        assert active is not None
+        assert solver is not None
+        return active.force(solver[0], [_MICRO * m for m in self.microstrains])
+
+    def covariance(self) -> "Covariance":
+        """Covariance of F, N^2, upper triangle; NaN without calibration."""
+        if self._covariance is None:
+            if self.judgement is not None:
+                self._covariance = self.judgement.covariance()
+            else:
+                self._covariance = (NAN,) * 6 if self.solver is None else self.solver[1]
+        return self._covariance
 
     def contact(self) -> "tuple[float, float, float, float]":
         """P newtons, phi and theta radians, and by how much the line of action misses the tip."""
@@ -126,13 +190,13 @@ class Sample:
         return self._contact
 
     def uncertainty(self) -> "tuple[float, float, float]":
-        """Standard uncertainties of P (N), phi and theta (radians) from gauge noise; NaN without calibration."""
+        """Standard uncertainties of P (N), phi and theta (radians), see ``covariance``; NaN without calibration."""
         if self._uncertainty is None:
             if self.active is None or self.solver is None:
                 self._uncertainty = (NAN, NAN, NAN)
             else:
                 f1, f2, f3 = self.force()
-                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.solver[1], self.active.pull)
+                self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
     def _early_status(self) -> int:
@@ -140,14 +204,14 @@ class Sample:
         bits = 0
         if self.active is not None:
             bits |= scalar.CALIBRATED
-        if any(self.overloads) or self.spared:
+        if any(self.overloads) or self.spared or self.overloaded:
             bits |= scalar.SATURATED
         if self.stale or self.reading is None:
             bits |= scalar.STALE
-        faults = self.faults >> table.FAULT_NO_DATA
+        faults = self.faults & _FRONT_END
         if self.spared:
             faults &= ~_OF_ONE_GAUGE
-        if faults:
+        if faults or (self.faults & _CONTRADICTION and self.solver is None):
             bits |= scalar.FRONT_END_FAULT
         return bits
 
@@ -160,5 +224,5 @@ class Sample:
         u_miss = 0.0
         if miss > 0.0:
             f1, f2, f3 = self.force()
-            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.solver[1])
+            u_miss = scalar.miss_uncertainty(f1, f2, f3, self.covariance())
         return bits | scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)

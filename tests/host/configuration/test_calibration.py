@@ -5,9 +5,13 @@ from __future__ import annotations
 import binascii
 import itertools
 import struct
+import tomllib
 from datetime import date
 from pathlib import Path
+from typing import Any
+from unittest.mock import patch
 
+import msgspec
 import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -19,6 +23,8 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
 
+UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
+"""Any numbers survive a file and a record, those that no sensor can have too."""
 REAL32 = st.floats(width=32, allow_nan=False, allow_infinity=False)
 U32 = st.integers(0, 0xFFFFFFFF)
 DATE = st.one_of(st.just(0), st.dates().map(lambda d: d.year * 10000 + d.month * 100 + d.day))
@@ -55,7 +61,8 @@ def test_a_record_survives_numbers(record: bytes) -> None:
 def test_a_record_survives_a_file(tmp_path: Path, record: bytes) -> None:
     path = tmp_path / "cal.toml"
     write_calibration(path, Calibration.from_record(record))
-    assert read_calibration(path).record() == record
+    with UNCHECKED:
+        assert read_calibration(path).record() == record
 
 
 @settings(max_examples=50, deadline=None, derandomize=True, suppress_health_check=[HealthCheck.function_scoped_fixture])
@@ -66,7 +73,8 @@ def test_what_a_fit_gives_survives_a_file(tmp_path: Path, values: list[float]) -
     calibration = beam_calibration(C=numbers[:9].reshape(3, 3), offset_strain=numbers[9:])
     path = tmp_path / "cal.toml"
     write_calibration(path, calibration)
-    assert read_calibration(path).record() == calibration.record()
+    with UNCHECKED:
+        assert read_calibration(path).record() == calibration.record()
 
 
 def test_an_offset_between_two_real32_survives_a_file(tmp_path: Path) -> None:
@@ -80,10 +88,10 @@ def test_an_offset_between_two_real32_survives_a_file(tmp_path: Path) -> None:
         assert read_calibration(path).record() == calibration.record()
 
 
-def test_the_record_is_106_bytes_in_the_order_of_the_dictionary() -> None:
+def test_the_record_is_158_bytes_in_the_order_of_the_dictionary() -> None:
     calibration = beam_calibration(offset_strain=np.array([1e-6, 2e-6, 3e-6]), tip_radius_m=0.012)
     record = calibration.record()
-    assert len(record) == 106
+    assert len(record) == 158
     np.testing.assert_allclose(struct.unpack_from("<9f", record), calibration.C.ravel(), rtol=1e-6)
     np.testing.assert_allclose(struct.unpack_from("<3f", record, 36), [1e-6, 2e-6, 3e-6], rtol=1e-6)
     assert struct.unpack_from("<IIfB", record, 48) == (7, 20260102, 20.0, 1)
@@ -96,9 +104,9 @@ def test_covariance_of_force() -> None:
     np.testing.assert_allclose(calibration.covariance_F, ROUNDING_STRAIN2 * calibration.C @ calibration.C.T)
 
 
-@pytest.mark.parametrize("length", [0, 105, 107, 1000])
+@pytest.mark.parametrize("length", [0, 105, 157, 159, 1000])
 def test_a_record_of_no_length(length: int) -> None:
-    with pytest.raises(InputError, match=rf"a calibration record of {length} bytes: with 3 gauges it has 106"):
+    with pytest.raises(InputError, match=rf"a calibration record of {length} bytes: with 3 gauges it has 158"):
         Calibration.from_record(bytes(length))
 
 
@@ -120,7 +128,7 @@ def test_what_a_record_cannot_hold(changes: dict[str, object], text: str) -> Non
 # --- the file -------------------------------------------------------------------------------------------------------
 
 GOOD = """[calibration]
-matrix_newtons_per_strain = [[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]
+matrix_newtons_per_strain = [[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]
 offset_microstrain = [1, 2.5, -3]
 covariance_microstrain2 = [[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]
 load_sense = "pull"
@@ -135,7 +143,7 @@ def read_text(tmp_path: Path, text: str) -> Calibration:
 
 def test_a_short_file_by_hand(tmp_path: Path) -> None:
     found = read_text(tmp_path, GOOD + 'date = 2026-01-02\nlayout = "II"\nserial = 5\ntip_radius_m = 0.01\n')
-    np.testing.assert_array_equal(found.C, np.diag([1.0, 2.0, 3.0]))
+    np.testing.assert_array_equal(found.C, np.diag([1e4, 2e4, 3e4]))
     np.testing.assert_allclose(found.offset_strain, [1e-6, 2.5e-6, -3e-6])
     np.testing.assert_allclose(found.covariance_strain2, np.eye(3) * 0.25e-12)
     assert (found.serial, found.date, found.layout_code, found.pull) == (5, 20260102, 2, True)
@@ -166,13 +174,21 @@ def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "text"),
     [
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0], [0, 2.0], [0, 0]]", r"has shape \(3, 2\), allowed \(3, 3\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[], [], []]", r"has shape \(3, 0\)"),
-        ("[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]", "[[1, 0, 0], [0, 2], [0]]", r"the rows of matrix_\w+ differ in length"),
         (
-            "[[1, 0, 0], [0, 2.0, 0], [0, 0, 3]]",
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
+            "[[1, 0], [0, 2.0], [0, 0]]",
+            r"has shape \(3, 2\), allowed \(3, 3\)",
+        ),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[], [], []]", r"has shape \(3, 0\)"),
+        (
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
+            "[[1, 0, 0], [0, 2], [0]]",
+            r"the rows of matrix_\w+ differ in length",
+        ),
+        (
+            "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
             '[["a"]]',
             r"calibration\.matrix_newtons_per_strain is \[\['a'\]\]: expected float, got str at \[0\]\[0\]",
         ),
@@ -232,3 +248,68 @@ def test_what_a_file_has_no_words_for_is_not_written(tmp_path: Path, changes: di
 def test_the_date_is_a_toml_date(tmp_path: Path) -> None:
     write_calibration(tmp_path / "cal.toml", beam_calibration(date=20260102))
     assert f"date = {date(2026, 1, 2).isoformat()}\n" in (tmp_path / "cal.toml").read_text()
+
+
+VERSION_2: dict[str, Any] = {
+    "calibrated_force_newtons": 5.0,
+    "overload_force_newtons": 19.5,
+    "temperature_min_degC": -5.0,
+    "temperature_max_degC": 45.0,
+    "model_uncertainty": 0.0025,
+    "converter_limit_strain": np.array([2e-3, 2.5e-3, 3e-3]),
+    "offset_temperature_strain_per_K": np.array([1e-6, -2e-6, 0.0]),
+    "gain_temperature_per_K": -3e-4,
+    "redundancy_limit": 0.0,
+}
+
+
+def test_the_fields_of_version_2_survive_record_and_file(tmp_path: Path) -> None:
+    calibration = beam_calibration(**VERSION_2)
+    record = calibration.record()
+    assert record[:106] == beam_calibration().record()[:106]
+    expected = (5.0, 19.5, -5.0, 45.0, 0.0025, 2e-3, 2.5e-3, 3e-3, 1e-6, -2e-6, 0.0, -3e-4, 0.0)
+    np.testing.assert_allclose(struct.unpack("<13f", record[106:]), expected, rtol=1e-6)
+    write_calibration(tmp_path / "cal.toml", calibration)
+    for found in (Calibration.from_record(record), read_calibration(tmp_path / "cal.toml")):
+        assert found.record() == record
+        for name, value in VERSION_2.items():
+            np.testing.assert_allclose(getattr(found, name), value, rtol=1e-6, err_msg=name)
+    assert calibration.not_known == ()
+
+
+def test_a_file_of_version_1_is_read_by_its_own_crc(tmp_path: Path) -> None:
+    crc = binascii.crc32(beam_calibration().record()[:106])
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
+    new = {*VERSION_2, "converter_limit_microstrain", "offset_temperature_microstrain_per_K"}
+    content = tomllib.loads((tmp_path / "cal.toml").read_text())["calibration"]
+    old = {name: value for name, value in content.items() if name not in new} | {"crc32": f"0x{crc:08X}"}
+    found = read_text(tmp_path, msgspec.toml.encode({"calibration": old}).decode())
+    assert found.record() == beam_calibration().record()
+    assert found.not_known == (
+        "calibrated force", "overload force", "temperature range", "model uncertainty", "converter limit",
+    )  # fmt: skip
+
+
+def test_a_record_of_version_1_is_refused() -> None:
+    with pytest.raises(InputError, match="a calibration record of 106 bytes is of version 1: allowed is version 2"):
+        Calibration.from_record(bytes(106))
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"model_uncertainty": -0.1}, "calibration model_uncertainty: -0.1, allowed is 0"),
+        ({"overload_force_newtons": np.nan}, "calibration overload_force_newtons: nan is not finite"),
+        ({"converter_limit_strain": np.array([1.0, -1.0, 1.0])}, "calibration converter_limit_strain: -1, allowed"),
+        ({"gain_temperature_per_K": np.inf}, "calibration gain_temperature_per_K: inf is not finite"),
+        ({"temperature_min_degC": 3.0, "temperature_max_degC": 2.0}, "temperature_min_degC: 3 is above"),
+    ],
+)
+def test_validity_that_a_node_would_refuse(changes: dict[str, Any], text: str) -> None:
+    with pytest.raises(InputError, match=text):
+        beam_calibration(**changes).check()
+
+
+def test_a_converter_limit_for_another_number_of_gauges() -> None:
+    with pytest.raises(InputError, match=r"converter_limit_strain: shape \(2,\), allowed is \(3,\)"):
+        beam_calibration(converter_limit_strain=np.ones(2))

@@ -71,7 +71,7 @@ def test_unknown_of_health() -> None:
     columns = Decoder().decode(one(0x481, data))[1, "Health"].columns
     assert np.isnan(columns["temperature"][0])
     assert np.isnan(columns["u_P"][0])
-    assert (columns["counter"][0], columns["error_register"][0]) == (9, 1)
+    assert (columns["configuration_counter"][0], columns["error_register"][0]) == (9, 1)
     data = struct.pack("<hHHBB", -100, 0xFFFE, 0x0801, 9, 1)
     columns = Decoder().decode(one(0x481, data))[1, "Health"].columns
     assert (columns["temperature"][0], columns["u_P"][0]) == (-1.0, 65.534)

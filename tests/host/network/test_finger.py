@@ -262,5 +262,5 @@ def test_verify_of_an_uncalibrated_node() -> None:
 
 
 def test_records_of_different_length() -> None:
-    assert difference(bytes(106), bytes(106)) == []
-    assert difference(bytes(106), bytes(105)) == ["length: expected 106 bytes, the node has 105"]
+    assert difference(bytes(158), bytes(158)) == []
+    assert difference(bytes(158), bytes(157)) == ["length: expected 158 bytes, the node has 157"]

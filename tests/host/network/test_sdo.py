@@ -69,12 +69,12 @@ def test_values_of_every_kind(connection: Connection) -> None:
     sdo = connection.sdo(NODE)
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
     assert sdo.read(od.DEVICE_NAME)  # a string: more than four bytes, segmented
-    assert len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) == 106
+    assert len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) == 158
     sdo.write(od.HEARTBEAT_PRODUCER_MS, 500)
     assert sdo.read(od.HEARTBEAT_PRODUCER_MS) == 500
     sdo.write(od.CALIBRATION_OFFSET[2], 1.5e-6)
     assert sdo.read(od.CALIBRATION_OFFSET[2]) == pytest.approx(1.5e-6, rel=1e-6)
-    record = bytes(range(100)) + bytes(6)
+    record = bytes(range(100)) + bytes(58)
     sdo.write(od.CALIBRATION_STAGED_RECORD, record)
     assert sdo.read(od.CALIBRATION_STAGED_RECORD) == record
 
@@ -86,8 +86,8 @@ def test_values_of_every_kind(connection: Connection) -> None:
         (od.CALIBRATION_ACTIVE_CRC, 1, 0x06010002, "write of 0x2103:03"),
         (od.CALIBRATION_LOCK, 2, 0x06090031, "write of 0x2105:02"),
         (od.CALIBRATION_STAGED_RECORD, b"", 0x06070013, "write of 0x2141:00"),
-        (od.CALIBRATION_STAGED_RECORD, bytes(107), 0x06070012, "write of 0x2141:00"),
-        (od.CALIBRATION_STAGED_RECORD, bytes(105), 0x06070013, "write of 0x2141:00"),
+        (od.CALIBRATION_STAGED_RECORD, bytes(159), 0x06070012, "write of 0x2141:00"),
+        (od.CALIBRATION_STAGED_RECORD, bytes(157), 0x06070013, "write of 0x2141:00"),
     ],
 )
 def test_an_abort_names_place_code_and_meaning(
@@ -140,7 +140,7 @@ def test_one_bad_answer_is_made_good_by_a_retry(
 def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Connection, bus: FaultyBus, answer: int) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
-    record = bytes(range(16)) + bytes(90)
+    record = bytes(range(16)) + bytes(142)
 
     def losing() -> Callable[[can.Message], can.Message | None]:
         count = iter(range(1000))
@@ -251,8 +251,8 @@ def test_four_threads_with_a_domain_among_them(connection: Connection) -> None:
         for count in range(20):
             try:
                 if k == 0:
-                    sdo.write(od.CALIBRATION_STAGED_RECORD, bytes((count,)) * 36 + bytes(70))
-                elif len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) != 106:
+                    sdo.write(od.CALIBRATION_STAGED_RECORD, bytes((count,)) * 36 + bytes(122))
+                elif len(sdo.read(od.CALIBRATION_ACTIVE_RECORD)) != 158:
                     wrong.append(k)
             except Exception as error:
                 wrong.append(error)

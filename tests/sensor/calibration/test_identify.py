@@ -108,9 +108,10 @@ def test_stated_noise_makes_up_for_missing_residuals() -> None:
 def test_no_times_no_drift() -> None:
     P, phi, theta = np.ones(3), np.zeros(3), np.zeros(3)
     with pytest.raises(InputError, match="column t_s"):
-        fit_calibration(Readings(np.ones((3, 3)), P, phi, theta), Model(drift="tare"))
+        fit_calibration(Readings(np.ones((3, 3)), P, phi, theta), Model(drift="tare", saturation_strain=np.inf))
+    model = Model(drift="linear", saturation_strain=np.inf)
     with pytest.raises(InputError, match="every row has t_s = 5"):
-        fit_calibration(Readings(np.ones((3, 3)), P, phi, theta, np.full(3, 5.0)), Model(drift="linear"))
+        fit_calibration(Readings(np.ones((3, 3)), P, phi, theta, np.full(3, 5.0)), model)
 
 
 def test_a_dead_gauge_and_a_doubled_one_are_named() -> None:

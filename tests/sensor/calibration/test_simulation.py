@@ -24,7 +24,7 @@ def test_twenty_calibrations_beside_the_fit_that_knows(monkeypatch: pytest.Monke
 
 @pytest.mark.parametrize(
     ("condition", "simulations"),
-    [("offset and noise", 80), ("load directions", 60), ("outliers", 60), ("everything", 50)],
+    [("offset and noise", 80), ("angles of grooves", 40), ("outliers", 40), ("everything", 50)],
 )
 def test_intervals_hold_what_they_promise(condition: str, simulations: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(ROOT)

@@ -29,7 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--sense", choices=("push", "pull"), help="load sense of the file (default: that of the data)")
     parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number of the fingertip")
     parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="default: today")
-    parser.add_argument("--strict", action="store_true", help="write no file and exit 1 if a row of the data is bad")
+    parser.add_argument(
+        "--strict", action="store_true", help="write no file and exit 1 if a row is bad, or the fit is in doubt"
+    )
     common.add_output_arguments(parser)
 
 
@@ -38,18 +40,24 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
     group = parser.add_argument_group("model")
     group.add_argument(
         "--angle-scatter", type=float, default=0.5, metavar="DEG",
-        help="standard deviation of phi and of theta, anew in every row (default %(default)s)",
+        help="standard deviation of phi and of theta of a groove, the same error in all its rows (default %(default)s)",
     )  # fmt: skip
     group.add_argument(
         "--drift", choices=("none", "tare", "linear"),
-        help="of the offsets (default: tare where t_s and unloaded readings at two times or more allow it, else none)",
+        help="of the offsets (default: what predicts rows that the fit leaves out best)",
     )  # fmt: skip
     group.add_argument(
         "--loss", choices=("huber", "soft-l1", "none"), default="huber",
         help="rows that disagree weigh less or are left out by name; none: all count (default %(default)s)",
     )  # fmt: skip
     group.add_argument("--noise", type=float, metavar="UE", help="gauge noise in microstrain (default: estimated)")
-    group.add_argument("--saturation", type=float, metavar="UE", help="converter limit in microstrain")
+    group.add_argument(
+        "--saturation", type=_limit, metavar="UE|none",
+        help="converter limit in microstrain, kept in the file; none: no reading is at a limit",
+    )  # fmt: skip
+    group.add_argument(
+        "--yield-stress", type=float, metavar="MPA", help="of the material, for the overload force (with --layout)"
+    )
     group.add_argument("--no-offset", action="store_true", help="the readings are zero unloaded: fit no offset")
     group.add_argument("--prior", choices=("beam",), help="lean on beam theory where loads are few; needs --layout")
     group.add_argument(
@@ -62,11 +70,9 @@ def add_model_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the fit and write the file: 0. With --strict and bad rows: no file, 1."""
+    """Print the fit and write the file: 0. With --strict and bad rows or a doubtful fit: no file, 1."""
     from tipforce.host.configuration.calibration_file import fit_record, write_calibration
     from tipforce.host.configuration.measurements import read_measurements
-    from tipforce.sensor.calibration.fit import fit_calibration
-    from tipforce.sensor.calibration.rounding import rounded
     from tipforce_tools.calibrate import fit_report
     from tipforce_tools.cli.one_finger_csv import check_one_node
 
@@ -75,17 +81,21 @@ def run(args: argparse.Namespace) -> int:
     if not len(data.line):
         raise InputError(f"{args.data}: no row can be used; the first: {data.bad[0]}")
     _check_layout(args, data)
-    model = model_of(args, data)
-    fit = rounded(fit_calibration(readings_of(data), model))
+    if not 0 <= args.serial < 2**32:
+        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
+    fit, model, scores = fit_of(args, data)
     calibration = calibration_of(args, data, fit)
-    notes = fit_report.notes(data, fit, model, args.layout)
+    notes = fit_report.notes(data, fit, model, args.layout, calibration, scores)
+    warnings = fit_report.warnings(readings_of(data), fit)
     if args.json:
-        fit_report.print_json(args.data, data, fit, calibration, notes)
+        fit_report.print_json(args.data, data, fit, calibration, notes, warnings)
     else:
         fit_report.print_text(args.data, data, fit, model, notes)
+    for warning in warnings:
+        common.note(args, f"{args.data}: {warning}")
     if data.bad:
         common.note(args, f"{args.data}: {len(data.bad)} bad rows were not used")
-    if data.bad and args.strict:
+    if (data.bad or warnings) and args.strict:
         common.note(args, "--strict: no file is written")
         return 1
     if args.output:
@@ -95,19 +105,33 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def model_of(args: argparse.Namespace, data: Measurements) -> Model:
-    """The model that the flags and the data ask for. Raises InputError for values that are not allowed."""
+def fit_of(args: argparse.Namespace, data: Measurements) -> tuple[Fit, Model, dict[str, float]]:
+    """The fit, rounded, its model, and the hold-out scores of the drifts that were tried (one where --drift is given).
+
+    Raises InputError for flags that are not allowed, for data that look like another unit or a converter's limit, and
+    where the rows do not determine a calibration.
+    """
+    from tipforce.sensor.calibration.drift_choice import best_fit, fit_with_drift
+    from tipforce.sensor.calibration.rounding import rounded
+    from tipforce_tools.calibrate.fit_checks import check_readings, check_theory
+
+    model, readings = model_of(args), readings_of(data)
+    check_readings(args, data, readings, model)
+    if args.drift is None:
+        fit, model, scores = best_fit(readings, model)
+    else:
+        fit, model, scores = fit_with_drift(readings, model)
+    check_theory(args, fit)
+    return rounded(fit), model, scores
+
+
+def model_of(args: argparse.Namespace) -> Model:
+    """The model that the flags ask for. Raises InputError for values that are not allowed."""
     import numpy as np
 
     from tipforce.sensor.calibration.fit import Model, beam_prior
-    from tipforce.sensor.calibration.regressors import tare_groups
     from tipforce_tools.cli.layout_file import read_layout
 
-    drift = args.drift
-    if drift is None:
-        everything = np.ones(len(data.line), dtype=np.bool_)
-        groups = tare_groups(data.unloaded, everything)
-        drift = "tare" if data.t_s is not None and len(groups) >= 2 and not args.no_offset else "none"
     prior = None
     if args.prior:
         if not args.layout:
@@ -115,14 +139,16 @@ def model_of(args: argparse.Namespace, data: Measurements) -> Model:
         prior = beam_prior(*read_layout(args.layout), args.prior_scatter)
     if not 0.0 <= args.angle_scatter <= 20.0:
         raise InputError(f"--angle-scatter {args.angle_scatter:g}: allowed is 0 to 20 degrees")
-    for name in ("noise", "saturation"):
-        value = getattr(args, name)
-        if value is not None and not 0.0 < value < np.inf:
-            raise InputError(f"--{name} {value:g}: allowed is above 0, in microstrain")
+    if args.noise is not None and not 0.0 < args.noise < np.inf:
+        raise InputError(f"--noise {args.noise:g}: allowed is above 0, in microstrain")
+    if args.saturation is not None and not args.saturation > 0.0:
+        raise InputError(f"--saturation {args.saturation:g}: allowed is above 0, in microstrain, or none")
+    if args.yield_stress is not None and not 0.0 < args.yield_stress < np.inf:
+        raise InputError(f"--yield-stress {args.yield_stress:g}: allowed is above 0, in MPa")
     scatter = float(np.radians(args.angle_scatter))
     return Model(
         offset=not args.no_offset,
-        drift=drift,
+        drift=args.drift or "none",
         loss=args.loss.replace("-", "_"),
         phi_scatter_rad=scatter,
         theta_scatter_rad=scatter,
@@ -141,13 +167,14 @@ def readings_of(data: Measurements) -> Readings:
     if data.P_newtons is None or data.phi_rad is None or data.theta_rad is None:
         raise InputError("the data have no loads: the columns P_N, phi_deg, theta_deg are needed")
     P = np.where(data.unloaded, 0.0, data.P_newtons)
-    return Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight)
+    return Readings(data.strain, P, data.phi_rad, data.theta_rad, data.t_s, data.weight, data.temperature_degC)
 
 
 def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Calibration:
-    """The calibration that goes into the file and to the node."""
+    """The calibration that goes into the file and to the node, with where it is valid."""
     from tipforce.host.configuration.calibration import Calibration
     from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
+    from tipforce_tools.calibrate.fit_checks import validity_of
     from tipforce_tools.cli.layout_file import read_layout
 
     code = CUSTOM_LAYOUT_CODE
@@ -155,13 +182,12 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
         gauges = read_layout(args.layout)[1]
         points = [gauge for gauge in gauges if isinstance(gauge, str)]
         code = layout_code(points) if len(points) == len(gauges) else CUSTOM_LAYOUT_CODE
-    if not 0 <= args.serial < 2**32:
-        raise InputError(f"--serial {args.serial}: allowed is 0 to {2**32 - 1}")
     day = args.date or datetime.date.today()
-    temperature = 20.0 if data.temperature_degC is None else float(data.temperature_degC.mean())
     return Calibration(
         fit.C, fit.offset_strain, fit.noise_covariance_strain2, args.serial,
-        day.year * 10000 + day.month * 100 + day.day, temperature, code, pull=_pulls(args, data),
+        day.year * 10000 + day.month * 100 + day.day, layout_code=code, pull=_pulls(args, data),
+        parameter_covariance=fit.parameter_covariance,
+        **validity_of(args, data, fit),
     )  # fmt: skip
 
 
@@ -184,6 +210,15 @@ def _pulls(args: argparse.Namespace, data: Measurements) -> bool:
     if pushes and pulls:
         common.note(args, "the data have pushes and pulls: the file says push; --sense pull for the other")
     return not pushes
+
+
+def _limit(text: str) -> float:
+    if text == "none":
+        return float("inf")
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are microstrain above 0, and none") from None
 
 
 def _date(text: str) -> datetime.date:

@@ -8,7 +8,9 @@ import numpy as np
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
-from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model
+from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model, Readings
+from tipforce.sensor.calibration.rejections import rejections
+from tipforce.sensor.contact.redundancy import parity
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools.cli import common
 from tipforce_tools.cli.layout_file import read_layout
@@ -29,21 +31,23 @@ def facts(path: str, data: Measurements, fit: Fit) -> dict[str, object]:
     }
 
 
-def notes(data: Measurements, fit: Fit, model: Model, layout: str | None) -> list[str]:
+def notes(
+    data: Measurements, fit: Fit, model: Model, layout: str | None, calibration: Calibration, scores: dict[str, float]
+) -> list[str]:
     """What a person should look at before he trusts the fit."""
     found = [f"column {name} is not used" for name in data.ignored_columns]
+    if len(scores) > 1:
+        others = ", ".join(f"{name} {score:.1f}" for name, score in sorted(scores.items(), key=lambda one: -one[1]))
+        found.append(f"drift {fit.drift}: predicts left-out rows best (hold-out score: {others})")
     if fit.sigma0_loaded > 1.4 and (model.phi_scatter_rad or model.noise_strain is not None):
         found.append(
-            f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or their directions are "
-            "less certain than stated (--angle-scatter, --noise)"
+            f"loaded rows scatter {fit.sigma0_loaded:.2g} times what the model expects: loads or gauges are less "
+            "certain than stated (--noise)"
         )
-    if fit.sigma0_loaded < 0.6 and model.phi_scatter_rad:
-        found.append(
-            f"loaded rows scatter only {fit.sigma0_loaded:.2g} times what the model expects: --angle-scatter is larger "
-            "than the data show, and the intervals are wider than they need be"
-        )
-    if model.saturation_strain is None:
-        found.extend(_repeated_extremes(data))
+    stray = max(fit.groove_scatter, fit.hang_scatter)
+    if stray > 2.0:
+        found.append(f"load directions stray {stray:.1f} times as far as --angle-scatter says")
+    found.extend(_of_validity(fit, calibration, layout))
     found.extend(
         f"SG{gauge + 1}: its load response is opposite to beam theory for {layout}: is tension positive?"
         for gauge in _opposite(fit, layout)
@@ -61,6 +65,59 @@ def notes(data: Measurements, fit: Fit, model: Model, layout: str | None) -> lis
     return found
 
 
+def warnings(readings: Readings, fit: Fit) -> list[str]:
+    """What speaks against the fit: with --strict no file is written."""
+    found = rejections(fit, readings)
+    if not fit.converged:
+        found.append("the fit has not converged: its numbers are those of the last step")
+    straight = fit.nonlinearity
+    if straight is not None and straight.significant:
+        terms = ", ".join(
+            f"SG{k + 1} {0.1 * q:+.2g} +- {0.1 * half:.2g}"
+            for k, (q, half) in enumerate(zip(straight.per_strain, straight.half_width, strict=True))
+        )
+        found.append(
+            f"the response is not straight: {'odd' if straight.odd else 'even'} quadratic terms in % per 1000 "
+            f"microstrain: {terms}; the file states {straight.model_uncertainty:.2g} of the force as model uncertainty"
+        )
+    return found
+
+
+def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list[str]:
+    """Where the calibration is valid, and what of it is not known."""
+    n, found = fit.C.shape[1], []
+    if layout is None:
+        found.append("without --layout the overload force is not known")
+    elif not calibration.overload_force_newtons:
+        found.append(
+            "the data have loads beyond what closes the slit of this structure: the overload force is left unknown"
+        )
+    if not calibration.converter_limit_strain.any():
+        found.append("the converter's limit is not known (--saturation)")
+    warm = fit.temperature
+    if warm is None:
+        found.append("no temperatures: what a warm finger reads is not known")
+    else:
+        fitted = "" if warm.offset_fitted else ", not corrected"
+        terms = ", ".join(
+            f"SG{k + 1} {value * UE:+.2g} +- {half * UE:.2g}"
+            for k, (value, half) in enumerate(zip(warm.offset_strain_per_K, warm.offset_half_width, strict=True))
+        )
+        gain = "" if warm.gain_fitted else ", not corrected"
+        found.append(
+            f"{warm.lowest_degC:g} to {warm.highest_degC:g} degC: offsets change by {terms} microstrain/K{fitted}; "
+            f"gain by {100 * warm.gain_per_K:+.2g} +- {100 * warm.gain_half_width:.2g} %/K{gain}"
+        )
+    if n > 3:
+        model = parity(fit.C, calibration.covariance_strain2)
+        blind = [f"SG{k + 1}" for k in np.flatnonzero(model.visible == 0.0)]
+        found.append(
+            f"redundancy: limit {calibration.redundancy_limit:.4g} of chi-square, a false alarm in a million samples"
+            + (f"; a fault of {', '.join(blind)} does not show in this layout" if blind else "")
+        )
+    return found
+
+
 def print_text(path: str, data: Measurements, fit: Fit, model: Model, notes: list[str]) -> None:
     """The account for people."""
     unloaded = int(data.unloaded.sum())
@@ -68,6 +125,9 @@ def print_text(path: str, data: Measurements, fit: Fit, model: Model, notes: lis
     scatter = math.degrees(model.phi_scatter_rad)
     prior = f", prior: beam theory within {model.prior.relative_scatter:.0%}" if model.prior else ""
     print(f"drift {fit.drift}, loss {fit.loss.replace('_', '-')}, load directions {scatter:g} degree{prior}")
+    if scatter:
+        print(f"found: grooves stray by {scatter * fit.groove_scatter:.2g} degree, rows of one by "
+              f"{scatter * fit.hang_scatter:.2g}")  # fmt: skip
     print(f"degrees of freedom {fit.dof:.4g}, sigma0 {fit.sigma0:.3g} (loaded {fit.sigma0_loaded:.3g}, unloaded "
           f"{fit.sigma0_unloaded:.3g}), condition number {fit.condition_number:.4g} (rows equilibrated "
           f"{fit.row_equilibrated_condition_number:.4g})")  # fmt: skip
@@ -96,7 +156,9 @@ def left_out(data: Measurements, fit: Fit) -> list[str]:
     return lines
 
 
-def print_json(path: str, data: Measurements, fit: Fit, calibration: Calibration, notes: list[str]) -> None:
+def print_json(
+    path: str, data: Measurements, fit: Fit, calibration: Calibration, notes: list[str], warnings: list[str]
+) -> None:
     """Everything as one JSON line; NaN becomes null."""
     record = {
         **facts(path, data, fit),
@@ -133,6 +195,22 @@ def print_json(path: str, data: Measurements, fit: Fit, calibration: Calibration
         ],
         "left_out": left_out(data, fit),
         "bad": [{"line": row.line, "reason": row.reason} for row in data.bad],
+        "converged": fit.converged,
+        "groove_scatter": fit.groove_scatter,
+        "hang_scatter": fit.hang_scatter,
+        "validity": {
+            name: getattr(calibration, name)
+            for name in (
+                "calibrated_force_newtons",
+                "overload_force_newtons",
+                "temperature_min_degC",
+                "temperature_max_degC",
+                "model_uncertainty",
+                "gain_temperature_per_K",
+                "redundancy_limit",
+            )
+        },
+        "warnings": warnings,
         "notes": notes,
     }
     common.print_json(record)
@@ -171,20 +249,6 @@ def _print_loads(fit: Fit) -> None:
 def _load_words(load: LoadResidual) -> str:
     phi, theta = math.degrees(load.phi_rad), math.degrees(load.theta_rad)
     return f"the load of {load.P_newtons:g} N at phi {phi:g}, theta {theta:g}"
-
-
-def _repeated_extremes(data: Measurements) -> list[str]:
-    """A largest reading that comes again to the last digit is what a converter's limit looks like."""
-    found = []
-    for k, readings in enumerate(data.strain.T):
-        for extreme in (readings.max(), readings.min()):
-            lines = data.line[readings == extreme]
-            if len(lines) >= 3 and abs(extreme) > 0.5 * np.abs(data.strain).max():
-                found.append(
-                    f"SG{k + 1} reads exactly {extreme * UE:g} microstrain, its extreme, in {len(lines)} rows (lines "
-                    f"{', '.join(str(line) for line in lines[:5])}): is that the converter's limit? State --saturation"
-                )
-    return found
 
 
 def _opposite(fit: Fit, layout: str | None) -> list[int]:

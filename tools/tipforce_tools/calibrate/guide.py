@@ -91,7 +91,7 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
 
     identity, reader = found.identity, found.reader
     args.serial = identity.serial
-    guide_finish.check_model(args, steps, identity.gauges)
+    guide_finish.check_model(args, identity.gauges)
     path = Path(args.session or f"session-{identity.serial}.csv")
     session = Session(path, steps, identity.serial, identity.gauges, found.temperature_degC is not None)
     loads = sum(step.mode != "tare" for step in steps)
@@ -137,7 +137,7 @@ def check_node(connection: Connection, args: argparse.Namespace) -> Found:
         raise RefusedError(f"{name}: its sample counter (2121h) does not change: it does not measure; reset it")
     faults = client.sdo.read(od.FAULTS)
     if faults >> table.FAULT_NO_DATA:
-        names = ", ".join(word.replace("_", " ") for bit, word in table.FAULT_BITS if faults >> bit & 1)
+        names = ", ".join(word.replace("_", " ") for bit, word, _ in table.FAULT_BITS if faults >> bit & 1)
         raise RefusedError(f"{name}: front-end fault 2124h = 0x{faults:04X} ({names}): repair it before calibration")
     temperature = reader.temperature_degC()
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)

@@ -3,22 +3,18 @@
 from __future__ import annotations
 
 import argparse
-from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
-import numpy as np
-
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration_file import fit_record, write_calibration
-from tipforce.host.configuration.measurements import Measurements, read_measurements
+from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.finger import FingertipClient
-from tipforce.sensor.calibration.fit import fit_calibration
-from tipforce.sensor.calibration.rounding import matrix_to_digits, rounded, to_digits
+from tipforce.sensor.calibration.rounding import matrix_to_digits, to_digits
 from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce_tools.calibrate import fit as fit_command
 from tipforce_tools.calibrate import fit_report
-from tipforce_tools.calibrate.guide_plan import Step
+from tipforce_tools.calibrate.fit_checks import limit_of
 from tipforce_tools.calibrate.guide_session import Session
 from tipforce_tools.calibrate.guide_walk import ask
 from tipforce_tools.cli import common
@@ -27,17 +23,11 @@ from tipforce_tools.cli.layout_file import read_layout
 Answer = Literal["applied", "declined", "redo"]
 
 
-def check_model(args: argparse.Namespace, steps: Sequence[Step], gauges: int) -> None:
+def check_model(args: argparse.Namespace, gauges: int) -> None:
     """Raise InputError for wrong flags of the fit, before an hour of weights."""
     if args.layout and len(read_layout(args.layout)[1]) != gauges:
         raise InputError(f"--layout {args.layout} has {len(read_layout(args.layout)[1])} gauges, the node has {gauges}")
-    m = len(steps)
-    planned = Measurements(
-        line=np.arange(m), strain=np.zeros((m, gauges)), P_newtons=np.array([step.P_newtons for step in steps]),
-        phi_rad=np.zeros(m), theta_rad=np.zeros(m), t_s=np.arange(m, dtype=np.float64), temperature_degC=None,
-        weight=None, mode=None, bad=(), ignored_columns=(),
-    )  # fmt: skip
-    fit_command.model_of(args, planned)
+    fit_command.model_of(args)
 
 
 def finish(args: argparse.Namespace, session: Session, client: FingertipClient) -> Answer:
@@ -47,21 +37,25 @@ def finish(args: argparse.Namespace, session: Session, client: FingertipClient) 
     """
     path = str(session.path)
     data = replace(read_measurements(path, loads=True), ignored_columns=())  # the guide's own columns
-    model = fit_command.model_of(args, data)
-    fit = rounded(fit_calibration(fit_command.readings_of(data), model))
+    fit, model, scores = fit_command.fit_of(args, data)
     # The residuals also contain differences between hooks; the scatter of a single reading of the node is that within
     # the captures. C is then optimal for that noise, which matters for a node with more than three gauges.
     noise = to_digits(session.noise_covariance_strain2())
     C = matrix_to_digits(left_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C
-    calibration = replace(fit_command.calibration_of(args, data, fit), C=C, covariance_strain2=noise)
-    notes = fit_report.notes(data, fit, model, args.layout)
+    calibration = fit_command.calibration_of(args, data, fit)
+    limit = limit_of(args, fit, noise, session.freedom(), calibration.calibrated_force_newtons)
+    calibration = replace(calibration, C=C, covariance_strain2=noise, redundancy_limit=limit)
+    notes = fit_report.notes(data, fit, model, args.layout, calibration, scores)
+    warnings = fit_report.warnings(fit_command.readings_of(data), fit)
     notes.append("the node gets the noise covariance within the captures")
     if fit.outliers:
         notes.append("to repeat an outlier: remove its line from the session and start the same command")
     if args.json:
-        fit_report.print_json(path, data, fit, calibration, notes)
+        fit_report.print_json(path, data, fit, calibration, notes, warnings)
     else:
         fit_report.print_text(path, data, fit, model, notes)
+    for warning in warnings:
+        common.note(args, f"{path}: {warning}")
     name = f"node {common.shown_id(args.node)}"
     if args.output:  # first, so that a later failure does not lose it
         facts = fit_report.facts(path, data, fit) | {"angle_scatter_deg": args.angle_scatter}

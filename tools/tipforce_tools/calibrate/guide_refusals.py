@@ -62,7 +62,7 @@ def _unusable(capture: Capture) -> list[Refusal]:
             "check for another NMT master and for bus overload; try again",
         ))  # fmt: skip
     if capture.faulty:
-        names = [name.replace("_", " ") for bit, name in table.FAULT_BITS if capture.faults >> bit & 1]
+        names = [name.replace("_", " ") for bit, name, _ in table.FAULT_BITS if capture.faults >> bit & 1]
         found.append(Refusal(
             f"front-end fault in {capture.faulty} {of} (2124h = 0x{capture.faults:04X}"
             f"{': ' + ', '.join(names) if names else ''})",

@@ -103,6 +103,10 @@ class Session:
         found = np.average([row.covariance_microstrain2 for row in self.rows], axis=0, weights=freedom)
         return np.asarray(found * 1e-12, dtype=np.float64)
 
+    def freedom(self) -> float:
+        """Degrees of freedom of that covariance."""
+        return float(sum(row.samples - 1 for row in self.rows))
+
     # --- the file -----------------------------------------------------------------------------------------------
 
     def _columns(self, temperature: bool) -> list[str]:

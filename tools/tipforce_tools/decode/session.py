@@ -83,7 +83,10 @@ class _Steps:
                 left = iter(rest or ())
                 asked = tuple(computed[name] if name in computed else next(left, "") for name in names)
             self._contact = contact_columns.ContactColumns(calibrations, asked)
-            self.asked, self.signals = asked, contact_columns.signals_needed(asked, gauges)
+            self.asked, self.signals = (
+                asked,
+                contact_columns.signals_needed(asked, gauges, contact_columns.temperature_needed(calibrations)),
+            )
         else:
             self.asked = self.signals = choice.checked_signals(self.layouts, names)
         self.rate_hz: float | None = args.resample

@@ -11,6 +11,7 @@ from tipforce_tools.export_c import dictionary
 HERE = Path(__file__).parent
 ESTIMATOR = (
     "tipforce_estimator.h", "tipforce_status.c", "tipforce_float.c", "tipforce_fixed.c", "tipforce_fixed_setup.c",
+    "tipforce_judge.h", "tipforce_judge.c",
 )  # fmt: skip
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import binascii
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,13 +14,17 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
-from tipforce.dictionary import table, types
+from tipforce.dictionary import indices, table, types
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
 
-_LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
+_PER_GAUGE = ("converter_limit_strain", "offset_temperature_strain_per_K")
+
+
+def _not_known() -> FloatArray:
+    return np.zeros(0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,6 +50,23 @@ class Calibration:
     contact_off_newtons: float = 0.03
     pull: bool = False
     """Load sense: True where the load pulls at the surface (rope in a groove), False where it pushes (contact)."""
+    calibrated_force_newtons: float = 0.0
+    """Largest force of the calibration (2112h:1); beyond it the estimate is extrapolated. 0: not known."""
+    overload_force_newtons: float = 0.0
+    """Force beyond which the structure is not linear: slit closed, yield (2112h:2). 0: not known."""
+    temperature_min_degC: float = 0.0
+    temperature_max_degC: float = 0.0
+    """Range of temperatures of the calibration (2112h:3, 4). Both 0: not known."""
+    model_uncertainty: float = 0.0
+    """Relative standard uncertainty of the force from nonlinearity and misfit (2112h:5). 0: not known."""
+    converter_limit_strain: FloatArray = field(default_factory=_not_known)
+    """Symmetric limit of the converter per gauge (2113h), (n,). 0: not known, the span 6148h/6149h alone holds."""
+    offset_temperature_strain_per_K: FloatArray = field(default_factory=_not_known)
+    """Offset of each gauge against ``reference_temperature_degC`` (2114h), (n,). 0: not known, or none."""
+    gain_temperature_per_K: float = 0.0
+    """Relative change of the gauges' response per kelvin (2115h): F = C V / (1 + this (T - reference))."""
+    redundancy_limit: float = 0.0
+    """Limit of the redundancy check, chi-square of n - 3 degrees of freedom (2116h). 0: off."""
     parameter_covariance: FloatArray | None = None
     """Covariance of the fitted strain per newton and offset, (n, 4, n, 4), strain^2: what the calibration itself
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
@@ -60,6 +82,11 @@ class Calibration:
             raise InputError(f"calibration offset: shape {self.offset_strain.shape}, allowed is ({n},)")
         if self.covariance_strain2.shape != (n, n):
             raise InputError(f"calibration covariance: shape {self.covariance_strain2.shape}, allowed is ({n}, {n})")
+        for name in _PER_GAUGE:
+            values = _array(name, getattr(self, name))
+            object.__setattr__(self, name, values if values.size else np.zeros(n))
+            if values.size and values.shape != (n,):
+                raise InputError(f"calibration {name}: shape {values.shape}, allowed is ({n},)")
 
     @classmethod
     def from_microstrain(
@@ -122,20 +149,23 @@ class Calibration:
 
     def check(self) -> None:
         """Raise InputError for a calibration that no sensor can have; the text names the field and what is allowed."""
-        S = self.covariance_strain2
-        for name, values in (("matrix", self.C), ("offset", self.offset_strain), ("covariance", S)):
-            if not np.isfinite(values).all():
-                raise InputError(f"calibration {name}: {values[~np.isfinite(values)][0]} is not finite")
-        singular = np.linalg.svd(self.C, compute_uv=False)
-        if not singular[-1] > singular[0] * _LEAST_RANK:
-            raise InputError(
-                f"calibration matrix: rank below 3 (singular values {', '.join(f'{s:.3g}' for s in singular)} N per "
-                "unit strain): it cannot tell three force components"
-            )
-        if not np.allclose(S, S.T, rtol=1e-9, atol=0.0):
-            raise InputError("calibration covariance: not symmetric")
-        if not (np.diagonal(S) > 0.0).all() or np.linalg.eigvalsh(S)[0] < -1e-9 * np.trace(S):
-            raise InputError("calibration covariance: variances must be above 0, and no correlation over 1")
+        from tipforce.host.configuration.calibration_check import check
+
+        check(self)
+
+    @property
+    def not_known(self) -> tuple[str, ...]:
+        """What the calibration does not state of its validity, in words; all of it for files of version 1."""
+        missing = {
+            "calibrated force": self.calibrated_force_newtons,
+            "overload force": self.overload_force_newtons,
+            "temperature range": self.temperature_min_degC or self.temperature_max_degC,
+            "model uncertainty": self.model_uncertainty,
+            "converter limit": self.converter_limit_strain.all(),
+        }
+        if self.gauges > 3:
+            missing["redundancy limit"] = self.redundancy_limit
+        return tuple(name for name, value in missing.items() if not value)
 
     @property
     def gauges(self) -> int:
@@ -153,7 +183,12 @@ class Calibration:
         facts = (self.serial, self.date, self.reference_temperature_degC, self.layout_code)
         pad = (self.tip_radius_m, self.theta_min_deg, self.theta_max_deg)
         thresholds = (self.contact_on_newtons, self.contact_off_newtons)
-        values = (*self.C.ravel(), *self.offset_strain, *facts, *upper, *pad, *thresholds, int(self.pull))
+        contact = (*pad, *thresholds, int(self.pull))
+        forces = (self.calibrated_force_newtons, self.overload_force_newtons)
+        range_degC = (self.temperature_min_degC, self.temperature_max_degC)
+        validity = (*forces, *range_degC, self.model_uncertainty, *self.converter_limit_strain)
+        tail = (*self.offset_temperature_strain_per_K, self.gain_temperature_per_K, self.redundancy_limit)
+        values = (*self.C.ravel(), *self.offset_strain, *facts, *upper, *contact, *validity, *tail)
         fields = bytearray()
         for (index, sub, kind), value in zip(table.staged(self.gauges), values, strict=True):
             try:
@@ -170,9 +205,12 @@ class Calibration:
     def from_record(cls, record: bytes) -> Calibration:
         """The calibration in a record that a node gave. Raises InputError for a length that no n has."""
         for n in range(table.MIN_GAUGES, table.MAX_GAUGES + 1):
-            if struct.calcsize(_packing(n)) == len(record):
+            size = struct.calcsize(_packing(n))
+            if size == len(record):
                 return _from_values(n, struct.unpack(_packing(n), record))
-        raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 106")
+            if len(record) == size - version_2_bytes(n):
+                raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
+        raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
 
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -186,17 +224,31 @@ def _packing(n: int) -> str:
     return "<" + "".join(kind for _, _, kind in table.staged(n))
 
 
+def version_2_bytes(n: int) -> int:
+    """How much longer the record is than that of version 1, which ends with 2110h:6."""
+    kinds = "".join(kind for index, _, kind in table.staged(n) if index >= indices.CALIBRATION_VALIDITY)
+    return struct.calcsize("<" + kinds)
+
+
 def _from_values(n: int, values: Sequence[float]) -> Calibration:
-    matrix, offsets = np.array(values[: 3 * n]).reshape(3, n), np.array(values[3 * n : 4 * n])
-    serial, date, temperature, layout = values[4 * n : 4 * n + 4]
-    upper = values[4 * n + 4 : -6]
+    left = iter(values)
+
+    def take(count: int) -> list[float]:
+        return list(islice(left, count))
+
+    matrix, offsets = np.array(take(3 * n)).reshape(3, n), np.array(take(n))
+    serial, date, temperature, layout = take(4)
     covariance = np.zeros((n, n))
     rows, columns = np.triu_indices(n)
-    covariance[rows, columns] = covariance[columns, rows] = upper
-    radius, theta_min, theta_max, on, off, sense = values[-6:]
+    covariance[rows, columns] = covariance[columns, rows] = take(len(rows))
+    radius, theta_min, theta_max, on, off, sense = take(6)
+    calibrated, overload, low, high, model = take(5)
+    limits, offsets_per_K = np.array(take(n)), np.array(take(n))
+    gain_per_K, redundancy_limit = left
     return Calibration(
-        matrix, offsets, covariance, int(serial), int(date), temperature, int(layout),
-        radius, theta_min, theta_max, on, off, bool(sense),
+        matrix, offsets, covariance, int(serial), int(date), temperature, int(layout), radius, theta_min, theta_max,
+        on, off, bool(sense), calibrated, overload, low, high, model, limits, offsets_per_K, gain_per_K,
+        redundancy_limit,
     )  # fmt: skip
 
 

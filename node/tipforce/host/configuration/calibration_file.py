@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import binascii
 import datetime
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import msgspec
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration import Calibration, version_2_bytes
 from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
@@ -34,7 +35,27 @@ class _Table(msgspec.Struct, forbid_unknown_fields=True):
     theta_max_deg: float = 180.0
     contact_on_newtons: float = 0.05
     contact_off_newtons: float = 0.03
+    calibrated_force_newtons: float | None = None
+    overload_force_newtons: float | None = None
+    temperature_min_degC: float | None = None
+    temperature_max_degC: float | None = None
+    model_uncertainty: float | None = None
+    converter_limit_microstrain: list[float] | None = None
+    offset_temperature_microstrain_per_K: list[float] | None = None
+    gain_temperature_per_K: float | None = None
+    redundancy_limit: float | None = None
     crc32: str | None = None
+
+
+_SCALARS = (
+    "calibrated_force_newtons", "overload_force_newtons", "temperature_min_degC", "temperature_max_degC",
+    "model_uncertainty", "gain_temperature_per_K", "redundancy_limit",
+)  # fmt: skip
+"""Of version 2, absent in files of version 1: the names are those of ``Calibration``."""
+_PER_GAUGE = {
+    "converter_limit_microstrain": "converter_limit_strain",
+    "offset_temperature_microstrain_per_K": "offset_temperature_strain_per_K",
+}
 
 
 class FitRecord(msgspec.Struct):
@@ -114,16 +135,27 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
     content = _decoded(path).calibration
     found = _checked(content, path)
     try:
-        crc = found.crc32()
+        record = found.record()
     except InputError as error:
         raise InputError(f"calibration {path}: {error}") from None
+    if _is_version_1(content):
+        record = record[: -version_2_bytes(found.gauges)]
+    crc = binascii.crc32(record)
     if content.crc32 is not None and content.crc32.lower() != f"0x{crc:08x}":
         raise InputError(
             f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{crc:08X}; "
             "the file was changed: restore it, or take out the crc32 line to accept the change"
         )
+    try:
+        found.check()
+    except InputError as error:
+        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
     fit = read_fit(path) if with_fit else None
     return found if fit is None else replace(found, parameter_covariance=fit.parameter_covariance())
+
+
+def _is_version_1(content: _Table) -> bool:
+    return all(getattr(content, name) is None for name in (*_SCALARS, *_PER_GAUGE))
 
 
 def read_fit(path: str | Path) -> FitRecord | None:
@@ -181,8 +213,20 @@ def _checked(content: _Table, path: str | Path) -> Calibration:
         0 if date is None else date.year * 10000 + date.month * 100 + date.day,
         content.reference_temperature_degC, _LAYOUT_CODES[content.layout], content.tip_radius_m,
         content.theta_min_deg, content.theta_max_deg, content.contact_on_newtons, content.contact_off_newtons,
-        _SENSES[content.load_sense],
+        _SENSES[content.load_sense], **_validity(content, path, n),
     )  # fmt: skip
+
+
+def _validity(content: _Table, path: str | Path, n: int) -> dict[str, Any]:
+    """The fields of version 2; what is absent is not known."""
+    stated = {name: getattr(content, name) for name in _SCALARS}
+    found: dict[str, Any] = {name: 0.0 if value is None else value for name, value in stated.items()}
+    for key, name in _PER_GAUGE.items():
+        values = getattr(content, key)
+        if values is not None and len(values) != n:
+            raise InputError(f"calibration {path}: {key} has {len(values)} entries, the matrix {n} gauges")
+        found[name] = np.zeros(n) if values is None else np.array(values, dtype=np.float64) * 1e-6
+    return found
 
 
 def _matrix(path: str | Path, name: str, rows: object) -> FloatArray:
@@ -226,8 +270,10 @@ def write_calibration(
         "theta_max_deg": calibration.theta_max_deg,
         "contact_on_newtons": calibration.contact_on_newtons,
         "contact_off_newtons": calibration.contact_off_newtons,
-        "crc32": f"0x{calibration.crc32():08X}",
     }
+    content |= {name: getattr(calibration, name) for name in _SCALARS}
+    content |= {key: (getattr(calibration, name) * 1e6).tolist() for key, name in _PER_GAUGE.items()}
+    content["crc32"] = f"0x{calibration.crc32():08X}"
     if calibration.date:
         content["date"] = _date(path, calibration.date)
     document: dict[str, object] = {"calibration": content}

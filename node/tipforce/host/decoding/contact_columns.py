@@ -8,15 +8,17 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
+from tipforce.host.decoding import judged
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
 from tipforce.sensor.contact import scalar
 
-NEEDED_FLAGS = ("saturated", "stale", "fault")
+NEEDED_FLAGS = ("stale", "fault", "saturated")
 """The node's own word that a gauge reading is none."""
 VALUES = (
     computed("P", "N"), computed("phi", "degree"), computed("theta", "degree"),
@@ -28,6 +30,11 @@ FLAGS = {
     "misses_tip": scalar.MISSES_TIP,
     "outside_pad": scalar.OUTSIDE_PAD,
     "beyond_first_order": estimate_rows.BEYOND_FIRST_ORDER,
+    "gauge_left_out": estimate_rows.LEFT_OUT,
+    "contradiction": judged.CONTRADICTION,
+    "beyond_calibrated": judged.BEYOND_CALIBRATED,
+    "temperature_outside": judged.TEMPERATURE,
+    "overload": judged.OVERLOAD,
 }
 _COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
 
@@ -57,7 +64,8 @@ class ContactColumns:
     def __init__(self, calibrations: Mapping[int | None, Calibration], asked: tuple[str, ...] | None) -> None:
         self._calibrations = calibrations
         self._asked = asked
-        self._present: dict[int, bool] = {}
+        self._before: dict[int, estimate_rows.Before] = {}
+        self._temperature_degC: dict[int, float] = {}
 
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
         """Each table with its contact columns."""
@@ -91,33 +99,68 @@ class ContactColumns:
             return
         strain = np.stack([table.values[name][rows] for name in names], axis=-1) * 1e-6
         good = np.isfinite(strain).all(axis=1)
-        for name in NEEDED_FLAGS:
+        for name in NEEDED_FLAGS[:2]:
             if name in table.values:
                 good &= table.values[name][rows] != 1
-        rows, strain = rows[good], strain[good]
+        temperature = self._temperature(key, rows, table)
+        if "saturated" in table.values:
+            # A gauge that the node left out and whose reading does not show why: which one is not in these PDOs.
+            good &= (table.values["saturated"][rows] != 1) | self._shown(tip, strain)
+        rows, strain, temperature = rows[good], strain[good], temperature[good]
         if not len(rows):
             return
-        data = Measurements(table.t_ns[rows], strain, None, None, None, None, None, None, None, (), ())
-        found = estimate_rows.estimated(tip, data, slice(None), None, np.inf, self._present.get(key, False))
+        data = Measurements(table.t_ns[rows], strain, None, None, None, None, temperature, None, None, (), ())
+        before = self._before.get(key, estimate_rows.Before())
+        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, judged.at_end(1e6 * strain))
         for number, column in enumerate(VALUES):
             values[column.name][rows] = found.values[:, number]
         for name, bit in FLAGS.items():
             values[name][rows] = found.status & bit != 0
-        self._present[key] = bool(found.status[-1] & scalar.CONTACT_PRESENT)
+        self._before[key] = estimate_rows.following(found, before)
+
+    def _temperature(self, key: int, rows: npt.NDArray[np.intp], table: Table) -> FloatArray:
+        """The temperature of each sample as the node sent it last, degC; NaN before it did."""
+        if "temperature" not in table.values:
+            return np.full(len(rows), self._temperature_degC.get(key, np.nan))
+        found = judged.last_known(table.values["temperature"][rows], self._temperature_degC.get(key, np.nan))
+        if len(found):
+            self._temperature_degC[key] = float(found[-1])
+        return found
+
+    def _shown(self, tip: Calibration, strain: FloatArray) -> BoolArray:
+        """Samples whose readings show by themselves which gauge is left out."""
+        judge = judged.Judge(tip)
+        found = judge.judge(strain - tip.offset_strain, None, judged.at_end(1e6 * strain), False)
+        seen: BoolArray = (found.faults & judged.GAUGES) != 0
+        return seen
 
 
-def signals_needed(asked: Iterable[str] | None, gauges: int) -> tuple[str, ...] | None:
-    """What has to be decoded for what is asked: gauges and flags for the contact, and what else a frame carries."""
+def signals_needed(asked: Iterable[str] | None, gauges: int, temperature: bool = False) -> tuple[str, ...] | None:
+    """What has to be decoded for what is asked: gauges and flags for the contact, and what else a frame carries.
+
+    temperature: a calibration depends on it.
+    """
     if asked is None:
         return None
     computed_here = {column.signal for column in _COLUMNS}
     kept = [name for name in asked if name not in computed_here]
-    return (*kept, *(n for n in (*(f"SG{k + 1}" for k in range(gauges)), *NEEDED_FLAGS) if n not in kept))
+    wanted = (*(f"SG{k + 1}" for k in range(gauges)), *NEEDED_FLAGS, *(("temperature",) if temperature else ()))
+    return (*kept, *(name for name in wanted if name not in kept))
 
 
 def is_computed(name: str) -> str | None:
     """The signal that a name of a computed column means, if it is one."""
     return next((column.signal for column in _COLUMNS if name in {column.name, column.signal}), None)
+
+
+def temperature_needed(calibrations: Mapping[int | None, Calibration]) -> bool:
+    """True where a calibration depends on temperature, or says for which it holds."""
+    return any(
+        tip.offset_temperature_strain_per_K.any()
+        or tip.gain_temperature_per_K != 0.0
+        or tip.temperature_min_degC != tip.temperature_max_degC
+        for tip in calibrations.values()
+    )
 
 
 def gauges_of(calibrations: Mapping[int | None, Calibration]) -> int:

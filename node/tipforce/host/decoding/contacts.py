@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.dictionary import table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.contact import estimate, scalar
@@ -21,7 +22,10 @@ _NAN = float("nan")
 
 
 class Status(enum.IntFlag):
-    """The status byte of a sample (2120h); bit 8: the finger did not answer; bit 9: see ``first_order_holds``."""
+    """The status byte of a sample (2120h); bits 12 to 15 are those of 2124h, as far as they could be seen.
+
+    Bit 8: the finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge.
+    """
 
     CONTACT = scalar.CONTACT_PRESENT
     CALIBRATED = scalar.CALIBRATED
@@ -33,6 +37,11 @@ class Status(enum.IntFlag):
     FAULT = scalar.FRONT_END_FAULT
     NO_ANSWER = 1 << 8
     BEYOND_FIRST_ORDER = 1 << 9
+    LEFT_OUT = 1 << 10
+    CONTRADICTION = 1 << table.FAULT_CONTRADICTION
+    BEYOND_CALIBRATED = 1 << table.FAULT_BEYOND_CALIBRATED
+    TEMPERATURE = 1 << table.FAULT_TEMPERATURE
+    OVERLOAD = 1 << table.FAULT_OVERLOAD
 
 
 _NO_MEASUREMENT = (
@@ -41,11 +50,19 @@ _NO_MEASUREMENT = (
     (Status.FAULT, "front-end fault"),
     (Status.SATURATED, "gauge saturated"),
 )
+_INSTEAD = {
+    Status.FAULT: (Status.CONTRADICTION, "gauges contradict each other"),
+    Status.SATURATED: (Status.OVERLOAD, "overload"),
+}
+"""What a bit of the status byte means where 2124h says more."""
 _DOUBTS = (
     (Status.MISSES_TIP, "line of action misses the tip"),
     (Status.THETA_UNRESOLVED, "theta unresolved"),
     (Status.OUTSIDE_PAD, "theta outside the pad"),
     (Status.BEYOND_FIRST_ORDER, "uncertainty beyond first order"),
+    (Status.LEFT_OUT, "a gauge is left out"),
+    (Status.BEYOND_CALIBRATED, "beyond the calibrated force"),
+    (Status.TEMPERATURE, "temperature outside the calibration or unknown"),
 )
 
 
@@ -85,7 +102,9 @@ class Contact:
     @property
     def reason(self) -> str:
         """Why a value is unknown or doubtful, in words; "" where P, phi and theta are known and nothing is flagged."""
-        found = [text for bit, text in _NO_MEASUREMENT if bit in self.status]
+        found = [self._words(bit, text) for bit, text in _NO_MEASUREMENT if bit in self.status]
+        if Status.LEFT_OUT in self.status and Status.OVERLOAD not in self.status:
+            found = [text for text in found if text != "gauge saturated"]  # the others give the force
         if Status.NO_ANSWER not in self.status and Status.CALIBRATED not in self.status:
             found.insert(0, "not calibrated")
         if not found:
@@ -93,6 +112,10 @@ class Contact:
         if not found and math.isnan(self.P_newtons + self.phi_deg + self.theta_deg):
             found.append("unknown to the node")
         return ", ".join(found)
+
+    def _words(self, bit: Status, text: str) -> str:
+        more, instead = _INSTEAD.get(bit, (Status(0), text))
+        return instead if more & self.status else text
 
     @property
     def ok(self) -> bool:

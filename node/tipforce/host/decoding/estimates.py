@@ -8,31 +8,40 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurement_rows import MODES
 from tipforce.host.configuration.measurements import Measurements
+from tipforce.host.decoding import judged
 from tipforce.host.decoding.contacts import Contacts, Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
 from tipforce.sensor.contact import estimate as model
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.first_order import first_order_holds
-from tipforce.sensor.contact.force import force_from_strain
 
-FloatArray = npt.NDArray[np.float64]
-BoolArray = npt.NDArray[np.bool_]
 CHUNK = 50_000
 
-BEYOND_FIRST_ORDER, SATURATED, TARE = 1 << 8, 1 << 9, 1 << 10
-"""Beside the bits of the status byte, in one integer per row."""
+BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT = 1 << 8, 1 << 9, 1 << 10, 1 << 11
+"""Beside the bits of the status byte and bits 12 to 15 of 2124h, in one integer per row."""
 _WORDS = {
     scalar.CONTACT_PRESENT: "no_contact",  # said where the bit is clear
     scalar.THETA_UNRESOLVED: "theta_unresolved",
     scalar.MISSES_TIP: "misses_tip",
     scalar.OUTSIDE_PAD: "outside_pad",
     BEYOND_FIRST_ORDER: "beyond_first_order",
+    LEFT_OUT: "gauge_left_out",
+    judged.BEYOND_CALIBRATED: "beyond_calibrated",
+    judged.TEMPERATURE: "temperature",
 }
+_UNKNOWN_WORDS = {
+    TARE: "tare",
+    SATURATED: "saturated",
+    judged.OVERLOAD: "overload",
+    judged.CONTRADICTION: "contradiction",  # where no gauge could be left out
+}
+_NO_VALUE = TARE | SATURATED | judged.OVERLOAD | judged.CONTRADICTION
 
 
 class Tares(NamedTuple):
@@ -52,17 +61,27 @@ class Estimates(NamedTuple):
     values: FloatArray
     """(rows, 6): P, phi, theta and their standard uncertainties, newtons and degrees; NaN where unknown."""
     status: npt.NDArray[np.int64]
-    """(rows,): the status byte's bits 0, 4, 5, 6, and the bits above."""
+    """(rows,): the status byte's bits 0, 4, 5, 6, and the bits above; bit 12 only where no gauge could be left out."""
+    left_out: IntArray
+    """(rows,): bits of the gauges that the estimate does without."""
 
 
-def tares_of(data: Measurements) -> Tares | None:
-    """The tares of the data; None without unloaded readings."""
+class Before(NamedTuple):
+    """What the sample before leaves for its successor."""
+
+    present: bool = False
+    overloaded: bool = False
+
+
+def tares_of(data: Measurements, calibration: Calibration) -> Tares | None:
+    """The tares of the data, their temperature compensated where it is known; None without unloaded readings."""
     groups = tare_groups(data.unloaded, np.ones(len(data.line), dtype=np.bool_))
     if not groups:
         return None
     clock, weight = _clock(data), _weight(data)
     at = np.array([np.average(clock[group], weights=weight[group]) for group in groups])
-    offset = np.array([np.average(data.strain[group], axis=0, weights=weight[group]) for group in groups])
+    strain = judged.Judge(calibration).compensated(data.strain, data.temperature_degC)
+    offset = np.array([np.average(strain[group], axis=0, weights=weight[group]) for group in groups])
     return Tares(at, offset, np.array([weight[group].sum() for group in groups]))
 
 
@@ -76,12 +95,11 @@ def estimates(
     The uncertainty has the calibration's part where ``calibration.parameter_covariance`` is there.
     NaN is unknown; phi and theta are unknown where the status byte of a node would make them so.
     """
-    limit = np.inf if saturation_microstrain is None else saturation_microstrain * 1e-6
-    tares, was_present, words = tares_of(data), False, dict[int, str]()
+    limit = None if saturation_microstrain is None else saturation_microstrain * 1e-6
+    tares, before, words = tares_of(data, calibration), Before(), dict[int, str]()
     for start in range(0, len(data.line), CHUNK):
-        found = estimated(calibration, data, slice(start, start + CHUNK), tares, limit, was_present)
-        loaded = found.status[(found.status & TARE) == 0]
-        was_present = bool(loaded[-1] & scalar.CONTACT_PRESENT) if loaded.size else was_present
+        found = estimated(calibration, data, slice(start, start + CHUNK), tares, limit, before)
+        before = following(found, before)
         lines = data.line[start : start + CHUNK].tolist()
         for line, values, status in zip(lines, found.values.tolist(), found.status.tolist(), strict=True):
             if status not in words:
@@ -89,11 +107,28 @@ def estimates(
             yield line, values, words[status]
 
 
-def estimate(calibration: Calibration, microstrain: npt.ArrayLike, *, was_present: bool = False) -> Contacts:
+def following(found: Estimates, before: Before) -> Before:
+    """What the last sample leaves for the next; rows without a force leave contact as it was."""
+    sensed = found.status[(found.status & (TARE | SATURATED | judged.CONTRADICTION | judged.OVERLOAD)) == 0]
+    present = bool(sensed[-1] & scalar.CONTACT_PRESENT) if sensed.size else before.present
+    overloaded = bool(found.status[-1] & judged.OVERLOAD) if found.status.size else before.overloaded
+    return Before(present, overloaded)
+
+
+def estimate(
+    calibration: Calibration,
+    microstrain: npt.ArrayLike,
+    *,
+    temperature_degC: npt.ArrayLike | None = None,
+    lost: IntArray | None = None,
+    was_present: bool = False,
+) -> Contacts:
     """Contact, standard uncertainties and status of gauge readings, as `tipforce estimate` gives them.
 
-    microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``was_present``: contact before the first.
-    A reading that is not finite makes all unknown. Raises InputError for other shapes.
+    microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``temperature_degC``: (k,) or one number,
+    NaN or None where it is not known. ``lost``: (k,), bits of gauges that something else says have failed.
+    ``was_present``: contact before the first. A reading that is not finite makes all unknown. Raises InputError for
+    other shapes.
     """
     strain = np.asarray(microstrain, dtype=np.float64) * 1e-6
     if strain.ndim == 1:
@@ -101,10 +136,19 @@ def estimate(calibration: Calibration, microstrain: npt.ArrayLike, *, was_presen
     if strain.ndim != 2 or strain.shape[1] != calibration.gauges:
         n = calibration.gauges
         raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
-    data = Measurements(np.arange(len(strain)), strain, None, None, None, None, None, None, None, (), ())
-    found = estimated(calibration, data, slice(None), None, np.inf, was_present)
-    status = (found.status & 0xFF | Status.CALIBRATED).astype(np.uint16)
-    status |= np.where(found.status & BEYOND_FIRST_ORDER, np.uint16(Status.BEYOND_FIRST_ORDER), np.uint16(0))
+    temperature = None
+    if temperature_degC is not None:
+        temperature = np.broadcast_to(np.asarray(temperature_degC, dtype=np.float64), len(strain))
+    data = Measurements(np.arange(len(strain)), strain, None, None, None, None, temperature, None, None, (), ())
+    found = estimated(calibration, data, slice(None), None, None, Before(was_present), lost)
+    status = (found.status & 0xE0FF | Status.CALIBRATED).astype(np.uint16)
+    for bits, flag in (
+        (BEYOND_FIRST_ORDER, Status.BEYOND_FIRST_ORDER),
+        (judged.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
+        (SATURATED | LEFT_OUT | judged.OVERLOAD, Status.SATURATED),
+        (LEFT_OUT, Status.LEFT_OUT),
+    ):
+        status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
     P, phi, theta, u_P, u_phi, u_theta = found.values.T
     return Contacts(P, phi, theta, u_P, u_phi, u_theta, status)
 
@@ -114,46 +158,89 @@ def estimated(
     data: Measurements,
     rows: slice,
     tares: Tares | None,
-    limit: float,
-    was_present: bool,
+    limit: float | None,
+    before: Before,
+    lost: IntArray | None = None,
 ) -> Estimates:
-    """Estimates of some rows that follow each other; ``was_present``: contact before the first of them.
+    """Estimates of some rows that follow each other; ``before``: what the sample before the first of them left.
 
-    limit: the converter's, strain (inf: none).
+    limit: the converter's, strain, beside the calibration's own (2113h); None: that alone. lost: (rows,), bits of
+    gauges that something else says have failed.
     """
-    V = data.strain[rows]
+    strain = data.strain[rows]
+    temperature = None if data.temperature_degC is None else data.temperature_degC[rows]
+    at_limit = _at_limit(calibration, strain, limit)
+    missing = at_limit if lost is None else at_limit | lost
+    judge = judged.Judge(calibration)
     offset, tare_noise = _offsets(calibration, data, rows, tares)
-    F = force_from_strain(calibration.C, V - offset)
-    covariance = np.zeros((*F.shape, 3))
+    factor = 1.0 / _weight(data)[rows] + tare_noise
+    V = judge.compensated(strain, temperature) - offset
+    found = judge.judge(V, temperature, missing, before.overloaded, factor)
+    F, covariance = found.F_newtons, found.covariance
     if calibration.parameter_covariance is not None:
-        nothing, blocks = np.zeros_like(calibration.covariance_strain2), calibration.parameter_covariance
-        covariance = covariance_of_estimate(calibration.C, nothing, blocks, F, offset_known=tares is not None)
-    covariance += calibration.covariance_F * (1.0 / _weight(data)[rows] + tare_noise)[:, np.newaxis, np.newaxis]
+        covariance = covariance + _of_calibration(calibration, found, tares is not None)
     pull = np.full(len(V), calibration.pull)
     if data.mode is not None:
         mode = data.mode[rows]
         pull = np.where(mode < 0, pull, mode == MODES.index("pull"))
-    found, u = _both_senses(F, covariance, pull)
-    unloaded, saturated = data.unloaded[rows], (np.abs(V) >= limit).any(axis=1)
-    counts = ~(unloaded | saturated)
-    status = np.where(unloaded, TARE, np.where(saturated, SATURATED, 0))
+    contact, u = _both_senses(F, covariance, pull)
+    status = _judged_status(found, data.unloaded[rows], missing)
+    counts = (status & _NO_VALUE) == 0
     limits = model.Limits(
         calibration.contact_on_newtons,
         calibration.contact_off_newtons,
         calibration.theta_min_deg,
         calibration.theta_max_deg,
     )
-    chosen = model.Contact(*(getattr(found, name)[counts] for name in model.Contact.__slots__))
+    chosen = model.Contact(*(getattr(contact, name)[counts] for name in model.Contact.__slots__))
     miss = model.miss_uncertainties(F[counts], covariance[counts])
-    status[counts] = model.status(chosen, u[counts], miss, limits, was_present)
-    values = _in_degrees(np.stack((found.P_newtons, found.phi_rad, found.theta_rad), axis=-1), u)
+    status[counts] |= model.status(chosen, u[counts], miss, limits, before.present)
+    values = _in_degrees(np.stack((contact.P_newtons, contact.phi_rad, contact.theta_rad), axis=-1), u)
     values[~counts] = np.nan
     known = _known(status)
     values[:, [1, 4]] = np.where(known[:, :1], values[:, [1, 4]], np.nan)
     values[:, [2, 5]] = np.where(known[:, 1:], values[:, [2, 5]], np.nan)
     holds = first_order_holds(F, covariance) | ~np.isfinite(values[:, 3:])
     status[counts & ~holds.all(axis=1)] |= BEYOND_FIRST_ORDER
-    return Estimates(values, status)
+    return Estimates(values, status, found.faults & judged.GAUGES)
+
+
+def _at_limit(calibration: Calibration, strain: FloatArray, limit: float | None) -> IntArray:
+    """Bits of the gauges at the converter's limit, the smaller one of the calibration's and ``limit``."""
+    own = calibration.converter_limit_strain
+    limits = np.where(own > 0.0, own, np.inf)
+    if limit is not None:
+        limits = np.minimum(limits, limit)
+    with np.errstate(invalid="ignore"):
+        reached = np.abs(strain) >= limits
+    bits: IntArray = reached @ (1 << np.arange(strain.shape[1]))
+    return bits
+
+
+def _judged_status(found: judged.Judged, unloaded: BoolArray, missing: IntArray) -> IntArray:
+    """The bits that are known before any contact is."""
+    known = np.isfinite(found.F_newtons).all(axis=1)
+    contradict = (found.faults & judged.CONTRADICTION) != 0
+    status = found.faults & (judged.BEYOND_CALIBRATED | judged.TEMPERATURE | judged.OVERLOAD)
+    status |= np.where(contradict & ~known, judged.CONTRADICTION, 0)
+    status |= np.where(known & ((found.faults & judged.GAUGES) != 0), LEFT_OUT, 0)
+    status |= np.where(~known & ~contradict & (missing != 0), SATURATED, 0)
+    marked: IntArray = np.where(unloaded, TARE, status)
+    return marked
+
+
+def _of_calibration(calibration: Calibration, found: judged.Judged, offset_known: bool) -> FloatArray:
+    """The calibration's part of the covariance of F, (m, 3, 3); rows that do without a gauge have their own matrix."""
+    nothing, blocks = np.zeros_like(calibration.covariance_strain2), calibration.parameter_covariance
+    assert blocks is not None
+    covariance = np.zeros((*found.F_newtons.shape, 3))
+    left = found.faults & judged.GAUGES
+    known = np.isfinite(found.F_newtons).all(axis=1)
+    for mask in np.unique(left[known]).tolist():
+        rows = known & (left == mask)
+        C = found.matrix[np.flatnonzero(rows)[0]]
+        covariance[rows] = covariance_of_estimate(C, nothing, blocks, found.F_newtons[rows], offset_known=offset_known)
+    return covariance
 
 
 def _in_degrees(values: FloatArray, u: FloatArray) -> FloatArray:
@@ -206,7 +293,7 @@ def _weight(data: Measurements) -> FloatArray:
 
 
 def _in_words(status: int) -> str:
-    for bit, word in ((TARE, "tare"), (SATURATED, "saturated")):
+    for bit, word in _UNKNOWN_WORDS.items():
         if status & bit:
             return word
     shown = status ^ scalar.CONTACT_PRESENT

@@ -13,6 +13,7 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding import judged
 from tipforce.host.decoding.contacts import Contacts, Status, contact_values, status_of, uncertainties
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.estimates import estimate
@@ -21,7 +22,7 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
 
 FloatArray = npt.NDArray[np.float64]
-_NOT_USABLE = np.uint16(Status.SATURATED | Status.STALE | Status.FAULT)
+_NOT_USABLE = np.uint16(Status.STALE | Status.FAULT)
 """Status bits of a node for an invalid gauge reading."""
 
 
@@ -129,10 +130,14 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     u = uncertainties(values[:, np.newaxis], [calibration])[:, 0]
     if calibration is not None:
         rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
-        found = estimate(calibration, strain[rows])
-        values[rows] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)
-        u[rows] = np.stack([found.u_P_newtons, found.u_phi_deg, found.u_theta_deg], axis=-1)
-        status[rows] = found.status
+        temperature = judged.last_known(columns["temperature"])[rows] if "temperature" in columns else None
+        found = estimate(calibration, strain[rows], temperature_degC=temperature, lost=judged.at_end(strain[rows]))
+        # The node left a gauge out that the readings do not show: only the node's own contact can be believed.
+        hidden = (status[rows] & np.uint16(Status.SATURATED) != 0) & ~found.has(Status.SATURATED)
+        estimated = rows[~hidden]
+        values[estimated] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)[~hidden]
+        u[estimated] = np.stack([found.u_P_newtons, found.u_phi_deg, found.u_theta_deg], axis=-1)[~hidden]
+        status[estimated] = found.status[~hidden]
     names = {"P", "phi", "theta", "F1", "F2", "F3", *(f"SG{gauge + 1}" for gauge in range(n))}
     others = {name: column for name, column in columns.items() if name not in names}
     counter = np.concatenate([one.counter for one in tables])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import binascii
 import math
 import threading
 import time
@@ -32,8 +33,10 @@ _REFUSALS = {
     codes.DEVICE_STATE: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
     codes.INCOMPATIBLE: "the CRC-32 of the received data is wrong; nothing was activated, try again",
     codes.INVALID_VALUE: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over "
-    "contact-on, a noise covariance with a negative variance or a correlation over 1",
-    codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1",
+    "contact-on, a noise covariance with a negative variance or a correlation over 1, a validity (2112h to 2116h) below "
+    "zero or a lowest temperature above the highest",
+    codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
+    codes.TOO_LOW: "the 2-norm of C is below 10 N per unit strain; check whether it is in newtons per microstrain",
 }
 
 
@@ -91,10 +94,24 @@ class FingertipClient:
         )
 
     def calibration(self) -> Calibration | None:
-        """Return the active calibration, read back over SDO; None if the node has none."""
-        if not self.sdo.read(od.CALIBRATION_ACTIVE_CRC):
+        """Return the active calibration, read back over SDO; None if the node has none.
+
+        Raises RefusedError if the CRC-32 of the record differs from that of the node (2103h:3), or for version 1.
+        """
+        expected = self.sdo.read(od.CALIBRATION_ACTIVE_CRC)
+        if not expected:
             return None
-        return Calibration.from_record(self.sdo.read(od.CALIBRATION_ACTIVE_RECORD))
+        record = self.sdo.read(od.CALIBRATION_ACTIVE_RECORD)
+        if binascii.crc32(record) != expected:
+            raise RefusedError(
+                f"node {self.node_id}: the calibration record read back (2140h) has CRC-32 "
+                f"0x{binascii.crc32(record):08X}, the node says 0x{expected:08X} (2103h:3): read it again; if it stays "
+                "so, commit the calibration again"
+            )
+        try:
+            return Calibration.from_record(record)
+        except InputError as error:
+            raise RefusedError(f"node {self.node_id}: {error}") from None
 
     def apply_calibration(
         self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = _silent

@@ -11,6 +11,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.rails import rails
 from tipforce.sensor.calibration.regressors import DRIFTS
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
 from tipforce.sensor.structure.geometry import Geometry
@@ -35,6 +36,8 @@ class Readings:
     """(m,), not decreasing; needed for a drift only."""
     weight: FloatArray | None = None
     """(m,), above zero: how many readings a row is the mean of. Its gauge noise is Sigma_V / weight."""
+    temperature_degC: FloatArray | None = None
+    """(m,): of the sensor."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -57,14 +60,19 @@ class Model:
     """The offset over time: constant, interpolated between tares, or a straight line."""
     loss: Literal["huber", "soft_l1", "none"] = "huber"
     """How rows that disagree are treated; "none": least squares, outliers are named and kept."""
+    temperature: bool = False
+    """Fit how the offsets change with temperature; needs temperatures of the rows."""
     phi_scatter_rad: float = 0.0
-    """Standard deviation of the direction of the load, anew in every row."""
+    """Standard deviation of the direction of the load: an error that all rows of a groove (equal phi and theta) have
+    in common, and another of each row. Stated here is the first; the data then say how large each of the two is, and
+    the stated one counts as six observed angles."""
     theta_scatter_rad: float = 0.0
-    """Standard deviation of the place of the load, anew in every row."""
+    """The same of the place of the load."""
     noise_strain: float | FloatArray | None = None
     """Standard deviation of a gauge reading, if it is known (scalar or (n,)); None: estimated from the residuals."""
     saturation_strain: float | FloatArray | None = None
-    """Converter limit (scalar or (n,)): readings at or beyond it, of either sign, are left out."""
+    """Converter limit (scalar or (n,)): readings at or beyond it, of either sign, are left out. inf: the data have
+    none. None: not known, and an extreme reading that repeats is refused."""
     prior: Prior | None = None
 
 
@@ -98,8 +106,26 @@ def checked(readings: Readings, model: Model) -> Readings:
     if weight is not None and not (weight > 0.0).all():
         row = int(np.argmin(weight))
         raise InputError(f"weight[{row}] = {weight[row]:g}: allowed is above 0")
+    temperature = readings.temperature_degC
+    T = None if temperature is None else _column("temperature_degC", temperature, m)
+    if model.temperature and T is None:
+        raise InputError("a temperature coefficient needs the temperature of every row (column temperature_degC)")
     _check_model(model, n)
-    return Readings(strain, P, phi, theta, t, weight)
+    _check_rails(strain, np.stack((P, phi, theta), axis=-1), model)
+    return Readings(strain, P, phi, theta, t, weight, T)
+
+
+def _check_rails(strain: FloatArray, loads: FloatArray, model: Model) -> None:
+    limit = np.inf if model.saturation_strain is None else model.saturation_strain
+    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), strain.shape[1])
+    if model.saturation_strain is not None and np.isinf(limits).all():
+        return
+    found = rails(strain, loads, limits)
+    if found:
+        raise InputError(
+            f"{found[0].words()}: that is what a converter's limit looks like: state it (saturation_strain), or inf if "
+            "the readings have none"
+        )
 
 
 def _check_model(model: Model, n: int) -> None:

@@ -7,6 +7,9 @@ that disagree are named and left out, saturated readings too, and what the rows 
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import NamedTuple
+
 import numpy as np
 import numpy.typing as npt
 
@@ -14,17 +17,28 @@ from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
+from tipforce.sensor.calibration.nonlinearity import nonlinearity
 from tipforce.sensor.calibration.regressors import (
     OffsetBasis,
     bad_tares,
     direction_scatter,
+    grooves,
     offset_basis,
     reference_map,
 )
+from tipforce.sensor.calibration.rejections import rejections
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
 from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
 from tipforce.sensor.calibration.start import corner, outlying, suspects
 from tipforce.sensor.calibration.statistics import Left, Scales, result
+from tipforce.sensor.calibration.temperature import (
+    CHANCE,
+    Temperature,
+    factor,
+    gain_of,
+    offsets_of,
+    reference_temperature_degC,
+)
 from tipforce.sensor.contact.force import force_vector
 
 __all__ = [
@@ -36,6 +50,7 @@ __all__ = [
 MARGIN = 3.0
 """Standard deviations from the converter's limit within which a reading is left out."""
 MAX_PASSES, SETTLING_PASSES = 14, 6
+MAX_GAIN_PASSES = 4
 
 
 def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
@@ -48,7 +63,7 @@ def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
     model = model or Model()
     readings = checked(readings, model)
     try:
-        return _fitted(readings, model)
+        return _with_gain(readings, model)
     except np.linalg.LinAlgError as error:
         raise InputError(
             f"calibration: {len(readings.P_newtons)} rows decide too little for this model ({error}): add loads and "
@@ -56,7 +71,47 @@ def fit_calibration(readings: Readings, model: Model | None = None) -> Fit:
         ) from None
 
 
-def _fitted(readings: Readings, model: Model) -> Fit:
+def _with_gain(readings: Readings, model: Model) -> Fit:
+    """Fit, and fit again with a gain that depends on temperature where the rows show one."""
+    change, T = _change_K(readings), readings.temperature_degC
+    gain, fitted = 0.0, _fitted(readings, model, 0.0)
+    if T is None:
+        return fitted.fit
+    low, high, n = float(T.min()), float(T.max()), readings.strain.shape[1]
+    if not change.any():
+        unknown = np.full(n, np.nan)
+        none = Temperature(low, low, high, np.zeros(n), unknown, False, 0.0, float("nan"), False)
+        return replace(fitted.fit, temperature=none)
+    fitted_gain = False
+    for _ in range(MAX_GAIN_PASSES):
+        more, u = gain_of(fitted.problem, fitted.found, change)
+        significant = abs(gain + more) > u * factor(fitted.fit.dof, CHANCE)
+        if not significant or abs(more) < 0.01 * u:
+            break
+        gain, fitted_gain = gain + more, True
+        fitted = _fitted(readings, model, gain)
+    offsets, u_offsets = offsets_of(
+        fitted.problem, fitted.found, change, fitted.basis.temperature_span_K, fitted.scales.strain
+    )
+    k = factor(fitted.fit.dof)
+    shown = Temperature(
+        reference_temperature_degC(T), low, high, offsets, k * u_offsets, model.temperature,
+        gain if fitted_gain else more, k * u, fitted_gain,
+    )  # fmt: skip
+    return replace(fitted.fit, temperature=shown)
+
+
+class _Fitted(NamedTuple):
+    """A fit with what it came from."""
+
+    fit: Fit
+    problem: Problem
+    found: Solution
+    basis: OffsetBasis
+    scales: Scales
+
+
+def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
     """Fit, leave out what is odd or clipped, and fit again until nothing changes."""
     scales = Scales.of(readings.strain, readings.P_newtons)
     limit = np.inf if model.saturation_strain is None else np.asarray(model.saturation_strain) / scales.strain
@@ -65,11 +120,12 @@ def _fitted(readings: Readings, model: Model) -> Fit:
     near, robust = np.zeros_like(saturated), model.loss != "none"
     outlier = _suspected(readings, model, scales, ~saturated)
     found: Solution | None = None
+    settled = False
     for count in range(MAX_PASSES):
         counted = ~(saturated | near)
         keep = ~outlier if robust else np.ones_like(outlier)
         basis = _basis(readings, model, keep & counted.all(axis=1))
-        problem = pick(_problem(readings, model, scales, basis, counted), keep)
+        problem = pick(_problem(readings, model, scales, basis, counted, gain_per_K), keep)
         singular = _require_seen(problem, basis, scales)
         found = solve(problem, model.loss, corner(V.shape[1]), found)
         _require_clear(found, basis, scales)
@@ -81,9 +137,20 @@ def _fitted(readings: Readings, model: Model) -> Fit:
         near = ~saturated & (np.abs(V - found.residual) + MARGIN * spread >= limit)
         near = near | near_before if count >= SETTLING_PASSES else near
         if np.array_equal(near, near_before) and (np.array_equal(outlier, before) or not robust):
+            settled = True
             break
     assert found is not None
-    return result(readings, model, scales, basis, problem, found, singular, Left(outlier, saturated, near))
+    left = Left(outlier, saturated, near)
+    fit = result(readings, model, scales, basis, problem, found, singular, left)
+    largest = float(readings.P_newtons.max())
+    straight = nonlinearity(problem, found, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+    if straight is not None and not straight.significant and outlier.any():
+        # A fault that grows with the load is first thrown out as outliers: those rows have a say, too.
+        every = problem._replace(observed=counted)
+        other = nonlinearity(every, found, fit.C, fit.sigma0, scales.strain, scales.newtons, largest)
+        straight = other if other is not None and rejections(fit, readings) else straight
+    fit = replace(fit, nonlinearity=straight, converged=found.converged and settled)
+    return _Fitted(fit, problem, found, basis, scales)
 
 
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
@@ -113,7 +180,7 @@ def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolA
     if model.drift == "tare" and readings.t_s is not None:
         out = bad_tares(readings.strain, readings.t_s, unloaded, usable)
     basis = _basis(readings, model, usable & ~out)
-    problem = pick(_problem(readings, model, scales, basis, observed), ~out)
+    problem = pick(_problem(readings, model, scales, basis, observed, 0.0), ~out)
     if model.drift == "tare":
         # Small random subsets cannot carry a drift of many knots: the tares take it off beforehand.
         tares = np.flatnonzero(unloaded & usable & ~out)
@@ -124,12 +191,20 @@ def _suspected(readings: Readings, model: Model, scales: Scales, observed: BoolA
 
 
 def _basis(readings: Readings, model: Model, usable: BoolArray) -> OffsetBasis:
-    return offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
+    basis = offset_basis(model.drift, model.offset, readings.t_s, readings.P_newtons == 0.0, usable)
+    return basis.with_temperature(_change_K(readings)) if model.temperature else basis
 
 
-def _problem(readings: Readings, model: Model, scales: Scales, basis: OffsetBasis, observed: BoolArray) -> Problem:
+def _change_K(readings: Readings) -> FloatArray:
+    T = readings.temperature_degC
+    return np.zeros(len(readings.P_newtons)) if T is None else T - reference_temperature_degC(T)
+
+
+def _problem(
+    readings: Readings, model: Model, scales: Scales, basis: OffsetBasis, observed: BoolArray, gain_per_K: float
+) -> Problem:
     m, n = readings.strain.shape
-    load = readings.P_newtons, readings.phi_rad, readings.theta_rad
+    load = readings.P_newtons * (1.0 + gain_per_K * _change_K(readings)), readings.phi_rad, readings.theta_rad
     Sigma, mean, information = None, np.zeros((n, 3)), np.zeros(n)
     if model.noise_strain is not None:
         Sigma = np.diag(np.broadcast_to((np.asarray(model.noise_strain) / scales.strain) ** 2, n))
@@ -140,6 +215,7 @@ def _problem(readings: Readings, model: Model, scales: Scales, basis: OffsetBasi
         V=readings.strain / scales.strain,
         g=np.concatenate((force_vector(*load) / scales.newtons, basis.columns), axis=1),
         D=direction_scatter(*load, model.phi_scatter_rad, model.theta_scatter_rad) / scales.newtons,
+        groove=grooves(readings.phi_rad, readings.theta_rad),
         weight=np.ones(m) if readings.weight is None else readings.weight,
         observed=observed,
         Sigma=Sigma,
@@ -150,8 +226,7 @@ def _problem(readings: Readings, model: Model, scales: Scales, basis: OffsetBasi
 
 
 def _require_seen(problem: Problem, basis: OffsetBasis, scales: Scales) -> FloatArray:
-    q = basis.columns.shape[1]
-    names = (*FORCES, "offset", "drift")[: 3 + q]
+    names = (*FORCES, *basis.names)
     g, observed = problem.g[:, ~problem.kinks], problem.observed
     if problem.prior_information.any():
         g = np.concatenate((g, np.eye(3, g.shape[1])))

@@ -91,6 +91,8 @@ def _sentence(entries: dict[str, float], unit_newtons: float, snap: float) -> st
             "a drift in time cannot be told from the loads: repeat tare rows (unloaded readings) before, between "
             "and after the loads"
         )
+    if entries.get("temperature", 0.0) != 0.0:
+        return "a change of temperature cannot be told from the loads: repeat tare rows warm and cold"
     if not force.any():
         return "no row counts for the offset: add tare rows (unloaded readings)"
     lead = force[np.flatnonzero(force)[0]]

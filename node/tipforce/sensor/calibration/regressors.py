@@ -5,9 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 
 DRIFTS = ("none", "tare", "linear")
@@ -23,6 +22,24 @@ class OffsetBasis(NamedTuple):
     """(q,): the same columns at the last row, where the result gives the offset."""
     kinks: BoolArray
     """(q,): which columns are kinks, as large as the data ask for (penalised)."""
+    temperature_span_K: float = 0.0
+    """Kelvins per unit of the last column, which then is the temperature; 0: there is none."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the columns that are no kinks."""
+        count = int((~self.kinks).sum())
+        if not self.temperature_span_K:
+            return ("offset", "drift")[:count]
+        return (*("offset", "drift")[: count - 1], "temperature")
+
+    def with_temperature(self, change_K: FloatArray) -> OffsetBasis:
+        """The same with a column of temperature, (m,), against the reference. Raises InputError for a constant one."""
+        span = float(np.abs(change_K).max())
+        if not span > 0.0:
+            raise InputError("a temperature coefficient needs rows at different temperatures")
+        columns = np.concatenate((self.columns, (change_K / span)[:, np.newaxis]), axis=1)
+        return OffsetBasis(columns, np.append(self.reference, 0.0), np.append(self.kinks, False), span)
 
 
 def direction_scatter(
@@ -34,6 +51,12 @@ def direction_scatter(
     by_theta = np.stack((zero, -np.cos(delta), zero), axis=-1) * theta_scatter_rad
     D: FloatArray = np.stack((by_phi, by_theta), axis=-1) * P_newtons[:, np.newaxis, np.newaxis]
     return D
+
+
+def grooves(phi_rad: FloatArray, theta_rad: FloatArray) -> IntArray:
+    """Return which rows have the same phi and theta, (m,), numbered from 0: their angles are off by the same error."""
+    places = np.round(np.stack((phi_rad, theta_rad), axis=-1), 6)
+    return np.unique(places, axis=0, return_inverse=True)[1].ravel().astype(np.int64)
 
 
 def tare_groups(unloaded: BoolArray, usable: BoolArray) -> list[list[int]]:
@@ -124,7 +147,7 @@ def bad_tares(strain: FloatArray, t_s: FloatArray, unloaded: BoolArray, usable: 
         usable[rows[worst]] = False
 
 
-def _off_line(t: FloatArray, V: FloatArray, at: npt.NDArray[np.int64], one: int, other: int) -> FloatArray:
+def _off_line(t: FloatArray, V: FloatArray, at: IntArray, one: int, other: int) -> FloatArray:
     """How far rows lie off the line through two of their neighbours, (len(at), n)."""
     first, second = at + one, at + other
     span = t[second] - t[first]

@@ -9,6 +9,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.nonlinearity import Nonlinearity
+from tipforce.sensor.calibration.temperature import Temperature
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +87,19 @@ class Fit:
     loads: tuple[LoadResidual, ...]
     drift: str
     loss: str
+    groove_scatter: float
+    """Standard deviation of the angle errors of grooves as found, in units of the stated one; 0 where none is."""
+    hang_scatter: float
+    """The same of the angle errors that are new in every row."""
+    hold_out_score: float
+    """Sum over the rows of the logarithm of how likely each is by the fit without it; rows that disagree count at
+    most as one at the outlier's border. Of fits to the same readings the larger is the better."""
+    converged: bool = True
+    """False: the steps ended before the numbers settled."""
+    nonlinearity: Nonlinearity | None = None
+    """None where the rows cannot show it."""
+    temperature: Temperature | None = None
+    """None without temperatures."""
 
     @property
     def C_interval(self) -> FloatArray:

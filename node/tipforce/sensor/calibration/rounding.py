@@ -12,9 +12,9 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.result import Fit
 
-FloatArray = npt.NDArray[np.float64]
 DIGITS = 9
 # The parameter covariance is computed from the inverse of N, which enlarges what rounding takes away.
 NORMAL_DIGITS = 12

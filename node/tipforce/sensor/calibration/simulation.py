@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -25,8 +26,10 @@ class Faults:
     """Standard deviation of the drift over the whole calibration."""
     warm_up: float = 0.5
     """Share of the drift's variance that is a warm-up (exponential); the rest is linear in time."""
-    direction_scatter_rad: float = np.radians(0.5)
-    """Standard deviation of phi and of theta, anew each time that a weight is hung."""
+    groove_scatter_rad: float = np.radians(0.5)
+    """Standard deviation of the error of phi and of theta that all rows of a groove have in common."""
+    hang_scatter_rad: float = np.radians(0.1)
+    """Standard deviation of phi and of theta each time that a weight is hung."""
     outlier_share: float = 0.02
     """Share of rows with a fault: a jump of one gauge, or a weight that was not the one written down."""
     saturation: float | None = 0.93
@@ -70,7 +73,7 @@ def simulate(
 ) -> Simulated:
     """Return one calibration: every groove with every weight, grooves in random order, a tare before each and last."""
     faults = faults or Faults()
-    P, phi, theta = _schedule(rng, weights_newtons)
+    P, phi, theta = schedule(rng, weights_newtons)
     m, A = P.size, true_matrix(gauges, rng)
     n = A.shape[0]
     t_s: FloatArray = 20.0 * np.arange(m, dtype=np.float64)
@@ -79,7 +82,9 @@ def simulate(
     rates = faults.drift_strain * shares * rng.normal(size=(2, n))
     drift = np.outer(x, rates[0]) + np.outer(1.0 - np.exp(-4.0 * x), rates[1])
     offset = faults.offset_strain * rng.normal(size=n) + drift
-    scatter = faults.direction_scatter_rad * rng.normal(size=(2, m))
+    groove = grooves(phi, theta)
+    scatter = faults.groove_scatter_rad * rng.normal(size=(2, int(groove.max()) + 1))[:, groove]
+    scatter += faults.hang_scatter_rad * rng.normal(size=(2, m))
     clean = force_vector(P, phi, theta) @ A.T + offset
     limit = None if faults.saturation is None else faults.saturation * float(np.abs(clean).max())
     outlier = np.zeros(m, dtype=np.bool_)
@@ -101,12 +106,10 @@ def unseen_forces(rng: np.random.Generator, count: int) -> FloatArray:
     return force_vector(rng.uniform(0.3, 4.4, count), theta + delta + turn, theta)
 
 
-def _schedule(
-    rng: np.random.Generator, weights_newtons: tuple[float, ...]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def schedule(rng: np.random.Generator, weights_newtons: tuple[float, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
     rows: list[tuple[float, float, float]] = []
-    grooves = paper_grooves()
-    for phi, theta in rng.permutation(np.stack((grooves.phi_rad, grooves.theta_rad), axis=-1)):
+    paper = paper_grooves()
+    for phi, theta in rng.permutation(np.stack((paper.phi_rad, paper.theta_rad), axis=-1)):
         rows.append((0.0, 0.0, 0.0))
         rows.extend((weight, phi, theta) for weight in weights_newtons)
     rows.append((0.0, 0.0, 0.0))

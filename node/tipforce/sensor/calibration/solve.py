@@ -1,4 +1,9 @@
-"""Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML)."""
+"""Generalised least squares for V = A F + b with noise that differs from row to row, its variances estimated (REML).
+
+The direction of a load strays in two ways: by an angle common to all rows of a groove (a random effect) and by one of
+its own in every row. How much of each, in units of the stated scatter, is estimated with the gauge noise. The rows are
+whitened, the groove's effect is taken off by a square root of its marginal covariance, and the rest is solved by QR.
+"""
 
 from __future__ import annotations
 
@@ -6,16 +11,30 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 
 NOISE_FLOOR = 1e-7
 """Smallest standard deviation of the gauges, as a fraction of the readings: keeps exact data invertible."""
 START_RESTLESS, SMALLEST_RESTLESS = 0.05, 1e-5
 """Standard deviation of a drift's kinks, as a fraction of the readings: to begin with, and at least."""
+STATED_WORTH = 6.0
+"""The stated scatter of a groove counts as so many observed angles: a few grooves show little of their own."""
+START_HANG, HANG_WORTH = 0.1, 1.0
+"""Variance of the angle that is new in every row, in units of the stated one, before any data; it counts as so many
+observed angles."""
+LARGEST_SCATTER = 100.0
+"""Of both variances: ten times the stated angle is a fault and no scatter."""
 MAX_STEPS = 300
 TOLERANCE = 1e-5
 """Relative change of A at which the steps end; 1e-3 of the noise, of which a few per cent do not matter."""
+
+
+class Scatter(NamedTuple):
+    """Variances of load directions, in units of the stated ones."""
+
+    groove: float
+    hang: float
 
 
 class Problem(NamedTuple):
@@ -26,7 +45,9 @@ class Problem(NamedTuple):
     g: FloatArray
     """(m, p): F1, F2, F3, then the columns of the offset."""
     D: FloatArray
-    """(m, 3, 2): D D^T is the covariance of F from uncertain load directions."""
+    """(m, 3, 2): D D^T is the covariance of F from the stated scatter of load directions."""
+    groove: IntArray
+    """(m,): which rows share one error of direction, counted from 0."""
     weight: FloatArray
     """(m,): the gauge noise of a row is Sigma / weight."""
     observed: BoolArray
@@ -39,6 +60,8 @@ class Problem(NamedTuple):
     """(n,): one over the variance of each entry of a row of A; zero without a prior."""
     kinks: BoolArray
     """(p,): coefficients around zero, of a variance that is estimated for each gauge: the restlessness of its drift."""
+    scatter: Scatter | None = None
+    """Where it is known; None to estimate it."""
 
 
 class Solution(NamedTuple):
@@ -52,18 +75,28 @@ class Solution(NamedTuple):
     """Gauge noise, (n, n), for a row of weight one."""
     kink_variance: FloatArray
     """(n,)."""
+    scatter: Scatter
     residual: FloatArray
-    """(m, n), of every row, used or not."""
+    """(m, n), of every row, used or not; what the groove's own angle explains is taken off."""
+    unexplained: FloatArray
+    """(m, n): reading less fit, the groove's angle left in."""
     R: FloatArray
-    """(m, n, n): the covariance of each row's noise."""
+    """(m, n, n): the covariance of each row's own noise."""
     H: FloatArray
-    """(m, n, n): the covariance of each row's fitted value."""
+    """(m, n, n): the covariance of each row's fitted value, with the groove's angle."""
     distance: FloatArray
     """(m,): squared Mahalanobis distance of each row, by the fit without that row."""
     leverage: FloatArray
     """(m,): share of a row in its own fitted value, 0 to 1; 0 for a row that is not used."""
+    angle: FloatArray
+    """(grooves, 2): expected error of direction of each groove, in its standard deviations."""
+    angle_decided: FloatArray
+    """(grooves,): how many of its two angles the data decide."""
+    absorbed: FloatArray
+    """(m,): readings' worth of a row that the fit and the groove's angle have taken up."""
     dof: float
     """Rows less unknowns, per gauge; fractional with a prior or with readings left out."""
+    converged: bool
 
 
 def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None) -> Solution:
@@ -74,15 +107,21 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
     """
     A, Sigma = _start(problem) if start is None else (start.coefficients[:, :3], start.Sigma)
     restless = np.full(len(A), START_RESTLESS**2) if start is None else start.kink_variance
+    scatter = (Scatter(1.0, START_HANG) if start is None else start.scatter) if problem.D.any() else Scatter(0.0, 0.0)
+    scatter = scatter if problem.scatter is None else problem.scatter
     u = np.ones(len(problem.V))
+    converged = False
     for _ in range(MAX_STEPS):
-        found = _step(problem, A, Sigma, restless, u)
+        found = _step(problem, A, Sigma, restless, scatter, u)
         change = np.abs(found.coefficients[:, :3] - A).max() / max(np.abs(A).max(), 1e-300)
         A = found.coefficients[:, :3]
         weights = _loss_weights(found.distance, loss, cut)
         change = max(change, 0.01 * float(np.abs(weights - u).max()))
         u = weights
         restless = _kink_variance(problem, found)
+        if problem.D.any() and problem.scatter is None:
+            scatter, before = _scatter(problem, found, u), scatter
+            change = max(change, 0.001 * max(abs(a - b) / (a + 0.01) for a, b in zip(scatter, before, strict=True)))
         if problem.Sigma is None:
             if found.dof < 0.5:
                 raise InputError(
@@ -92,8 +131,37 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
             Sigma, moved = _longer(Sigma, _noise(problem, found)), Sigma
             change = max(change, 0.01 * float(np.abs(Sigma - moved).max() / np.abs(Sigma).max()))
         if change < TOLERANCE:
+            converged = True
             break
-    return found
+    return found._replace(converged=converged)
+
+
+class Extra(NamedTuple):
+    """Coefficients that a fit has not, and what they would change in it."""
+
+    value: FloatArray
+    """(k,)."""
+    covariance: FloatArray
+    """(k, k)."""
+    coefficients: FloatArray
+    """(n, p): those of the fit beside them."""
+
+
+def extra(problem: Problem, found: Solution, columns: FloatArray) -> Extra:
+    """Return coefficients of further columns (m, n, k), strain per unit of each, by the noise that the fit has found.
+
+    Raises LinAlgError where the rows do not determine them.
+    """
+    n, p, k = problem.V.shape[1], problem.g.shape[1], columns.shape[2]
+    AD = found.coefficients[:, :3] @ problem.D
+    whitener = _whitener(found.R, problem.observed)
+    X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(AD), n, n * p)
+    rows = np.concatenate((X, whitener @ columns, whitener @ problem.V[..., np.newaxis]), axis=-1)
+    effect = _Effect.of(whitener @ (np.sqrt(found.scatter.groove) * AD), problem.groove)
+    prior = np.insert(_prior_rows(problem, found.kink_variance), [n * p] * k, 0.0, axis=1)
+    beta, root = _solved(effect.marginal(rows).reshape(-1, n * p + k + 1), prior, n * p + k)
+    added = root[n * p :]
+    return Extra(beta[n * p :], added @ added.T, beta[: n * p].reshape(n, p))
 
 
 def pick(problem: Problem, rows: BoolArray) -> Problem:
@@ -117,37 +185,134 @@ def _start(problem: Problem) -> tuple[FloatArray, FloatArray]:
     return A, np.diag(np.maximum(variance, NOISE_FLOOR**2))
 
 
-def _step(problem: Problem, A: FloatArray, Sigma: FloatArray, restless: FloatArray, u: FloatArray) -> Solution:
-    m, n = problem.V.shape
-    p = problem.g.shape[1]
+def _step(
+    problem: Problem, A: FloatArray, Sigma: FloatArray, restless: FloatArray, scatter: Scatter, u: FloatArray
+) -> Solution:
+    n, p = problem.V.shape[1], problem.g.shape[1]
     AD = A @ problem.D
-    R = Sigma / problem.weight[:, np.newaxis, np.newaxis] + AD @ AD.transpose(0, 2, 1)
+    R = Sigma / problem.weight[:, np.newaxis, np.newaxis] + scatter.hang * AD @ AD.transpose(0, 2, 1)
+    whitener = _whitener(R, problem.observed) * np.sqrt(u)[:, np.newaxis, np.newaxis]
+    common = np.sqrt(scatter.groove) * AD
+    X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(u), n, n * p)
+    y = whitener @ problem.V[..., np.newaxis]
+    effect = _Effect.of(whitener @ common, problem.groove)
+    rows = effect.marginal(np.concatenate((X, y), axis=-1)).reshape(-1, n * p + 1)
+    beta, root = _solved(rows, _prior_rows(problem, restless), n * p)
+    coefficients, blocks = beta.reshape(n, p), (root @ root.T).reshape(n, p, n, p)
+    of_beta = effect.per_groove(X)
+    moved = effect.conditional(y - X @ beta[:, np.newaxis])
+    unexplained = problem.V - problem.g @ coefficients.T
+    residual = unexplained - (common @ moved)[..., 0]
+    # A fitted value is (g - B K T) beta + B z, z the part of the groove's angle that the readings leave open.
+    design = np.einsum("kl,ip->iklp", np.eye(n), problem.g).reshape(len(u), n, n * p) - common @ of_beta
+    share = design @ root
+    H = share @ share.transpose(0, 2, 1) + common @ effect.open @ common.transpose(0, 2, 1)
     inverse = observed_inverse(R, problem.observed)
-    gg = (problem.g[:, :, np.newaxis] * problem.g[:, np.newaxis, :]).reshape(m, p * p)
-    W = (u[:, np.newaxis, np.newaxis] * inverse).reshape(m, n * n)
-    information = _ordered(W.T @ gg, n, p)
-    right = np.einsum("ikl,il,ip->kp", W.reshape(m, n, n), problem.V, problem.g)
-    prior = np.zeros((n, p))
-    prior[:, :3] = problem.prior_information[:, np.newaxis]
-    prior[:, problem.kinks] = 1.0 / restless[:, np.newaxis]
-    information += np.diag(prior.ravel())
-    right[:, :3] += prior[:, :3] * problem.prior_mean
-    inner: FloatArray = np.asarray(np.linalg.inv(information), dtype=np.float64)
-    beta = (inner @ right.ravel()).reshape(n, p)
-    covariance = inner
-    if (u < 1.0).any():
-        spread = _ordered((u[:, np.newaxis] * W).T @ gg, n, p) + np.diag(prior.ravel())
-        covariance = inner @ spread @ inner
-    blocks: FloatArray = covariance.reshape(n, p, n, p)
-    H = (gg @ blocks.transpose(1, 3, 0, 2).reshape(p * p, n * n)).reshape(m, n, n)
-    residual = problem.V - problem.g @ beta.T
-    distance, leverage, dof = _judged(residual, problem.observed, R, inverse, H)
-    return Solution(beta, blocks, Sigma, restless, residual, R, H, distance, leverage, dof)
+    hat = X @ root @ (whitener @ share).transpose(0, 2, 1)
+    leverage = np.clip(np.trace(hat, axis1=1, axis2=2) / np.maximum(problem.observed.sum(axis=1), 1), 0.0, 1.0)
+    distance, absorbed, dof = _judged(residual, problem.observed, R, inverse, H)
+    first = np.unique(problem.groove, return_index=True)[1]
+    left_open = effect.open + (of_beta @ root) @ (of_beta @ root).transpose(0, 2, 1)
+    decided = 2.0 - np.trace(left_open[first], axis1=1, axis2=2)
+    return Solution(
+        coefficients, blocks, Sigma, restless, scatter, residual, unexplained, R, H, distance, leverage,
+        moved[first, :, 0], decided, absorbed, dof, converged=False,
+    )  # fmt: skip
 
 
-def _ordered(products: FloatArray, n: int, p: int) -> FloatArray:
-    """(n n, p p) to (n p, n p)."""
-    return products.reshape(n, n, p, p).transpose(0, 2, 1, 3).reshape(n * p, n * p)
+class _Effect(NamedTuple):
+    """The random angles of the grooves: b z_g in every whitened row of groove g, z_g standard normal, (2,)."""
+
+    b: FloatArray
+    """(m, n, 2)."""
+    rows: IntArray
+    """(m,): the groove of each row."""
+    shrink: FloatArray
+    """(grooves, 2, 2): 1 - b shrink b^T is the square root of the inverse of 1 + b b^T over a groove."""
+    covariance: FloatArray
+    """(grooves, 2, 2): of z_g, given its readings and the coefficients."""
+
+    @classmethod
+    def of(cls, b: FloatArray, groove: IntArray) -> _Effect:
+        count = int(groove.max(initial=-1)) + 1
+        size = np.zeros((count, 2, 2))
+        np.add.at(size, groove, b.transpose(0, 2, 1) @ b)
+        values, vectors = np.linalg.eigh(size)
+        values = np.maximum(values, 0.0)
+        root = np.sqrt(1.0 + values)
+        # (1 - 1 / root) / values without the difference: it holds at zero, too.
+        shrink = (vectors * (1.0 / (root * (root + 1.0)))[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
+        covariance = (vectors / (1.0 + values)[:, np.newaxis, :]) @ vectors.transpose(0, 2, 1)
+        return cls(b, groove, shrink, covariance)
+
+    @property
+    def open(self) -> FloatArray:
+        """(m, 2, 2): what the readings leave open of each row's angle."""
+        return self.covariance[self.rows]
+
+    def marginal(self, whitened: FloatArray) -> FloatArray:
+        """Rows (m, n, k) times the square root of the inverse of their covariance."""
+        return whitened - self.b @ (self.shrink[self.rows] @ self._sums(whitened))
+
+    def conditional(self, whitened: FloatArray) -> FloatArray:
+        """The expected z of each row's groove for whitened residuals (m, n, k): (m, 2, k)."""
+        expected: FloatArray = self.covariance[self.rows] @ self._sums(whitened)
+        return expected
+
+    per_groove = conditional
+
+    def _sums(self, whitened: FloatArray) -> FloatArray:
+        sums = np.zeros((len(self.shrink), 2, whitened.shape[2]))
+        np.add.at(sums, self.rows, self.b.transpose(0, 2, 1) @ whitened)
+        return sums[self.rows]
+
+
+def _prior_rows(problem: Problem, restless: FloatArray) -> FloatArray:
+    """What is believed of the coefficients beforehand, as whitened rows, (n p, n p + 1)."""
+    n, p = problem.V.shape[1], problem.g.shape[1]
+    information, mean = np.zeros((n, p)), np.zeros((n, p))
+    information[:, :3] = problem.prior_information[:, np.newaxis]
+    information[:, problem.kinks] = 1.0 / restless[:, np.newaxis]
+    mean[:, :3] = problem.prior_mean
+    root = np.sqrt(information.ravel())
+    some = root > 0.0
+    rows: FloatArray = np.concatenate((np.diag(root), (root * mean.ravel())[:, np.newaxis]), axis=1)[some]
+    return rows
+
+
+def _solved(rows: FloatArray, prior: FloatArray, unknowns: int) -> tuple[FloatArray, FloatArray]:
+    """Least squares of whitened rows by QR: the coefficients, and T with T T^T their covariance."""
+    padding = np.zeros((max(0, unknowns + 1 - len(rows) - len(prior)), unknowns + 1))
+    upper = np.linalg.qr(np.concatenate((rows, prior, padding)), mode="r")
+    R, z = upper[:unknowns, :unknowns], upper[:unknowns, unknowns]
+    size = np.abs(np.diagonal(R))
+    if not (size > 1e-13 * size.max()).all():
+        raise np.linalg.LinAlgError("the unknowns depend on each other")
+    root: FloatArray = np.asarray(np.linalg.solve(R, np.eye(unknowns)), dtype=np.float64)
+    return root @ z, root
+
+
+def _whitener(R: FloatArray, observed: BoolArray) -> FloatArray:
+    """W (m, n, n) with W R W^T = 1 over the readings that count, zero elsewhere."""
+    both = observed[:, :, np.newaxis] & observed[:, np.newaxis, :]
+    lower = np.linalg.cholesky(np.where(both, R, np.eye(R.shape[1])))
+    return np.where(both, np.linalg.solve(lower, np.broadcast_to(np.eye(R.shape[1]), R.shape)), 0.0)
+
+
+def _scatter(problem: Problem, found: Solution, u: FloatArray) -> Scatter:
+    """The variances of load directions: squares of the angles over how many of them the data decide (MacKay)."""
+    groove = STATED_WORTH + found.scatter.groove * float(np.square(found.angle).sum())
+    groove /= STATED_WORTH + float(found.angle_decided.sum())
+    inverse = observed_inverse(found.R, problem.observed)
+    pull = (found.coefficients[:, :3] @ problem.D).transpose(0, 2, 1) @ inverse
+    e = np.where(problem.observed, found.residual, 0.0)
+    # A row that disagrees must not pass for one whose direction strays: it counts by the square of its weight.
+    share = np.square(u)
+    angle = found.scatter.hang * (pull @ e[..., np.newaxis])[..., 0]
+    decided = found.scatter.hang * np.einsum("i,ijk,ikl,ijl->", share, pull, found.R - found.H, pull)
+    hang = HANG_WORTH * START_HANG + float((share * np.square(angle).sum(axis=1)).sum())
+    hang /= HANG_WORTH + max(float(decided), 0.0)
+    return Scatter(min(groove, LARGEST_SCATTER), min(hang, LARGEST_SCATTER))
 
 
 def observed_inverse(R: FloatArray, observed: BoolArray) -> FloatArray:
@@ -160,22 +325,21 @@ def observed_inverse(R: FloatArray, observed: BoolArray) -> FloatArray:
 def _judged(
     residual: FloatArray, observed: BoolArray, R: FloatArray, inverse: FloatArray, H: FloatArray
 ) -> tuple[FloatArray, FloatArray, float]:
-    """Squared distances by the fit without the row, leverages, degrees of freedom per gauge."""
+    """Squared distances by the fit without the row, readings absorbed by the fit, degrees of freedom per gauge."""
     counts = observed.sum(axis=1)
     used = counts > 0
     share = np.einsum("ikl,ilk->i", inverse, H)
-    leverage = np.clip(share / np.maximum(counts, 1), 0.0, 1.0)
     # The residual of a row that was fitted has the covariance R - H, direction by direction; one that was not, R + H.
     # In units of R, so that a direction in which the row alone decides (R = H) gives 0 / tiny, not 0 / 0.
-    root = np.linalg.cholesky(np.where(np.eye(R.shape[1], dtype=np.bool_), inverse + (inverse == 0.0), inverse))
+    whitener = _whitener(R, observed)
     e = np.where(observed | ~used[:, np.newaxis], residual, 0.0)
-    taken = root.transpose(0, 2, 1) @ H @ root
+    taken = whitener @ H @ whitener.transpose(0, 2, 1)
     left = (1.0 + 1e-9) * np.eye(R.shape[1]) - taken
-    whitened = (root.transpose(0, 2, 1) @ e[..., np.newaxis])[..., 0]
+    whitened = (whitener @ e[..., np.newaxis])[..., 0]
     inside = np.einsum("ik,ik->i", whitened, np.linalg.solve(left, whitened[..., np.newaxis])[..., 0])
     outside = np.einsum("ik,ik->i", residual, np.linalg.solve(R + H, residual[..., np.newaxis])[..., 0])
     dof = float((counts.sum() - share.sum()) / residual.shape[1])
-    return np.where(used, np.maximum(inside, 0.0), outside), leverage, dof
+    return np.where(used, np.maximum(inside, 0.0), outside), share, dof
 
 
 def _kink_variance(problem: Problem, found: Solution) -> FloatArray:

@@ -5,9 +5,8 @@ from __future__ import annotations
 from math import sqrt
 
 import numpy as np
-import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.sensor.calibration.distributions import f_quantile
 from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution, observed_inverse
 
@@ -123,7 +122,7 @@ def _least_trimmed(g: FloatArray, V: FloatArray, kept: int) -> FloatArray:
     return best
 
 
-def _fitted(g: FloatArray, V: FloatArray, chosen: npt.NDArray[np.int64]) -> tuple[FloatArray, FloatArray]:
+def _fitted(g: FloatArray, V: FloatArray, chosen: IntArray) -> tuple[FloatArray, FloatArray]:
     """Least squares on each subset of rows: coefficients (T, p, n), squared residuals of every row (T, m)."""
     sub, p = g[chosen], g.shape[1]
     normal = sub.transpose(0, 2, 1) @ sub + 1e-9 * np.eye(p)

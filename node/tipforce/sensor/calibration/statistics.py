@@ -14,6 +14,9 @@ from tipforce.sensor.calibration.result import Fit, LoadResidual
 from tipforce.sensor.calibration.solve import Problem, Solution, observed_inverse
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
+HOLD_OUT_CAP = 8.0
+"""Squared distance per gauge beyond which a row counts no more against a model."""
+
 
 class Scales(NamedTuple):
     """Units in which readings and loads are near one: any size of load then fits equally well."""
@@ -59,6 +62,8 @@ def matrix_uncertainty(A: FloatArray, C: FloatArray, Sigma: FloatArray, covarian
     inner = np.linalg.inv(A.T @ W @ A)
     J = -np.einsum("ak,jl->alkj", C, C) + np.einsum("aj,kl->alkj", inner, W @ (np.eye(n) - A @ C))
     spread: FloatArray = np.einsum("alkj,kjmi,almi->al", J, covariance, J)
+    if not (spread >= -1e-9 * np.abs(spread).max()).all():
+        raise np.linalg.LinAlgError("the covariance of the matrix is not positive")
     return np.sqrt(np.maximum(spread, 0.0))
 
 
@@ -83,7 +88,7 @@ def result(
     covariance[:, : len(L), :, : len(L)] = solved * unit[:, np.newaxis, np.newaxis] * unit
     Sigma = found.Sigma * scales.strain**2
     C = left_inverse(A, Sigma)
-    residual = found.residual * scales.strain
+    residual = found.unexplained * scales.strain
     sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
     return Fit(
         C=C,
@@ -113,7 +118,20 @@ def result(
         loads=_by_load(readings, problem.observed, residual, C, found.leverage),
         drift=model.drift,
         loss=model.loss,
+        groove_scatter=float(np.sqrt(found.scatter.groove)),
+        hang_scatter=float(np.sqrt(found.scatter.hang)),
+        hold_out_score=_hold_out_score(problem, found),
     )
+
+
+def _hold_out_score(problem: Problem, found: Solution) -> float:
+    """See Fit.hold_out_score: a row that was fitted is predicted with the covariance R (R - H)^-1 R, others R + H."""
+    used = problem.observed.any(axis=1)
+    n = found.R.shape[1]
+    left = found.R - found.H + 1e-9 * found.R
+    inside = 2.0 * np.linalg.slogdet(found.R)[1] - np.linalg.slogdet(left)[1]
+    size = np.where(used, inside, np.linalg.slogdet(found.R + found.H)[1])
+    return float(-0.5 * np.sum(size + np.minimum(found.distance, HOLD_OUT_CAP * n)))
 
 
 def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
@@ -125,7 +143,7 @@ def _sizes(problem: Problem, found: Solution, loaded: BoolArray) -> tuple[float,
     counts = problem.observed.sum(axis=1)
     inverse = observed_inverse(found.R, problem.observed)
     squares = np.einsum("ik,ikl,il->i", found.residual, inverse, found.residual)
-    free = counts * (1.0 - found.leverage)
+    free = counts - found.absorbed
 
     def size(rows: BoolArray) -> float:
         total = float(free[rows].sum())

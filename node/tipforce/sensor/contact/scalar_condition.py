@@ -1,4 +1,4 @@
-"""Condition number of a calibration matrix without numpy: the node itself rejects a bad one."""
+"""Singular values of a calibration matrix without numpy: the node itself rejects a bad one."""
 
 from math import sqrt
 
@@ -6,8 +6,8 @@ _SWEEPS = 30
 _CONVERGED = 1e-15
 
 
-def condition_number(rows: "list[list[float]]") -> float:
-    """Return the 2-norm condition number of a matrix given as a few rows of equal length; infinite when singular.
+def singular_range(rows: "list[list[float]]") -> "tuple[float, float]":
+    """Return the largest and the smallest singular value of a matrix given as a few rows of equal length.
 
     One-sided Jacobi: rows are rotated against each other until all are orthogonal; their lengths are then the
     singular values, each with full relative accuracy. NaN where an element is not finite.
@@ -16,16 +16,24 @@ def condition_number(rows: "list[list[float]]") -> float:
     for row in rows:
         for value in row:
             if value - value != 0.0:
-                return float("nan")
+                return float("nan"), float("nan")
             largest = max(largest, abs(value))
     if largest == 0.0:
-        return float("inf")
+        return 0.0, 0.0
     work = [[value / largest for value in row] for row in rows]
     for _ in range(_SWEEPS):
         if not _sweep(work):
             break
     lengths = [sqrt(_dot(row, row)) for row in work]
-    return max(lengths) / min(lengths) if min(lengths) > 0.0 else float("inf")
+    return largest * max(lengths), largest * min(lengths)
+
+
+def condition_number(rows: "list[list[float]]") -> float:
+    """The 2-norm condition number of a matrix, see singular_range(); infinite when singular, NaN if not finite."""
+    largest, smallest = singular_range(rows)
+    if smallest == 0.0:
+        return float("inf")
+    return largest / smallest
 
 
 def _sweep(work: "list[list[float]]") -> bool:

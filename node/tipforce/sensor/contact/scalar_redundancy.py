@@ -35,6 +35,13 @@ def chi_square_threshold(rate: float, degrees: int) -> float:
     return high
 
 
+def same_rate(limit: float, degrees: int, fewer: int) -> float:
+    """Return the limit with ``fewer`` degrees of freedom that chi-square exceeds as often as ``limit`` with degrees."""
+    rate = _exceeds(limit, degrees)
+    # So high a limit that no float holds its rate stays as it is.
+    return chi_square_threshold(rate, fewer) if 0.0 < rate < 1.0 else limit
+
+
 def _exceeds(x: float, degrees: int) -> float:
     """The probability that chi-square exceeds x: a finite sum for whole degrees of freedom."""
     half = 0.5 * x
@@ -54,7 +61,7 @@ def structure_matrix(C: list[list[float]], noise: list[float]) -> list[list[floa
 
     noise all zero stands for gauges of equal noise.
     """
-    covariance = _square(noise, len(C[0]))
+    covariance = square(noise, len(C[0]))
     through = [[_dot(row, column) for column in covariance] for row in C]  # C Sigma, Sigma being symmetric
     K = [[_dot(left, right) for right in C] for left in through]
     columns = _solved(K, through)
@@ -76,7 +83,7 @@ def leave_out(
     A = structure_matrix(C, noise)
     if A is None or len(kept) < 3:
         return None
-    full = _square(noise, n)
+    full = square(noise, n)
     rows = [A[k] for k in kept]
     weighed = _solved([[full[i][j] for j in kept] for i in kept], rows)  # Q A
     if weighed is None:
@@ -128,7 +135,7 @@ def parity(
     A = structure_matrix(C, noise) if n > 3 and any(noise) else None
     if A is None:
         return None
-    full = _square(noise, n)
+    full = square(noise, n)
     Q = _solved(full, [[1.0 if i == k else 0.0 for i in range(n)] for k in range(n)])
     if Q is None:
         return None
@@ -173,7 +180,7 @@ def judge(
     return chi_square, bits
 
 
-def _square(noise: list[float], n: int) -> list[list[float]]:
+def square(noise: list[float], n: int) -> list[list[float]]:
     """The covariance as n rows; the unit matrix where all of it is zero."""
     full = [[0.0] * n for _ in range(n)]
     place = 0

@@ -109,7 +109,7 @@ class Assembly:
         z = X[: self.n] * self.modes.omega_rad_s
         arms, vertical = self.modes.force_shape @ z, self.modes.vertical_force_shape @ z
         if self.slit is not None:
-            stops = contact_newtons[-2:]
+            stops = contact_newtons[-len(self.slit.closure_per_newton) :]
             arms, vertical = arms + self.slit.arms_per_newton @ stops, vertical + self.slit.vertical_per_newton @ stops
         return arms, vertical
 

@@ -1,10 +1,11 @@
 """The slit between tip and horizontal beam as a stop: an overload closes it, and the structure is stiffer from there.
 
 The figure of the cross-section is not in the paper's text. Assumed: the slit, 0.25 mm wide as the cut, runs along the
-upper face of the horizontal beam, and closes at one place on each arm, that which the worst load closes first:
-x = r / (2 a + 3 r) from the joint as a fraction of the arm. The tip is rigid; the arm yields where it is pressed, as a
-beam with held ends; the contact has a stiffness of its own. The force between tip and arm is an inner one: fixture
-and vertical beam feel the applied force alone, the gauges of the arms do not.
+upper face of the horizontal beam. How far it has closed is a cubic along each arm, so where a load closes it first is
+where that cubic is largest. The stop has as many contact points on each arm as bring the load of first contact, in
+every direction, within two per cent of that. The tip is rigid; the arm yields where it is pressed, as a beam with
+held ends; each contact has a stiffness of its own. The force between tip and arm is an inner one: fixture and vertical
+beam feel the applied force alone, the gauges of the arms do not.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M
 from tipforce.sensor.dynamics.model import Modes, compliances
@@ -25,18 +26,30 @@ STOP_STIFFNESS = 1e7
 """N/m of the contact alone, assumed; the arm behind it is softer (in the fabricated body 2.4e6 N/m)."""
 
 
+CLOSE_ENOUGH, SMALLEST_CLOSURE = 0.02, 0.02
+"""By what share the stop's points may close later than the whole slit, for loads that close it by at least so much of
+what the worst one does: the others (beyond 750 N in the fabricated body) bend it elsewhere first."""
+ROUNDING = 1e-12
+_FRACTIONS = np.linspace(0.0, 1.0, 201)
+_SENSES = np.radians(np.arange(0.0, 360.0, 10.0))
+
+
 class SlitStop(NamedTuple):
-    """Two contacts, left and right arm, in terms of the elastic force of the open structure."""
+    """k contacts, those of the left arm first, in terms of the elastic force of the open structure."""
 
     closure_per_newton: FloatArray
-    """(2, 3): how far the slit has closed per newton of elastic force in the arms, m/N."""
+    """(k, 3): how far the slit has closed per newton of elastic force in the arms, m/N."""
     gap_m: float
     compliance: FloatArray
-    """(2, 2): metres per newton of stop force, the tip held."""
+    """(k, k): metres per newton of stop force, the tip held."""
     arms_per_newton: FloatArray
-    """(3, 2): what stop forces add to the elastic force in the arms."""
+    """(3, k): what stop forces add to the elastic force in the arms."""
     vertical_per_newton: FloatArray
-    """(3, 2): and in the vertical beam."""
+    """(3, k): and in the vertical beam."""
+    right_arm: BoolArray
+    """(k,): False for the left arm."""
+    fraction: FloatArray
+    """(k,): place along the arm, 0 at the joint."""
 
 
 def slit_stop(
@@ -54,26 +67,61 @@ def slit_stop(
         if not 0.0 < value < math.inf:
             raise InputError(f"{name} = {value!r}: allowed is a positive finite number")
     g, frame = geometry, Frame(geometry, model)
-    xi = g.r_m / (2.0 * g.a_m + 3.0 * g.r_m)
-    s = frame.slit_closure([xi])[:, 0]
+    xi = contact_fractions(frame)
+    s = frame.slit_closure(xi).reshape(-1, 3)
     bending = g.youngs_modulus_pascals * g.width_m * g.h1_m**3 / 12.0
-    own = (g.a_m * xi * (1.0 - xi)) ** 3 / (3.0 * bending) + 1.0 / stiffness
+    own = np.kron(np.eye(2), _held_beam(xi) * g.a_m**3 / bending) + np.eye(2 * len(xi)) / stiffness
+    places = np.repeat([False, True], len(xi)), np.tile(xi, 2)
     if len(modes.omega_rad_s) > 3:
         # The joint's motion is a state: a stop force acts on the tip's motion relative to it, nothing in between.
-        return SlitStop(s, gap_m, own * np.eye(2), np.zeros((3, 2)), np.zeros((3, 2)))
+        return SlitStop(s, gap_m, own, np.zeros((3, len(s))), np.zeros((3, len(s))), *places)
     arms, vertical = compliances(frame)
     arm_stiffness, stiffness_of_both = np.linalg.inv(arms), np.linalg.inv(arms + vertical)
     behind = s @ (arm_stiffness - stiffness_of_both) @ s.T
     return SlitStop(
-        s, gap_m, own * np.eye(2) + 0.5 * (behind + behind.T),
-        (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T,
+        s, gap_m, own + 0.5 * (behind + behind.T),
+        (stiffness_of_both - arm_stiffness) @ s.T, stiffness_of_both @ s.T, *places,
     )  # fmt: skip
 
 
 def closing_load(geometry: Geometry, theta_rad: float, phi_rad: float, gap_m: float = PAPER_SLIT_M) -> float:
-    """Return the static load P in newtons that closes the slit; inf where the load opens it on both arms."""
-    x = geometry.r_m / (2.0 * geometry.a_m + 3.0 * geometry.r_m)
-    closure = Frame(geometry).slit_closure([x])[:, 0]
+    """Return the static load P in newtons that closes the slit somewhere; inf where the load opens it everywhere."""
     F = np.array([math.sin(phi_rad), math.sin(phi_rad - theta_rad), math.cos(phi_rad)])
-    most = float((closure @ F).max())
-    return gap_m / most if most > 0.0 else math.inf
+    most = float(_largest(Frame(geometry), F).max())
+    return gap_m / most if most > ROUNDING * _largest(Frame(geometry), np.array([-1.0, 0.0, 0.0])).max() else math.inf
+
+
+def contact_fractions(frame: Frame) -> FloatArray:
+    """Return the places along an arm, (k,), that together close as early as the whole slit, within CLOSE_ENOUGH."""
+    phi, theta = (grid.ravel() for grid in np.meshgrid(_SENSES, _SENSES[:19]))
+    F = np.stack((np.sin(phi), np.sin(phi - theta), np.cos(phi)), axis=-1)
+    closures = (frame.slit_closure(_FRACTIONS) @ F.T).max(axis=0)  # of the arm that closes first, (fractions, loads)
+    most = closures.max(axis=0)
+    near = most > SMALLEST_CLOSURE * most.max()
+    closures, most = closures[:, near], most[near]
+    chosen = [int(np.argmax(closures.max(axis=1)))]
+    while len(chosen) < len(_FRACTIONS):
+        late = 1.0 - closures[chosen].max(axis=0) / most
+        if late.max() < CLOSE_ENOUGH:
+            break
+        chosen.append(int(np.argmax(closures[:, int(np.argmax(late))])))
+    return _FRACTIONS[np.sort(chosen)]
+
+
+def _largest(frame: Frame, F: FloatArray) -> FloatArray:
+    """The largest closure of each arm under F (3,), (2,), metres: of a cubic, at an end or where its slope is zero."""
+    at = np.array([0.0, 1.0, 2.0, 3.0]) / 3.0
+    found = np.zeros(2)
+    for arm, values in enumerate(frame.slit_closure(at) @ F):
+        cubic = np.linalg.solve(np.vander(at), values)
+        turns = [float(root.real) for root in np.roots(np.polyder(cubic)) if abs(root.imag) < 1e-9]
+        places = [0.0, 1.0, *(turn for turn in turns if 0.0 < turn < 1.0)]
+        found[arm] = (frame.slit_closure(places)[arm] @ F).max()
+    return found
+
+
+def _held_beam(xi: FloatArray) -> FloatArray:
+    """Deflection at one place per unit force at another, (k, k), of a beam with held ends: times E I / length^3."""
+    x, y = np.minimum.outer(xi, xi), np.maximum.outer(xi, xi)
+    bend: FloatArray = x**2 * (1.0 - y) ** 2 * (3.0 * y - x - 2.0 * x * y) / 6.0
+    return bend

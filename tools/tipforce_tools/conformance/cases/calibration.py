@@ -78,7 +78,11 @@ def staged_size(dut: Dut, more: int, code: int) -> None:
 
 @case("tipforce 2141h", "a load sense of 2 in a record is refused", own=True)
 def staged_sense(dut: Dut) -> None:
-    dut.refuses_bytes(0x2141, 0, record(dut)[:-1] + b"\2", INVALID_VALUE)
+    fields = table.staged(gauges(dut))
+    at = fields.index((0x2110, 6, "B"))
+    place = struct.calcsize("<" + "".join(kind for _index, _sub, kind in fields[:at]))
+    data = record(dut)
+    dut.refuses_bytes(0x2141, 0, data[:place] + b"\2" + data[place + 1 :], INVALID_VALUE)
     dut.refuses("B", 0x2110, 6, 2, TOO_HIGH)
 
 

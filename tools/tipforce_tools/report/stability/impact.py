@@ -194,7 +194,7 @@ def _slit() -> Observed:
     t, worst, touches = np.linspace(0.0, 1.0, 41), 0.0, []
     for factor in (0.9, 1.1, 10.0, 1000.0):
         found = overload(structure, stop, t, t[:, np.newaxis] * factor * load * direction)
-        forces = found.contact_newtons[:, -2:]
+        forces = found.contact_newtons
         free = found.elastic_newtons - forces @ stop.arms_per_newton.T  # of the open structure
         depth = free @ stop.closure_per_newton.T - stop.gap_m
         excess = depth - forces @ stop.compliance.T

@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce.fingertip.calibration import Active
+from tipforce.fingertip.active_calibration import Active
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
 from tipforce_tools.report import micropython

@@ -1,0 +1,182 @@
+"""What the active calibration says of one sample: bits 12 to 15 of 2124h, gauges left out, uncertainty.
+
+docs/objects.md, 2112h to 2116h and 2124h. The host judges recorded strains in the same way (host.decoding.judged).
+"""
+
+from math import sqrt
+
+from tipforce.dictionary import table
+from tipforce.sensor.contact import scalar
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .active_calibration import Active, Check, Covariance, Solver
+
+RELEASE = 0.95  # of the overload force: an overload ends below
+UNSTATED_KELVIN = 10.0  # standard uncertainty of a temperature that neither 2122h nor 2112h:3 and 4 tell
+_CONTRADICTION = 1 << table.FAULT_CONTRADICTION
+_BEYOND, _TEMPERATURE = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_TEMPERATURE
+_OVERLOAD = 1 << table.FAULT_OVERLOAD
+
+
+class Judgement:
+    """One sample judged. ``bits``: of 2124h, 12 to 15; ``left_out``: the bit of the gauge that contradicts the others;
+    ``solver`` and ``force``: matrix and covariance without it, and F1, F2, F3 in newtons before any tare; both None
+    where the gauges left have no rank 3, or contradict each other.
+    """
+
+    __slots__ = (
+        "_active", "_doubts", "_extra", "_kelvin", "_lost", "_strains", "bits", "force", "left_out", "solver",
+    )  # fmt: skip
+
+    def __init__(
+        self, active: "Active", microstrains: "list[float]", lost: int, temperature: int, overloaded: bool
+    ) -> None:
+        """``microstrains`` as 6130h, ``lost`` the gauges left out already, ``temperature`` as 2122h."""
+        self._active = active
+        self.bits = self.left_out = 0
+        self.force: "tuple[float, float, float] | None" = None
+        known_kelvin, self._kelvin, outside = difference(active, temperature)
+        if outside:
+            self.bits = _TEMPERATURE
+        self._strains = strains(active, microstrains, known_kelvin)
+        self._lost = lost
+        self._doubts: "tuple[float, float, float] | None" = None
+        self._extra: "list[float] | None" = None
+        self.solver = active.solver(lost)
+        if self.solver is None:
+            return
+        if active.redundancy > 0.0 and len(self._strains) > 3:
+            self._judge_gauges(lost)
+        if self.solver is not None:
+            self._judge_force(overloaded, known_kelvin)
+
+    def _judge_gauges(self, lost: int) -> None:
+        """Set bit 12 where the gauges contradict each other, and leave out the one that explains it."""
+        active = self._active
+        check = active.check(lost)
+        if check is None:
+            return
+        model = active.model
+        if model > 0.0:
+            self._extra = [(model * s) * (model * s) for s in self._strains]
+        bits, faults = _judged(check, self._strains, self._extra)
+        if bits < 0:
+            self._doubts = _doubt(active, self.solver, faults)
+            return
+        self.bits |= _CONTRADICTION
+        gauge = bits if bits & (bits - 1) == 0 else 0  # one bit alone
+        solver = active.solver(lost | gauge) if gauge else None
+        if solver is not None:
+            rest = active.check(lost | gauge)
+            if rest is None:  # four gauges, of which one responds to no force: the other three are not checked
+                faults = []
+            else:
+                bits, faults = _judged(rest, self._strains, self._extra)
+                if bits >= 0:
+                    solver = None
+        self.solver = solver
+        if solver is not None:
+            self.left_out = gauge
+            self._doubts = _doubt(active, solver, faults)
+
+    def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
+        active, solver = self._active, self.solver
+        assert solver is not None
+        f1, f2, f3 = [_dot(row, self._strains) for row in solver[0]]
+        gain = 1.0 + active.gain_per_kelvin * known_kelvin
+        self.force = f1 / gain, f2 / gain, f3 / gain
+        calibrated, overload = active.forces
+        if calibrated > 0.0 or overload > 0.0:
+            P = magnitude(self.force)
+            if calibrated > 0.0 and P > calibrated:
+                self.bits |= _BEYOND
+            if overload > 0.0 and P > (RELEASE * overload if overloaded else overload):
+                self.bits |= _OVERLOAD
+
+    def covariance(self) -> "Covariance":
+        """Covariance of F, N^2: gauge noise, model, a temperature that is not compensated, a fault below the limit."""
+        active, solver, force = self._active, self.solver, self.force
+        if solver is None or force is None:
+            return (scalar.NAN,) * 6
+        matrix, found = solver
+        model = active.model
+        if model > 0.0:
+            if self.bits & _BEYOND:  # what is not linear grows with the force, relative to it
+                model *= magnitude(force) / active.forces[0]
+            for k in range(len(self._strains)):
+                size = model * self._strains[k]
+                found = _with(found, size * matrix[0][k], size * matrix[1][k], size * matrix[2][k])
+        if self._kelvin > 0.0:
+            moved = [active.gain_per_kelvin * f for f in force]
+            if active.per_kelvin is not None:
+                moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
+            found = _with(found, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
+        if self._doubts is not None:
+            found = _with(found, self._doubts[0], self._doubts[1], self._doubts[2])
+        return found
+
+
+def difference(active: "Active", temperature: int) -> "tuple[float, float, bool]":
+    """(kelvin from the reference that are compensated, kelvin of uncertainty left, bit 14); temperature as 2122h.
+
+    A temperature that is not known where it is needed is that of the calibrated range, which counts as uniform; one
+    outside of the range is compensated, and its distance from the range left as uncertainty.
+    """
+    low, high = active.range_degC
+    ranged = low != 0.0 or high != 0.0
+    if temperature != table.UNKNOWN_I16:
+        kelvin = 0.01 * temperature - active.reference_degC
+        beyond = max(low - 0.01 * temperature, 0.01 * temperature - high, 0.0) if ranged else 0.0
+        if 1.0 + active.gain_per_kelvin * kelvin > 0.0:
+            return (kelvin if active.compensated() else 0.0), beyond, beyond > 0.0
+    if not active.compensated():
+        return 0.0, 0.0, False
+    if not ranged:
+        return 0.0, UNSTATED_KELVIN, True
+    a, b = low - active.reference_degC, high - active.reference_degC
+    return 0.0, sqrt((a * a + a * b + b * b) / 3.0), True
+
+
+def strains(active: "Active", microstrains: "list[float]", kelvin: float) -> "list[float]":
+    """Gauge strain with the offset and what temperature adds to it taken off."""
+    found = [1e-6 * m - o for m, o in zip(microstrains, active.offsets)]  # noqa: B905 (not in MicroPython)
+    if active.per_kelvin is not None and kelvin != 0.0:
+        found = [v - kelvin * c for v, c in zip(found, active.per_kelvin)]  # noqa: B905
+    return found
+
+
+def magnitude(force: "tuple[float, float, float]") -> float:
+    """P as ``scalar.contact`` gives it, without the angles."""
+    f1, f2, f3 = force
+    hypotenuse = sqrt(f1 * f1 + f3 * f3)
+    return max(hypotenuse, 0.5 * (hypotenuse + abs(f2)))
+
+
+def _judged(check: "Check", V: "list[float]", extra: "list[float] | None") -> "tuple[int, list[tuple[float, float]]]":
+    from tipforce.sensor.contact import scalar_parity  # a node with three gauges does without
+
+    W, shown, alarm, exclusion = check
+    _chi_square, bits, faults = scalar_parity.judge(W, shown, V, extra, alarm, exclusion)
+    return bits, faults
+
+
+def _doubt(
+    active: "Active", solver: "Solver | None", faults: "list[tuple[float, float]]"
+) -> "tuple[float, float, float] | None":
+    from tipforce.sensor.contact import scalar_parity
+
+    return scalar_parity.doubt(solver[0], active.noise, faults) if solver is not None and faults else None
+
+
+def _with(cov: "Covariance", f1: float, f2: float, f3: float) -> "Covariance":
+    """The covariance, upper triangle, with f f^T added."""
+    k11, k12, k13, k22, k23, k33 = cov
+    return k11 + f1 * f1, k12 + f1 * f2, k13 + f1 * f3, k22 + f2 * f2, k23 + f2 * f3, k33 + f3 * f3
+
+
+def _dot(a: "list[float]", b: "list[float]") -> float:
+    total = 0.0
+    for i in range(len(a)):
+        total += a[i] * b[i]
+    return total

@@ -1,0 +1,131 @@
+"""What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h (docs/objects.md)."""
+
+from tipforce.device import communication, emcy
+from tipforce.dictionary import indices, table
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.device.node import Device
+
+    from .sample import Sample
+
+COLDEST, HOTTEST = -2000, 8000  # 0.01 degC; outside, glue and coefficients of the gauges are not specified
+HOLD_US = 100000  # a contradiction ends when none was seen for so long: at its limit it comes and goes with the noise
+FAULTS_PERIOD_US = 10000  # between two TPDOs that a change of 2124h sends
+_CONTRADICTION = 1 << table.FAULT_CONTRADICTION
+_BY_BIT = {
+    table.FAULT_CONTRADICTION: (table.EMCY_FRONT_END, emcy.PROFILE),
+    table.FAULT_TEMPERATURE: (table.EMCY_TEMPERATURE, emcy.TEMPERATURE),
+    table.FAULT_OVERLOAD: (table.EMCY_OVERLOAD, emcy.PROFILE),
+}
+# What PDO values mean besides the mapping: settings of the profile area by the index of their REAL32 form.
+_SETTINGS = (
+    indices.OPERATING_MODE, indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD,
+    indices.SCALING_2_PROCESS, indices.PROCESS_OFFSET, indices.SPAN_START, indices.SPAN_END, indices.FILTER_TYPE,
+    indices.FILTER_CONSTANT,
+)  # fmt: skip
+_EVENT_DRIVEN = 254  # and above: transmission types of a TPDO that an event sends
+_COB_ID_AND_TYPE = (1, 2)  # sub-indices of 1800h and on
+
+
+class Reports:
+    """EMCY and event-driven TPDOs of one node; ``counter`` is 2126h."""
+
+    __slots__ = ("_contradicted_us", "_device", "_next_us", "_told", "counter")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.reset()
+        device.od.watch = meaning
+        device.od.changed = self.changed
+        device.od.readers[indices.CONFIGURATION_COUNTER] = lambda _sub: self.counter
+
+    def reset(self) -> None:
+        """Boot: nothing is told yet, and the counter begins again."""
+        self.counter = 0
+        self._told: "dict[int, tuple[int, int]]" = {}  # bit of 2124h -> (code, detail) of its EMCY
+        self._contradicted_us = -HOLD_US
+        self._next_us = 0
+
+    def changed(self) -> None:
+        """What PDO values mean is another thing now: count, and say so before the first PDO of the new meaning."""
+        self.counter = (self.counter + 1) & 0xFF
+        self._device.tpdos.announce(indices.CONFIGURATION_COUNTER)
+
+    def sampled(self, sample: "Sample", before: int) -> None:
+        """A sample was latched; ``before`` is 2124h of the one before."""
+        if sample.faults or self._told:
+            self._report(sample)
+        if sample.faults != before:
+            self._request_faults()
+        reading = sample.reading
+        if reading is None or reading.temperature == table.UNKNOWN_I16:
+            return
+        if COLDEST <= reading.temperature <= HOTTEST:
+            self._device.emcy.cure(table.EMCY_TEMPERATURE)
+        else:
+            self._device.emcy.raise_error(table.EMCY_TEMPERATURE, emcy.TEMPERATURE)
+
+    def _report(self, sample: "Sample") -> None:
+        now_us, faults = self._device.now_us, sample.faults
+        if faults & _CONTRADICTION:
+            self._contradicted_us = now_us
+        held = now_us - self._contradicted_us < HOLD_US
+        for bit in range(16):
+            told = self._told.get(bit)
+            error = _error(bit, sample) if faults >> bit & 1 else None
+            if error is None and held and told is not None and _of_contradiction(bit, told[1]):
+                continue
+            if told == error:
+                continue
+            if told is not None:
+                del self._told[bit]
+                self._device.emcy.cure(told[0], told[1])
+            if error is not None:
+                self._told[bit] = error
+                register = _BY_BIT[bit][1] if bit in _BY_BIT else emcy.PROFILE
+                self._device.emcy.raise_error(error[0], register, error[1])
+
+    def _request_faults(self) -> None:
+        """Send the TPDOs that map 2124h, at most every FAULTS_PERIOD_US."""
+        now_us = self._device.now_us
+        if self._next_us - FAULTS_PERIOD_US >= now_us:
+            return  # one is due already
+        due_us = max(now_us, self._next_us)
+        asked = False
+        for number, transmission, keys in self._device.tpdos.mapped():
+            if transmission >= _EVENT_DRIVEN and (indices.FAULTS, 0) in keys:
+                self._device.tpdos.request(number, due_us)
+                asked = True
+        if asked:
+            self._next_us = due_us + FAULTS_PERIOD_US
+
+
+def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":
+    """(EMCY code, detail) of a bit of 2124h. Of a gauge left out: its number, and above it the bit that says why."""
+    if bit < table.FAULT_NO_DATA:
+        if sample.overloads and sample.overloads[bit]:
+            return table.EMCY_GAUGE_SATURATED, bit + 1
+        why = table.FAULT_FROZEN if sample.frozen >> bit & 1 else table.FAULT_CONTRADICTION
+        return table.EMCY_FRONT_END, why << 8 | bit + 1
+    if bit == table.FAULT_BEYOND_CALIBRATED:
+        return None
+    return (_BY_BIT[bit][0] if bit in _BY_BIT else table.EMCY_FRONT_END), bit
+
+
+def _of_contradiction(bit: int, detail: int) -> bool:
+    return bit == table.FAULT_CONTRADICTION or detail >> 8 == table.FAULT_CONTRADICTION
+
+
+def meaning(index: int, sub: int) -> int:
+    """The key of the value that a write to an entry changes where PDO values mean something else then, else 0."""
+    if index >= indices.FIELD_VALUE:
+        real = index & 0xFFF | indices.FIELD_VALUE & 0xF000
+        return real << 8 | sub if real in _SETTINGS and sub else 0
+    if index == communication.SYNC_OVERFLOW:
+        return index << 8
+    if communication.TPDO <= index <= communication.LAST_TPDO:
+        return index << 8 | sub if sub in _COB_ID_AND_TYPE else 0
+    if communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING:
+        return index << 8 | sub
+    return 0

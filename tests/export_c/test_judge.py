@@ -1,0 +1,127 @@
+"""The exported C judges the recorded data set with every fault as node and host do: the same verdicts."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from export_c import estimators
+from export_c.estimators import HOST_FLAGS, REALS
+from host.decoding.test_judged import BITS, recorded
+from tipforce.fingertip.sample import Sample
+from tipforce.host.configuration.calibration import Calibration
+from tipforce_tools.export_c.files import write_c_files
+
+needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
+CALIBRATED, UNKNOWN_FORCE = 0x02, 1
+
+
+def library(folder: Path, n: int, real: str) -> ctypes.CDLL:
+    """The exported sources as a shared library."""
+    write_c_files(folder, n)
+    target = folder / f"judge-{real}.so"
+    line = ["gcc", *HOST_FLAGS, *REALS[real], "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c"), "-lm"]
+    done = subprocess.run([*map(str, line), "-o", str(target)], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return ctypes.CDLL(str(target))
+
+
+def structures(n: int, real: Any) -> dict[str, Any]:
+    """The C structures by name, for n gauges."""
+    triangle, double = n * (n + 1) // 2, ctypes.c_double
+    record = [
+        ("C", double * (3 * n)), ("offset", double * n), ("noise", double * triangle), ("reference", double),
+        ("calibrated", double), ("overload", double), ("lowest", double), ("highest", double), ("model", double),
+        ("converter_limit", double * n), ("offset_per_K", double * n), ("gain_per_K", double),
+        ("redundancy_limit", double),
+    ]  # fmt: skip
+    Record = type("Record", (ctypes.Structure,), {"_fields_": record})
+    subset = [
+        ("C", real * (3 * n)), ("cov", real * 6), ("W", real * ((n - 2) * n)), ("alarm", real), ("exclusion", real),
+        ("shown", ctypes.c_uint8), ("rows", ctypes.c_uint8), ("usable", ctypes.c_bool),
+    ]  # fmt: skip
+    Subset = type("Subset", (ctypes.Structure,), {"_fields_": subset})
+    Judge = type("Judge", (ctypes.Structure,), {"_fields_": [("record", Record), ("all", Subset)]})
+    verdict = [
+        ("faults", ctypes.c_uint16), ("early", ctypes.c_uint8), ("determined", ctypes.c_bool),
+        ("overloaded", ctypes.c_bool), ("V", real * n), ("C", real * (3 * n)), ("cov", real * 6),
+    ]  # fmt: skip
+    Verdict = type("Verdict", (ctypes.Structure,), {"_fields_": verdict})
+    limits = [
+        ("C", real * (3 * n)), ("offset", real * n), ("cov", real * 6), ("on", real), ("off", real),
+        ("theta_min", real), ("theta_max", real), ("pull", ctypes.c_bool),
+    ]  # fmt: skip
+    Limits = type("Limits", (ctypes.Structure,), {"_fields_": limits})
+    result = [("F", real * 3), *((name, real) for name in ("P", "phi", "theta", "miss", "u_P", "u_phi", "u_theta"))]
+    Result = type("Result", (ctypes.Structure,), {"_fields_": [*result, ("status", ctypes.c_uint8)]})
+    return {"Record": Record, "Judge": Judge, "Verdict": Verdict, "Limits": Limits, "Result": Result}
+
+
+def told(
+    library: ctypes.CDLL, real: Any, one: Calibration, samples: list[Sample]
+) -> list[tuple[int, int, float, float]]:
+    """(2124h, status byte, P, u(P)) of each sample as the C code gives them."""
+    n = one.gauges
+    kinds = structures(n, real)
+    record = kinds["Record"](
+        tuple(one.C.ravel()), tuple(one.offset_strain), tuple(one.covariance_strain2[np.triu_indices(n)]),
+        one.reference_temperature_degC, one.calibrated_force_newtons, one.overload_force_newtons,
+        one.temperature_min_degC, one.temperature_max_degC, one.model_uncertainty,
+        tuple(one.converter_limit_strain), tuple(one.offset_temperature_strain_per_K), one.gain_temperature_per_K,
+        one.redundancy_limit,
+    )  # fmt: skip
+    judge, verdict, result = kinds["Judge"](), kinds["Verdict"](), kinds["Result"]()
+    limits = kinds["Limits"](
+        on=one.contact_on_newtons, off=one.contact_off_newtons, theta_min=one.theta_min_deg,
+        theta_max=one.theta_max_deg, pull=one.pull,
+    )  # fmt: skip
+    library.tipforce_judge_setup(ctypes.byref(judge), ctypes.byref(record))
+    array, tare, found = real * n, (real * 3)(), []
+    overloaded = present = False
+    for sample in samples:
+        assert sample.reading is not None
+        strain = array(*(1e-6 * m for m in sample.microstrains))
+        celsius = math.nan if sample.reading.temperature == -0x8000 else sample.reading.temperature / 100
+        lost = sum(1 << k for k, over in enumerate(sample.overloads) if over)
+        library.tipforce_judge_sample(
+            ctypes.byref(judge), strain, real(celsius), ctypes.c_uint8(lost), ctypes.c_bool(overloaded),
+            ctypes.byref(verdict),
+        )  # fmt: skip
+        library.tipforce_judge_estimate(
+            ctypes.byref(verdict), ctypes.byref(limits), tare, ctypes.c_uint8(CALIBRATED), ctypes.c_bool(present),
+            ctypes.byref(result),
+        )  # fmt: skip
+        overloaded = verdict.overloaded
+        present = bool(result.status & 1) if not math.isnan(result.P) else present
+        found.append((verdict.faults, result.status, result.P, result.u_P))
+    return found
+
+
+@needs_gcc
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
+@pytest.mark.parametrize("real", ["double", "float"])
+def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, tmp_path: Path) -> None:
+    calibration, samples = recorded(n)
+    kind = ctypes.c_double if real == "double" else ctypes.c_float
+    found = told(library(tmp_path, n, real), kind, calibration, samples)
+    node = [(s.faults & BITS, s.status()) for s in samples]
+    other = [k for k, (mine, theirs) in enumerate(zip(found, node, strict=True)) if mine[:2] != theirs]
+    if real == "double":
+        assert other == []
+    else:
+        assert len(other) <= len(samples) * 0.005, [(k, found[k], node[k]) for k in other]
+    rel = 1e-9 if real == "double" else 2e-3
+    for k, (sample, one) in enumerate(zip(samples, found, strict=True)):
+        if k in other:
+            continue
+        hidden = bool(sample.unknown() & UNKNOWN_FORCE)
+        assert math.isnan(one[2]) == hidden
+        if not hidden:
+            assert one[2] == pytest.approx(sample.contact()[0], rel=rel, abs=1e-6)
+            assert one[3] == pytest.approx(sample.uncertainty()[0], rel=max(rel, 1e-6))

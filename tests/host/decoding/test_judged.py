@@ -1,0 +1,126 @@
+"""One data set with every fault, judged by a node sample by sample and by the host at once: the same verdicts."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fingertip.finger import PUSH, finger, record
+from tipforce.errors import InputError
+from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.sample import Sample
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.measurements import Measurements
+from tipforce.host.decoding import judged
+from tipforce.host.decoding.contacts import Status
+from tipforce.host.decoding.estimates import Before, estimate, estimated, following
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
+
+NOISE = 5e-7
+BITS = judged.GAUGES | 0xF000
+
+
+def recorded(n: int) -> tuple[Calibration, list[Sample]]:
+    """Samples of a node with ``n`` gauges: clean, drifting gauge by gauge, overloaded, warm, temperature unknown."""
+    limit = chi_square_threshold(1e-6, n - 3) if n > 3 else 0.0
+    data = record(
+        n, noise_strain=NOISE, validity=(2.0, 4.0, 10.0, 30.0, 0.004), converter_limit=1e-3, offset_per_K=1e-7,
+        gain_per_K=-3e-4, redundancy_limit=limit,
+    )  # fmt: skip
+    talk = finger(n, calibrated=data, load=PUSH, noise_microstrain=1e6 * NOISE)
+    application = talk.device.application
+    assert isinstance(application, Fingertip)
+    found: list[Sample] = []
+
+    def syncs(count: int) -> None:
+        for _ in range(count):
+            talk.now_us += 1000
+            talk.step([(0x80, b"")])
+            found.append(application.sample)
+
+    syncs(100)
+    for gauge in range(n):
+        for microstrain in np.linspace(0.0, 12.0, 40):
+            talk.source.offset_microstrain = [microstrain if k == gauge else 0.0 for k in range(n)]
+            syncs(1)
+    talk.source.offset_microstrain = [0.0] * n
+    for newtons in (0.0, 1.9, 2.1, 3.9, 4.1, 3.9, 3.81, 3.7, 11.0, 1.0):
+        talk.source.load = (newtons, *PUSH[1:])
+        syncs(10)
+    for temperature in (900, 999, 1001, 2999, 3001, -0x8000, 2300):
+        talk.source.temperature = temperature
+        syncs(10)
+    return Calibration.from_record(data), found
+
+
+def strains(samples: list[Sample]) -> tuple[np.ndarray[Any, Any], np.ndarray[Any, Any]]:
+    """Microstrain (k, n) and temperature in degC, NaN where unknown."""
+    told = [s.reading.temperature if s.reading is not None else -0x8000 for s in samples]
+    return np.array([s.microstrains for s in samples]), np.array([math.nan if t == -0x8000 else t / 100 for t in told])
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
+def test_the_verdicts_of_node_and_host_are_equal(n: int) -> None:
+    calibration, samples = recorded(n)
+    microstrain, temperature = strains(samples)
+    data = Measurements(
+        np.arange(len(samples)), microstrain * 1e-6, None, None, None, None, temperature, None, None, (), ()
+    )
+    found = estimated(calibration, data, slice(None), None, None, Before())
+    lost = np.array([sum(1 << k for k, over in enumerate(s.overloads) if over) for s in samples])
+    judge = judged.Judge(calibration)
+    V = judge.compensated(microstrain * 1e-6, temperature) - calibration.offset_strain
+    verdicts = judge.judge(V, temperature, lost, False)
+    node = np.array([s.faults & BITS for s in samples])
+    known = np.isfinite(verdicts.F_newtons).all(axis=1)
+    np.testing.assert_array_equal(verdicts.faults[known], node[known])
+    np.testing.assert_array_equal(verdicts.faults[~known] & 0xF000, node[~known] & 0xF000)
+    np.testing.assert_array_equal(known, [s.solver is not None for s in samples])
+    for k in np.flatnonzero(known):
+        np.testing.assert_allclose(verdicts.F_newtons[k], samples[k].force(), atol=1e-12)
+        upper = verdicts.covariance[k][np.triu_indices(3)]
+        np.testing.assert_allclose(upper, samples[k].covariance(), rtol=1e-7, atol=1e-15)
+    shown = ~(np.array([s.unknown() for s in samples]) & scalar.UNKNOWN_FORCE).astype(bool)
+    np.testing.assert_array_equal(np.isfinite(found.values[:, 0]), shown)
+    np.testing.assert_allclose(found.values[shown, 0], [s.contact()[0] for s in np.array(samples)[shown]], rtol=1e-12)
+    np.testing.assert_allclose(
+        found.values[shown, 3], [s.uncertainty()[0] for s in np.array(samples)[shown]], rtol=1e-7
+    )
+    bits = {bit for bit in range(16) for value in node.tolist() if value >> bit & 1}
+    assert bits >= {13, 14, 15, *({12} if n > 3 else set()), *({0, 3, 6} if n == 8 else set())}
+
+
+@pytest.mark.parametrize("n", [5, 8])
+def test_public_estimate_says_the_same(n: int) -> None:
+    calibration, samples = recorded(n)
+    microstrain, temperature = strains(samples)
+    found = estimate(calibration, microstrain, temperature_degC=temperature)
+    for bit, flag in ((13, Status.BEYOND_CALIBRATED), (14, Status.TEMPERATURE), (15, Status.OVERLOAD)):
+        assert found.has(flag).tolist() == [bool(s.faults >> bit & 1) for s in samples]
+    unresolved = [s.faults >> 12 & 1 == 1 and s.solver is None for s in samples]
+    assert found.has(Status.CONTRADICTION).tolist() == unresolved
+    assert found.has(Status.FAULT).tolist() == unresolved
+    assert found.has(Status.LEFT_OUT).tolist() == [s.spared for s in samples]
+    assert np.isnan(found.P_newtons[found.has(Status.CONTRADICTION | Status.OVERLOAD)]).all()
+    with pytest.raises(InputError, match="microstrain has the shape"):
+        estimate(calibration, np.ones((4, n + 1)))
+
+
+def test_rows_in_parts_are_rows_at_once() -> None:
+    """The hysteresis of contact and of overload goes over the border of two parts."""
+    calibration, samples = recorded(5)
+    microstrain, temperature = strains(samples)
+    data = Measurements(
+        np.arange(len(samples)), microstrain * 1e-6, None, None, None, None, temperature, None, None, (), ()
+    )
+    whole = estimated(calibration, data, slice(None), None, None, Before()).status
+    before, parts = Before(), []
+    for start in range(0, len(samples), 37):
+        found = estimated(calibration, data, slice(start, start + 37), None, None, before)
+        before = following(found, before)
+        parts.append(found.status)
+    np.testing.assert_array_equal(np.concatenate(parts), whole)
