@@ -160,7 +160,7 @@ class _Sensor:
         """What `tipforce calibrate fit` makes of its rows. Raises InputError where it refuses."""
         P, phi, theta, groove = _loads(rig, rng)
         wrong = rig.groove_error_rad * rng.normal(size=(2, int(groove.max()) + 1))[:, groove]
-        warmer = rng.uniform(-10.0, 10.0, P.size) if fault == "warm, coefficients known" else np.zeros(P.size)
+        warmer = rng.uniform(-25.0, 25.0, P.size) if fault == "warm, coefficients known" else np.zeros(P.size)
         strain = self.read(force_vector(P, phi + wrong[0], theta + wrong[1]), rng, warmer)
         strain = strain * (1e-6 if fault == "SI units" else 1.0)
         lines = np.arange(P.size) + 2

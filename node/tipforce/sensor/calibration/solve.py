@@ -25,7 +25,9 @@ START_HANG, HANG_WORTH = 0.1, 1.0
 observed angles."""
 LARGEST_SCATTER = 100.0
 """Of both variances: ten times the stated angle is a fault and no scatter."""
-MAX_STEPS = 300
+MAX_STEPS, BOLD_STEPS = 300, 25
+"""After the bold steps the weights of rows stay, and each step goes half as far: a row whose weight moves the groove's
+angle that it is judged by would go round in a circle."""
 TOLERANCE = 1e-5
 """Relative change of A at which the steps end; 1e-3 of the noise, of which a few per cent do not matter."""
 
@@ -111,16 +113,19 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
     scatter = scatter if problem.scatter is None else problem.scatter
     u = np.ones(len(problem.V))
     converged = False
-    for _ in range(MAX_STEPS):
+    for count in range(MAX_STEPS):
+        calm = count >= BOLD_STEPS
         found = _step(problem, A, Sigma, restless, scatter, u)
         change = np.abs(found.coefficients[:, :3] - A).max() / max(np.abs(A).max(), 1e-300)
         A = found.coefficients[:, :3]
         weights = _loss_weights(found.distance, loss, cut)
+        weights = u if calm else weights
         change = max(change, 0.01 * float(np.abs(weights - u).max()))
         u = weights
         restless = _kink_variance(problem, found)
         if problem.D.any() and problem.scatter is None:
             scatter, before = _scatter(problem, found, u), scatter
+            scatter = Scatter(*(0.5 * (a + b) for a, b in zip(scatter, before, strict=True))) if calm else scatter
             change = max(change, 0.001 * max(abs(a - b) / (a + 0.01) for a, b in zip(scatter, before, strict=True)))
         if problem.Sigma is None:
             if found.dof < 0.5:
@@ -128,7 +133,8 @@ def solve(problem: Problem, loss: str, cut: float, start: Solution | None = None
                     f"{int(problem.observed.any(axis=1).sum())} rows for {problem.g.shape[1]} unknowns of each gauge "
                     "leave no residuals to estimate the noise from: add rows, or state the gauge noise"
                 )
-            Sigma, moved = _longer(Sigma, _noise(problem, found)), Sigma
+            after = _noise(problem, found)
+            Sigma, moved = after if calm else _longer(Sigma, after), Sigma
             change = max(change, 0.01 * float(np.abs(Sigma - moved).max() / np.abs(Sigma).max()))
         if change < TOLERANCE:
             converged = True

@@ -82,7 +82,8 @@ def record(
     noise = variance or [8.1e-15 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
     packing = "<" + "".join(kind for _index, _sub, kind in table.staged(n))
-    return struct.pack(packing, *values, 1, 20240131, 23.0, 255, *noise, *tip[:5], int(tip[5]))
+    validity = [0.0] * (5 + 2 * n + 2)  # 2112h to 2116h: not known
+    return struct.pack(packing, *values, 1, 20240131, 23.0, 255, *noise, *tip[:5], int(tip[5]), *validity)
 
 
 class Talk:

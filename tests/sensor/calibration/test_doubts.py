@@ -1,0 +1,148 @@
+"""The fit doubts its own model: grooves that stray, curvature, temperature, rows left out, rails, drift."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tipforce.errors import InputError
+from tipforce.sensor.calibration.drift_choice import best_fit
+from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration
+from tipforce.sensor.calibration.plausibility import require_degrees, require_order, require_size
+from tipforce.sensor.calibration.rejections import rejections
+from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate
+from tipforce.sensor.calibration.validity import overload_newtons, redundancy_limit
+from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import layout
+from tipforce.sensor.structure.strain import strain_matrix
+
+CLEAN = Faults(
+    drift_strain=0.0, groove_scatter_rad=0.0, hang_scatter_rad=0.0, outlier_share=0.0, saturation=None
+)  # fmt: skip
+HALF_DEGREE = float(np.radians(0.5))
+STATED = Model(phi_scatter_rad=HALF_DEGREE, theta_scatter_rad=HALF_DEGREE)
+
+
+def simulated(seed: int, faults: Faults = CLEAN) -> Simulated:
+    return simulate(layout("I"), np.random.default_rng(seed), faults)
+
+
+def readings(sim: Simulated, **changes: object) -> Readings:
+    given = Readings(sim.strain, sim.P_newtons, sim.phi_rad, sim.theta_rad, sim.t_s)
+    return replace(given, **changes)  # type: ignore[arg-type]
+
+
+def test_weights_in_one_groove_do_not_average_its_angle_out() -> None:
+    sims = [simulated(seed, replace(CLEAN, groove_scatter_rad=HALF_DEGREE)) for seed in range(12)]
+    fits = [fit_calibration(readings(sim), STATED) for sim in sims]
+    assert np.mean([fit.groove_scatter for fit in fits]) == pytest.approx(1.0, abs=0.15)
+    assert max(fit.hang_scatter for fit in fits) < 0.25
+    assert all(fit.converged for fit in fits)
+    off = [(fit.C - np.linalg.inv(sim.true_A)) / fit.C_uncertainty for fit, sim in zip(fits, sims, strict=True)]
+    assert np.sqrt(np.mean(np.square(off))) == pytest.approx(1.0, abs=0.25)
+    straight = fit_calibration(readings(simulated(0)), STATED)
+    assert straight.groove_scatter < 0.6  # where grooves do not stray, the data say so
+
+
+def test_a_curved_gauge_is_found_with_its_term_and_a_straight_one_is_not() -> None:
+    sim = simulated(3)
+    assert fit_calibration(readings(sim)).nonlinearity is not None
+    elastic = sim.clean_strain - sim.true_offset_strain
+    for odd, bend in ((False, elastic**2), (True, elastic * np.abs(elastic))):
+        found = fit_calibration(readings(sim, strain=sim.strain + 100.0 * bend), Model(loss="none")).nonlinearity
+        assert found is not None
+        assert found.significant
+        assert found.odd == odd
+        np.testing.assert_allclose(found.per_strain, 100.0, atol=20.0)
+        assert 0.005 < found.model_uncertainty < 0.2
+    alarms = [fit_calibration(readings(simulated(seed))).nonlinearity for seed in range(20, 50)]
+    assert sum(one is not None and one.significant for one in alarms) <= 1
+
+
+def test_temperature_coefficients_are_found_where_the_rows_show_them() -> None:
+    sim, rng = simulated(5), np.random.default_rng(5)
+    T = rng.uniform(15.0, 35.0, len(sim.strain))
+    change = (T - np.mean(T))[:, np.newaxis]
+    elastic, per_K = sim.clean_strain - sim.true_offset_strain, np.array([2e-6, -3e-6, 1e-6])
+    warm = sim.strain + elastic * 5e-4 * change + per_K * change
+    fit, model, scores = best_fit(readings(sim, strain=warm, temperature_degC=T), Model())
+    assert model.temperature
+    assert len(scores) == 6
+    found = fit.temperature
+    assert found is not None
+    assert found.offset_fitted
+    assert found.gain_fitted
+    assert (np.abs(found.offset_strain_per_K - per_K) < 2.0 * found.offset_half_width).all()
+    assert abs(found.gain_per_K - 5e-4) < 2.0 * found.gain_half_width
+    assert found.gain_half_width < 1.5e-4
+    constant = fit_calibration(readings(sim, temperature_degC=np.full(len(T), 21.5))).temperature
+    assert constant is not None
+    assert (constant.lowest_degC, constant.highest_degC, constant.gain_fitted) == (21.5, 21.5, False)
+
+
+@pytest.mark.parametrize(("drift_strain", "warm_up", "allowed"), [
+    (0.0, 0.0, {"none", "linear"}), (40e-6, 0.0, {"linear", "tare"}), (60e-6, 1.0, {"tare"}),
+])  # fmt: skip
+def test_the_drift_is_what_predicts_left_out_rows(drift_strain: float, warm_up: float, allowed: set[str]) -> None:
+    fit, model, scores = best_fit(
+        readings(simulated(7, replace(CLEAN, drift_strain=drift_strain, warm_up=warm_up))), Model()
+    )
+    assert fit.drift == model.drift
+    assert fit.drift in allowed
+    assert max(scores, key=lambda name: scores[name]) == fit.drift
+
+
+def test_rows_left_out_that_gather_speak_against_the_model() -> None:
+    sim = simulated(8)
+    assert rejections(fit_calibration(readings(sim)), readings(sim)) == []
+    wrong = sim.strain.copy()
+    heavy = np.flatnonzero(sim.P_newtons == 4.4)[:7]
+    wrong[heavy] *= 1.2
+    found = rejections(fit_calibration(readings(sim, strain=wrong)), readings(sim, strain=wrong))
+    assert any("left out as outliers, over 5%" in text for text in found)
+    assert any("at high load" in text for text in found)
+
+
+def test_units_and_order_beside_theory() -> None:
+    A = strain_matrix(FABRICATED, "I")
+    require_size(1.3 * A, A, 4.0, "I")
+    for factor, words in ((1e-6, "SI units"), (0.0098, "grams"), (9.8, "kilograms"), (50.0, "another unit")):
+        with pytest.raises(InputError, match=words):
+            require_size(factor * A, A, 4.0, "I")
+    require_order(A, A, "I")
+    with pytest.raises(InputError, match="SG1 and SG2 look swapped"):
+        require_order(A[[1, 0, 2]], A, "I")
+    sim = simulated(9)
+    require_degrees(readings(sim))
+    with pytest.raises(InputError, match="look like radians"):
+        require_degrees(readings(sim, phi_rad=np.radians(sim.phi_rad), theta_rad=np.radians(sim.theta_rad)))
+
+
+def test_the_redundancy_limit_covers_what_the_calibration_may_contradict() -> None:
+    gauges = layout(["K_H", "S_H", "U", "T", "L"])
+    fit = fit_calibration(readings(simulate(gauges, np.random.default_rng(1), CLEAN)))
+    Sigma, n = fit.noise_covariance_strain2, 5
+    known = redundancy_limit(fit.A, Sigma, np.zeros((n, 4, n, 4)), np.inf, 4.4)
+    assert known == pytest.approx(chi_square_threshold(1e-6, 2), rel=1e-3)
+    limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, fit.dof, 4.4)
+    assert 1.1 * known < limit < 2.5 * known
+    assert redundancy_limit(fit.A[:3], Sigma[:3, :3], np.zeros((3, 4, 3, 4)), 10.0, 4.4) == 0.0
+    assert overload_newtons(FABRICATED) == pytest.approx(15.19, abs=0.01)
+    assert overload_newtons(FABRICATED, 200e6) < overload_newtons(FABRICATED)
+
+
+def test_ok_means_ok_for_three_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[3])
+    from bench.honesty import Rig, cells, row_of
+
+    clean, rail, warm, si = cells(3, Rig(8, 2, 1), ("clean", "rail", "warm, calibrated cold", "SI units"), 6)
+    assert (clean.calibrations, clean.wrong) == (6, 0)
+    assert clean.ok_share > 0.98
+    assert 0.85 < clean.covered_share < 1.0
+    assert rail.ok == warm.ok == 0
+    assert sum(si.refused.values()) == 6
+    assert row_of(si)[-1] == "good: refused"
