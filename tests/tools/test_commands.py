@@ -258,12 +258,13 @@ def test_calibrate_apply_then_verify(tipforce: Tipforce, cal: Path, tmp_path: Pa
 
 
 def test_calibrate_refused_is_12(tipforce: Tipforce, tmp_path: Path) -> None:
-    C = beam_calibration().C * [1.0, 1.0, 1e-9]
+    C = beam_calibration().C * [1.0, 1.0, 1e-5]
     write_calibration(tmp_path / "bad.toml", beam_calibration(C=C))
     code, out, err = tipforce("calibrate", "apply", tmp_path / "bad.toml", "--node", 6, "--no-store", "-q")
     assert (code, out) == (12, "")
     assert err == (
-        "tipforce: node 6 rejected the calibration (0x06090031): the condition number of C exceeds the limit 2105h:1\n"
+        "tipforce: node 6 rejected the calibration (0x06090031): the condition number of C exceeds the limit 2105h:1, "
+        "or its 2-norm exceeds 1e7 N per unit strain\n"
     )
 
 

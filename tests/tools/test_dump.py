@@ -121,7 +121,8 @@ def test_health_and_more_gauges() -> None:
     health = "(1700000000.000000) vcan0 485#FFFFFFFF01080701\n"
     done = piped(health, "--decode", "--gauges", "8", "-L", "-")
     assert done.stdout == health[:-1] + (
-        "  node 5 (0x05) Health  temperature=-0.01 degC u_P=unknown error_register=1 SG1_fault fault_supply #7\n"
+        "  node 5 (0x05) Health  temperature=-0.01 degC u_P=unknown configuration_counter=7 error_register=1 "
+        "SG1_fault fault_supply\n"
     )
 
 

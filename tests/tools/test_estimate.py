@@ -209,3 +209,42 @@ def test_only_bad_rows(calibration: Path, capsys: pytest.CaptureFixture[str]) ->
     rows, err = estimated(calibration, "SG1,SG2,SG3\nx,2,3\n1,2,y\n", capsys)
     assert [row["status"] for row in rows] == ["bad: SG1 is 'x', not a number", "bad: SG3 is 'y', not a number"]
     assert "2 of 2 rows are bad" in err
+
+
+@pytest.mark.parametrize(
+    ("name", "old", "new", "text"),
+    [
+        ("zero", None, "[[0.0, 0, 0], [0, 0, 0], [0, 0, 0]]", "rank below 3"),
+        ("rank 2", None, "[[1e4, 0, 0], [0, 1e4, 0], [1e4, 1e4, 0]]", "rank below 3"),
+        ("not a number", None, "[[nan, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]", "nan is not finite"),
+        ("per microstrain", None, "[[1e-2, 0, 0], [0, 1e-2, 0], [0, 0, 1e-2]]", "newtons per microstrain: multiply"),
+        ("twice", None, "[[1e10, 0, 0], [0, 1e10, 0], [0, 0, 1e10]]", "converted twice"),
+        (
+            "grams",
+            None,
+            "[[1e6, 0, 0], [0, 1e6, 0], [0, 0, 1e6]]",
+            "loads look like grams: multiply the matrix by 0.0098",
+        ),
+        ("no noise", "0.25", "0.0", "variance is 0: allowed is above 0"),
+        ("indefinite", "[0.25, 0, 0], [0, ", "[0.25, 0.3, 0], [0.3, ", "not positive semi-definite"),
+    ],
+)
+def test_a_calibration_that_no_sensor_can_have_is_refused(
+    name: str, old: str | None, new: str, text: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    matrix = "[[1e4, 0, 0], [0, 1e4, 0], [0, 0, 1e4]]" if old is not None else new
+    covariance = "[[0.25, 0, 0], [0, 0.25, 0], [0, 0, 0.25]]"
+    if old is not None:
+        covariance = covariance.replace(old, new)
+    path, gauges = tmp_path / f"{name}.toml", tmp_path / "gauges.csv"
+    path.write_text(
+        f"[calibration]\nmatrix_newtons_per_strain = {matrix}\noffset_microstrain = [0, 0, 0]\n"
+        f'covariance_microstrain2 = {covariance}\nload_sense = "push"\n'
+    )
+    gauges.write_text("SG1,SG2,SG3\n1,2,3\n")
+    for line in (["estimate", str(path), str(gauges)], ["budget", str(path)]):
+        assert main(line) == 2
+        captured = capsys.readouterr()
+        assert text in captured.err
+        assert captured.err.count("\n") == 1
+        assert captured.out == ""

@@ -200,6 +200,23 @@ def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
         bench.client.apply_calibration(bench.active)
 
 
+def test_a_record_read_back_with_one_flipped_bit_is_refused(bench: Bench) -> None:
+    """2103h:3 is the CRC-32 of what the node holds: a flip on the way is no calibration."""
+    assert bench.client.calibration() is not None
+    seen = []
+
+    def corrupting(message: can.Message) -> can.Message:
+        if message.arbitration_id == 0x580 + NODE and message.data[0] & 0xE0 == 0x00:
+            seen.append(message)
+            if len(seen) == 5:
+                message.data[3] ^= 0x10
+        return message
+
+    bench.bus.fault = corrupting
+    with pytest.raises(RefusedError, match=r"record read back \(2140h\) has CRC-32 0x[0-9A-F]{8}, the node says 0x"):
+        bench.client.calibration()
+
+
 def test_another_number_of_gauges_never_leaves_the_host(bench: Bench) -> None:
     layout = ("K_H", "S_H", "U", "L")
     four = Calibration(calibration_matrix(FABRICATED, layout), np.zeros(4), np.eye(4) * 1e-12)

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.contact import scalar_redundancy
+from tipforce.sensor.contact import scalar_parity, scalar_redundancy
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.contact.redundancy import (
     NONE,
@@ -225,8 +225,9 @@ def test_scalar_is_the_array_formula(n: int) -> None:
             np.testing.assert_allclose(item[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
             np.testing.assert_allclose(item[1], upper(expected.covariance_F), rtol=1e-6, atol=1e-9)
             assert scalar_condition_number(item[0]) == pytest.approx(condition_number(expected.C), rel=1e-6)
-    model, lists = parity(C, covariance), scalar_redundancy.parity(rows, noise)
-    assert lists is not None
+    model, W = parity(C, covariance), scalar_parity.directions(rows, noise, list(range(n)))
+    assert W is not None
+    shown = scalar_parity.columns(W, noise)
     V = rng.normal(size=(300, n)) * np.geomspace(SIGMA, 1e-3, 300)[:, np.newaxis]
     faults = detect(model, V)
     alarm = scalar_redundancy.chi_square_threshold(scalar_redundancy.FALSE_ALARM_RATE, n - 3)
@@ -234,10 +235,27 @@ def test_scalar_is_the_array_formula(n: int) -> None:
     for strains, chi_square, fault, candidates in zip(
         V, faults.chi_square, faults.fault, faults.candidates, strict=True
     ):
-        F = scalar_redundancy.force(rows, strains.tolist())
-        found, bits = scalar_redundancy.judge(lists, strains.tolist(), F, alarm, exclusion)
+        found, bits, _ = scalar_parity.judge(W, shown, strains.tolist(), None, alarm, exclusion)
         assert found == pytest.approx(chi_square, rel=1e-6)
         assert bits == (sum(1 << int(k) for k in np.flatnonzero(candidates)) if fault else -1)
+
+
+@pytest.mark.parametrize("n", [4, 5, 6, 8])
+def test_extra_variance_is_that_of_a_larger_covariance(n: int) -> None:
+    """Weighed by Sigma + diag(extra): chi-square is the smallest that any force leaves of it."""
+    rng = np.random.default_rng(6)
+    A, covariance = structure(n), correlated(n)
+    C = weighted_inverse(A, covariance)
+    W = scalar_parity.directions(C.tolist(), upper(covariance), list(range(n)))
+    assert W is not None
+    np.testing.assert_allclose(np.array(W) @ covariance @ np.array(W).T, np.eye(n - 3), atol=1e-8)
+    shown = scalar_parity.columns(W, upper(covariance))
+    for V in rng.normal(size=(50, n)) * 1e-5:
+        extra = np.square(0.05 * V)
+        Q = np.linalg.inv(covariance + np.diag(extra))
+        r = V - A @ np.linalg.solve(A.T @ Q @ A, A.T @ Q @ V)
+        found, _, _ = scalar_parity.judge(W, shown, V.tolist(), extra.tolist(), 1.0, 1.0)
+        assert found == pytest.approx(r @ Q @ r, rel=1e-6)
 
 
 def test_scalar_refuses_what_has_no_rank_3() -> None:
@@ -248,10 +266,10 @@ def test_scalar_refuses_what_has_no_rank_3() -> None:
     assert scalar_redundancy.leave_out(C, noise, [3], condition_limit=1.0) is None
     assert scalar_redundancy.structure_matrix([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
     assert scalar_redundancy.leave_out([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3)), []) is None
-    assert scalar_redundancy.parity([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3))) is None
+    assert scalar_parity.directions([[1.0, 0.0, 0.0]] * 3, upper(np.eye(3)), [0, 1, 2]) is None
     singular = upper(np.ones((4, 4)))
     assert scalar_redundancy.leave_out(C, singular, [3]) is None
-    assert scalar_redundancy.parity(C, singular) is None
+    assert scalar_parity.directions(C, singular, [0, 1, 2, 3]) is None
 
 
 def test_scalar_without_noise_weighs_equally_and_checks_nothing() -> None:
@@ -263,7 +281,7 @@ def test_scalar_without_noise_weighs_equally_and_checks_nothing() -> None:
     expected = without(C, np.eye(5), [1])
     assert expected is not None
     np.testing.assert_allclose(found[0], expected.C, atol=1e-7 * np.abs(expected.C).max())
-    assert scalar_redundancy.parity(C.tolist(), noise) is None
+    assert scalar_parity.directions(C.tolist(), noise, [0, 1, 2, 3, 4]) is None
 
 
 def test_a_dead_gauge_may_read_anything_once_left_out() -> None:
@@ -276,9 +294,10 @@ def test_a_dead_gauge_may_read_anything_once_left_out() -> None:
         V = (A @ F).tolist()
         V[3] = reading
         assert scalar_redundancy.force(found[0], V) == pytest.approx(F.tolist(), abs=1e-6)
-    lists = scalar_redundancy.parity(C.tolist(), upper(covariance))
-    assert lists is not None
-    chi_square, bits = scalar_redundancy.judge(lists, [nan] * 5, (0.0, 0.0, 0.0), 1.0, 1.0)
+    W = scalar_parity.directions(C.tolist(), upper(covariance), [0, 1, 2, 3, 4])
+    assert W is not None
+    shown = scalar_parity.columns(W, upper(covariance))
+    chi_square, bits, _ = scalar_parity.judge(W, shown, [nan] * 5, None, 1.0, 1.0)
     assert isnan(chi_square)
     assert bits == 0
 

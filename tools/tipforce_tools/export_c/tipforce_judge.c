@@ -553,7 +553,7 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
     memcpy(v->cov, s->cov, sizeof v->cov);
     add_doubt(r, v, explained, visible);
     for (int k = 0; k < N; k++) {
-        if (lost >> k & 1u) {
+        if ((unsigned)lost >> k & 1u) {
             v->V[k] = 0;
         }
     }

@@ -33,8 +33,8 @@ _REFUSALS = {
     codes.DEVICE_STATE: "it is locked (2105h:2); unlock it: `tipforce sdo write ID calibration.unlock 0x6E65706F`",
     codes.INCOMPATIBLE: "the CRC-32 of the received data is wrong; nothing was activated, try again",
     codes.INVALID_VALUE: "a value is not finite, or not allowed: theta minimum over maximum, contact-off over "
-    "contact-on, a noise covariance with a negative variance or a correlation over 1, a validity (2112h to 2116h) below "
-    "zero or a lowest temperature above the highest",
+    "contact-on, a noise covariance with a negative variance or a correlation over 1, a validity (2112h to 2116h) "
+    "below zero or a lowest temperature above the highest",
     codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
     codes.TOO_LOW: "the 2-norm of C is below 10 N per unit strain; check whether it is in newtons per microstrain",
 }

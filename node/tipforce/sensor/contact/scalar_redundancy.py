@@ -1,7 +1,7 @@
-"""More than three gauges, for a microcontroller: force without a dead gauge, and which gauge contradicts the others.
+"""More than three gauges, for a microcontroller: the force without a dead gauge, and limits of chi-square.
 
 Needs the math module only and keeps to what MicroPython has; redundancy.py holds the same for arrays and explains it.
-A node computes subsets() for the forces and parity() for the check once, when a calibration becomes active.
+A node computes what it needs of it when a gauge is left out; scalar_parity.py is the check itself.
 Matrices are lists of rows, noise is the upper triangle of the gauges' covariance by rows (object 2106h), strain^2.
 """
 
@@ -121,63 +121,6 @@ def force(matrix: list[list[float]], strains: list[float]) -> tuple[float, float
             if row[k] != 0.0:  # a dead gauge may read NaN, which zero does not remove
                 F[i] += row[k] * strains[k]
     return F[0], F[1], F[2]
-
-
-def parity(
-    C: list[list[float]], noise: list[float]
-) -> tuple[list[list[float]], list[list[float]], list[list[float]], list[float]] | None:
-    """Return (A, Q, P, visible) for judge(), or None: three gauges, noise all zero, or a singular covariance.
-
-    A: structure_matrix(); Q: the inverse of the covariance; P = I - A C: what a fault of one unit in gauge k
-    leaves in the residuals is column k; visible: Q P's diagonal, zero for a gauge whose fault no residual shows.
-    """
-    n = len(C[0])
-    A = structure_matrix(C, noise) if n > 3 and any(noise) else None
-    if A is None:
-        return None
-    full = square(noise, n)
-    Q = _solved(full, [[1.0 if i == k else 0.0 for i in range(n)] for k in range(n)])
-    if Q is None:
-        return None
-    P = [[(1.0 if i == k else 0.0) - sum([A[i][m] * C[m][k] for m in range(3)]) for k in range(n)] for i in range(n)]
-    visible = [sum([Q[k][i] * P[i][k] for i in range(n)]) for k in range(n)]
-    for k in range(n):
-        if visible[k] * full[k][k] < SMALLEST_VARIANCE:
-            visible[k] = 0.0
-    return A, Q, P, visible
-
-
-def judge(
-    model: tuple[list[list[float]], list[list[float]], list[list[float]], list[float]],
-    strains: list[float],
-    F: tuple[float, float, float],
-    alarm: float,
-    exclusion: float,
-) -> tuple[float, int]:
-    """Return (chi-square of the residuals, bits of the gauges that may be at fault; -1 where nothing is wrong).
-
-    strains: offsets taken off; F from all gauges. alarm and exclusion: chi_square_threshold() for n - 3 degrees
-    of freedom, and for n - 4. Bits 0: no single gauge explains the residuals. One bit: that gauge is at fault.
-    More: they cannot be told apart. NaN in: chi-square NaN, bits 0.
-    """
-    A, Q, P, visible = model
-    n = len(strains)
-    r = [strains[i] - _dot(A[i], [F[0], F[1], F[2]]) for i in range(n)]
-    weighed = [_dot(row, r) for row in Q]
-    chi_square = _dot(r, weighed)
-    if chi_square <= alarm:
-        return chi_square, -1
-    bits = 0
-    if chi_square - chi_square != 0.0:  # NaN or infinity
-        return chi_square, bits
-    for k in range(n):
-        if visible[k] > 0.0:
-            fault = weighed[k] / visible[k]
-            rest = [r[i] - fault * P[i][k] for i in range(n)]
-            # With four gauges nothing is left but rounding, and every gauge explains all.
-            if n == 4 or _dot(rest, [_dot(row, rest) for row in Q]) <= exclusion:
-                bits |= 1 << k
-    return chi_square, bits
 
 
 def square(noise: list[float], n: int) -> list[list[float]]:

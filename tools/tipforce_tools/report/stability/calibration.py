@@ -30,16 +30,16 @@ def cases() -> list[Case]:
              "commit refuses with 06090030h: else u would be 0 and theta would count as resolved", _impossible),
         Case("calibration.possible_noise", "2106h: all 0; fully correlated; variances 1e-30 to 1e-6 in one record",
              "pass", "commit accepts each: REAL32's rounding does not count as impossible", _possible),
-        Case("calibration.flipped_in_transit", "each of the 848 bits of a record flipped in transit, CRC as sent",
+        Case("calibration.flipped_in_transit", "each of the 1264 bits of a record flipped in transit, CRC as sent",
              "refused", "commit refuses every one with 06040043h; the active CRC stays", _flipped_in_transit),
         Case("calibration.flipped_in_store", "each bit of a stored calibration flipped before the start", "flagged",
              "the node starts uncalibrated (bit 1 clear, P unknown) with EMCY 6320h, for every one", _flipped_in_store),
         Case("calibration.cut_store", "a stored calibration of every length from 0 to one byte short", "flagged",
              "the node starts uncalibrated and never with a part", _cut_store),
-        Case("calibration.huge", "C of 3.4e38 N per strain, the largest REAL32", "flagged",
-             "P reads 32.767 N with 6150h 03h, 6130h holds 3.4e34 N; theta is unresolved", _huge),
-        Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "bounded",
-             "commit accepts, condition 1; P is below a millinewton and reads 0; no contact is claimed", _tiny),
+        Case("calibration.huge", "C of 3.4e38 N per strain, the largest REAL32", "refused",
+             "commit refuses with 06090031h; the active calibration stays", _huge),
+        Case("calibration.tiny", "C of 1e-44 N per strain, a denormal REAL32", "refused",
+             "commit refuses with 06090032h; the active calibration stays", _tiny),
         Case("calibration.tare_huge", "a tare at 32 N, then 0.5 N less; with offsets of 3000 microstrain",
              "bounded", "the rest is right within one count (1 mN); F is computed in double precision", _tare_huge),
         Case("calibration.tare_saturated", "a tare while a gauge is saturated, or while the sample is stale", "refused",
@@ -149,7 +149,7 @@ def _flipped_in_transit() -> Observed:
         # A load sense that is neither 0 nor 1 is refused at once.
         staged = finger.stage(spoilt, crc)
         refused += staged == codes.INVALID_VALUE or (staged == 0 and finger.commit() == codes.INCOMPATIBLE)
-    held = refused == total == 848 and finger.active() == before
+    held = refused == total == 1264 and finger.active() == before
     return Observed(held, f"{refused} of {total} refused, active CRC {before[0]:08X}h stays")
 
 
@@ -198,24 +198,21 @@ def _cut_store() -> Observed:
     return Observed(held, f"{caught} of {len(data) - 1} lengths noticed; nothing stored: uncalibrated, no EMCY")
 
 
+def _sized(newtons_per_strain: float, code: int) -> Observed:
+    finger = rig.simulated(load=rig.PUSH)
+    before = finger.active()
+    C = [[newtons_per_strain if i == k else 0.0 for k in range(3)] for i in range(3)]
+    abort = finger.stage(rig.record(C=C)) or finger.commit()
+    held = abort == code and finger.active() == before and finger.sync().contact[0] == 1000
+    return Observed(held, f"{abort:08X}h, active CRC {before[0]:08X}h stays")
+
+
 def _huge() -> Observed:
-    C = [[3.4e38 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C, variance=[3e38, 0, 0, 3e38, 0, 3e38]))
-    found, P = finger.sync(), finger.get("f", indices.PROCESS_VALUE, 7)
-    status = finger.get("B", indices.CHANNEL_STATUS, 7)
-    held = found.contact[0] == 32767 and status == 3 and abs(P / 3.3993e34 - 1.0) < 1e-3
-    held &= found.contact[2] == rig.UNKNOWN and bool(found.status & scalar.THETA_UNRESOLVED)
-    held &= finger.get("f", indices.UNCERTAINTY, 1) == math.inf
-    return Observed(held, f"P {P:.3g} N, 6150h {status:02.0f}h, u_P infinite, status {found.status:02X}h")
+    return _sized(3.4e38, codes.TOO_HIGH)
 
 
 def _tiny() -> Observed:
-    C = [[1e-44 if i == k else 0.0 for k in range(3)] for i in range(3)]
-    finger = rig.simulated(load=rig.PUSH, calibration=rig.record(C=C))
-    found, condition = finger.sync(), finger.get("f", indices.CALIBRATION_FACTS, 5)
-    held = found.contact == (0, rig.UNKNOWN, rig.UNKNOWN) and condition == 1.0
-    held &= not found.status & scalar.CONTACT_PRESENT
-    return Observed(held, f"P {found.contact[0]} mN, condition {condition:g}, status {found.status:02X}h")
+    return _sized(1e-44, codes.TOO_LOW)
 
 
 def _tare_huge() -> Observed:

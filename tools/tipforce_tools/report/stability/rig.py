@@ -77,13 +77,15 @@ def record(
     variance: Sequence[float] | None = None,
     tip: Sequence[float] = (0.015, -60.0, 60.0, 0.05, 0.02, 0),
 ) -> bytes:
-    """Return a complete record. ``variance``: upper triangle of the gauges' covariance; below one count if None."""
+    """Return a complete record. ``variance``: upper triangle of the gauges' covariance; below one count if None.
+
+    Its validity (2112h to 2116h) is not known, so no sample is judged by it.
+    """
     rows = C if C is not None else matrix(n)
     noise = variance or [8.1e-15 if i == k else 0.0 for i in range(n) for k in range(i, n)]
     values = [value for row in rows for value in row] + list(offsets or [0.0] * n)
     packing = "<" + "".join(kind for _index, _sub, kind in table.staged(n))
-    validity = [0.0] * (5 + 2 * n + 2)  # 2112h to 2116h: not known
-    return struct.pack(packing, *values, 1, 20240131, 23.0, 255, *noise, *tip[:5], int(tip[5]), *validity)
+    return struct.pack(packing, *values, 1, 20240131, 23.0, 255, *noise, *tip[:5], int(tip[5]), *[0.0] * (7 + 2 * n))
 
 
 class Talk:

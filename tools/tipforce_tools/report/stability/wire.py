@@ -28,7 +28,8 @@ _IDENTIFIERS = (
 )  # fmt: skip
 _STAGED = (
     indices.CALIBRATION_MATRIX, indices.CALIBRATION_OFFSET, indices.CALIBRATION_FACTS, indices.CALIBRATION_NOISE,
-    indices.CONTACT_SETTINGS,
+    indices.CONTACT_SETTINGS, indices.CALIBRATION_VALIDITY, indices.CALIBRATION_CONVERTER_LIMIT,
+    indices.CALIBRATION_OFFSET_TEMPERATURE, indices.CALIBRATION_GAIN_TEMPERATURE, indices.CALIBRATION_REDUNDANCY_LIMIT,
 )  # fmt: skip
 
 
@@ -93,7 +94,7 @@ def _overflow() -> Observed:
     taken = finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
     finger.sync()
     strain, F1 = finger.get("f", indices.PROCESS_VALUE, 1), finger.get("f", indices.PROCESS_VALUE, 4)
-    big = rig.simulated(calibration=rig.record(C=[[1e10 if i == k else 0.0 for k in range(3)] for i in range(3)]))
+    big = rig.simulated(calibration=rig.record(C=[[9e6 if i == k else 0.0 for k in range(3)] for i in range(3)]))
     big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
     forms = (

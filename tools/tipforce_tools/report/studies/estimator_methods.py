@@ -65,7 +65,7 @@ def single_precision(given: Contacts, factored: bool) -> Method:
 def on_the_node(given: Contacts, form: str) -> Method:
     """Return the computation of a node under CPython per sample: REAL32 C, doubles, and the object in ``form``."""
     values = [*np.float32(given.C).ravel().tolist(), *[0.0] * 3, *[0.0] * 4, *[0.0] * 6]
-    active = Active(b"", [*values, 0.015, -180.0, 180.0, *[0.0] * 16], 3)
+    active = Active(b"", [*values, 0.015, -180.0, 180.0, 0.0, 0.0, 0.0, *[0.0] * 13], 3)
     gain, counts = LSB_MICROSTRAIN, given.counts.tolist()
 
     def work() -> Estimate:
