@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import inspect
 from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
@@ -192,8 +191,7 @@ def _judge(cell: Cell, calibration: Calibration, sensor: _Sensor, rng: np.random
     warmer = WARM_K if cell.fault.startswith("warm") else 0.0
     V = _broken(cell.fault, sensor.read(F, rng, warmer), rng)
     V = np.clip(V, -CONVERTER_LIMIT, CONVERTER_LIMIT)
-    given = {"temperature_degC": 20.0 + warmer} if "temperature_degC" in _PARAMETERS else {}
-    shown = tipforce.estimate(calibration, V * 1e6, **given)
+    shown = tipforce.estimate(calibration, V * 1e6, temperature_degC=20.0 + warmer)
     ok = says_ok(shown)
     error, u = np.abs(shown.P_newtons - P)[ok], shown.u_P_newtons[ok]
     cell.rows += ROWS
@@ -236,4 +234,3 @@ def _arguments() -> argparse.Namespace:
 
 
 _ARGUMENTS = _arguments()
-_PARAMETERS = inspect.signature(tipforce.estimate).parameters

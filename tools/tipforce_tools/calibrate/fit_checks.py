@@ -52,9 +52,7 @@ def check_theory(args: argparse.Namespace, fit: Fit) -> None:
 def validity_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> dict[str, Any]:
     """Fields of the calibration: forces, temperatures, limits. What the data do not show stays 0 (not known)."""
     n = len(fit.A)
-    P = np.where(data.unloaded, 0.0, data.P_newtons)
-    used = fit.used.any(axis=1)
-    largest = float(P[used].max())
+    largest = max(load.P_newtons for load in fit.loads)
     straight, warm = fit.nonlinearity, fit.temperature
     found: dict[str, Any] = {
         "calibrated_force_newtons": largest,

@@ -205,7 +205,7 @@ def _step(
     rows = effect.marginal(np.concatenate((X, y), axis=-1)).reshape(-1, n * p + 1)
     beta, root = _solved(rows, _prior_rows(problem, restless), n * p)
     coefficients, blocks = beta.reshape(n, p), (root @ root.T).reshape(n, p, n, p)
-    of_beta = effect.per_groove(X)
+    of_beta = effect.conditional(X)
     moved = effect.conditional(y - X @ beta[:, np.newaxis])
     unexplained = problem.V - problem.g @ coefficients.T
     residual = unexplained - (common @ moved)[..., 0]
@@ -265,8 +265,6 @@ class _Effect(NamedTuple):
         expected: FloatArray = self.covariance[self.rows] @ self._sums(whitened)
         return expected
 
-    per_groove = conditional
-
     def _sums(self, whitened: FloatArray) -> FloatArray:
         sums = np.zeros((len(self.shrink), 2, whitened.shape[2]))
         np.add.at(sums, self.rows, self.b.transpose(0, 2, 1) @ whitened)
@@ -289,7 +287,7 @@ def _prior_rows(problem: Problem, restless: FloatArray) -> FloatArray:
 def _solved(rows: FloatArray, prior: FloatArray, unknowns: int) -> tuple[FloatArray, FloatArray]:
     """Least squares of whitened rows by QR: the coefficients, and T with T T^T their covariance."""
     padding = np.zeros((max(0, unknowns + 1 - len(rows) - len(prior)), unknowns + 1))
-    upper = np.linalg.qr(np.concatenate((rows, prior, padding)), mode="r")
+    upper = np.asarray(np.linalg.qr(np.concatenate((rows, prior, padding)), mode="r"), dtype=np.float64)
     R, z = upper[:unknowns, :unknowns], upper[:unknowns, unknowns]
     size = np.abs(np.diagonal(R))
     if not (size > 1e-13 * size.max()).all():

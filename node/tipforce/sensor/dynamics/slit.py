@@ -105,7 +105,8 @@ def contact_fractions(frame: Frame) -> FloatArray:
         if late.max() < CLOSE_ENOUGH:
             break
         chosen.append(int(np.argmax(closures[:, int(np.argmax(late))])))
-    return _FRACTIONS[np.sort(chosen)]
+    fractions: FloatArray = _FRACTIONS[np.sort(chosen)]
+    return fractions
 
 
 def _largest(frame: Frame, F: FloatArray) -> FloatArray:
