@@ -137,7 +137,8 @@ def test_the_redundancy_limit_covers_what_the_calibration_may_contradict() -> No
 
 def test_ok_means_ok_for_three_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(Path(__file__).parents[3])
-    from bench.honesty import Rig, cells, row_of
+    from bench.honesty import row_of
+    from bench.honesty_study import Rig, cells
 
     clean, rail, warm, si = cells(3, Rig(8, 2, 1), ("clean", "rail", "warm, calibrated cold", "SI units"), 6)
     assert (clean.calibrations, clean.wrong) == (6, 0)
