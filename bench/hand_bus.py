@@ -23,7 +23,7 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
 from tipforce.host.live.receive import SocketReceiver
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Connection
 from tipforce.running.loop import Frame
 from tipforce.socketcan import CAN_FRAME
 

@@ -46,8 +46,8 @@ if TYPE_CHECKING:
     from tipforce.host.decoding.log import read_log as read_log
     from tipforce.host.hand.hand import Hand as Hand
     from tipforce.host.hand.hand_row import HandRow as HandRow
-    from tipforce.host.network.connection import Connection as Bus
-    from tipforce.host.network.connection import open_connection as open
+    from tipforce.host.network.bus import Bus as Bus
+    from tipforce.host.network.bus import open_connection as open
     from tipforce.host.network.finger import Finger as Finger
     from tipforce.scene.simulated_bus import SimulatedBus as SimulatedBus
     from tipforce.scene.simulated_bus import simulated_finger as simulated_finger
@@ -56,8 +56,8 @@ if TYPE_CHECKING:
     from tipforce.sensor.calibration.fit import fit_calibration as fit_calibration
 
 _MODULES = {
-    "open": "host.network.connection:open_connection",
-    "Bus": "host.network.connection:Connection",
+    "open": "host.network.bus:open_connection",
+    "Bus": "host.network.bus",
     "Finger": "host.network.finger",
     "Contact": "host.decoding.contacts",
     "Contacts": "host.decoding.contacts",

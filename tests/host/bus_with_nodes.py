@@ -18,7 +18,7 @@ from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import HandSample, PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
@@ -86,12 +86,12 @@ def running(devices: Sequence[Device], channel: str) -> Iterator[None]:
 @contextlib.contextmanager
 def connected(
     *devices: Device, timeout_s: float = 0.5, retries: int = 2, channel: str = ""
-) -> Iterator[tuple[Connection, FaultyBus]]:
+) -> Iterator[tuple[Bus, FaultyBus]]:
     """Running nodes that have booted, and a host on their bus."""
     channel = channel or new_channel()
     # The host listens before the nodes start: it must not miss their boot-up.
     bus = FaultyBus(channel)
-    with Connection(bus, timeout_s, retries) as connection, running(devices, channel):
+    with Bus(bus, timeout_s, retries) as connection, running(devices, channel):
         if devices:
             connection.wait_for({0x700 + device.node_id for device in devices})
         yield connection, bus
@@ -122,7 +122,7 @@ def beam_calibration(case: str = "I", /, **changes: Any) -> Calibration:
     return Calibration(**(fields | changes))
 
 
-def apply_load(connection: Connection, node_id: int, P: float, phi_deg: float, theta_deg: float) -> None:
+def apply_load(connection: Bus, node_id: int, P: float, phi_deg: float, theta_deg: float) -> None:
     """Load a simulated finger."""
     sdo = connection.sdo(node_id)
     for entry, value in ((od.SIMULATION_P, P), (od.SIMULATION_PHI, phi_deg), (od.SIMULATION_THETA, theta_deg)):

@@ -17,7 +17,7 @@ from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text, eds_text
 from tipforce.dictionary.rows import rows
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main
 
 ROOT = Path(__file__).parents[2]
@@ -25,7 +25,7 @@ Tipforce = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture(scope="module")
-def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Connection, str]]:
+def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, str]]:
     """Nodes 5 (with a store) and 6 (without), and the name of their bus."""
     store = tmp_path_factory.mktemp("store") / "node.json"
     channel = new_channel()
@@ -36,7 +36,7 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Connection
 
 
 @pytest.fixture
-def tipforce(bench: tuple[Connection, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
+def tipforce(bench: tuple[Bus, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
     """Run a command line on that bus: (exit code, stdout, stderr)."""
 
     def run(*words: object) -> tuple[int, str, str]:
@@ -186,7 +186,7 @@ def test_sdo_exit_codes(tipforce: Tipforce) -> None:
     assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, Object does not exist\n"
 
 
-def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     readable = {place: row for place, row in rows(3, True).items() if row.access != "wo" and row.index != 0x1021}
     code, out, err = tipforce("sdo", "dump", 5, "--json")
     records = {(int(r["index"], 16), r["sub"]): r for r in map(json.loads, out.splitlines())}

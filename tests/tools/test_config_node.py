@@ -12,7 +12,7 @@ import pytest
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.host.configuration.settings import default_settings, read_settings
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main
 
 Tipforce = Callable[..., tuple[int, str, str]]
@@ -28,7 +28,7 @@ FILE = """
 
 
 @pytest.fixture
-def bench() -> Iterator[tuple[Connection, str]]:
+def bench() -> Iterator[tuple[Bus, str]]:
     """Nodes 5 and 6, and the name of their bus."""
     channel = new_channel()
     with connected(finger(5), finger(6), channel=channel) as (connection, _):
@@ -36,7 +36,7 @@ def bench() -> Iterator[tuple[Connection, str]]:
 
 
 @pytest.fixture
-def tipforce(bench: tuple[Connection, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
+def tipforce(bench: tuple[Bus, str], capsys: pytest.CaptureFixture[str]) -> Tipforce:
     """Run a command line on that bus: (exit code, stdout, stderr)."""
 
     def run(*words: object) -> tuple[int, str, str]:
@@ -56,11 +56,11 @@ def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
     assert all(record["value"] == pytest.approx(record["default"]) for record in records)
 
 
-def test_what_is_read_is_what_the_table_says(bench: tuple[Connection, str]) -> None:
+def test_what_is_read_is_what_the_table_says(bench: tuple[Bus, str]) -> None:
     assert read_settings(bench[0].sdo(6)) == pytest.approx(default_settings(6))
 
 
-def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Connection, str], tmp_path: Path) -> None:
+def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path, saved = tmp_path / "wanted.toml", tmp_path / "saved.toml"
     path.write_text(FILE.replace('"contact_unknown" = 1\n', ""))
     assert tipforce("config", "apply", 5, path, "-q") == (0, "", "")
@@ -78,7 +78,7 @@ def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Conn
     assert tipforce("config", "diff", 6, saved, "-q") == (0, "", "")
 
 
-def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Connection, str], tmp_path: Path) -> None:
+def test_diff_goes_both_ways(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:
     path = tmp_path / "wanted.toml"
     path.write_text('[objects]\n"heartbeat.producer_ms" = 300\n')
     bench[0].sdo(5).write(od.SYNC_WINDOW_US, 700)

@@ -22,7 +22,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import read_calibration, read_fit
 from tipforce.host.configuration.capture import Capture
 from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.running.store import FileStore
 from tipforce.sensor.calibration.fit import covariance_of_estimate
@@ -44,7 +44,7 @@ QUICK = ("--period", 1)
 class Bench(NamedTuple):
     """Node 5 on its bus, and what loads it."""
 
-    connection: Connection
+    connection: Bus
     channel: str
     device: Device
     source: SimulatedSource
@@ -140,9 +140,9 @@ def test_from_the_first_weight_to_the_stored_calibration(
     assert [row["step"] for row in bench.rows()] == [str(k) for k in range(1, 9)]
 
     before = bench.session.read_bytes()
-    syncs, sync = [0], Connection.sync
+    syncs, sync = [0], Bus.sync
 
-    def interrupted_sync(connection: Connection) -> None:
+    def interrupted_sync(connection: Bus) -> None:
         syncs[0] += 1
         if syncs[0] > 5 * 60:
             raise KeyboardInterrupt
@@ -150,7 +150,7 @@ def test_from_the_first_weight_to_the_stored_calibration(
 
     second = person()
     with monkeypatch.context() as patch:
-        patch.setattr(Connection, "sync", interrupted_sync)
+        patch.setattr(Bus, "sync", interrupted_sync)
         assert bench.guide(*flags) == 130
     second.listen()
     assert "continuing: 8 of 25 steps done, 17 to do" in second.heard

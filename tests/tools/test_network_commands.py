@@ -13,7 +13,7 @@ import pytest
 from host.bus_with_nodes import apply_load, beam_calibration, connected, finger, new_channel, running
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -25,7 +25,7 @@ Tipforce = Callable[..., tuple[int, str, str]]
 
 
 @pytest.fixture
-def bench() -> Iterator[tuple[Connection, str]]:
+def bench() -> Iterator[tuple[Bus, str]]:
     """Nodes 5 and 6, and the name of their bus."""
     channel = new_channel()
     with connected(finger(5), finger(6), channel=channel) as (connection, _):
@@ -51,7 +51,7 @@ def tipforce(request: pytest.FixtureRequest, capsys: pytest.CaptureFixture[str])
 
 
 @pytest.fixture
-def unconfigured(tmp_path: Path) -> Iterator[tuple[Connection, str]]:
+def unconfigured(tmp_path: Path) -> Iterator[tuple[Bus, str]]:
     """Three nodes without a node-id, serials 7, 0x80000001 and 9, and node 20; they can store."""
     devices = []
     rows = strain_matrix(FABRICATED, "I").tolist()
@@ -67,7 +67,7 @@ def unconfigured(tmp_path: Path) -> Iterator[tuple[Connection, str]]:
 # --- nmt ------------------------------------------------------------------------------------------------------------
 
 
-def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     assert tipforce("nmt", "start", "5,6", "--wait") == (0, "   5 (0x05)  operational\n   6 (0x06)  operational\n", "")
     code, out, _ = tipforce("nmt", "stop", "0x06", "--wait", "--json")
     assert (code, json.loads(out)) == (0, {"node_id": 6, "state": "stopped"})
@@ -76,7 +76,7 @@ def test_nmt_waits_for_each_heartbeat(tipforce: Tipforce, bench: tuple[Connectio
     assert bench[0].sdo(6).read(od.HEARTBEAT_PRODUCER_MS) == 1000
 
 
-def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_nmt_to_all_is_one_frame(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     bench[0].buffer.clear()
     assert tipforce("nmt", "start", "all") == (0, "", "")
     bench[0].wait_for({0x705, 0x706})
@@ -99,7 +99,7 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
     device = finger(7)
     codes: list[int] = []
     words = ["nmt", "start", "7", "--wait", "-i", "virtual", "-c", channel]
-    with Connection.open(channel, "virtual") as listener:
+    with Bus.open(channel, "virtual") as listener:
         thread = threading.Thread(target=lambda: codes.append(main(words)))
         thread.start()
         listener.wait_for({0x000}, timeout_s=20.0)  # it has sent the command once, to nobody
@@ -112,7 +112,7 @@ def test_nmt_start_is_repeated_until_the_node_has_booted(capsys: pytest.CaptureF
 # --- read -----------------------------------------------------------------------------------------------------------
 
 
-def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
     FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 4.4, 90.0, 45.0)
@@ -134,7 +134,7 @@ def test_read_prints_the_contact_of_each_finger(tipforce: Tipforce, bench: tuple
 # --- lss ------------------------------------------------------------------------------------------------------------
 
 
-def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Connection, str]) -> None:
+def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: tuple[Bus, str]) -> None:
     code, out, err = tipforce("lss", "scan", "--lss-timeout", "0.05", "--json")
     assert code == 0
     assert json.loads(out) == {
@@ -144,7 +144,7 @@ def test_lss_scan_finds_one_without_a_node_id(tipforce: Tipforce, unconfigured: 
     assert unconfigured[0].sdo(20).read(od.IDENTITY_SERIAL) == 1020
 
 
-def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Connection, str], tmp_path: Path) -> None:
+def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Bus, str], tmp_path: Path) -> None:
     connection = unconfigured[0]
     code, out, _ = tipforce("lss", "assign", "1-3", "--store", "--lss-timeout", "0.05")
     assert code == 0
@@ -160,7 +160,7 @@ def test_lss_assign_numbers_all(tipforce: Tipforce, unconfigured: tuple[Connecti
     assert "Configured nodes take no part" in err
 
 
-def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     words = ("--serial", "1005", "--product", "0x54500103")
     code, out, err = tipforce("lss", "assign", "9", *words)
     assert code == 0
@@ -171,7 +171,7 @@ def test_lss_renumbers_a_configured_node(tipforce: Tipforce, bench: tuple[Connec
     assert bench[0].sdo(9).read(od.IDENTITY_SERIAL) == 1005
 
 
-def test_lss_says_what_is_wrong(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_lss_says_what_is_wrong(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     del bench
     for words, code, text in (
         (("store",), 2, "add --serial N"),
@@ -190,7 +190,7 @@ def test_lss_says_what_is_wrong(tipforce: Tipforce, bench: tuple[Connection, str
 # --- tare -----------------------------------------------------------------------------------------------------------
 
 
-def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_tare_shows_and_clears(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     connection = bench[0]
     FingertipClient(connection.sdo(5)).apply_calibration(beam_calibration(), store=False)
     apply_load(connection, 5, 2.0, 0.0, 0.0)
@@ -225,7 +225,7 @@ def test_a_hand_that_fits_and_one_that_does_not(capsys: pytest.CaptureFixture[st
     assert "allowed are Gauges, Contact, Force, Health" in capsys.readouterr().err
 
 
-def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Connection, str]) -> None:
+def test_the_load_of_a_live_bus(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
     code, out, err = tipforce("load", "--seconds", "0.5", "--json")
     records = [json.loads(line) for line in out.splitlines()]
     assert code == 0

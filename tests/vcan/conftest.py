@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce_tools.vcan.host import is_up
 from vcan.support import Command, Launch, RawBus, running_node
 
@@ -59,7 +59,7 @@ def node(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Command]:
 
 
 @pytest.fixture(scope="module")
-def host() -> Iterator[Connection]:
+def host() -> Iterator[Bus]:
     """The host library's connection to vcan0, in the test process."""
-    with Connection.open("vcan0", "socketcan", timeout_s=5.0, retries=0) as connection:
+    with Bus.open("vcan0", "socketcan", timeout_s=5.0, retries=0) as connection:
         yield connection

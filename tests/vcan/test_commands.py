@@ -15,7 +15,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.eds import dcf_text
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import BUS, HEARTBEAT, NODE_ID, Command, Launch, RawBus, wait_until
 
@@ -28,7 +28,7 @@ Run = Callable[..., Command]
 
 
 @pytest.fixture
-def run(launch: Launch, host: Connection, bus: RawBus) -> Run:
+def run(launch: Launch, host: Bus, bus: RawBus) -> Run:
     """Run a command on the bus to its end, and hold it to its exit code."""
 
     def heard_all() -> bool:
@@ -48,7 +48,7 @@ def run(launch: Launch, host: Connection, bus: RawBus) -> Run:
 
 
 @pytest.fixture
-def active(host: Connection) -> Callable[[], int]:
+def active(host: Bus) -> Callable[[], int]:
     """Reads the active CRC-32 (2103h:3) of the node, by the host library in this process."""
     return lambda: host.sdo(NODE_ID).read(od.CALIBRATION_ACTIVE_CRC)
 
@@ -78,7 +78,7 @@ def test_sdo_read_by_numbers_by_name_and_as_json(run: Run) -> None:
     ]
 
 
-def test_sdo_write_by_numbers_and_by_name(run: Run, host: Connection) -> None:
+def test_sdo_write_by_numbers_and_by_name(run: Run, host: Bus) -> None:
     assert run("sdo", "write", ID, "0x1017", "0", "u16", "500").stdout == ""
     assert host.sdo(NODE_ID).read(od.HEARTBEAT_PRODUCER_MS) == 500
     run("sdo", "write", ID, "heartbeat.producer_ms", "0x3E8")
@@ -154,7 +154,7 @@ def test_refused_calibration_leaves_the_active_one(run: Run, active: Callable[[]
     assert active() == good.crc32()
 
 
-def test_calibration_over_the_condition_limit_is_refused(run: Run, host: Connection, tmp_path: Path) -> None:
+def test_calibration_over_the_condition_limit_is_refused(run: Run, host: Bus, tmp_path: Path) -> None:
     good = case_calibration("I", pull=False)
     limit = float(np.linalg.cond(good.C)) / 2
     path = written(tmp_path, good)
@@ -166,7 +166,7 @@ def test_calibration_over_the_condition_limit_is_refused(run: Run, host: Connect
     run("calibrate", "apply", path, "--node", ID)
 
 
-def test_locked_node_refuses_to_be_calibrated(run: Run, host: Connection, tmp_path: Path) -> None:
+def test_locked_node_refuses_to_be_calibrated(run: Run, host: Bus, tmp_path: Path) -> None:
     path = written(tmp_path, case_calibration("II", pull=True))
     host.sdo(NODE_ID).write(od.CALIBRATION_LOCK, 1)
     try:
@@ -179,7 +179,7 @@ def test_locked_node_refuses_to_be_calibrated(run: Run, host: Connection, tmp_pa
 # config
 
 
-def test_config_apply_and_verify_of_a_toml_file(run: Run, host: Connection, tmp_path: Path) -> None:
+def test_config_apply_and_verify_of_a_toml_file(run: Run, host: Bus, tmp_path: Path) -> None:
     path = tmp_path / "finger.toml"
     path.write_text(
         "[objects]\n"
@@ -198,7 +198,7 @@ def test_config_apply_and_verify_of_a_toml_file(run: Run, host: Connection, tmp_
     assert (difference["expected"], difference["found"]) == ("800", "900")
 
 
-def test_config_apply_and_verify_of_a_dcf(run: Run, host: Connection, tmp_path: Path) -> None:
+def test_config_apply_and_verify_of_a_dcf(run: Run, host: Bus, tmp_path: Path) -> None:
     path = tmp_path / "finger.dcf"
     values = {(0x1017, 0): 700, (0x6114, 1): 2000, (0x2105, 1): 5000.0, (0x1803, 5): 250}
     path.write_text(dcf_text(3, NODE_ID, values))

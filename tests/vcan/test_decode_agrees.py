@@ -14,7 +14,7 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 from tipforce_tools.demo.job import case_calibration, grooves
@@ -50,7 +50,7 @@ class Decoded(NamedTuple):
 
 
 @pytest.fixture(scope="module")
-def log(node: Command, host: Connection, tmp_path_factory: pytest.TempPathFactory) -> Path:
+def log(node: Command, host: Bus, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A few hundred SYNCs of a node that is uncalibrated, loaded, unloaded and faulty, recorded by candump."""
     path = tmp_path_factory.mktemp("log") / "run.log"
     sdo = host.sdo(NODE_ID)

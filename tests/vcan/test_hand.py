@@ -14,7 +14,7 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce_tools.demo.job import bounds, case_calibration, coverage_factor
 from vcan.support import Command, running_node
 
@@ -37,7 +37,7 @@ def start(folder: Path, node_id: int, stack: ExitStack) -> Command:
 
 
 @pytest.fixture
-def fingers(host: Connection, tmp_path: Path) -> Iterator[Fingers]:
+def fingers(host: Bus, tmp_path: Path) -> Iterator[Fingers]:
     """Nodes 5 and 6, calibrated and started."""
     with ExitStack() as stack:
         nodes = {node_id: start(tmp_path, node_id, stack) for node_id in CASES}

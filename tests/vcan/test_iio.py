@@ -23,7 +23,7 @@ import pytest
 
 from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -137,7 +137,7 @@ def adcs() -> Iterator[Adcs]:
 def iio_node(
     adcs: Adcs,  # noqa: ARG001 (they must be there first)
     tmp_path_factory: pytest.TempPathFactory,
-    host: Connection,
+    host: Bus,
 ) -> Iterator[Command]:
     """Node 5 on the three ADCs, calibrated and operational, with fast heartbeats."""
     folder = tmp_path_factory.mktemp("iio")

@@ -13,7 +13,7 @@ import pytest
 
 from tipforce.dictionary import objects as od
 from tipforce.errors import SdoAbortError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.support import HEARTBEAT, NODE_ID, SDO_REQUEST, SYNC, WAIT_S, Command, RawBus, running_node, wait_until
@@ -29,7 +29,7 @@ def receivers(channel: str) -> int:
     return sum(line.split()[:1] == [channel] for line in lines)
 
 
-def active_crc(connection: Connection) -> int:
+def active_crc(connection: Bus) -> int:
     return connection.sdo(NODE_ID).read(od.CALIBRATION_ACTIVE_CRC)
 
 
@@ -66,7 +66,7 @@ def launch_node() -> Iterator[list[Command]]:
 # What it keeps
 
 
-def test_stored_calibration_is_active_again_after_a_kill(host: Connection, tmp_path: Path) -> None:
+def test_stored_calibration_is_active_again_after_a_kill(host: Bus, tmp_path: Path) -> None:
     store = ("--store", str(tmp_path / "store.json"))
     client = FingertipClient(host.sdo(NODE_ID))
     stored, unstored = case_calibration("I", pull=True), case_calibration("II", pull=True)
@@ -80,7 +80,7 @@ def test_stored_calibration_is_active_again_after_a_kill(host: Connection, tmp_p
         assert client.verify_calibration(stored) == []
 
 
-def test_node_without_a_store_refuses_to_store(host: Connection, tmp_path: Path) -> None:
+def test_node_without_a_store_refuses_to_store(host: Bus, tmp_path: Path) -> None:
     client = FingertipClient(host.sdo(NODE_ID))
     with running_node(tmp_path):
         client.apply_calibration(case_calibration("I", pull=True), store=False)
@@ -89,7 +89,7 @@ def test_node_without_a_store_refuses_to_store(host: Connection, tmp_path: Path)
         assert refused.value.code == 0x06060000
 
 
-def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Connection, tmp_path: Path) -> None:
+def test_kill_during_a_store_leaves_the_old_or_the_new_calibration(host: Bus, tmp_path: Path) -> None:
     store = ("--store", str(tmp_path / "store.json"))
     client = FingertipClient(host.sdo(NODE_ID))
     calibrations = [case_calibration("I", pull=True), case_calibration("II", pull=True)]

@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import SdoAbortError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce_tools.demo.job import case_calibration
 from vcan.adc import in_user_mode_linux
@@ -61,7 +61,7 @@ def answers_a_sync() -> None:
 
 @pytest.mark.parametrize(("trouble", "message"), [("full", "No space left on device"), ("read-only", "Read-only file")])
 def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
-    disk: Path, host: Connection, tmp_path: Path, trouble: str, message: str
+    disk: Path, host: Bus, tmp_path: Path, trouble: str, message: str
 ) -> None:
     store = ("--store", str(disk / "node.json"))
     client = FingertipClient(host.sdo(NODE_ID))
@@ -86,7 +86,7 @@ def test_a_disk_that_takes_nothing_costs_nothing_but_the_storing(
         assert client.verify_calibration(second) == []
 
 
-def test_a_node_starts_from_a_torn_slot_with_the_settings_before(host: Connection, tmp_path: Path) -> None:
+def test_a_node_starts_from_a_torn_slot_with_the_settings_before(host: Bus, tmp_path: Path) -> None:
     path = tmp_path / "node.json"
     client = FingertipClient(host.sdo(NODE_ID))
     first, second = case_calibration("I", pull=True), case_calibration("II", pull=True)

@@ -18,7 +18,7 @@ import can
 from tipforce.device.codes import NMT_COB_ID, SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameBuffer
-from tipforce.host.network.bus import open_bus
+from tipforce.host.network.open_bus import open_bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort, SocketCanPort
 from tipforce.scene import schema

@@ -17,8 +17,8 @@ from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.network.bus import open_bus
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.open_bus import open_bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -36,7 +36,7 @@ _WAKE_COB_ID = codes.STANDARD_MASK
 _numbers = itertools.count()
 
 
-class SimulatedBus(Connection):
+class SimulatedBus(Bus):
     """A bus with simulated fingers. A context manager that stops them; otherwise like any bus.
 
     ``bus_options`` are the keywords of ``can.Bus`` by which other programs of the process (on a virtual bus) or of the

@@ -22,7 +22,7 @@ from tipforce.host.configuration.configuration_file import (
     read_configuration,
     verify_configuration,
 )
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.sdo import SdoChannel
 
 NODE = 5
@@ -55,13 +55,13 @@ class Recorder(SdoChannel):
 
 
 @pytest.fixture(scope="module")
-def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Connection, FaultyBus]]:
+def bus(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Bus, FaultyBus]]:
     with connected(finger(NODE, store=tmp_path_factory.mktemp("store") / "node.json")) as both:
         yield both
 
 
 @pytest.fixture
-def sdo(bus: tuple[Connection, FaultyBus]) -> SdoChannel:
+def sdo(bus: tuple[Bus, FaultyBus]) -> SdoChannel:
     connection, _ = bus
     connection.buffer.clear()
     connection.nmt("reset-node", NODE)
@@ -248,7 +248,7 @@ def test_apply_then_verify_on_a_node(tmp_path: Path, sdo: SdoChannel) -> None:
     assert verify_configuration(sdo, wanted) == []
 
 
-def test_the_remapped_pdo_comes(tmp_path: Path, sdo: SdoChannel, bus: tuple[Connection, FaultyBus]) -> None:
+def test_the_remapped_pdo_comes(tmp_path: Path, sdo: SdoChannel, bus: tuple[Bus, FaultyBus]) -> None:
     connection, _ = bus
     apply_configuration(sdo, read_text(tmp_path, REMAP))
     connection.nmt("start", NODE)

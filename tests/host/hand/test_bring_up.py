@@ -19,7 +19,7 @@ from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
@@ -44,14 +44,14 @@ def plan(*fingers: tuple[int, int], folder: Path, store: bool = False) -> HandFi
 
 
 @contextlib.contextmanager
-def hand_of(*devices: Device) -> Iterator[tuple[Connection, FaultyBus]]:
+def hand_of(*devices: Device) -> Iterator[tuple[Bus, FaultyBus]]:
     """Running nodes, some perhaps without a node-id, and a host on their bus."""
     channel = new_channel()
     with connected(channel=channel) as (connection, bus), running(devices, channel):
         yield connection, bus
 
 
-def up(connection: Connection, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
+def up(connection: Bus, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
     """Bring up and keep the events."""
     events: list[Event] = []
     return bring_up(connection, hand, events.append), events

@@ -12,7 +12,7 @@ from host.bus_with_nodes import FaultyBus, apply_load, beam_calibration, connect
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 
 PATIENCE_S = 0.25  # for a row that stays incomplete
@@ -20,7 +20,7 @@ FINGERS = {1: "I", 2: "II", 7: "III"}
 
 
 @pytest.fixture(scope="module")
-def bus() -> Iterator[tuple[Connection, FaultyBus]]:
+def bus() -> Iterator[tuple[Bus, FaultyBus]]:
     with connected(*(finger(n, case) for n, case in FINGERS.items())) as (connection, faulty):
         for node_id, case in FINGERS.items():
             FingertipClient(connection.sdo(node_id)).apply_calibration(beam_calibration(case), store=False)
@@ -28,7 +28,7 @@ def bus() -> Iterator[tuple[Connection, FaultyBus]]:
 
 
 @pytest.fixture
-def hand(bus: tuple[Connection, FaultyBus]) -> Iterator[PolledHand]:
+def hand(bus: tuple[Bus, FaultyBus]) -> Iterator[PolledHand]:
     hand = PolledHand(bus[0], list(FINGERS), messages=("Gauges", "Contact"))
     hand.start()
     yield hand
@@ -61,7 +61,7 @@ def test_the_pdos_of_a_sync_are_of_one_sample(hand: PolledHand) -> None:
     assert set(steps.ravel().tolist()) <= {0, 1}
 
 
-def test_a_missing_finger(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_missing_finger(hand: PolledHand, bus: tuple[Bus, FaultyBus]) -> None:
     bus[1].fault = lambda m: None if m.arbitration_id == 0x282 else m
     row = fresh_sample(hand, PATIENCE_S)
     assert row.missing.tolist() == [False, True, False]
@@ -70,7 +70,7 @@ def test_a_missing_finger(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -
     assert (2, "Gauges") in row.messages
 
 
-def test_a_truncated_pdo_is_a_missing_finger(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_truncated_pdo_is_a_missing_finger(hand: PolledHand, bus: tuple[Bus, FaultyBus]) -> None:
     def short(message: can.Message) -> can.Message:
         if message.arbitration_id == 0x281:
             message.data = message.data[:5]
@@ -81,7 +81,7 @@ def test_a_truncated_pdo_is_a_missing_finger(hand: PolledHand, bus: tuple[Connec
     assert hand.sample(PATIENCE_S).missing.tolist() == [True, False, False]
 
 
-def test_a_sample_never_shows_what_came_before_its_sync(hand: PolledHand, bus: tuple[Connection, FaultyBus]) -> None:
+def test_a_sample_never_shows_what_came_before_its_sync(hand: PolledHand, bus: tuple[Bus, FaultyBus]) -> None:
     apply_load(hand.connection, 1, 1.0, 90.0, 60.0)
     hand.connection.sync()
     hand.connection.wait_for({0x281, 0x282, 0x287})

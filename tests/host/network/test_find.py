@@ -14,7 +14,7 @@ from tipforce.device.object_dictionary import ObjectDictionary
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.find import FoundNode, find_nodes
 from tipforce.host.network.finger import FingertipClient, Identity
 
@@ -41,7 +41,7 @@ NARROW = {0: ("B", 4), 1: ("H", 0x1F5), 2: ("H", 1), 3: ("H", 1), 4: ("H", 1)}
 
 
 @pytest.fixture(scope="module")
-def bus() -> Iterator[tuple[Connection, FaultyBus]]:
+def bus() -> Iterator[tuple[Bus, FaultyBus]]:
     """Nodes 5 (calibrated), 6 (not), 7 (stopped); 20 to 22 are foreign."""
     devices = [finger(5), finger(6), finger(7)]
     others = [foreign(20, COMPLETE), foreign(21, MINIMAL), foreign(22, NARROW)]
@@ -55,12 +55,12 @@ def bus() -> Iterator[tuple[Connection, FaultyBus]]:
 
 
 @pytest.fixture
-def connection(bus: tuple[Connection, FaultyBus]) -> Iterator[Connection]:
+def connection(bus: tuple[Bus, FaultyBus]) -> Iterator[Bus]:
     yield bus[0]
     bus[1].fault = lambda message: message
 
 
-def test_who_is_there_and_how(connection: Connection) -> None:
+def test_who_is_there_and_how(connection: Bus) -> None:
     found = {node.node_id: node for node in find_nodes(connection, range(1, 128), WAIT_S)}
     assert list(found) == [5, 6, 7, 20, 21, 22]
     crc = beam_calibration().crc32()
@@ -76,20 +76,18 @@ def test_who_is_there_and_how(connection: Connection) -> None:
     assert found[22].device == "unknown object format"
 
 
-def test_only_the_node_ids_asked_for(connection: Connection) -> None:
+def test_only_the_node_ids_asked_for(connection: Bus) -> None:
     assert [node.node_id for node in find_nodes(connection, [6, 20, 50], WAIT_S)] == [6, 20]
     assert find_nodes(connection, [50], 0.01) == []
 
 
-def test_no_heartbeat_is_said(connection: Connection, bus: tuple[Connection, FaultyBus]) -> None:
+def test_no_heartbeat_is_said(connection: Bus, bus: tuple[Bus, FaultyBus]) -> None:
     bus[1].fault = lambda m: None if m.arbitration_id >= 0x700 else m
     (node,) = find_nodes(connection, [6, 7], WAIT_S)
     assert (node.node_id, node.state) == (6, "no heartbeat")
 
 
-def test_a_node_that_goes_silent_does_not_hide_the_others(
-    connection: Connection, bus: tuple[Connection, FaultyBus]
-) -> None:
+def test_a_node_that_goes_silent_does_not_hide_the_others(connection: Bus, bus: tuple[Bus, FaultyBus]) -> None:
     answers = iter(range(1000))
 
     def dies(message: can.Message) -> can.Message | None:
@@ -103,7 +101,7 @@ def test_a_node_that_goes_silent_does_not_hide_the_others(
     ]
 
 
-def test_another_revision_is_named(connection: Connection, bus: tuple[Connection, FaultyBus]) -> None:
+def test_another_revision_is_named(connection: Bus, bus: tuple[Bus, FaultyBus]) -> None:
     older = table.REVISION + 0x10000
 
     def other_revision(message: can.Message) -> can.Message:
@@ -116,7 +114,7 @@ def test_another_revision_is_named(connection: Connection, bus: tuple[Connection
     assert node.eds == f"no: revision 0x{older:08X}, expected 0x{table.REVISION:08X}"
 
 
-def test_a_dead_bus_is_an_error(connection: Connection, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_dead_bus_is_an_error(connection: Bus, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: object) -> None:
         raise can.CanOperationError("network is down")
 

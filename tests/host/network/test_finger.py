@@ -26,7 +26,7 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
@@ -39,7 +39,7 @@ LOAD = (4.4, 90.0, 60.0)
 class Bench:
     """One calibrated, loaded, operational node."""
 
-    connection: Connection
+    connection: Bus
     bus: FaultyBus
     client: FingertipClient
     hand: PolledHand

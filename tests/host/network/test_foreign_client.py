@@ -13,13 +13,13 @@ import pytest
 
 from host.bus_with_nodes import connected, finger
 from tipforce.dictionary.eds import eds_text
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 NODE = 5
 
 
 @pytest.fixture
-def both(tmp_path: Path) -> Iterator[tuple[Connection, Any]]:
+def both(tmp_path: Path) -> Iterator[tuple[Bus, Any]]:
     """Our connection and canopen's node on it: one receiver serves both."""
     path = tmp_path / "node.eds"
     path.write_text(eds_text(3, simulated=True), encoding="utf-8")
@@ -29,7 +29,7 @@ def both(tmp_path: Path) -> Iterator[tuple[Connection, Any]]:
         yield connection, node
 
 
-def test_sdo_by_the_names_of_the_eds(both: tuple[Connection, Any]) -> None:
+def test_sdo_by_the_names_of_the_eds(both: tuple[Bus, Any]) -> None:
     _, node = both
     assert node.sdo[0x1018][2].raw == 0x54500103
     assert isinstance(node.sdo[0x1008].raw, str)
@@ -42,7 +42,7 @@ def test_sdo_by_the_names_of_the_eds(both: tuple[Connection, Any]) -> None:
     assert caught.value.code == 0x06090031
 
 
-def test_pdo_configuration_is_read_changed_and_saved(both: tuple[Connection, Any]) -> None:
+def test_pdo_configuration_is_read_changed_and_saved(both: tuple[Bus, Any]) -> None:
     connection, node = both
     node.tpdo.read()
     tpdo = node.tpdo[1]
@@ -77,7 +77,7 @@ def test_pdo_configuration_is_read_changed_and_saved(both: tuple[Connection, Any
     assert tpdo[1].raw == struct.unpack_from("<h", frame["data"].tobytes(), 1)[0] == -0x8000
 
 
-def test_rpdo_is_read_and_enabled(both: tuple[Connection, Any]) -> None:
+def test_rpdo_is_read_and_enabled(both: tuple[Bus, Any]) -> None:
     connection, node = both
     node.rpdo.read()
     rpdo = node.rpdo[1]
@@ -89,7 +89,7 @@ def test_rpdo_is_read_and_enabled(both: tuple[Connection, Any]) -> None:
     assert connection.sdo(NODE).upload(0x1400, 1) == struct.pack("<I", node.sdo[0x1400][1].raw)
 
 
-def test_nmt_by_heartbeat(both: tuple[Connection, Any]) -> None:
+def test_nmt_by_heartbeat(both: tuple[Bus, Any]) -> None:
     _, node = both
     node.sdo[0x1017].raw = 10
     node.nmt.state = "OPERATIONAL"

@@ -14,20 +14,20 @@ from host.bus_with_nodes import FaultyBus, connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.entries import Entry
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 NODE = 5
 ANSWER = 0x580 + NODE
 
 
 @pytest.fixture(scope="module")
-def shared() -> Iterator[tuple[Connection, FaultyBus]]:
+def shared() -> Iterator[tuple[Bus, FaultyBus]]:
     with connected(finger(NODE), timeout_s=0.2) as both:
         yield both
 
 
 @pytest.fixture
-def connection(shared: tuple[Connection, FaultyBus]) -> Iterator[Connection]:
+def connection(shared: tuple[Bus, FaultyBus]) -> Iterator[Bus]:
     connection, bus = shared
     channel = connection.sdo(NODE)
     retries = channel.retries
@@ -38,7 +38,7 @@ def connection(shared: tuple[Connection, FaultyBus]) -> Iterator[Connection]:
 
 
 @pytest.fixture
-def bus(shared: tuple[Connection, FaultyBus]) -> FaultyBus:
+def bus(shared: tuple[Bus, FaultyBus]) -> FaultyBus:
     return shared[1]
 
 
@@ -65,7 +65,7 @@ def with_data(message: can.Message, data: bytes) -> can.Message:
     )
 
 
-def test_values_of_every_kind(connection: Connection) -> None:
+def test_values_of_every_kind(connection: Bus) -> None:
     sdo = connection.sdo(NODE)
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
     assert sdo.read(od.DEVICE_NAME)  # a string: more than four bytes, segmented
@@ -91,7 +91,7 @@ def test_values_of_every_kind(connection: Connection) -> None:
     ],
 )
 def test_an_abort_names_place_code_and_meaning(
-    connection: Connection, bus: FaultyBus, entry: Entry[Any], value: int | bytes, code: int, text: str
+    connection: Bus, bus: FaultyBus, entry: Entry[Any], value: int | bytes, code: int, text: str
 ) -> None:
     with pytest.raises(SdoAbortError) as caught:
         connection.sdo(NODE).write(entry, value)
@@ -103,7 +103,7 @@ def test_an_abort_names_place_code_and_meaning(
     assert len(starts) == 1, "an abort is an answer, so nothing is tried again"
 
 
-def test_after_an_abort_the_channel_works(connection: Connection) -> None:
+def test_after_an_abort_the_channel_works(connection: Bus) -> None:
     sdo = connection.sdo(NODE)
     for _ in range(3):
         with pytest.raises(SdoAbortError):
@@ -125,7 +125,7 @@ def test_after_an_abort_the_channel_works(connection: Connection) -> None:
     ids=["lost", "empty", "one byte", "half an abort", "three bytes", "nonsense", "another object"],
 )
 def test_one_bad_answer_is_made_good_by_a_retry(
-    connection: Connection, bus: FaultyBus, damage: Callable[[can.Message], can.Message | None]
+    connection: Bus, bus: FaultyBus, damage: Callable[[can.Message], can.Message | None]
 ) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
@@ -137,7 +137,7 @@ def test_one_bad_answer_is_made_good_by_a_retry(
 
 
 @pytest.mark.parametrize("answer", range(4))
-def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Connection, bus: FaultyBus, answer: int) -> None:
+def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Bus, bus: FaultyBus, answer: int) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
     record = bytes(range(16)) + bytes(142)
@@ -153,7 +153,7 @@ def test_a_segmented_transfer_survives_a_loss_anywhere(connection: Connection, b
 
 
 @pytest.mark.parametrize(("retries", "tries"), [(0, "1 try"), (2, "3 tries")])
-def test_no_answer_at_all(connection: Connection, bus: FaultyBus, retries: int, tries: str) -> None:
+def test_no_answer_at_all(connection: Bus, bus: FaultyBus, retries: int, tries: str) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = retries
     bus.fault = lost
@@ -171,7 +171,7 @@ def test_no_answer_at_all(connection: Connection, bus: FaultyBus, retries: int, 
     assert sdo.read(od.IDENTITY_SERIAL) == 1000 + NODE
 
 
-def test_answers_that_never_fit_are_no_silence(connection: Connection, bus: FaultyBus) -> None:
+def test_answers_that_never_fit_are_no_silence(connection: Bus, bus: FaultyBus) -> None:
     sdo = connection.sdo(NODE)
     sdo.retries = 1
     bus.fault = lambda message: with_data(message, b"\x43\x00\x10\x00\0\0\0\0")  # as to somebody else's question
@@ -180,7 +180,7 @@ def test_answers_that_never_fit_are_no_silence(connection: Connection, bus: Faul
             transfer()
 
 
-def test_a_late_answer_is_not_taken_for_the_next_one(connection: Connection, bus: FaultyBus) -> None:
+def test_a_late_answer_is_not_taken_for_the_next_one(connection: Bus, bus: FaultyBus) -> None:
     """The answer to a request that was given up arrives before the answer to the next request."""
     sdo = connection.sdo(NODE)
     sdo.retries = 0
@@ -196,19 +196,19 @@ def test_a_late_answer_is_not_taken_for_the_next_one(connection: Connection, bus
     assert sdo.read(od.IDENTITY_PRODUCT) == 0x54500103
 
 
-def test_a_wrong_length_is_an_error_not_a_value(connection: Connection, bus: FaultyBus) -> None:
+def test_a_wrong_length_is_an_error_not_a_value(connection: Bus, bus: FaultyBus) -> None:
     bus.fault = only_first(lambda m: with_data(m, struct.pack("<BHBI", 0x4F, 0x1018, 4, 7)))
     with pytest.raises(InputError, match=r"identity\.serial \(0x1018:04\): 1 bytes \(07\) for UNSIGNED32: allow"):
         connection.sdo(NODE).read(od.IDENTITY_SERIAL)
 
 
-def test_a_value_that_does_not_fit_sends_nothing(connection: Connection, bus: FaultyBus) -> None:
+def test_a_value_that_does_not_fit_sends_nothing(connection: Bus, bus: FaultyBus) -> None:
     with pytest.raises(InputError, match=r"heartbeat\.producer_ms \(0x1017:00\): 70000 .* allowed are 0 to 65535"):
         connection.sdo(NODE).write(od.HEARTBEAT_PRODUCER_MS, 70000)
     assert not bus.sent
 
 
-def test_a_bus_that_refuses_is_named(connection: Connection, bus: FaultyBus, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_bus_that_refuses_is_named(connection: Bus, bus: FaultyBus, monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(_message: can.Message, timeout: float | None = None) -> None:
         raise can.CanOperationError(f"transmit queue is full {timeout or ''}")
 
@@ -219,7 +219,7 @@ def test_a_bus_that_refuses_is_named(connection: Connection, bus: FaultyBus, mon
         connection.sync()
 
 
-def test_four_threads_read_at_once(connection: Connection) -> None:
+def test_four_threads_read_at_once(connection: Bus) -> None:
     """docs/dependencies.md: canopen's own client gives 28 to 58 errors here."""
     sdo = connection.sdo(NODE)
     places = (od.IDENTITY_SERIAL, od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.DEVICE_TYPE)
@@ -242,7 +242,7 @@ def test_four_threads_read_at_once(connection: Connection) -> None:
     assert not wrong
 
 
-def test_four_threads_with_a_domain_among_them(connection: Connection) -> None:
+def test_four_threads_with_a_domain_among_them(connection: Bus) -> None:
     """A segmented transfer is many frames: none of another thread's may come between."""
     sdo = connection.sdo(NODE)
     wrong: list[object] = []

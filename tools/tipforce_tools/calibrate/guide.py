@@ -12,7 +12,7 @@ from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.host.configuration.capture import GaugeReader
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient, Identity
     from tipforce_tools.calibrate.guide_plan import Step
 
@@ -113,7 +113,7 @@ def _guided(args: argparse.Namespace, steps: tuple[Step, ...], found: Found) -> 
     return 0 if outcome == "quit" else 1
 
 
-def check_node(connection: Connection, args: argparse.Namespace) -> Found:
+def check_node(connection: Bus, args: argparse.Namespace) -> Found:
     """Return the identity of the node, after checking that it measures.
 
     Raises NoResponseError without a node, InputError for another device or --auto with real gauges, RefusedError for

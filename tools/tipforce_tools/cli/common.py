@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from rich.console import Console
     from rich.table import Table
 
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
 
 
 def add_output_arguments(parser: argparse.ArgumentParser) -> None:
@@ -71,22 +71,22 @@ def bus_options(args: argparse.Namespace) -> dict[str, Any]:
 
 def open_bus(args: argparse.Namespace) -> can.BusABC:
     """Open the bus named by the flags, python-can's configuration files and the environment."""
-    from tipforce.host.network.bus import open_bus as open_bus_by_options
+    from tipforce.host.network.open_bus import open_bus as open_bus_by_options
 
     return open_bus_by_options(**bus_options(args))
 
 
-def open_connection(args: argparse.Namespace) -> Connection:
+def open_connection(args: argparse.Namespace) -> Bus:
     """Return a host connection on that bus."""
     import threading
 
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
 
     if not 0 < args.timeout < threading.TIMEOUT_MAX or args.retries < 0:
         raise InputError(
             f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
         )
-    return Connection(open_bus(args), args.timeout, args.retries)
+    return Bus(open_bus(args), args.timeout, args.retries)
 
 
 def number(text: str) -> float:

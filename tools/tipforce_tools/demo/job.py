@@ -25,7 +25,7 @@ from tipforce.errors import RefusedError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import PolledHand
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
@@ -147,7 +147,7 @@ def run_demo(seed: int, spoil: bool, say: Callable[[str], None], advance: Callab
 
 
 @contextlib.contextmanager
-def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
+def _nodes(seed: int, folder: Path) -> Iterator[Bus]:
     """Run nodes 1, 2, 3 with cases I, II, III in one thread on python-can's virtual bus, and yield a host on it."""
     channel = f"tipforce-demo-{id(folder)}"
     devices = []
@@ -159,7 +159,7 @@ def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
     stopped = threading.Event()
     with (
         can.Bus(interface="virtual", channel=channel) as node_bus,
-        Connection(can.Bus(interface="virtual", channel=channel)) as connection,
+        Bus(can.Bus(interface="virtual", channel=channel)) as connection,
     ):
         port = PythonCanPort(node_bus)
         thread = threading.Thread(target=loop.run, args=(devices, port, stopped.is_set), name="nodes")
@@ -172,7 +172,7 @@ def _nodes(seed: int, folder: Path) -> Iterator[Connection]:
             thread.join()
 
 
-def _calibrate(connection: Connection, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
+def _calibrate(connection: Bus, node_id: int, calibration: Calibration, say: Callable[[str], None]) -> None:
     """Write, verify and store; then reset the node, so that it uses the stored calibration."""
     client = FingertipClient(connection.sdo(node_id))
     prefix = f"node {node_id}, case {CASES[node_id - 1]}, {'pull' if calibration.pull else 'push'}: "

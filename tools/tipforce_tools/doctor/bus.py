@@ -48,8 +48,8 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     import can
 
     from tipforce.host.frames.frame_array import FrameBuffer
-    from tipforce.host.network.bus import open_bus
     from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, exact_bits
+    from tipforce.host.network.open_bus import open_bus
 
     try:
         bus = open_bus(**options)

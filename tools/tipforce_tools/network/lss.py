@@ -54,14 +54,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the action; return 0, or 5 if no node responded. Raises RefusedError if a node refuses."""
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.lss import LssMaster
 
     common.set_up_logging(args)
     _check(args)
     if args.action == "store" or args.store:
         common.confirm(args, "this replaces the stored node-id")
-    with Connection(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
+    with Bus(common.open_bus(args)) as connection, LssMaster(connection, args.lss_timeout) as master:
         if args.action == "scan":
             return _scan(args, master)
         if args.serial is not None:

@@ -44,7 +44,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises NoResponseError for a node that does not report the state in time, after printing those that do.
     """
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.nmt import NotReachedError, command_and_wait
 
     common.set_up_logging(args)
@@ -52,7 +52,7 @@ def run(args: argparse.Namespace) -> int:
         raise InputError("nmt all --wait: needs node-ids, for example 1-5")
     if args.wait is not None and not 0 < args.wait < threading.TIMEOUT_MAX:
         raise InputError(f"--wait {args.wait:g}: allowed is a time over 0 s")
-    with Connection(common.open_bus(args)) as connection:
+    with Bus(common.open_bus(args)) as connection:
         if args.wait is None:
             for node_id in args.ids or [0]:
                 connection.nmt(args.command, node_id)

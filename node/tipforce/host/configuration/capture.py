@@ -18,7 +18,7 @@ from tipforce.dictionary.signals import mapping_signals, tpdo_messages
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 RESOLUTION_MICROSTRAIN = 0.1
 """One step of 7130h: the resolution of every reading by PDO."""
@@ -107,7 +107,7 @@ class GaugeReader:
     ``period_s`` is the time between samples. Every method raises NoResponseError and SdoAbortError as SdoChannel does.
     """
 
-    def __init__(self, connection: Connection, node_id: int, gauges: int, period_s: float = 0.005) -> None:
+    def __init__(self, connection: Bus, node_id: int, gauges: int, period_s: float = 0.005) -> None:
         self._connection = connection
         self._node_id = node_id
         self._n = gauges
@@ -144,7 +144,7 @@ class GaugeReader:
         return can_id
 
     def _plain_sync(self) -> bool:
-        """Return whether the node consumes the SYNC that Connection sends."""
+        """Return whether the node consumes the SYNC that Bus sends."""
         try:
             overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
         except SdoAbortError:

@@ -53,10 +53,10 @@ def with_dcf(layouts: Layouts, files: Iterable[str]) -> Layouts:
 def with_asked(layouts: Layouts, nodes: Sequence[int], options: dict[str, object]) -> Layouts:
     """Read the PDOs of nodes on a bus over SDO. Raises the errors of a connection."""
     from tipforce.host.decoding.pdo_layout import node_layout
-    from tipforce.host.network.bus import open_bus
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
+    from tipforce.host.network.open_bus import open_bus
 
-    with Connection(open_bus(**options)) as connection:
+    with Bus(open_bus(**options)) as connection:
         return _with(layouts, [node_layout(connection.sdo(node)) for node in nodes])
 
 

@@ -19,7 +19,7 @@ from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceE
 from tipforce.host.configuration.configuration_file import Configuration, apply_configuration, verify_configuration
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.nmt import command_and_wait
@@ -53,7 +53,7 @@ class FingerReport:
         return f"{self.plan.label}: " + ("up" if self.ok else f"failed at {self.failed}: {self.error}")
 
 
-def bring_up(connection: Connection, hand: HandFile, on_event: OnEvent = lambda _event: None) -> list[FingerReport]:
+def bring_up(connection: Bus, hand: HandFile, on_event: OnEvent = lambda _event: None) -> list[FingerReport]:
     """Bring all fingers up; return a report for each, in file order. Raises InputError for an invalid file."""
     plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
     for finger in hand.finger:
@@ -88,9 +88,7 @@ def _one(name: str, value: int, gauges: int) -> Configuration:
     return {(entry.index, entry.sub): (entry, value)}
 
 
-def set_up(
-    connection: Connection, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent
-) -> None:
+def set_up(connection: Bus, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent) -> None:
     """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
     client = FingertipClient(connection.sdo(plan.node_id))
@@ -111,7 +109,7 @@ def set_up(
 
 
 def assign(
-    connection: Connection, absent: Sequence[FingerReport], store: bool, on_event: OnEvent = lambda _event: None
+    connection: Bus, absent: Sequence[FingerReport], store: bool, on_event: OnEvent = lambda _event: None
 ) -> None:
     """Assign node-ids by LSS: to the serial in the file, otherwise to unconfigured nodes in their order."""
     with LssMaster(connection) as master:
@@ -122,7 +120,7 @@ def assign(
                 on_event(Event(time.monotonic(), plan.node_id, "assigned", text))
 
 
-def _assign_one(connection: Connection, master: LssMaster, plan: FingerPlan, store: bool) -> str:
+def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: bool) -> str:
     address = _select(master, plan)
     if address is None:
         who = f"a node with serial {plan.serial}" if plan.serial else "a node without a node-id"
@@ -157,7 +155,7 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
     return None
 
 
-def _find(connection: Connection, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
+def _find(connection: Bus, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
     """Request 1000h from every node-id at once; return those without response. Two responses: a duplicate node-id."""
     started_s = time.monotonic()
     answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
@@ -234,7 +232,7 @@ def _calibrate(client: FingertipClient, hand: HandFile, plan: FingerPlan) -> str
     return f"{plan.calibration}: CRC-32 0x{calibration.crc32():08X} applied"
 
 
-def _start(connection: Connection, hand: HandFile, client: FingertipClient) -> str:
+def _start(connection: Bus, hand: HandFile, client: FingertipClient) -> str:
     if hand.hand.store:
         client.store()
     command_and_wait(connection, "start", [client.node_id], max(1.0, 5e-3 * hand.hand.heartbeat_ms))

@@ -39,8 +39,8 @@ from tipforce.host.hand.recovery import LOST, Mender
 from tipforce.host.hand.rows import Rows, Tally
 from tipforce.host.hand.supervision import Keeper
 from tipforce.host.hand.sync_producer import SyncProducer
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
-from tipforce.host.network.connection import Connection
 
 HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
@@ -93,7 +93,7 @@ class Hand:
         cls,
         fingers: str | Path | Mapping[str, int] | Sequence[int],
         *,
-        bus: Connection | None = None,
+        bus: Bus | None = None,
         need_all: bool = True,
         plan: HandPlan | None = None,
         **bus_options: Any,
@@ -119,7 +119,7 @@ class Hand:
         return hand
 
     @classmethod
-    def from_file(cls, file: str | Path | HandFile, *, bus: Connection | None = None, **bus_options: Any) -> Hand:
+    def from_file(cls, file: str | Path | HandFile, *, bus: Bus | None = None, **bus_options: Any) -> Hand:
         """Return a hand with only its bus open: call ``bring_up`` and ``start``. Arguments as in ``open``."""
         content = file if isinstance(file, HandFile) else read_hand(file)
         if bus is not None:
@@ -129,7 +129,7 @@ class Hand:
 
     @property
     def connection(self) -> Any:
-        """The Connection: SDO, NMT. Replaced after the loss of the bus."""
+        """The Bus: SDO, NMT. Replaced after the loss of the bus."""
         return self._link.connection
 
     @property

@@ -17,8 +17,8 @@ from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
-from tipforce.host.network.bus import open_bus
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.open_bus import open_bus
 
 SERVICE_FILTERS = (
     {"can_id": SDO_RESPONSE_BASE, "can_mask": FUNCTION_MASK, "extended": False},
@@ -32,7 +32,7 @@ _KEPT_FRAMES = 20_000  # in the connection's own buffer, which only the search f
 class Link(Protocol):
     """An open bus."""
 
-    connection: Connection
+    connection: Bus
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
@@ -60,7 +60,7 @@ class SocketLink:
             self._receiver.close()
             raise
         self._bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
-        self.connection = Connection(self._bus)
+        self.connection = Bus(self._bus)
         keep_few(self.connection)
 
     def receive(self, timeout_s: float) -> FrameArray:
@@ -85,11 +85,11 @@ class SocketLink:
 class BusLink:
     """Any other bus of python-can."""
 
-    def __init__(self, connection: Connection) -> None:
+    def __init__(self, connection: Bus) -> None:
         self.connection = connection
         keep_few(self.connection)
         self._frames = FrameBuffer()
-        assert self.connection.network.notifier is not None  # a Connection is connected
+        assert self.connection.network.notifier is not None  # a Bus is connected
         self.connection.network.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
@@ -129,11 +129,11 @@ class SharedLink(BusLink):
                 notifier.remove_listener(self._frames)
 
 
-def keep_few(connection: Connection) -> None:
+def keep_few(connection: Bus) -> None:
     """Limit the connection's buffer: a hand runs for days, and the buffer is not read."""
     connection.buffer.limit = _KEPT_FRAMES
 
 
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
-    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(Connection(open_bus(**options)))
+    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(Bus(open_bus(**options)))

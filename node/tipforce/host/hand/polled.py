@@ -12,7 +12,7 @@ import numpy.typing as npt
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 
 FloatArray = npt.NDArray[np.float64]
@@ -40,7 +40,7 @@ class PolledHand:
 
     def __init__(
         self,
-        connection: Connection,
+        connection: Bus,
         node_ids: Sequence[int],
         gauges: int = 3,
         messages: Sequence[str] = ("Contact",),

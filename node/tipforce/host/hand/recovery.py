@@ -12,7 +12,7 @@ from tipforce.host.configuration.configuration_file import verify_configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
 from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import HandFile
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 LOST = 0
 """Node-id that represents all nodes without one."""
@@ -24,7 +24,7 @@ class Mender:
     def __init__(
         self,
         file: HandFile,
-        connection: Callable[[], Connection],
+        connection: Callable[[], Bus],
         supervisor: Supervisor,
         tell: Callable[[Event], None],
     ) -> None:

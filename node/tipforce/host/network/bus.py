@@ -1,27 +1,234 @@
-"""Open a bus of python-can, with errors that say what to do."""
+"""A bus and its nodes, seen from the host."""
 
 from __future__ import annotations
 
-from typing import Any
+import math
+import os
+import sys
+import threading
+import time
+from collections.abc import Iterable
+from contextlib import suppress
+from types import TracebackType
+from typing import TYPE_CHECKING, Any
 
 import can
+import canopen
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.device import codes
+from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
+from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
+from tipforce.host.network.heartbeats import Heartbeats
+from tipforce.host.network.open_bus import open_bus
+from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
+
+if TYPE_CHECKING:
+    from tipforce.host.network.find import FoundNode
+    from tipforce.host.network.finger import Finger
+
+NMT_COMMANDS = {
+    "start": codes.NMT_START,
+    "stop": codes.NMT_STOP,
+    "preop": codes.NMT_ENTER_PRE_OPERATIONAL,
+    "reset-node": codes.NMT_RESET_NODE,
+    "reset-comm": codes.NMT_RESET_COMMUNICATION,
+}
+_SYNC_SILENT_S = 1.0
+_LONGEST_SYNC_PERIOD_S = 10.0
+_RECEIVE_CYCLE_S = 0.05  # maximum time for which close() waits for the receiver; canopen's own is a second
 
 
-def open_bus(**options: Any) -> can.BusABC:
-    """Return python-can's bus; if it cannot be opened, the error says what to do."""
-    given = {key: value for key, value in options.items() if value is not None}
-    try:
-        return can.Bus(**given)
-    except (can.CanError, OSError, ImportError, ValueError) as error:
-        if "interface" not in given and 'type "None"' in str(error):  # no interface is given anywhere
-            raise EnvironmentLackError(
-                "no bus given: use -i and -c, as in -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
-                "`tipforce doctor` lists the interfaces of this machine"
-            ) from None
-        interface = given.get("interface", "from python-can's configuration")
-        raise EnvironmentLackError(
-            f"interface {interface}, channel {given.get('channel', '(default)')}: {error}; "
-            "check -i and -c (`ip -br link` lists interfaces), or run on a kernel with vcan: `tipforce vcan -- ...`"
-        ) from None
+class Bus:
+    """One CAN bus: its fingers, SDO to its nodes, NMT, SYNC, and every received frame.
+
+    Use it as a context manager. ``bus`` is python-can's, or a connected ``canopen.Network``. If ``owned`` is False,
+    and for a network always, ``close`` leaves the bus open and removes only what this object added.
+    ``timeout_s`` and ``retries`` apply to every SDO transfer.
+    """
+
+    def __init__(
+        self,
+        bus: can.BusABC | canopen.Network,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES,
+        *,
+        owned: bool = True,
+    ) -> None:
+        self._timeout_s = timeout_s
+        self._retries = retries
+        self._channels: dict[int, SdoChannel] = {}
+        self._fingers: dict[int, Finger] = {}
+        self._lock = threading.Lock()
+        self._foreign_sync_s: tuple[float, float] = (-math.inf, 0.0)
+        self._own_sync_s = -math.inf
+        self.buffer = FrameBuffer()
+        self.heartbeats = Heartbeats()
+        self._listeners: list[Any] = [self.buffer, self.heartbeats]
+        self._owned = owned
+        self._shared: can.Notifier | None = None
+        """The receiving thread of another owner, if the bus has one."""
+        self.network = self._attached(bus)
+        self.network.subscribe(codes.SYNC_COB_ID, self._on_sync)
+
+    def _attached(self, bus: can.BusABC | canopen.Network) -> canopen.Network:
+        """Return a network that receives from ``bus``, through its existing receiving thread, if it has one."""
+        if isinstance(bus, canopen.Network):
+            if bus.bus is None or bus.notifier is None:
+                raise InputError("the canopen.Network is not connected: call its connect() first")
+            self._shared = bus.notifier
+        else:
+            network = canopen.Network(bus)
+            running = can.Notifier.find_instances(bus)
+            if not running:
+                network.NOTIFIER_CYCLE = _RECEIVE_CYCLE_S
+                network.listeners += self._listeners
+                network.connect()
+                return network
+            self._shared = network.notifier = running[0]
+            self._listeners += network.listeners
+            bus = network
+        for listener in self._listeners:
+            self._shared.add_listener(listener)
+        return bus
+
+    @classmethod
+    def open(
+        cls,
+        channel: str | can.BusABC | canopen.Network | None = None,
+        interface: str | None = None,
+        timeout_s: float = DEFAULT_TIMEOUT_S,
+        retries: int = DEFAULT_RETRIES,
+        **bus_options: Any,
+    ) -> Bus:
+        """Open a bus: ``open("can0")``, ``open("can0", "socketcan")``, or an open ``can.Bus`` or ``canopen.Network``.
+
+        Names are python-can's, its configuration files and environment variables included; on Linux a channel without
+        an interface is SocketCAN's. An open bus or network stays open at ``close``. ``bus_options``: other keywords of
+        ``can.Bus``. Raises EnvironmentLackError if the bus cannot be opened.
+        """
+        if isinstance(channel, can.BusABC | canopen.Network):
+            return cls(channel, timeout_s, retries, owned=False)
+        if channel is not None and interface is None and sys.platform == "linux" and not _configured_interface():
+            interface = "socketcan"
+        return cls(open_bus(channel=channel, interface=interface, **bus_options), timeout_s, retries)
+
+    def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
+        """Return the finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
+
+        ``passive``: its samples are read without sending anything, by the default PDOs of a node with ``gauges``
+        gauges. Otherwise the PDOs are read over SDO, a pre-operational node is started, and SYNCs are sent if no other
+        node sends them.
+        """
+        from tipforce.host.network.finger import Finger
+
+        sdo = self.sdo(node_id)
+        with self._lock:
+            found = self._fingers.get(node_id)
+            if found is None or (found.passive, found.default_gauges) != (passive, gauges):
+                found = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
+            return found
+
+    def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
+        """Return the nodes on the bus. See ``find_nodes``."""
+        from tipforce.host.network.find import find_nodes
+
+        return find_nodes(self, node_ids, wait_s)
+
+    def sdo(self, node_id: int) -> SdoChannel:
+        """Return the SDO channel to a node; the same object for the same node. Raises InputError outside 1..127."""
+        if not isinstance(node_id, int) or not 1 <= node_id <= 127:
+            raise InputError(f"node-id {node_id!r}: allowed are 1 to 127")
+        with self._lock:
+            if node_id not in self._channels:
+                self._channels[node_id] = SdoChannel(self.network, node_id, self._timeout_s, self._retries)
+            return self._channels[node_id]
+
+    def nmt(self, command: str, node_id: int = 0) -> None:
+        """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0."""
+        if command not in NMT_COMMANDS:
+            raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
+        self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command], node_id)))
+
+    def sync(self) -> None:
+        """Send one SYNC."""
+        self._own_sync_s = time.monotonic()
+        self.send(codes.SYNC_COB_ID, b"")
+
+    def sync_due_s(self, period_s: float) -> float:
+        """Return the next due time of an own SYNC (monotonic), one every ``period_s``; inf: another node sends it.
+
+        Another producer counts as silent after a second, or three of its periods.
+        """
+        heard_s, other_period_s = self._foreign_sync_s
+        if time.monotonic() - heard_s < max(_SYNC_SILENT_S, 3.0 * other_period_s):
+            return math.inf
+        return self._own_sync_s + period_s
+
+    def _on_sync(self, _can_id: int, _data: bytearray, _t_s: float) -> None:
+        now_s = time.monotonic()
+        self._foreign_sync_s = now_s, min(now_s - self._foreign_sync_s[0], _LONGEST_SYNC_PERIOD_S)
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
+        try:
+            self.network.send_message(can_id, data)
+        except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
+            raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
+
+    def wait_for(self, can_ids: set[int], timeout_s: float = 1.0) -> FrameArray:
+        """Read received frames until each of ``can_ids`` is among them; return all of them, in order.
+
+        Raises NoResponseError naming the identifiers that were not received in time.
+        """
+        deadline = time.monotonic() + timeout_s
+        missing = set(can_ids)
+
+        def complete(can_id: int) -> bool:
+            missing.discard(can_id)
+            return not missing
+
+        frames = self.buffer.take(complete, deadline)
+        if missing:
+            names = ", ".join(f"0x{can_id:03X}" for can_id in sorted(missing))
+            raise NoResponseError(f"no frame with identifier {names} within {timeout_s:g} s")
+        return frames
+
+    def close(self) -> None:
+        """Stop receiving and, if it is owned, release the bus; also one that has failed."""
+        with self._lock:
+            fingers, self._fingers = list(self._fingers.values()), {}
+            channels, self._channels = list(self._channels.values()), {}
+        for finger in fingers:
+            finger.close()
+        for channel in channels:
+            channel.close()
+        with suppress(KeyError, ValueError):
+            self.network.unsubscribe(codes.SYNC_COB_ID, self._on_sync)
+        if self._shared is not None:
+            for listener in self._listeners:
+                with suppress(ValueError):
+                    self._shared.remove_listener(listener)
+        elif self._owned:
+            if self.network.notifier is not None:
+                self.network.notifier.exception = None  # canopen would log it, and raise it after the release
+            with suppress(can.CanError):
+                self.network.disconnect()
+        elif self.network.notifier is not None:
+            self.network.notifier.stop(1.0)
+            self.network.bus = None
+
+    def __enter__(self) -> Bus:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+
+def _configured_interface() -> str | None:
+    """Return the interface in python-can's own configuration."""
+    return can.rc.get("interface") or os.environ.get("CAN_INTERFACE") or can.util.load_file_config().get("interface")
+
+
+open_connection = Bus.open

@@ -11,7 +11,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient, Identity
 
 READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
@@ -32,7 +32,7 @@ class FoundNode:
     """"match", or the difference."""
 
 
-def find_nodes(connection: Connection, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
+def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
     """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
 
     A node that only sends heartbeats (STOPPED: no SDO) is listed too.
@@ -55,7 +55,7 @@ def find_nodes(connection: Connection, node_ids: Iterable[int], wait_s: float = 
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 
 
-def _describe(connection: Connection, node_id: int, state: int | None, answers: bool) -> FoundNode:
+def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
     state_name = "no heartbeat" if state is None else NMT_STATES.get(state, f"state {state}")
     if not answers:
         return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown")

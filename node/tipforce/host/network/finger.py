@@ -22,7 +22,7 @@ from tipforce.host.network.sdo import SdoChannel
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.contacts import Contact
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger_samples import ContactReader, ContactStream
 
 T = TypeVar("T", bound=Value)
@@ -200,9 +200,7 @@ class FingertipClient:
 class Finger(FingertipClient):
     """One finger: its samples, its objects (``sdo``), its calibration. Created by ``Bus.finger``."""
 
-    def __init__(
-        self, connection: Connection, sdo: SdoChannel, *, passive: bool = False, default_gauges: int = 3
-    ) -> None:
+    def __init__(self, connection: Bus, sdo: SdoChannel, *, passive: bool = False, default_gauges: int = 3) -> None:
         super().__init__(sdo)
         self.passive, self.default_gauges = passive, default_gauges
         self._connection = connection

@@ -23,7 +23,7 @@ from tipforce.host.decoding.contacts import Contact, Status, contact_values, sta
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 
 if TYPE_CHECKING:
-    from tipforce.host.network.connection import Connection
+    from tipforce.host.network.bus import Bus
 
 DEFAULT_RATE_HZ = 100.0
 _LISTEN_S = 0.12  # wait for another producer's SYNC before the first own one
@@ -44,7 +44,7 @@ class ContactReader:
 
     def __init__(
         self,
-        connection: Connection,
+        connection: Bus,
         node_id: int,
         gauges: int,
         pdos: dict[int, Message],
@@ -174,14 +174,14 @@ class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
         return await asyncio.to_thread(self.__next__)
 
 
-def open_reader(connection: Connection, node_id: int, calibration: Calibration | None) -> ContactReader:
+def open_reader(connection: Bus, node_id: int, calibration: Calibration | None) -> ContactReader:
     """Return a reader of a node whose PDOs are read over SDO. Raises as SdoChannel does, and InputError."""
     layout = node_layout(connection.sdo(node_id))
     pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
     return ContactReader(connection, node_id, layout.gauges, pdos, calibration)
 
 
-def passive_reader(connection: Connection, node_id: int, gauges: int) -> ContactReader:
+def passive_reader(connection: Bus, node_id: int, gauges: int) -> ContactReader:
     """Return a reader of the default PDOs of a node with ``gauges`` gauges; it sends nothing."""
     pdos = {one.cob_id_base + node_id: one for one in tpdo_messages(gauges) if one.cob_id_base}
     return ContactReader(connection, node_id, gauges, pdos, None)

@@ -14,7 +14,7 @@ from types import TracebackType
 
 from tipforce.device import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 DEFAULT_TIMEOUT_S = 0.1
 STORE_TIMEOUT_S = 2.0  # a node responds after its memory is written
@@ -40,7 +40,7 @@ class LssAddress:
 class LssMaster:
     """LSS master of a bus. Use it as a context manager: all nodes are left in the waiting state."""
 
-    def __init__(self, connection: Connection, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
+    def __init__(self, connection: Bus, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         self._connection = connection
         self._timeout_s = timeout_s
         self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()

@@ -8,7 +8,7 @@ from collections.abc import Collection
 from tipforce.device.codes import INITIALISING, OPERATIONAL, PRE_OPERATIONAL, STOPPED
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.errors import NoResponseError
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
 
 _REACHED = {
     "start": (OPERATIONAL,),
@@ -32,7 +32,7 @@ class NotReachedError(NoResponseError):
 
 
 def command_and_wait(
-    connection: Connection, command: str, node_ids: Collection[int], timeout_s: float = 2.0
+    connection: Bus, command: str, node_ids: Collection[int], timeout_s: float = 2.0
 ) -> dict[int, str]:
     """Send an NMT command to each node and wait for its heartbeat; return the state that each reported.
 
@@ -65,6 +65,6 @@ def command_and_wait(
     return found
 
 
-def _last(connection: Connection, node_id: int) -> str:
+def _last(connection: Bus, node_id: int) -> str:
     state = connection.heartbeats.state(node_id)
     return "silent" if state is None else f"last reported {NMT_STATES.get(state, f'state {state}')}"

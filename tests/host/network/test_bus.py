@@ -1,4 +1,4 @@
-"""Connection: NMT, waiting for frames, the buffer of what came; and opening a bus that is not there."""
+"""Bus: NMT, waiting for frames, the buffer of what came; and opening a bus that is not there."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ import pytest
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameBuffer, frame_array
-from tipforce.host.network.bus import open_bus
-from tipforce.host.network.connection import Connection
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.open_bus import open_bus
 
 HEARTBEAT = 0x705
 
@@ -150,6 +150,6 @@ def test_a_bus_that_cannot_be_opened_says_what_to_do(options: dict[str, str]) ->
 
 
 def test_open_gives_a_connection() -> None:
-    with Connection.open(new_channel(), "virtual", timeout_s=0.25, retries=0) as connection:
+    with Bus.open(new_channel(), "virtual", timeout_s=0.25, retries=0) as connection:
         assert connection.sdo(1).timeout_s == 0.25
         assert connection.sdo(1).retries == 0

@@ -1,0 +1,27 @@
+"""Open a bus of python-can, with errors that say what to do."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+
+from tipforce.errors import EnvironmentLackError
+
+
+def open_bus(**options: Any) -> can.BusABC:
+    """Return python-can's bus; if it cannot be opened, the error says what to do."""
+    given = {key: value for key, value in options.items() if value is not None}
+    try:
+        return can.Bus(**given)
+    except (can.CanError, OSError, ImportError, ValueError) as error:
+        if "interface" not in given and 'type "None"' in str(error):  # no interface is given anywhere
+            raise EnvironmentLackError(
+                "no bus given: use -i and -c, as in -i socketcan -c can0, or set CAN_INTERFACE and CAN_CHANNEL; "
+                "`tipforce doctor` lists the interfaces of this machine"
+            ) from None
+        interface = given.get("interface", "from python-can's configuration")
+        raise EnvironmentLackError(
+            f"interface {interface}, channel {given.get('channel', '(default)')}: {error}; "
+            "check -i and -c (`ip -br link` lists interfaces), or run on a kernel with vcan: `tipforce vcan -- ...`"
+        ) from None
