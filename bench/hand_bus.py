@@ -23,7 +23,7 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
 from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
 from tipforce.host.live.receive import SocketReceiver
-from tipforce.host.network.bus import Connection
+from tipforce.host.network.bus import Bus
 from tipforce.running.loop import Frame
 from tipforce.socketcan import CAN_FRAME
 
@@ -183,7 +183,7 @@ class LoopbackLink:
         self._receiver = SocketReceiver(receiver, "loopback")
         bus = python_can_bus(services)
         bus._periodic_tasks, bus._bcm_sockets = [], {}
-        self.connection = Connection(bus)
+        self.connection = Bus(bus)
         keep_few(self.connection)
         self.producer: ThreadSync | ChildSync | None = None
         self.fingers_cpu_s = 0.0
