@@ -187,7 +187,7 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
         fit.C, fit.offset_strain, fit.noise_covariance_strain2, args.serial,
         day.year * 10000 + day.month * 100 + day.day, layout_code=code, pull=_pulls(args, data),
         parameter_covariance=fit.parameter_covariance,
-        **validity_of(args, data, fit),
+        **validity_of(args, fit),
     )  # fmt: skip
 
 

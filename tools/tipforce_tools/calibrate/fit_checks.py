@@ -49,7 +49,7 @@ def check_theory(args: argparse.Namespace, fit: Fit) -> None:
     require_size(fit.A, np.full(fit.A.shape, typical), ALLOWED_WITHOUT, "a gauge of the paper's fingertip")
 
 
-def validity_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> dict[str, Any]:
+def validity_of(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
     """Fields of the calibration: forces, temperatures, limits. What the data do not show stays 0 (not known)."""
     n = len(fit.A)
     largest = max(load.P_newtons for load in fit.loads)
