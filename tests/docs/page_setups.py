@@ -94,9 +94,9 @@ def two_fingers() -> Iterator[Names]:
 
 @setup("calibration.md")
 def simulated_calibration() -> Iterator[Names]:
-    """grooves.csv with faults in lines 50 and 61; the true matrix, and the loads of the rows without fault."""
+    """grooves.csv with faults in lines 9 and 61; the true matrix, and the loads of the rows without fault."""
     sim = simulate("I", np.random.default_rng(4))
-    assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [50, 61]
+    assert (np.flatnonzero(sim.true_outlier) + 2).tolist() == [9, 61]
     loads = (sim.P_newtons, sim.phi_rad, sim.theta_rad)
     write_measurements(
         "grooves.csv", Measurements(np.arange(77), sim.strain, *loads, sim.t_s, None, None, None, (), ())

@@ -107,6 +107,7 @@ def unseen_forces(rng: np.random.Generator, count: int) -> FloatArray:
 
 
 def schedule(rng: np.random.Generator, weights_newtons: tuple[float, ...]) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return P (newtons), phi, theta (radians), (m,) each: all weights in each groove of the paper, tares between."""
     rows: list[tuple[float, float, float]] = []
     paper = paper_grooves()
     for phi, theta in rng.permutation(np.stack((paper.phi_rad, paper.theta_rad), axis=-1)):
