@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 T = TypeVar("T", bound=types.Value)
 
 
-# The slots are written out: a class that dataclass(slots=True) makes anew can't be frozen and called as Entry[int].
+# The slots are written out: a class that dataclass(slots=True) makes again can't be frozen and called as Entry[int].
 
 
 @dataclass(frozen=True)

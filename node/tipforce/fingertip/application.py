@@ -97,7 +97,7 @@ class Fingertip(Application):
             self.device.emcy.raise_error(table.EMCY_CALIBRATION_INVALID, emcy.MANUFACTURER)
 
     def on_settings(self) -> None:
-        """Find out anew which channels have interrupts to watch for."""
+        """Find the channels whose interrupts are enabled."""
         self.interrupts.load()
         wanted = self.filtering is not None or self._watching() or self.source.watch_us
         self.due_us = self.device.now_us if wanted else codes.NEVER_US
@@ -106,7 +106,7 @@ class Fingertip(Application):
         return self.device.nmt.state == codes.OPERATIONAL and self.interrupts.watching
 
     def load_filter(self) -> None:
-        """Begin filtering anew as 61A0h and 61A1h say; an average of one conversion is none."""
+        """Start the filter of 61A0h and 61A1h again; an average of one conversion is no filter."""
         od = self.device.od
         kind, constant = od.integer(indices.FILTER_TYPE, 1), od.integer(indices.FILTER_CONSTANT, 1)
         self.filtering = None

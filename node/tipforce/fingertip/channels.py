@@ -150,7 +150,7 @@ class Channels:
     # --- settings -------------------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Work the scaling out anew from 6120h-6124h and hand the sample period to the source."""
+        """Compute the scaling from 6120h-6124h again and set the sample period of the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
             if values[indices.SCALING_1_FIELD << 8 | sub] == values[indices.SCALING_2_FIELD << 8 | sub]:

@@ -37,7 +37,7 @@ class Interrupts:
         self._zones: "dict[int, int]" = {}
 
     def load(self) -> None:
-        """Find out anew which channels are watched; called when settings or PDOs may have changed."""
+        """Find the channels to watch; called when settings or PDOs may have changed."""
         self._watched = {}
         for number, transmission, keys in self._device.tpdos.mapped():
             if transmission == _ON_SYNC_AFTER_EVENT or transmission >= _EVENT_DRIVEN:

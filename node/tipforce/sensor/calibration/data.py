@@ -42,7 +42,7 @@ class Readings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prior:
-    """What is believed of A before any load: beam theory, for a calibration with few loads."""
+    """Prior of A: beam theory, for a calibration with few loads."""
 
     A: FloatArray
     """(n, 3), strain per newton."""

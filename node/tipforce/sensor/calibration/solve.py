@@ -272,7 +272,7 @@ class _Effect(NamedTuple):
 
 
 def _prior_rows(problem: Problem, restless: FloatArray) -> FloatArray:
-    """What is believed of the coefficients beforehand, as whitened rows, (n p, n p + 1)."""
+    """Return the prior of the coefficients as whitened rows, (n p, n p + 1)."""
     n, p = problem.V.shape[1], problem.g.shape[1]
     information, mean = np.zeros((n, p)), np.zeros((n, p))
     information[:, :3] = problem.prior_information[:, np.newaxis]
