@@ -31,6 +31,7 @@ def _no_configuration(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr("can.util.CONFIG_FILES", [])
     monkeypatch.setattr("tipforce_tools.doctor.vcan.trial", lambda: 0)  # test_vcan_boot.py has the real one
+    monkeypatch.setattr("tipforce_tools.doctor.vcan.multicast_checks", lambda: ())  # test_udp_multicast.py
 
 
 def test_a_bus_with_nodes_is_listened_to(capsys: pytest.CaptureFixture[str]) -> None:

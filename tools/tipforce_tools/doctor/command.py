@@ -54,7 +54,7 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
     from tipforce_tools.doctor.iio import iio_checks
     from tipforce_tools.doctor.kernel import kernel_checks
     from tipforce_tools.doctor.software import software_checks
-    from tipforce_tools.doctor.vcan import vcan_checks
+    from tipforce_tools.doctor.vcan import multicast_checks, vcan_checks
 
     options = common.bus_options(args)
     configuration = configuration_check(options)
@@ -68,6 +68,7 @@ def _checks(args: argparse.Namespace) -> Iterator[Check]:
         yield from bus_checks(options, args.listen)
     else:
         yield from vcan_checks()
+        yield from multicast_checks()
     yield from iio_checks()
     yield from software_checks()
 

@@ -17,6 +17,7 @@ EXTRAS = {
     "parquet": ("pyarrow",),
     "zstd": ("zstandard",),
     "mcap": ("mcap",),
+    "multicast": ("msgpack",),
     "dask": ("distributed",),
 }
 PEERS = ("candump", "canplayer", "tshark")

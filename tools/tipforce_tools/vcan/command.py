@@ -16,6 +16,9 @@ environment in all cases.
 In User-mode Linux COMMAND is root on one CPU. It can read your files; files that it writes are lost afterwards (--rw
 keeps them, except for temporary files: TMPDIR is a folder in memory). stdin is /dev/null, and stdout and stderr are
 pipes, unless all three are a terminal, which COMMAND then uses.
+
+Without any vcan (macOS, Windows, containers): every command takes -i udp_multicast -c 239.74.163.2, a bus of UDP
+datagrams (pip install 'tipforce[multicast]').
 """
 EPILOG = """\
 exit codes besides COMMAND's own: 1 after --timeout, 2 usage, 126 and 127 when COMMAND cannot be started, 128+n when
@@ -54,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if sys.platform != "linux":
         raise EnvironmentLackError(
             f"vcan exists on Linux only, and this is {sys.platform}; "
-            "`tipforce demo`, the library and the log tools work here"
+            "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and the log tools work too"
         )
     from tipforce_tools.vcan.run import run_with_vcan
 

@@ -7,7 +7,8 @@ from pathlib import Path
 from tipforce.errors import EnvironmentLackError
 
 ELSEWHERE = (
-    "`tipforce demo`, the library and the log tools work without vcan; "
+    "`tipforce demo`, the library and the log tools work without vcan, and nodes and hosts on UDP: "
+    "-i udp_multicast -c 239.74.163.2; "
     "vcan works on any machine whose kernel has it (`sudo modprobe vcan`)"
 )
 

@@ -1,0 +1,94 @@
+"""python-can's udp_multicast as a bus without kernel CAN, in a network namespace with loopback only."""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tipforce_tools.cli.main import main
+
+WALK = Path(__file__).with_name("multicast_walk.py")
+ROUTE = "ip link set lo up && ip route add 239.0.0.0/8 dev lo && "
+
+
+def in_namespace(route: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python there."""
+    command = ["unshare", "--map-root-user", "--net", "sh", "-c", f'{route} exec "$@"', "sh", sys.executable, *words]
+    path = os.pathsep.join(sys.path)
+    environment = {**os.environ, "PYTHONPATH": path, "PATH": f"{os.environ['PATH']}{os.pathsep}/sbin:/usr/sbin"}
+    return subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, env=environment)
+
+
+@pytest.fixture(autouse=True)
+def _namespace() -> None:
+    try:
+        done = in_namespace(ROUTE, "-c", "pass")
+    except FileNotFoundError as error:
+        pytest.skip(f"{error.filename} is not installed")
+    if done.returncode:
+        pytest.skip(f"no network namespace here: {done.stderr.strip()}")
+
+
+def test_nodes_a_hand_a_page_and_commands(tmp_path: Path) -> None:
+    done = in_namespace(ROUTE, str(WALK), str(tmp_path))
+    assert done.returncode == 0, done.stderr
+    records = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
+    scanned = [record for record in records if "device" in record]
+    assert [(record["node_id"], record["eds"]) for record in scanned] == [(1, "match"), (2, "match")]
+    rows = [record for record in records if "row" in record]
+    assert [rows[-1][node_id]["P"] for node_id in ("1", "2")] == pytest.approx([4.4, 4.4], abs=0.1)
+    (page,) = (record["page"] for record in records if "page" in record)
+    read = [record for record in records if "P_newtons" in record]
+    contacts = [[record["P_newtons"], record["phi_deg"], record["theta_deg"]] for record in read]
+    for contact in (*contacts, *(finger["c"] for finger in page)):
+        assert contact == [
+            pytest.approx(4.4, abs=0.1), pytest.approx(90.0, abs=1.5), pytest.approx(45.0, abs=1.5),
+        ]  # fmt: skip
+    assert len(read) == 2
+    assert records[-1]["emcy"] == []  # own frames would be reported as a collision of COB-IDs
+    assert records[-1]["syncs"] > 5
+
+
+def test_a_bus_hears_others_but_not_itself_and_survives_foreign_datagrams() -> None:
+    done = in_namespace(ROUTE, "-c", """if True:
+        import socket
+        import can
+        from tipforce.host.network.open_bus import open_bus
+        from tipforce.host.network.udp_multicast import DEFAULT_GROUP as group
+        frame = can.Message(arbitration_id=0x123, data=b"own", is_extended_id=False)
+        with open_bus(interface="udp_multicast", channel=group) as one, open_bus(interface="udp_multicast") as other:
+            with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as stranger:
+                for noise in (b"", b"rubbish", bytes(300)):
+                    stranger.sendto(noise, (group, 43113))
+            one.send(frame)
+            other.send(can.Message(arbitration_id=0x124, is_extended_id=False))
+            print([hex(one.recv(2.0).arbitration_id), one.recv(0.0)])
+            print([hex(other.recv(2.0).arbitration_id), other.recv(0.0)], frame.timestamp)
+    """)  # fmt: skip
+    assert done.stderr == ""
+    assert done.stdout.splitlines() == ["['0x124', None]", "['0x123', None] 0.0"]
+
+
+def test_a_machine_without_a_route() -> None:
+    done = in_namespace("", "-m", "tipforce_tools.cli.main", "scan", "-i", "udp_multicast", "-c", "239.74.163.2")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert line.startswith("tipforce: udp_multicast, group 239.74.163.2: [Errno 19] No such device; without a network")
+    assert "ip route add 239.0.0.0/8 dev lo" in line
+
+
+def test_doctor_opens_it() -> None:
+    words = ("-c", "import tipforce_tools.doctor.vcan as v; print(*v.multicast_checks())")
+    assert "state='ok'" in in_namespace(ROUTE, *words).stdout
+    assert "ip route add" in in_namespace("", *words).stdout
+
+
+def test_a_missing_package_is_named(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.setattr("can.interfaces.udp_multicast.utils.msgpack", None)
+    assert main(["scan", "-i", "udp_multicast"]) == 2
+    assert capsys.readouterr().err == "tipforce: udp_multicast needs msgpack: pip install 'tipforce[multicast]'\n"
