@@ -57,7 +57,7 @@ def run(args: argparse.Namespace) -> int:
     if sys.platform != "linux":
         raise EnvironmentLackError(
             f"vcan exists on Linux only, and this is {sys.platform}; "
-            "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and the log tools work too"
+            "here -i udp_multicast -c 239.74.163.2 is a bus of UDP datagrams; `tipforce demo` and log tools work too"
         )
     from tipforce_tools.vcan.run import run_with_vcan
 
