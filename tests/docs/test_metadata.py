@@ -49,3 +49,11 @@ def test_the_architecture_names_every_layer() -> None:
     for name in (name.strip() for layer in layers for name in layer.split("|")):
         assert f"`{name}`" in page
         assert f">{name.removeprefix('tipforce.')}</text>" in drawing
+
+
+def test_no_folder_of_tests_is_left_out() -> None:
+    """`make test` runs the paths that pytest is given here, and tests/vcan on its own."""
+    listed = PYPROJECT["tool"]["pytest"]["ini_options"]["testpaths"]
+    folders = {f"tests/{path.parent.name}" for path in (ROOT / "tests").glob("*/test_*.py")}
+    folders |= {f"tests/{path.parts[-3]}" for path in (ROOT / "tests").glob("*/*/test_*.py")}
+    assert set(listed) == folders - {"tests/vcan"}

@@ -22,6 +22,7 @@ from tipforce.errors import InputError
 _RADIANS_PER_STEP = 0.35
 _MOST_STEPS = 2_000_000
 _TERMS = 13
+_ROUNDING = 2.0**-53
 
 
 class Touch(NamedTuple):
@@ -228,11 +229,13 @@ def _moved(A: FloatArray, state: FloatArray, tau: float) -> FloatArray:
 
 def _root(A: FloatArray, state: FloatArray, row: FloatArray, low: float, high: float) -> float:
     """Find where row X(tau) rises through 0 in (low, high]: Newton's steps, with bisection as the safeguard."""
-    slope = row @ A
+    slope, size = row @ A, np.abs(row)
     tau = 0.5 * (low + high)
     for _ in range(100):
         moved = _moved(A, state, tau)
         value, rate = float(row @ moved), float(slope @ moved)
+        if abs(value) <= _ROUNDING * float(size @ np.abs(moved)):
+            return tau
         if value > 0.0:
             high = tau
         else:
