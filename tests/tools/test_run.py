@@ -8,6 +8,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from tipforce.scene.scene_parts import identifiers, parts
@@ -15,7 +16,7 @@ from tipforce.scene.schema import read_scene
 from tipforce_tools.cli.main import main
 from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies
 from tipforce_tools.report.study import Effort
-from tipforce_tools.scene.cost import import_times, part_costs
+from tipforce_tools.scene.cost import Measured, _differences, import_times, nondecreasing, part_costs
 
 SCENES = Path(__file__).parents[2] / "scenes"
 
@@ -133,6 +134,22 @@ def test_costs_are_those_of_the_parts_that_are_built() -> None:
     assert all((cost.import_ms is not None) == cost.built for cost in costs.values())
     assert all(cost.us_per_sample is None for cost in costs.values() if not cost.built)
     assert costs["nodes"].us_per_sample is not None
+
+
+def test_no_part_costs_less_than_nothing() -> None:
+    assert nondecreasing([1.0, 2.0, 2.0, 5.0]) == [1.0, 2.0, 2.0, 5.0]
+    assert nondecreasing([3.0, 1.0, 2.0, 7.0, 6.0]) == [2.0, 2.0, 2.0, 6.5, 6.5]
+    rng = np.random.default_rng(4)
+    for _ in range(50):
+        noisy = np.arange(12) + 5.0 * rng.normal(size=12)
+        found = nondecreasing(noisy.tolist())
+        assert found == sorted(found)
+        assert sum(found) == pytest.approx(noisy.sum())
+    times = [Measured(us, ms, (), 0.0) for us, ms in ((10.0, 1.0), (11.0, -0.5), (4.0, 0.25), (6.0, -1.0))]
+    steps = _differences(times)
+    assert min(min(step) for step in steps) >= 0.0
+    assert [us for us, _ in steps] == [0.0, 5.5, 0.0, 5.0]
+    assert sum(us for us, _ in steps) == pytest.approx(10.5)
 
 
 def test_import_times_go_to_the_part_that_loads() -> None:

@@ -32,8 +32,8 @@ class PartCost:
     part: str
     built: bool
     us_per_sample: float | None
-    """Difference with and without the part; for "nodes" the rest without all other parts. None if it is left out, or
-    cannot be removed alone."""
+    """Difference with and without the part; for "nodes" the rest without all other parts. Never negative: see
+    ``nondecreasing``. None if it is left out, or cannot be removed alone."""
     ms_per_run: float | None
     """The same for work that does not grow with the samples: set-up, opening, drawing."""
     import_ms: float | None
@@ -44,17 +44,39 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
     """Measure every part. ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts."""
     imports = import_times(scene, path)
     ladder = rungs(scene)
-    times = [(one.us_per_sample, one.ms_per_run) for one in measure([one for _, one in ladder], path, samples, runs)]
-    work = {
-        name: (before[0] - after[0], before[1] - after[1])
-        for (name, _), (before, after) in zip(ladder, pairwise([*times, (0.0, 0.0)]), strict=True)
-    }
+    times = measure([one for _, one in ladder], path, samples, runs)
+    work = dict(zip((name for name, _ in ladder), _differences(times), strict=True))
     found = []
     for part in parts(scene):
         us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
         import_ms = imports.get(part.name, 0.0) if part.built else None
         found.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
     return found
+
+
+def _differences(times: Sequence[Measured]) -> list[tuple[float, float]]:
+    """Return the time per sample (us) and per run (ms) of each step of a ladder that ends with nothing."""
+    columns = []
+    for column in ([one.us_per_sample for one in times], [one.ms_per_run for one in times]):
+        rising = [max(value, 0.0) for value in nondecreasing(column[::-1])]
+        columns.append([after - before for before, after in pairwise([0.0, *rising])][::-1])
+    return list(zip(*columns, strict=True))
+
+
+def nondecreasing(values: Sequence[float]) -> list[float]:
+    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean.
+
+    A scene with one more part cannot take less time. Where it seems to, the difference is below the scatter of the
+    clock, and the part reads zero. The sum of all values does not change.
+    """
+    blocks: list[tuple[float, int]] = []
+    for value in values:
+        blocks.append((value, 1))
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            (mean, count), (before, count_before) = blocks.pop(), blocks.pop()
+            both = count + count_before
+            blocks.append(((mean * count + before * count_before) / both, both))
+    return [mean for mean, count in blocks for _ in range(count)]
 
 
 def total(costs: Sequence[PartCost]) -> PartCost:
