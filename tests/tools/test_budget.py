@@ -18,7 +18,7 @@ from tipforce_tools.cli.main import main
 
 CAUSES = [
     "gauge noise", "quantisation", "gain", "offset", "temperature, common", "temperature, mismatch",
-    "calibration noise", "load angle", "gravity", "gauge position", "off-axis load", "total",
+    "hysteresis", "creep", "calibration noise", "load angle", "gravity", "gauge position", "off-axis load", "total",
 ]  # fmt: skip
 A = strain_matrix(FABRICATED, "II")
 CASE_II = Calibration(weighted_inverse(A, np.eye(3)), np.zeros(3), 4e-12 * np.eye(3), layout_code=2, pull=True)
@@ -52,6 +52,8 @@ def test_each_flag_moves_its_row_alone(capsys: pytest.CaptureFixture[str]) -> No
         ("resolution", "quantisation"),
         ("gain", "gain"),
         ("offset", "offset"),
+        ("hysteresis", "hysteresis"),
+        ("creep", "creep"),
         ("gauge-shift", "gauge position"),
         ("off-axis", "off-axis load"),
     ):
@@ -118,8 +120,8 @@ def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, hea
     path = tmp_path / name
     assert main(["budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert main(["budget", "-o", str(tmp_path / "no" / name)]) == 2
-    assert "--output" in capsys.readouterr().err
+    assert main(["budget", "-o", str(path / name)]) == 2  # a file is no folder
+    assert f"figure {path / name}" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

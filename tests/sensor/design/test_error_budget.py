@@ -87,6 +87,17 @@ def mismatch(rng: np.random.Generator) -> FloatArray:
     return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
 
 
+def hysteresis(rng: np.random.Generator) -> FloatArray:
+    theta, phi = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
+    before = np.abs(force_vector(1.0, phi.ravel(), theta.ravel()) @ A.T).max(axis=0)  # of each gauge, any load of 1 N
+    width = CAUSES.hysteresis * before * LOADS.P_newtons[:, np.newaxis]
+    return (LOADS.F @ A.T + width * rng.normal(size=3)) @ C.T
+
+
+def creep(rng: np.random.Generator) -> FloatArray:
+    return LOADS.F @ A.T * (1.0 + CAUSES.creep * rng.normal()) @ C.T
+
+
 def calibration_noise(rng: np.random.Generator) -> FloatArray:
     return calibrated(HUNG, rng.multivariate_normal(np.zeros(3), COVARIANCE, 38))
 
@@ -124,6 +135,8 @@ def off_axis(rng: np.random.Generator) -> FloatArray:
         ("offset", offset, 4000),
         ("temperature, common", temperature, 4000),
         ("temperature, mismatch", mismatch, 4000),
+        ("hysteresis", hysteresis, 4000),
+        ("creep", creep, 4000),
         ("calibration noise", calibration_noise, 2000),
         ("load angle", load_angle, 2000),
         ("gravity", gravity, 2000),
@@ -167,6 +180,8 @@ def test_total_is_the_sum_and_says_where_first_order_holds() -> None:
         "offset",
         "temperature, common",
         "temperature, mismatch",
+        "hysteresis",
+        "creep",
         "calibration noise",
         "load angle",
         "gravity",
@@ -195,7 +210,9 @@ def test_what_cannot_act_is_zero_and_what_cannot_be_told_has_no_row() -> None:
 
 
 def test_zero_sizes_give_zero_and_noise_can_be_stated() -> None:
-    none = Causes(0.0, 0.0, 0.0, 0.0, 0.0, load_angle_rad=0.0, gravity_rad=0.0, off_axis_newtons=0.0)
+    none = Causes(
+        0.0, 0.0, 0.0, 0.0, 0.0, hysteresis=0.0, creep=0.0, load_angle_rad=0.0, gravity_rad=0.0, off_axis_newtons=0.0
+    )
     assert not budget(SENSOR, LOADS, none).total.uncertainties.any()
     errors, _ = elementary_errors(SENSOR, LOADS, Causes(noise_strain=2e-6))
     np.testing.assert_allclose(errors["gauge noise"][:, 0, :], 2e-6 * C.T)

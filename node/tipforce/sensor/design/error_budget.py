@@ -48,6 +48,11 @@ class Causes:
     """Apparent strain of each gauge in addition."""
     sensitivity_per_K: float = 3e-4
     """Relative change of all strains: Young's modulus of steel, and the gauge factor."""
+    hysteresis: float = 5e-4
+    """Of each gauge, relative to its largest strain under a load of the same size in any direction: half the width of
+    the loop between loading and unloading, as a standard uncertainty. The load before is unknown."""
+    creep: float = 5e-4
+    """Relative growth of all strains while a load is held: structure, adhesive and backing of one batch of gauges."""
     load_angle_rad: float = 0.5 * DEGREE
     """Scatter of the direction of each calibration load."""
     gravity_rad: float = 0.5 * DEGREE
@@ -176,6 +181,9 @@ def elementary_errors(
     strain = F @ sensor.A.T
     per_gauge = np.broadcast_to(C.T[:, np.newaxis, :], (n, len(F), 3))  # error of F per unit strain in each gauge
     noise = sensor.covariance_strain2 if causes.noise_strain is None else causes.noise_strain**2 * np.eye(n)
+    # Over all directions and contacts: hypot(A1, A3) + |A2| times P, as in worst_strain(); P = hypot(F1, F3).
+    worst = np.hypot(sensor.A[:, 0], sensor.A[:, 2]) + np.abs(sensor.A[:, 1])
+    largest = worst[:, np.newaxis] * np.hypot(F[:, 0], F[:, 2])
     common = causes.temperature_K * (causes.apparent_strain_per_K * C.sum(axis=1) + causes.sensitivity_per_K * F)
     found = {
         "gauge noise": np.broadcast_to((C @ _factor(noise)).T[:, np.newaxis, :], per_gauge.shape),
@@ -184,6 +192,8 @@ def elementary_errors(
         "offset": causes.offset_strain * per_gauge,
         "temperature, common": common[np.newaxis],
         "temperature, mismatch": causes.temperature_K * causes.mismatch_strain_per_K * per_gauge,
+        "hysteresis": causes.hysteresis * largest[:, :, np.newaxis] * per_gauge,
+        "creep": causes.creep * F[np.newaxis],
     }
     none, left_out = np.zeros((1, *F.shape)), {}
     if sensor.calibrated:
