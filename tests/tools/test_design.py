@@ -11,6 +11,7 @@ from typing import Any
 
 import pytest
 
+from tipforce.sensor.design.comparators import condition_range
 from tipforce_tools.cli.main import main
 
 DESIGN = [sys.executable, "-m", "tipforce_tools.cli.main", "design"]
@@ -37,7 +38,18 @@ def everything() -> list[dict[str, Any]]:
 
 
 def test_every_table_is_there_with_its_explanation(everything: list[dict[str, Any]]) -> None:
-    tables = {"1": 8, "2": 8, "3": 3, "ranking": 28, "fig6": 12, "fig9": 19, "off-axis": 18}
+    tables = {
+        "1": 8,
+        "2": 8,
+        "3": 3,
+        "ranking": 28,
+        "comparators": 5,
+        "fig6": 12,
+        "fig9": 19,
+        "off-axis": 18,
+        "materials": 6,
+        "scaling": 10,
+    }
     assert {name: len(rows(everything, name)) for name in tables} == tables
     assert {record["table"] for record in everything if "notes" in record} == set(tables)
 
@@ -102,6 +114,47 @@ def test_figure_6_claim(everything: list[dict[str, Any]]) -> None:
     for case, most in (("I", {"SG3"}), ("II", {"SG1"}), ("III", {"SG1", "SG2"})):
         gauges = {name: slope for name, slope in slopes[case].items() if name != "all"}
         assert max(gauges, key=lambda name: gauges[name]) in most
+
+
+def test_comparators_on_one_scale(everything: list[dict[str, Any]]) -> None:
+    found = {row["sensor"]: row for row in rows(everything, "comparators")}
+    first = found["case I"]
+    assert [round(first[f"in {unit}"], 1) for unit in ("M/r", "N mm", "N m")] == [2.5, 8.1, 158.2]
+    assert first["smallest"] < first["in M/r"]
+    # The paper's 4.2 and 20.05, at some unit of the moment, are numbers of its own sensor.
+    assert first["equal_at_mm"][0] == pytest.approx([1.945, 26.10], abs=0.01)
+    assert found["[5]"]["at_M_r_if_printed_in"]["M/r"] == [4.2, 4.2]
+    low, high = found["[11]"]["at_M_r_if_printed_in"]["N mm"]
+    assert (low, high) == pytest.approx((20.05 / 15.0, 20.05 * 15.0))
+    for unit in ("N mm", "N m"):  # the bound holds for a sensor of which all is known
+        low, high = condition_range(first[f"in {unit}"], {"N mm": 1e-3, "N m": 1.0}[unit], 15e-3)
+        assert low <= first["in M/r"] <= high
+
+
+def test_materials_and_the_largest_load(everything: list[dict[str, Any]]) -> None:
+    found = {row["material"].split(",")[0]: row for row in rows(everything, "materials")}
+    steel, soft = found["AISI 4340"], found["AISI 304"]
+    assert steel["strain_ue"] == pytest.approx(912.1, abs=0.05)
+    assert steel["largest_N"] == steel["slit_N"] == pytest.approx(15.19, abs=0.01)
+    assert soft["largest_N"] == soft["yield_N"] == pytest.approx(5.06, abs=0.01)
+    for row in found.values():
+        assert row["strain_ue"] * row["E_GPa"] == pytest.approx(steel["strain_ue"] * steel["E_GPa"])
+        # The strain at the yield load is the yield strain.
+        assert row["strain_ue"] / 4.4 * row["yield_N"] == pytest.approx(1e3 * row["yield_MPa"] / row["E_GPa"])
+        assert row["largest_N"] <= min(row["yield_N"], row["slit_N"])
+
+
+def test_smaller_fingertips_scale_as_beams_do(everything: list[dict[str, Any]]) -> None:
+    found = rows(everything, "scaling")
+    for beams, power in (("scaled", -2.0), ("kept", 0.0)):
+        whole, *smaller = [row for row in found if row["beams"] == beams]
+        for row in smaller:
+            scale = row["r_mm"] / whole["r_mm"]
+            assert row["strain_ue"] == pytest.approx(whole["strain_ue"] * scale**power, rel=0.03)
+            assert row["condition_of_gauges"] > whole["condition_of_gauges"] or beams == "kept"
+    whole, *smaller = [row for row in found if row["beams"] == "scaled"]
+    assert all(row["frequency_hz"] == pytest.approx(15.0 / row["r_mm"] * whole["frequency_hz"]) for row in smaller)
+    assert all(row["condition"] == pytest.approx(whole["condition"]) for row in smaller)
 
 
 def test_off_axis_claim(everything: list[dict[str, Any]]) -> None:

@@ -9,14 +9,16 @@ from pathlib import Path
 from tipforce_tools.cli import common
 from tipforce_tools.design.section import Section, print_section
 
-NAMES = ("1", "2", "3", "fig6", "fig9", "off-axis")
+NAMES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce design table`."""
     parser.epilog = (
-        "1, 2, 3: the tables (3 with the ranking of all layouts). fig6: condition number against gauge shift. fig9:\n"
-        "errors in the paper's grooves, simulated. off-axis: section 3.3. docs/mechanics.md explains them.\n"
+        "1, 2, 3: the tables (3 with the ranking of all layouts). comparators: the sensors [5] and [11] on one scale.\n"
+        "fig6: condition number against gauge shift. fig9: errors in the paper's grooves, simulated. off-axis:\n"
+        "section 3.3. materials: other materials and the largest load. scaling: smaller fingertips. Explained in\n"
+        "docs/mechanics.md.\n"
         "  tipforce design table 3\n"
         "  tipforce design table all --json > tables.jsonl\n"
         "  tipforce design table all -o figures"
@@ -51,15 +53,18 @@ def run(args: argparse.Namespace) -> int:
 def sections(args: argparse.Namespace) -> Iterator[Section]:
     """Yield the requested sections, each computed when it is needed."""
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_tools.design import figures, tables
+    from tipforce_tools.design import beyond, figures, tables
 
     makers: dict[str, list[Callable[[], Section]]] = {
         "1": [lambda: tables.table_1_section(FABRICATED)],
         "2": [lambda: tables.table_2_section(FABRICATED)],
         "3": [lambda: tables.table_3_section(FABRICATED), lambda: tables.ranking_section(FABRICATED)],
+        "comparators": [lambda: beyond.comparators_section(FABRICATED)],
         "fig6": [lambda: figures.figure_6_section(FABRICATED)],
         "fig9": [lambda: figures.figure_9_section(FABRICATED, args.noise, args.repeats, args.seed)],
         "off-axis": [lambda: figures.off_axis_section(FABRICATED)],
+        "materials": [lambda: beyond.materials_section(FABRICATED)],
+        "scaling": [lambda: beyond.scaling_section(FABRICATED)],
     }
     for name in NAMES if args.what == "all" else (args.what,):
         for make in makers[name]:

@@ -183,8 +183,8 @@ def _table_3_notes(geometry: Geometry) -> list[str]:
         "themselves. It has them for gauges that sit off the points (column shift, inward along the beam): all three "
         "by 0.4 mm in case I, about half of the 1 mm gauge; L alone by 1.8 mm in case II and L and R by 2.0 mm in "
         "case III (2.0 and 2.0 with the other gauges 0.5 mm off). One shift of about 2 mm of the outer gauges "
-        "explains both: II and III depend on where L and R really are, I does not use them. What in the "
-        "finite-element model acts as this shift, beam theory cannot say; the finite-element study is a later step.",
+        "explains both: II and III depend on where L and R really are, I does not use them. Our finite elements "
+        "(`tipforce fem`, docs/finite-elements.md) show what acts as this shift: thin legs of the tip, which bend.",
         "Measured: the printed matrices have 3.52, 3.53, 3.34. No entries that round to the printed ones give 3.50 "
         "for cases I and II (column rounding: the extremes over all 512 corners of the rounding box); 3.34 holds.",
         "The inverted matrices give the same gauge different rows in different cases: by up to "
@@ -193,7 +193,8 @@ def _table_3_notes(geometry: Geometry) -> list[str]:
         f"Shifts of the gauges do not explain the measured values: the best common set up to 6 mm ({moved} mm) still "
         f"misses one by {common.worst_miss:.2f}, where rounding allows 0.013.",
         "The condition number depends on the unit of the moment (by_unit in --json; case I: M/r 2.5, N mm 8, N m 158), "
-        "so the comparisons with 4.2 and 20.05 of other sensors are not like for like.",
+        "so the comparisons with 4.2 and 20.05 of other sensors are not like for like: `tipforce design table "
+        "comparators` puts them on one scale.",
     ]
 
 
