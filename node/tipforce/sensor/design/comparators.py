@@ -78,4 +78,4 @@ def best_length(geometry: Geometry, gauges: Layout) -> float:
         values = [condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
         at, width = int(np.argmin(values)), steps[1] - steps[0]
         low, high = float(steps[at] - width), float(steps[at] + width)
-    return geometry.r_m * 10.0 ** (0.5 * (low + high))
+    return float(geometry.r_m * 10.0 ** (0.5 * (low + high)))
