@@ -91,11 +91,12 @@ def hysteresis(rng: np.random.Generator) -> FloatArray:
     theta, phi = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
     before = np.abs(force_vector(1.0, phi.ravel(), theta.ravel()) @ A.T).max(axis=0)  # of each gauge, any load of 1 N
     width = CAUSES.hysteresis * before * LOADS.P_newtons[:, np.newaxis]
-    return (LOADS.F @ A.T + width * rng.normal(size=3)) @ C.T
+    V: FloatArray = LOADS.F @ A.T + width * rng.normal(size=3)
+    return V @ C.T
 
 
 def creep(rng: np.random.Generator) -> FloatArray:
-    return LOADS.F @ A.T * (1.0 + CAUSES.creep * rng.normal()) @ C.T
+    return LOADS.F @ A.T * float(1.0 + CAUSES.creep * rng.normal()) @ C.T
 
 
 def calibration_noise(rng: np.random.Generator) -> FloatArray:
