@@ -63,8 +63,9 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
 	mv build/conformance.md docs/conformance.md
 
-generate: bootstrap-test ## write the committed files generated from the object dictionary
+generate: bootstrap-test ## write the committed files generated from the object dictionary and the command line
 	@$(PYTHON) -m tipforce.dictionary.generate
+	@$(PYTHON) -m bench.command_document
 
 clean: ## remove .venv, caches and build results
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache

@@ -1,13 +1,28 @@
 #!/bin/sh
-# The tests that use canopen, with an installed tipforce and the oldest canopen that pyproject.toml allows.
-# Usage: tests/oldest.sh [VERSION]    (another version of canopen: the newest, say)
+# The tests with an installed tipforce and the oldest versions that the bounds in pyproject.toml allow, or the newest.
+# Usage: tests/oldest.sh [--newest] [PYTEST ARGUMENTS]
+# The oldest numpy exists for Python 3.11 and 3.12 only: PYTHON=python3.12 selects another interpreter than python3.
 set -eu
 cd "$(dirname "$0")/.."
-version=${1:-$(sed -n 's/^ *"canopen>=\([0-9.]*\),.*/\1/p' pyproject.toml)}
+python=${PYTHON:-python3}
 venv=$(mktemp -d)
 trap 'rm -rf "$venv"' EXIT
-python3 -m venv "$venv"
-"$venv/bin/pip" install --quiet . "canopen==$version" pytest==9.2.0 pytest-xdist==3.8.0 hypothesis==6.170.15
-"$venv/bin/pip" list 2>/dev/null | grep -E '^(canopen|python-can|numpy|cantools) '
+bounds() {
+    "$python" - <<'END'
+import re, tomllib
+project = tomllib.load(open("pyproject.toml", "rb"))["project"]
+extras = project["optional-dependencies"]
+wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "zstd", "mcap") for one in extras[name]]
+for name, bound in sorted({re.match(r"([\w-]+)>=([\d.]+)", one).groups() for one in wanted}):
+    print(f"{name}=={bound}")
+END
+}
+if [ "${1-}" = --newest ]; then shift; : >"$venv/bounds"; else bounds >"$venv/bounds"; fi
+"$python" -m venv "$venv"
+"$venv/bin/pip" install --quiet --upgrade --upgrade-strategy eager -c "$venv/bounds" \
+    '.[report,parquet,zstd,mcap]' pytest==9.2.0 pytest-xdist==3.8.0 hypothesis==6.170.15
+"$venv/bin/pip" list --format=freeze 2>/dev/null | grep -iE "^($(bounds | sed 's/==.*//; s/-/[-_]/' | paste -sd'|'))==" | paste -sd' '
+[ $# -gt 0 ] || set -- tests/sensor tests/dictionary tests/device tests/fingertip tests/host tests/scene tests/sources \
+    tests/running tests/api tests/tools --ignore=tests/tools/view/test_browser.py
 # "pythonpath" of pyproject.toml names the tests' own folders only: tipforce itself is the installed one.
-"$venv/bin/python" -m pytest -q -n auto tests/host/network tests/host/configuration tests/device/test_canopen_client.py
+"$venv/bin/python" -m pytest -q -n auto "$@"

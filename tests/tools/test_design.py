@@ -231,7 +231,7 @@ def test_usage(capsys: pytest.CaptureFixture[str], words: tuple[str, ...]) -> No
     with pytest.raises(SystemExit) as stopped:
         main(["design", *words])
     assert stopped.value.code == 2
-    assert "usage: tipforce design" in capsys.readouterr().err
+    assert "see `tipforce design" in capsys.readouterr().err
 
 
 def test_action_help(capsys: pytest.CaptureFixture[str]) -> None:

@@ -19,6 +19,7 @@ from tipforce_tools.report.study import Effort
 from tipforce_tools.scene.cost import Measured, _differences, import_times, nondecreasing, part_costs
 
 SCENES = Path(__file__).parents[2] / "scenes"
+SHIPPED = sorted(path.stem for path in SCENES.glob("*.toml"))
 
 
 def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
@@ -183,3 +184,25 @@ def test_the_study_of_the_report_ends_with_the_bare_nodes() -> None:
     assert full[0].error > static[0].error  # noise, dynamics and temperature
     # Processor time, as a ratio within one run: it is about ten.
     assert full[0].timing.seconds > 2.0 * static[0].timing.seconds
+
+
+def test_a_shipped_scene_is_found_by_name(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for name in ("static", "static.toml"):
+        assert main(["run", name, "--json", "-q"]) == 0
+        assert records(capsys)[-1]["ok"]
+    assert main(["scene", "explain", "static", "--json"]) == 0
+    assert capsys.readouterr().out
+    (tmp_path / "static.toml").write_text("[[")
+    assert main(["run", "static.toml"]) == 2
+    assert "scene static.toml: " in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("words", [("run",), ("scene", "explain"), ("view",)])
+def test_a_name_that_is_no_scene_lists_the_shipped_ones(
+    words: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main([*words, "grsp"]) == 2
+    assert capsys.readouterr().err == f"tipforce: grsp: no such file; by name ship {', '.join(SHIPPED)}\n"

@@ -14,7 +14,7 @@ Actions = Mapping[str, tuple[str, str]]
 
 
 class CommandParser(argparse.ArgumentParser):
-    """A parser of one command line; its error for a missing action lists the actions."""
+    """A parser of one command line; its errors are one line, which for a missing action lists the actions."""
 
     told: Mapping[str, str] = {}
     """action -> one line of help."""
@@ -25,12 +25,11 @@ class CommandParser(argparse.ArgumentParser):
         super().__init__(prog, description=description, formatter_class=argparse.RawDescriptionHelpFormatter)
 
     def error(self, message: str) -> NoReturn:
-        """Exit with code 2."""
+        """Print one line, with the command that lists the options; exit with code 2."""
         required = message.partition("the following arguments are required: ")[2].lower()
         if self.told and required.split(", ")[0] == self.told_dest:
-            usage = f"usage: {self.prog} {self.told_dest.upper()} ...\n{self.prog}: error: which {self.told_dest}?"
-            self.exit(2, f"{usage}\n{lines(self.told)}\n\n`{self.prog} --help` lists the options.\n")
-        super().error(message)
+            message = f"which {self.told_dest}? {', '.join(self.told)}"
+        self.exit(2, f"{self.prog}: error: {message}; see `{self.prog} --help`\n")
 
 
 def lines(told: Mapping[str, str]) -> str:

@@ -61,6 +61,16 @@ EXIT_CODES: dict[type[TipforceError], int] = {
     RefusedError: 12,
 }
 PERMISSION, INTERRUPTED = 9, 130
+EXIT_TEXTS = {
+    0: "ok",
+    1: "a check failed",
+    2: "usage",
+    5: "no response",
+    PERMISSION: "permission",
+    11: "SDO abort",
+    12: "the device refused",
+    INTERRUPTED: "interrupted",
+}
 
 USAGE = """usage: tipforce COMMAND [options]
 
@@ -70,8 +80,7 @@ commands:
 {commands}
 
 `tipforce COMMAND --help` lists the options of a command. Data goes to stdout, everything else to stderr.
-exit codes: 0 ok, 1 a check failed, 2 usage, 5 no response, 9 permission, 11 SDO abort, 12 the device refused,
-130 interrupted
+exit codes: {codes}
 """
 
 
@@ -98,7 +107,8 @@ def _answer(words: list[str]) -> int:
     if not words or words[0] in ("-h", "--help", "help"):
         width = max(map(len, COMMANDS))
         lines = (f"  {name:{width}}  {summary}" for name, (_, summary) in COMMANDS.items())
-        print(USAGE.format(commands="\n".join(lines)), end="")
+        codes = ", ".join(f"{code} {text}" for code, text in EXIT_TEXTS.items())
+        print(USAGE.format(commands="\n".join(lines), codes=codes), end="")
         return 0 if words else 2
     if words[0] in ("-V", "--version"):
         from tipforce.dictionary.table import SOFTWARE_VERSION

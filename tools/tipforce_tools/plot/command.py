@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
     group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
-    group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead")
+    group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead; tipforce: the shipped one")
     common.add_output_arguments(parser)
 
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from tipforce.errors import EnvironmentLackError
+from tipforce_tools.cli.shipped import shipped_folder
 from tipforce_tools.report.study import Effort, Point, Series, Study, quartiles
 
 SCENES = ("static", "full")
@@ -38,7 +37,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
     series = []
     for name in SCENES:
-        path = _folder() / f"{name}.toml"
+        path = shipped_folder("scenes") / f"{name}.toml"
         scene = read_scene(path)
         # A plot takes longer than all other parts and does not grow with the samples.
         ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
@@ -71,16 +70,13 @@ def scene_costs(
     scenes: Sequence[str] = SCENES,
     samples: int | None = None,
 ) -> list[SceneCost]:
-    """Measure; return rows by scene, then by part in the order of `tipforce scene explain`.
-
-    Raises EnvironmentLackError without the folder scenes/, which is in the source tree, not in a wheel.
-    """
+    """Measure; return rows by scene, then by part in the order of `tipforce scene explain`."""
     from tipforce.scene.schema import read_scene
     from tipforce_tools.scene.cost import part_costs, total
 
     rows: list[SceneCost] = []
     for name in scenes:
-        path = _folder() / f"{name}.toml"
+        path = shipped_folder("scenes") / f"{name}.toml"
         scene = read_scene(path)
         costs = part_costs(scene, path, samples or effort.pick(100, 300), effort.pick(2, 5))
         rows += [
@@ -90,10 +86,3 @@ def scene_costs(
         rows.append(SceneCost(name, ALL, True, whole.us_per_sample, whole.ms_per_run, whole.import_ms))
         advance()
     return rows
-
-
-def _folder() -> Path:
-    found = Path(__file__).parents[3] / "scenes"
-    if not found.is_dir():
-        raise EnvironmentLackError(f"{found}: no such folder; run this in a clone of the source, which has it")
-    return found

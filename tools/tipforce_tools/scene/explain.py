@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from tipforce.scene.scene_parts import Identifier
     from tipforce.scene.schema import Scene
 
@@ -18,7 +19,7 @@ _COSTS = ("us_per_sample", "ms_per_run", "import_ms")
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce scene explain`."""
-    parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md")
+    parser.add_argument("scene", metavar="SCENE", help="a TOML file, or the name of a shipped scene: grasp")
     parser.add_argument("--cost", action="store_true", help="measure the run time and import time of each part")
     common.add_output_arguments(parser)
 
@@ -27,9 +28,11 @@ def run(args: argparse.Namespace) -> int:
     """Explain; 0."""
     from tipforce.scene.scene_parts import bus_load, identifiers, parts
     from tipforce.scene.schema import read_scene
+    from tipforce_tools.cli.shipped import file_or_shipped
 
-    scene = read_scene(args.scene)
-    costs = _costs(args, scene) if args.cost else {}
+    path = file_or_shipped(args.scene, "scenes")
+    scene = read_scene(path)
+    costs = _costs(path, scene) if args.cost else {}
     rows = [
         {
             "part": part.name, "built": part.built, "why": part.why, "modules": list(part.modules),
@@ -65,11 +68,11 @@ def _sent(scene: Scene, one: Identifier) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _costs(args: argparse.Namespace, scene: Scene) -> dict[str, dict[str, float | None]]:
+def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
     from tipforce_tools.scene.cost import part_costs, total
 
     found = {}
-    costs = part_costs(scene, Path(args.scene))
+    costs = part_costs(scene, path)
     for cost in [*costs, total(costs)]:
         found[cost.part] = {
             "us_per_sample": cost.us_per_sample,

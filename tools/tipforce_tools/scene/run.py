@@ -7,7 +7,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
@@ -28,10 +27,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = (
         "Time is simulated, without a bus and without waiting, unless the scene has a [bus] or a bus flag is given.\n"
         "Exit code 1: an expectation of the scene ([[expect]]) did not hold.\n"
-        "  tipforce run scenes/grasp.toml\n"
-        "  tipforce run scenes/grasp.toml --duration 60 -i socketcan -c vcan0"
+        "  tipforce run grasp\n"
+        "  tipforce run grasp --duration 60 -i socketcan -c vcan0"
     )
-    parser.add_argument("scene", metavar="SCENE", help="a TOML file: docs/scenes.md; examples in scenes/")
+    parser.add_argument(
+        "scene", metavar="SCENE", help="a TOML file (docs/scenes.md), or the name of a shipped scene: grasp"
+    )
     parser.add_argument("--duration", type=float, metavar="S", help="instead of the scene's duration_s")
     parser.add_argument("--seed", type=int, metavar="N", help="instead of the scene's seed")
     parser.add_argument("-o", "--log", metavar="LOG", help="write every frame to this file, as candump -L does")
@@ -48,17 +49,19 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.scene.run import run_scene
     from tipforce.scene.scene_parts import bus_load
     from tipforce.scene.schema import read_scene
+    from tipforce_tools.cli.shipped import file_or_shipped
 
     common.set_up_logging(args)
-    scene = read_scene(args.scene)
+    path = file_or_shipped(args.scene, "scenes")
+    scene = read_scene(path)
     options = _options(args)
     if bus_load(scene)[0] > 1.0:
         common.note(
-            args, f"{args.scene}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
+            args, f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
         )
     started_s = time.monotonic()
     with _progress(args, options.duration_s or scene.duration_s) as advance:
-        outcome = run_scene(scene, Path(args.scene).parent, options, advance)
+        outcome = run_scene(scene, path.parent, options, advance)
     if args.json:
         _print_json(outcome)
     else:

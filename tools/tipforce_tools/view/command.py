@@ -33,15 +33,15 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "  tipforce view hand.toml                   commission the hand, and show it\n"
         "  tipforce view -i socketcan -c can0        listen only: show all fingers on the bus\n"
         "  tipforce view run.log                     replay a log\n"
-        "  tipforce view scenes/grasp.toml           run a scene, and show its log\n"
+        "  tipforce view grasp                       run a scene, and show its log\n"
         "  tipforce demo --view                      a simulated hand, without CAN\n"
         "The page is read-only and reachable from this machine only, unless --allow-writes and --host are given."
     )
     parser.add_argument(
         "source",
         nargs="?",
-        metavar="HAND.toml|LOG|SCENE.toml",
-        help="a hand file, a log, or a scene (default: listen to the bus)",
+        metavar="HAND.toml|LOG|SCENE",
+        help="a hand file, a log, a scene, or the name of a shipped scene (default: listen to the bus)",
     )
     parser.add_argument("--no-bring-up", action="store_true", help="with a hand file: only listen, change nothing")
     parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="show only these: 1,2,5-9")
@@ -121,7 +121,9 @@ def serve(args: argparse.Namespace, source: Source) -> int:
 
 @contextlib.contextmanager
 def _source(args: argparse.Namespace) -> Iterator[Source]:
-    path = Path(args.source) if args.source else None
+    from tipforce_tools.cli.shipped import file_or_shipped
+
+    path = file_or_shipped(args.source, "scenes") if args.source else None
     if args.no_bring_up and (path is None or path.suffix != ".toml"):
         raise InputError("--no-bring-up: needs a hand file")
     if path is None or (args.no_bring_up and path is not None):
