@@ -3,7 +3,7 @@ SHELL := /bin/bash
 PYTHON := .venv/bin/python
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test oldest report docs long generate lint lint-style lint-types lint-imports clean bootstrap-demo bootstrap-test
+.PHONY: help demo test oldest newest wheel report docs long generate lint lint-style lint-types lint-imports clean
 
 help: ## list the targets
 	@sed -n 's/^\([a-z]*\):.*## /  make \1\t/p' $(MAKEFILE_LIST)
@@ -16,8 +16,14 @@ test: lint ## check style, types and imports, run all tests, also on a real vcan
 	$(PYTHON) -m pytest -n auto --dist=worksteal
 	.venv/bin/tipforce vcan -- $(PYTHON) -m pytest tests/vcan
 
-oldest: ## run the tests that use canopen with the oldest version that pyproject.toml allows, in a separate venv
-	@tests/oldest.sh
+oldest: ## run the tests with the oldest versions that pyproject.toml allows, in a separate venv
+	@tests/versions.sh oldest
+
+newest: ## the same with the newest versions
+	@tests/versions.sh newest
+
+wheel: ## build the wheel, install it in an empty environment, and use it from an empty directory
+	@tests/wheel.sh
 
 lint: bootstrap-test ## check style, types and imports
 	@$(MAKE) --no-print-directory -j2 --output-sync=target lint-style lint-types lint-imports
@@ -32,13 +38,14 @@ lint-types:
 lint-imports:
 	.venv/bin/lint-imports --no-logo
 
-report: bootstrap-test ## write build/report/index.html: error against run time, extreme cases; ten minutes
+report: bootstrap-report ## write build/report/index.html: error against run time, extreme cases; ten minutes
 	.venv/bin/tipforce report -o build/report
 
-docs: bootstrap-test ## build the documentation site: build/site/index.html
+docs: bootstrap-docs ## build the documentation site: build/site/index.html
 	NO_MKDOCS_2_WARNING=1 $(PYTHON) -m mkdocs build --strict --quiet
 
 long: bootstrap-test ## run every long check at full size, and write the reports; about two hours
+	tests/wheel.sh
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.device
 	$(PYTHON) -m bench.micropython
@@ -71,8 +78,5 @@ clean: ## remove .venv, caches and build results
 	rm -rf .venv build dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-bootstrap-demo:
-	@tools/bootstrap.sh demo
-
-bootstrap-test:
-	@tools/bootstrap.sh test
+bootstrap-%:
+	@tools/bootstrap.sh $*

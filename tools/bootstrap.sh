@@ -1,7 +1,7 @@
 #!/bin/bash
-# Install what `make demo` and `make test` need, if it is missing.
-#   tools/bootstrap.sh demo   .venv with tipforce
-#   tools/bootstrap.sh test   the same with development tools, MicroPython, and their system packages
+# Install what the targets of the Makefile need, if it is missing.
+#   tools/bootstrap.sh demo|report|docs   .venv with tipforce, and with what the report or the site needs
+#   tools/bootstrap.sh test               the same with development tools, MicroPython, and their system packages
 # Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others get the command.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -68,11 +68,15 @@ make_venv() {
 fresh() { [ -f "$1" ] && [ ! pyproject.toml -nt "$1" ] && [ "$(<"$1")" = "$PWD" ] && [ -x .venv/bin/python ]; }
 
 install_project() {
-    local stamp=.venv/stamp-$1 wanted=.
+    local stamp=.venv/stamp-$1 wanted
     fresh .venv/stamp-test && return
-    [ "$1" = demo ] && fresh "$stamp" && return
-    [ "$1" = test ] && wanted='.[dev]'
-    if [ "$(cat .venv/stamp-test .venv/stamp-demo 2>/dev/null | head -n 1)" != "$PWD" ] ||
+    fresh "$stamp" && return
+    case $1 in
+    demo) wanted=. ;;
+    test) wanted='.[dev]' ;;
+    *) wanted=".[$1]" ;;
+    esac
+    if [ "$(cat .venv/stamp-* 2>/dev/null | head -n 1)" != "$PWD" ] ||
         ! .venv/bin/python -m pip --version >/dev/null 2>&1; then
         make_venv
     fi
@@ -116,11 +120,11 @@ install_system_packages() {
 }
 
 case "${1-}" in
-demo) install_project demo ;;
+demo | report | docs) install_project "$1" ;;
 test)
     install_project test
     install_system_packages
     install_micropython
     ;;
-*) die "usage: tools/bootstrap.sh demo|test" ;;
+*) die "usage: tools/bootstrap.sh demo|report|docs|test" ;;
 esac

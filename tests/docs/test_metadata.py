@@ -57,3 +57,12 @@ def test_no_folder_of_tests_is_left_out() -> None:
     folders = {f"tests/{path.parent.name}" for path in (ROOT / "tests").glob("*/test_*.py")}
     folders |= {f"tests/{path.parts[-3]}" for path in (ROOT / "tests").glob("*/*/test_*.py")}
     assert set(listed) == folders - {"tests/vcan"}
+
+
+def test_the_readme_names_every_system_package() -> None:
+    script = (ROOT / "tools" / "bootstrap.sh").read_text()
+    lists = re.findall(r"missing\+=\(([^)]*)\)|apt_install ([a-z0-9][\w -]*)", script)
+    packages = {name for pair in lists for name in " ".join(pair).split()}
+    assert {"can-utils", "chromium", "python3-venv"} <= packages
+    readme = (ROOT / "README.md").read_text()
+    assert [name for name in sorted(packages) if f"`{name}`" not in readme] == []

@@ -31,10 +31,11 @@ def test_the_form_is_that_of_a_workflow(path: Path) -> None:
     workflow = read_workflow(path)
     assert {"name", "on", "jobs"} <= set(workflow.keys)
     assert workflow.jobs
+    assert "permissions:\n  contents: read\n" in path.read_text()
     for step in workflow.steps:
         assert ("uses" in step.keys) != ("run" in step.keys), step
         if "uses" in step.keys:
-            assert re.fullmatch(r"actions/[a-z-]+@v\d+", step.keys["uses"])
+            assert re.fullmatch(r"actions/[a-z-]+@[0-9a-f]{40} # v\d+\.\d+\.\d+", step.keys["uses"])
         else:
             assert step.lines
     assert [step.keys.get("uses", "").split("@")[0] for step in workflow.steps[:2]] == [
@@ -55,7 +56,7 @@ def test_a_yaml_parser_sees_the_same() -> None:
 def test_our_own_runs_what_make_has() -> None:
     targets = re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(), re.MULTILINE)
     called = commands(read_workflow(OURS), "make")
-    assert called == [["demo"], ["test"], ["oldest"]]
+    assert called == [["demo"], ["test"], ["oldest"], ["newest"], ["wheel"]]
     assert all(words[0] in targets for words in called)
     versions = re.findall(r'"(3\.\d+)"', OURS.read_text())
     assert versions == ["3.11", "3.13"]

@@ -295,4 +295,4 @@ def test_a_wrong_number_is_told_with_what_is_allowed(words: str, told: str, caps
     with pytest.raises(SystemExit) as ended:
         main(words.split())
     assert ended.value.code == 2
-    assert capsys.readouterr().err.endswith(f"{told}; see `tipforce {words.split()[0]} --help`\n")
+    assert capsys.readouterr().err.endswith(f"{told}; see `tipforce {words.split(maxsplit=1)[0]} --help`\n")

@@ -1,6 +1,6 @@
 #!/bin/sh
 # The tests with an installed tipforce and the oldest versions that the bounds in pyproject.toml allow, or the newest.
-# Usage: tests/oldest.sh [--newest] [PYTEST ARGUMENTS]
+# Usage: tests/versions.sh oldest|newest [PYTEST ARGUMENTS]
 # The oldest numpy exists for Python 3.11 and 3.12 only: PYTHON=python3.12 selects another interpreter than python3.
 set -eu
 cd "$(dirname "$0")/.."
@@ -17,7 +17,12 @@ for name, bound in sorted({re.match(r"([\w-]+)>=([\d.]+)", one).groups() for one
     print(f"{name}=={bound}")
 END
 }
-if [ "${1-}" = --newest ]; then shift; : >"$venv/bounds"; else bounds >"$venv/bounds"; fi
+case "${1-}" in
+oldest) bounds >"$venv/bounds" ;;
+newest) : >"$venv/bounds" ;;
+*) sed -n 's/^# Usage: /usage: /p' "$0" >&2; exit 2 ;;
+esac
+shift
 "$python" -m venv "$venv"
 "$venv/bin/pip" install --quiet --upgrade --upgrade-strategy eager -c "$venv/bounds" \
     '.[report,parquet,zstd,mcap]' pytest==9.2.0 pytest-xdist==3.8.0 hypothesis==6.170.15
