@@ -159,9 +159,13 @@ def test_a_finger_without_power_is_missing_on_both_pages(views: Views) -> None:
             stack.enter_context(page).messages(all_live)
         assert views.nodes[6].end(signal.SIGKILL) == -signal.SIGKILL
         killed_ms = time.time_ns() * 1e-6
+
+        def silent_since_then(message: Message) -> bool:
+            return bool(message["t"] > killed_ms and message["fingers"][1]["w"] == "silent")
+
         for page in views.pages.values():
             # A machine that stood still before made it silent for a moment, too.
-            messages = page.messages(lambda message: message["t"] > killed_ms and message["fingers"][1]["w"] == "silent")
+            messages = page.messages(silent_since_then)
             check_ages(messages)
             for message in messages:
                 six = message["fingers"][1]
