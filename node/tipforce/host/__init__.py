@@ -9,8 +9,10 @@ if TYPE_CHECKING:
     from tipforce.host.configuration.calibration_file import read_fit as read_fit
     from tipforce.host.configuration.calibration_file import write_calibration as write_calibration
     from tipforce.host.configuration.configuration_file import apply_configuration as apply_configuration
+    from tipforce.host.configuration.configuration_file import apply_configuration_async as apply_configuration_async
     from tipforce.host.configuration.configuration_file import read_configuration as read_configuration
     from tipforce.host.configuration.configuration_file import verify_configuration as verify_configuration
+    from tipforce.host.configuration.configuration_file import verify_configuration_async as verify_configuration_async
     from tipforce.host.configuration.measurements import Measurements as Measurements
     from tipforce.host.configuration.measurements import read_measurements as read_measurements
     from tipforce.host.configuration.measurements import write_measurements as write_measurements
@@ -81,7 +83,9 @@ _MODULES = {
     "write_calibration": "configuration.calibration_file",
     "read_configuration": "configuration.configuration_file",
     "apply_configuration": "configuration.configuration_file",
+    "apply_configuration_async": "configuration.configuration_file",
     "verify_configuration": "configuration.configuration_file",
+    "verify_configuration_async": "configuration.configuration_file",
 }
 __all__ = [
     "FRAME",
@@ -109,6 +113,7 @@ __all__ = [
     "Statistics",
     "Tare",
     "apply_configuration",
+    "apply_configuration_async",
     "fit_record",
     "frame_array",
     "hand_budget",
@@ -120,6 +125,7 @@ __all__ = [
     "read_hand",
     "read_measurements",
     "verify_configuration",
+    "verify_configuration_async",
     "write_calibration",
     "write_measurements",
 ]

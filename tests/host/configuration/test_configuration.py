@@ -45,7 +45,7 @@ class Recorder(SdoChannel):
         self.node_id = NODE
         self.writes: list[tuple[int, int, int]] = []
 
-    def upload(self, index: int, sub: int) -> bytes:
+    def upload(self, index: int, sub: int, long: bool = False) -> bytes:  # noqa: ARG002
         found = [value for i, s, value in self.writes if (i, s) == (index, sub)]
         size = types.data_type(rows(8, True)[index, sub].letter).size or 0
         return (found[-1] if found else 3).to_bytes(size, "little")

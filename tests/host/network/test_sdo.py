@@ -99,7 +99,8 @@ def test_an_abort_names_place_code_and_meaning(
     assert "node 5 (0x05)" in str(caught.value)
     assert f"abort 0x{code:08X}, " in str(caught.value)
     assert text in str(caught.value)
-    starts = [data for can_id, data in bus.sent if can_id == 0x600 + NODE and data[0] >> 5 == 1]
+    place = struct.pack("<HB", entry.index, entry.sub)
+    starts = [data for can_id, data in bus.sent if can_id == 0x600 + NODE and data[1:4] == place]
     assert len(starts) == 1, "an abort is an answer, so nothing is tried again"
 
 

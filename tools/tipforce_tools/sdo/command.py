@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
             sdo.download(index, sub, data)
             common.note(args, f"node {common.shown_id(args.node)} 0x{index:04X}:{sub:02X} = {value_text}")
             return 0
-        value = types.decode(letter, sdo.upload(index, sub))
+        value = types.decode(letter, sdo.upload(index, sub, letter == "D"))
     text = types.format_value(letter, value)
     if args.json:
         shown = text if isinstance(value, bytes) else value

@@ -87,7 +87,7 @@ def _read(sdo: SdoChannel, rows: list[Row]) -> Iterator[Found | None]:
 
     for row in rows:
         try:
-            data = sdo.upload(row.index, row.sub)
+            data = sdo.upload(row.index, row.sub, row.letter == "D")
         except SdoAbortError as error:
             yield None if error.code in _NOT_THERE else Found(row, None, "", error)
             continue

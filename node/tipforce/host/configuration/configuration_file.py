@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import contextlib
 import re
-from collections.abc import Mapping
 from pathlib import Path
 
 import msgspec
@@ -15,7 +14,7 @@ from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.signals import is_mapping
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.sdo import Read, SdoChannel, Steps, Write
 from tipforce.toml_table import convert, read_table
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
@@ -143,16 +142,25 @@ def apply_configuration(sdo: SdoChannel, wanted: Configuration) -> None:
 
     If the node rejects one, the previous values are restored as far as the node accepts them.
     """
-    before = _present(sdo, wanted)
+    sdo.run(_apply(wanted))
+
+
+async def apply_configuration_async(sdo: SdoChannel, wanted: Configuration) -> None:
+    """Apply for asyncio: several nodes are configured at once. Raises as ``apply_configuration``."""
+    await sdo.run_async(_apply(wanted))
+
+
+def _apply(wanted: Configuration) -> Steps[None]:
+    before = yield from _present(wanted)
     try:
-        _write(sdo, wanted)
+        yield from _write(wanted)
     except SdoAbortError:
         with contextlib.suppress(SdoAbortError, NoResponseError):
-            _write(sdo, before)
+            yield from _write(before)
         raise
 
 
-def _present(sdo: SdoChannel, wanted: Configuration) -> Configuration:
+def _present(wanted: Configuration) -> Steps[Configuration]:
     """Return the node's present values of the objects that ``wanted`` changes; of a PDO its whole mapping."""
     entries = {key: entry for key, (entry, _) in wanted.items() if entry.access != "wo"}
     for pdo in _pdos(wanted):
@@ -160,18 +168,21 @@ def _present(sdo: SdoChannel, wanted: Configuration) -> Configuration:
         entries[cob_id.index, cob_id.sub] = cob_id
         if any(index == count.index for index, _ in wanted):
             entries[count.index, 0] = count
-            for sub in range(1, int(sdo.read(count)) + 1):
+            for sub in range(1, int((yield Read(count))) + 1):
                 slot = names.resolve(f"0x{count.index:04X}:{sub:02X}", table.MAX_GAUGES)
                 entries[slot.index, slot.sub] = slot
-    return {key: (entry, sdo.read(entry)) for key, entry in sorted(entries.items())}
+    present: Configuration = {}
+    for key, entry in sorted(entries.items()):
+        present[key] = entry, (yield Read(entry))
+    return present
 
 
-def _write(sdo: SdoChannel, values: Configuration) -> None:
+def _write(values: Configuration) -> Steps[None]:
     for pdo in _pdos(values):
-        _apply_pdo(sdo, pdo, values)
+        yield from _apply_pdo(pdo, values)
     for (index, _), (entry, value) in values.items():
         if not _is_pdo(index):
-            sdo.write(entry, value)
+            yield Write(entry, value)
 
 
 def _pdos(values: Configuration) -> list[int]:
@@ -185,36 +196,44 @@ def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
     return cob_id, names.resolve(f"0x{parameters + communication.MAPPING:04X}:00", table.MAX_GAUGES)
 
 
-def _apply_pdo(sdo: SdoChannel, parameters: int, wanted: Mapping[tuple[int, int], tuple[Entry[Value], Value]]) -> None:
+def _apply_pdo(parameters: int, wanted: Configuration) -> Steps[None]:
     mapping = parameters + communication.MAPPING
     cob_id, count = _pdo_entries(parameters)
-    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else sdo.read(cob_id)
+    final = wanted[parameters, 1][1] if (parameters, 1) in wanted else (yield Read(cob_id))
     assert isinstance(final, int)
-    sdo.write(cob_id, final | codes.COB_ID_INVALID)
+    yield Write(cob_id, final | codes.COB_ID_INVALID)
     if any(index == mapping for index, _ in wanted):
-        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else sdo.read(count)
-        sdo.write(count, 0)
+        length = wanted[mapping, 0][1] if (mapping, 0) in wanted else (yield Read(count))
+        yield Write(count, 0)
         for (index, sub), (entry, value) in wanted.items():
             if index == mapping and sub:
-                sdo.write(entry, value)
-        sdo.write(count, length)
+                yield Write(entry, value)
+        yield Write(count, length)
     for (index, sub), (entry, value) in wanted.items():
         if index == parameters and sub != 1:
-            sdo.write(entry, value)
-    sdo.write(cob_id, final)
+            yield Write(entry, value)
+    yield Write(cob_id, final)
 
 
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
+    return sdo.run(_verify(wanted))
+
+
+async def verify_configuration_async(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
+    """Verify for asyncio."""
+    return await sdo.run_async(_verify(wanted))
+
+
+def _verify(wanted: Configuration) -> Steps[list[dict[str, object]]]:
     differences: list[dict[str, object]] = []
     for entry, value in wanted.values():
         if entry.access == "wo":
             continue
-        expected, found = entry.encode(value), sdo.upload(entry.index, entry.sub)
-        if expected != found:
-            shown = types.format_value(entry.type, entry.decode(found))
-            expected_text = types.format_value(entry.type, value)
-            differences.append({"object": f"{entry.name} ({entry})", "expected": expected_text, "found": shown})
+        found = yield Read(entry)
+        if entry.encode(value) != entry.encode(found):
+            shown, expected = types.format_value(entry.type, found), types.format_value(entry.type, value)
+            differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
     return differences
 
 

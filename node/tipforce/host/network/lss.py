@@ -6,9 +6,9 @@ bit of a fastscan, so that a hand of five fingers would take a minute to number.
 
 from __future__ import annotations
 
-import queue
 import struct
 from collections.abc import Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass
 from types import TracebackType
 
@@ -43,7 +43,7 @@ class LssMaster:
     def __init__(self, connection: Bus, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         self._connection = connection
         self._timeout_s = timeout_s
-        self._answers: queue.SimpleQueue[bytes] = queue.SimpleQueue()
+        self._awaited: tuple[int, Future[bytes]] | None = None
         connection.network.subscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 
     def __enter__(self) -> LssMaster:
@@ -119,19 +119,20 @@ class LssMaster:
         return answer
 
     def _ask(self, service: int, payload: bytes, expected: int, timeout_s: float | None = None) -> bytes | None:
-        while not self._answers.empty():
-            self._answers.get()
-        self._send(service, payload)
+        answer: Future[bytes] = Future()
+        self._awaited = expected, answer  # other traffic neither ends nor extends the wait
         try:
-            while True:
-                answer = self._answers.get(timeout=self._timeout_s if timeout_s is None else timeout_s)
-                if len(answer) == 8 and answer[0] == expected:
-                    return answer
-        except queue.Empty:
+            self._send(service, payload)
+            return answer.result(self._timeout_s if timeout_s is None else timeout_s)
+        except TimeoutError:
             return None
+        finally:
+            self._awaited = None
 
     def _send(self, service: int, payload: bytes) -> None:
         self._connection.send(codes.LSS_REQUEST_COB_ID, (bytes((service,)) + payload).ljust(8, b"\0"))
 
     def _on_answer(self, _can_id: int, data: bytearray, _time_s: float) -> None:
-        self._answers.put(bytes(data))
+        awaited = self._awaited
+        if awaited is not None and len(data) == 8 and data[0] == awaited[0] and not awaited[1].done():
+            awaited[1].set_result(bytes(data))

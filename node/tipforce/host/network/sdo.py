@@ -1,43 +1,65 @@
-"""The SDO client of the host: thread-safe, with time-outs and retries set by the caller, and explicit errors.
+"""The SDO client of the host: one channel to each node, for threads and for asyncio, with retries and a deadline.
 
-The ``canopen`` package's client does the transfer; it is not thread-safe and does not retry, so both are added.
+``tipforce.device.sdo_client`` does the transfer; the thread that receives a response processes it.
 """
 
 from __future__ import annotations
 
-import struct
-import threading
-from collections.abc import Callable
+import asyncio
+import time
+from collections.abc import Callable, Generator
 from contextlib import suppress
-from typing import TypeVar
+from dataclasses import dataclass
+from typing import Any, TypeAlias, TypeVar
 
-import can
 import canopen
-from canopen.sdo.client import SdoClient
-from canopen.sdo.exceptions import SdoAbortedError, SdoCommunicationError
 
 from tipforce.device import codes
+from tipforce.device.sdo_client import Download, Transfer, Upload
+from tipforce.device.sdo_client_block import SWITCH_BYTES, BlockDownload, BlockUpload
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import resolve
 from tipforce.dictionary.types import Value
-from tipforce.errors import EnvironmentLackError, InputError, NoResponseError, SdoAbortError
+from tipforce.errors import InputError, TipforceError
+from tipforce.host.network.sdo_exchange import Exchange, Turns
 
 T = TypeVar("T", bound=Value)
 R = TypeVar("R")
 
 DEFAULT_TIMEOUT_S = 0.5
 DEFAULT_RETRIES = 2
-_TIMED_OUT = "No SDO response"
-"""Start of canopen's error text for a silent node."""
+DEFAULT_DEADLINE_S = 20.0
+_DOMAIN = "D"  # the only type of objects that are long on a fingertip
+
+
+@dataclass(frozen=True, slots=True)
+class Read:
+    """A step of ``SdoChannel.run``: read an entry."""
+
+    entry: Entry[Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Write:
+    """A step of ``SdoChannel.run``: write an entry."""
+
+    entry: Entry[Any]
+    value: Any
+
+
+Steps: TypeAlias = Generator[Read | Write, Any, R]
+"""Transfers in sequence: yields each, receives the value that was read, or the error of the transfer as exception."""
 
 
 class SdoChannel:
-    """SDO transfers with one node; any number of threads may use it.
+    """SDO transfers with one node; any number of threads and of asyncio tasks may use it.
 
     ``timeout_s`` bounds the wait for each response, ``retries`` is the number of further attempts after an attempt
-    without a response. An abort by the node is a response: it is never retried.
+    without a valid response, ``deadline_s`` bounds a transfer with all its attempts. An abort by the node is a
+    response: it is never retried. Long data goes in blocks, unless the node has refused a block transfer
+    (``has_blocks``). ``clock`` returns seconds.
     """
 
     def __init__(
@@ -46,35 +68,41 @@ class SdoChannel:
         node_id: int,
         timeout_s: float = DEFAULT_TIMEOUT_S,
         retries: int = DEFAULT_RETRIES,
+        deadline_s: float = DEFAULT_DEADLINE_S,
+        clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.node_id = node_id
+        self.timeout_s = timeout_s
         self.retries = retries
-        self._lock = threading.Lock()
-        # An empty dictionary: with one, the client would cut responses to the length that it expects.
-        request, response = codes.SDO_REQUEST_BASE + node_id, codes.SDO_RESPONSE_BASE + node_id
-        self._client = SdoClient(request, response, canopen.ObjectDictionary())
-        self._client.RESPONSE_TIMEOUT = timeout_s
-        self._client.network = self._network = network
+        self.has_blocks = True
+        self._deadline_s = deadline_s
+        self._clock = clock
+        self._network = network
+        self._turns = Turns()
+        self._exchange: Exchange | None = None
         self._gauges: int | None = None
-        network.subscribe(response, self._client.on_response)
+        network.subscribe(codes.SDO_RESPONSE_BASE + node_id, self._on_response)
 
     def close(self) -> None:
         """Stop listening to the node's responses."""
         with suppress(KeyError, ValueError):
-            self._network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._client.on_response)
-
-    @property
-    def timeout_s(self) -> float:
-        """The time-out of each response in seconds."""
-        return self._client.RESPONSE_TIMEOUT
+            self._network.unsubscribe(codes.SDO_RESPONSE_BASE + self.node_id, self._on_response)
 
     def read(self, entry: Entry[T]) -> T:
         """Return the value of an entry. Raises NoResponseError, SdoAbortError, or InputError for a wrong length."""
-        return entry.decode(self.upload(entry.index, entry.sub))
+        return entry.decode(self.upload(entry.index, entry.sub, entry.type == _DOMAIN))
 
     def write(self, entry: Entry[T], value: T) -> None:
         """Write a value. Raises as ``read``, and InputError for a value that the type cannot hold."""
         self.download(entry.index, entry.sub, entry.encode(value))
+
+    async def read_async(self, entry: Entry[T]) -> T:
+        """Read for asyncio. Raises as ``read``."""
+        return entry.decode(await self.upload_async(entry.index, entry.sub, entry.type == _DOMAIN))
+
+    async def write_async(self, entry: Entry[T], value: T) -> None:
+        """Write for asyncio. Raises as ``write``."""
+        await self.download_async(entry.index, entry.sub, entry.encode(value))
 
     def __getitem__(self, name: str) -> Value:
         """Return the value of the object called ``name``: ``sdo["calibration.serial"]``, ``sdo["0x2102:01"]``.
@@ -87,6 +115,82 @@ class SdoChannel:
         """Write the object called ``name``. Raises as ``write``, and as reading it by name."""
         self.write(self._entry(name), value)
 
+    def run(self, steps: Steps[R]) -> R:
+        """Do the transfers of ``steps`` and return its value. Raises what it raises."""
+        try:
+            step = next(steps)
+            while True:
+                try:
+                    value = None
+                    if isinstance(step, Read):
+                        value = self.read(step.entry)
+                    else:
+                        self.write(step.entry, step.value)
+                except TipforceError as error:
+                    step = steps.throw(error)
+                else:
+                    step = steps.send(value)
+        except StopIteration as end:
+            result: R = end.value
+            return result
+
+    async def run_async(self, steps: Steps[R]) -> R:
+        """Run for asyncio: the steps of one channel in sequence, those of several channels at once."""
+        try:
+            step = next(steps)
+            while True:
+                try:
+                    value = None
+                    if isinstance(step, Read):
+                        value = await self.read_async(step.entry)
+                    else:
+                        await self.write_async(step.entry, step.value)
+                except TipforceError as error:
+                    step = steps.throw(error)
+                else:
+                    step = steps.send(value)
+        except StopIteration as end:
+            result: R = end.value
+            return result
+
+    def upload(self, index: int, sub: int, long: bool = False) -> bytes:
+        """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
+        return self._wait(*self._upload(index, sub, long))
+
+    def download(self, index: int, sub: int, data: bytes) -> None:
+        """Write bytes to an entry (an SDO download)."""
+        self._wait(*self._download(index, sub, data))
+
+    async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
+        """Upload for asyncio."""
+        return await self._wait_async(*self._upload(index, sub, long))
+
+    async def download_async(self, index: int, sub: int, data: bytes) -> None:
+        """Download for asyncio."""
+        await self._wait_async(*self._download(index, sub, data))
+
+    # --- for Exchange ----------------------------------------------------------------------------------------
+
+    @property
+    def deadline_s(self) -> float:
+        """The longest time for a transfer with its retries; a long time-out extends it."""
+        return max(self._deadline_s, 2.0 * self.timeout_s * (self.retries + 1))
+
+    def now_us(self) -> int:
+        """Return the time of the channel's clock in microseconds."""
+        return int(1e6 * self._clock())
+
+    def send(self, request: bytes) -> None:
+        """Send a request. Raises can.CanError, or RuntimeError for a closed bus."""
+        self._network.send_message(codes.SDO_REQUEST_BASE + self.node_id, request)
+
+    def bus_failure(self) -> Exception | None:
+        """Return the error with which python-can's receiving thread has ended; no frame is received from then on."""
+        notifier = self._network.notifier
+        return None if notifier is None else notifier.exception
+
+    # --- transfers -------------------------------------------------------------------------------------------
+
     def _entry(self, name: str) -> Entry[Value]:
         if not isinstance(name, str):
             raise InputError(f"object {name!r}: allowed is a name such as 'calibration.serial', or '0x2102:01'")
@@ -95,70 +199,60 @@ class SdoChannel:
             self._gauges = product & 0xF if table.MIN_GAUGES <= product & 0xF <= table.MAX_GAUGES else table.MIN_GAUGES
         return resolve(name, self._gauges)
 
-    def upload(self, index: int, sub: int) -> bytes:
-        """Return the bytes of an entry (an SDO upload)."""
-        return self._try(lambda: bytes(self._client.upload(index, sub)), f"read of 0x{index:04X}:{sub:02X}")
+    def _upload(self, index: int, sub: int, long: bool) -> tuple[str, Callable[[int, int, int], Transfer]]:
+        def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
+            kind = BlockUpload if long and self.has_blocks and number == 1 else Upload
+            return kind(index, sub, timeout_us, deadline_us)
 
-    def download(self, index: int, sub: int, data: bytes) -> None:
-        """Write bytes to an entry (an SDO download)."""
-        self._try(lambda: self._download(index, sub, data), f"write of 0x{index:04X}:{sub:02X}")
+        return f"read of 0x{index:04X}:{sub:02X}", attempt
 
-    def _download(self, index: int, sub: int, data: bytes) -> None:
-        """Download expedited for one to four bytes, otherwise segmented (CiA 301, 7.2.4.3.3 and 7.2.4.3.4).
+    def _download(self, index: int, sub: int, data: bytes) -> tuple[str, Callable[[int, int, int], Transfer]]:
+        def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
+            long = len(data) > SWITCH_BYTES
+            kind = BlockDownload if long and self.has_blocks and number == 1 else Download
+            return kind(index, sub, timeout_us, deadline_us, data)
 
-        canopen's own is a stream: after a failure its close() or its finalizer, in any thread, sends one more segment,
-        which the node aborts; that abort ends the retry.
-        """
-        place = struct.pack("<HB", index, sub)
-        if 1 <= len(data) <= 4:
-            self._exchange(bytes((0x23 | (4 - len(data)) << 2,)) + place + data.ljust(4, b"\0"), b"\x60" + place)
-            return
-        self._exchange(b"\x21" + place + struct.pack("<I", len(data)), b"\x60" + place)
-        toggle = 0
-        for start in range(0, len(data) or 1, 7):
-            part = data[start : start + 7]
-            command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(data))
-            self._exchange(bytes((command,)) + part.ljust(7, b"\0"), bytes((0x20 | toggle,)))
-            toggle ^= 0x10
+        return f"write of 0x{index:04X}:{sub:02X}", attempt
 
-    def _exchange(self, request: bytes, expected: bytes) -> None:
-        response = self._client.request_response(request)
-        if not response.startswith(expected):
-            self._client.abort(codes.UNKNOWN_COMMAND)
-            raise SdoCommunicationError(f"unexpected response {response.hex(' ')}")
+    def _wait(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
+        turn = self._turns.request()
+        try:
+            turn.result()
+        except BaseException:
+            self._turns.withdraw(turn)
+            raise
+        self._exchange = exchange = Exchange(self, what, attempt)
+        try:
+            while True:
+                exchange.step()
+                with suppress(TimeoutError):
+                    return exchange.done.result(exchange.left_s)
+        finally:
+            self._end(exchange)
 
-    def _try(self, transfer: Callable[[], R], what: str) -> R:
-        place = f"node {self.node_id} (0x{self.node_id:02X}), {what}"
-        wrong = ""
-        with self._lock:
-            for attempt in range(self.retries + 1):
-                try:
-                    return transfer()
-                except SdoAbortedError as error:
-                    raise SdoAbortError(f"{place}: {_meaning(error)}", error.code) from None
-                except (SdoCommunicationError, struct.error) as error:
-                    # canopen unpacks a response as eight bytes: a shorter frame is a struct.error.
-                    wrong = "" if str(error).startswith(_TIMED_OUT) else str(error)
-                    if attempt == self.retries:
-                        break
-                except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
-                    raise EnvironmentLackError(f"{place}: the bus refused the frame: {error}") from None
-        notifier = self._network.notifier
-        if notifier is not None and notifier.exception is not None:
-            # python-can's receiving thread ends at a bus error; from then on no frame would be received.
-            raise EnvironmentLackError(f"{place}: the bus failed: {notifier.exception}; open it again")
-        tries = f"{self.retries + 1} tries" if self.retries else "1 try"
-        if wrong:
-            raise NoResponseError(
-                f"{place}: no valid response in {tries}, the last: {wrong}; check for another SDO client of this node "
-                "and for another node with its node-id"
-            )
-        raise NoResponseError(
-            f"{place}: no response after {tries} of {self.timeout_s:g} s; "
-            "check its power, bus, bit rate and node-id; `tipforce scan` lists nodes"
-        )
+    async def _wait_async(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
+        turn = self._turns.request()
+        try:
+            await asyncio.wrap_future(turn)
+        except BaseException:
+            self._turns.withdraw(turn)
+            raise
+        self._exchange = exchange = Exchange(self, what, attempt)
+        try:
+            done = asyncio.wrap_future(exchange.done)
+            while not done.done():
+                exchange.step()
+                await asyncio.wait({done}, timeout=exchange.left_s)
+            return done.result()
+        finally:
+            self._end(exchange)
 
+    def _end(self, exchange: Exchange) -> None:
+        self._exchange = None
+        exchange.cancel()
+        self._turns.release()
 
-def _meaning(error: SdoAbortedError) -> str:
-    text = SdoAbortedError.CODES.get(error.code, "abort code without a standard meaning")
-    return f"abort 0x{error.code:08X}, {text}"
+    def _on_response(self, _can_id: int, data: bytearray, _t_s: float) -> None:
+        exchange = self._exchange
+        if exchange is not None:
+            exchange.step(bytes(data))

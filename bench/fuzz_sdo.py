@@ -1,0 +1,233 @@
+"""Let the SDO client talk to servers that lie, and check after each conversation that it ended as it must.
+
+    python -m bench.fuzz_sdo                               20 000 conversations
+    python -m bench.fuzz_sdo --conversations 1_000_000     the long run
+    python -m bench.fuzz_sdo --seed 1 --only 4711          conversation 4711 of seed 1 once more, frame by frame
+
+A conversation is one transfer, of each kind, with the device core as the server; on its way each response may be
+changed, lost, repeated, delayed, replaced, or joined by others that nobody asked for. The clock is a fake one. A
+conversation follows from the seed and its number alone.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gc
+import heapq
+import itertools
+import re
+import struct
+import sys
+import time
+import tracemalloc
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from random import Random
+
+from tipforce.device.node import Device
+from tipforce.device.object_dictionary import ObjectDictionary
+from tipforce.device.sdo_block import MAX_BLOCK
+from tipforce.device.sdo_client import Download, Transfer, Upload
+from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
+
+INDEX, SUB = 0x2000, 0
+TIMEOUT_US, DEADLINE_US = 500_000, 5_000_000
+LIMIT_BYTES = 2048
+MOST_STEPS = 200_000
+# Peak of a conversation: most of it are frames in flight, up to three blocks with two foreign frames for each segment.
+MEMORY_LIMIT_BYTES = 400_000
+HELD_LIMIT_BYTES = 30_000  # after its end
+MEMORY_CONVERSATIONS = 100  # one of so many runs under tracemalloc, which makes it several times slower
+_DAMAGES = ("change", "lose", "repeat", "delay", "replace", "join", "abort", "storm")
+
+
+@dataclass(slots=True)
+class Response:
+    """Data after so many microseconds; perhaps repeated ``times``, ``every_us``."""
+
+    delay_us: int
+    data: bytes
+    times: int = 1
+    every_us: int = 100
+
+
+class BrokenError(Exception):
+    """An invariant that does not hold."""
+
+
+def play(transfer: Transfer, server: Callable[[int, bytes], Iterable[Response]], latest_us: int) -> list[bytes]:
+    """Let a transfer and ``server(now_us, request)`` talk in fake time; return the requests.
+
+    Raises BrokenError unless it ends by ``latest_us``, with at most one abort, its last request.
+    """
+    now_us, aborts, order = 0, 0, itertools.count()
+    flight: list[tuple[int, int, Response]] = []
+    requests: list[bytes] = []
+    response: bytes | None = None
+    for _ in range(MOST_STEPS):
+        sent, due_us = transfer.step(now_us, response)
+        for request in sent:
+            if len(request) != 8 or aborts:
+                raise BrokenError(f"request {request.hex()} after {aborts} aborts")
+            aborts += request[0] == 0x80 and request[1:4] == transfer.place
+            for answer in server(now_us, request):
+                heapq.heappush(flight, (now_us + answer.delay_us, next(order), answer))
+        requests = (requests + sent)[-MAX_BLOCK:]
+        if transfer.ended:
+            if now_us > latest_us:
+                raise BrokenError(f"ended at {now_us} us, its deadline was {latest_us} us")
+            return requests
+        if due_us < now_us:
+            raise BrokenError(f"due at {due_us} us, now is {now_us} us")
+        if flight and flight[0][0] <= due_us:
+            now_us, _, answer = heapq.heappop(flight)
+            response = answer.data
+            if answer.times > 1:
+                answer.times -= 1
+                heapq.heappush(flight, (now_us + answer.every_us, next(order), answer))
+        else:
+            now_us, response = due_us, None
+    raise BrokenError(f"no end after {MOST_STEPS} steps")
+
+
+class Server:
+    """The device core, and what happens to its responses."""
+
+    def __init__(self, rng: Random, content: bytes) -> None:
+        od = ObjectDictionary(5)
+        od.add(0x1000, 0, ("I", "ro", 0, 0, None, None))
+        od.add(INDEX, SUB, ("D", "rw", 0, content, None, None))
+        self.device = Device(od)
+        self.device.step(0)
+        self._rng = rng
+        self.damages = 0
+        self._chance = rng.choice((0.0, 0.05, 0.2, 0.5, 1.0))
+        self._kinds = rng.sample(_DAMAGES, rng.randint(1, 3))
+        self._delay_us = rng.choice((0, 100, 5000))
+
+    def __call__(self, now_us: int, request: bytes) -> list[Response]:
+        """Return the responses to a request."""
+        sent, _ = self.device.step(now_us, [(0x605, request)])
+        found: list[Response] = []
+        for can_id, data in sent:
+            if can_id == 0x585:
+                found += self._on_the_way(data)
+        return found
+
+    def _on_the_way(self, data: bytes) -> list[Response]:
+        rng, delay_us = self._rng, self._delay_us
+        if rng.random() >= self._chance:
+            return [Response(delay_us, data)]
+        self.damages += 1
+        kind = rng.choice(self._kinds)
+        if kind == "change":
+            changed = bytearray(data)
+            changed[rng.randrange(8) if rng.random() < 0.5 else 0] ^= 1 << rng.randrange(8)
+            return [Response(delay_us, bytes(changed))]
+        if kind == "repeat":
+            return [Response(delay_us, data, rng.choice((2, 3, 200)), 10)]
+        if kind == "delay":
+            return [Response(delay_us + rng.randrange(2 * TIMEOUT_US), data)]
+        if kind == "replace":
+            return [Response(delay_us, rng.randbytes(rng.choice((0, 1, 4, 7, 8, 8, 8))))]
+        if kind == "join":
+            return [Response(delay_us, found) for found in (self._foreign(), data, self._foreign())]
+        if kind == "abort":
+            return [Response(delay_us, struct.pack("<BHBI", 0x80, INDEX, SUB, rng.getrandbits(32)))]
+        if kind == "storm":
+            return [Response(delay_us, self._foreign(), 300)]
+        return []
+
+    def _foreign(self) -> bytes:
+        """A response to somebody else, or a frame of another kind of transfer."""
+        rng = self._rng
+        head = struct.pack("<BHB", rng.choice((0x43, 0x41, 0x60, 0x80, 0xC6, 0xA4)), 0x1000 + rng.randrange(4), 0)
+        return rng.choice((head + rng.randbytes(4), rng.randbytes(8)))
+
+
+def converse(seed: int, number: int, show: Callable[[str], None] | None = None) -> str:
+    """Hold one conversation; return what it ended with. Raises BrokenError."""
+    rng = Random(f"{seed} {number}")
+    content = rng.randbytes(rng.choice((0, 1, 3, 4, 5, 7, 8, 14, 28, 29, 60, rng.randrange(100), rng.randrange(1000))))
+    kind = rng.choice((Upload, BlockUpload, Download, BlockDownload))
+    transfer: Transfer
+    if kind in (Upload, BlockUpload):
+        transfer = kind(INDEX, SUB, TIMEOUT_US, DEADLINE_US, LIMIT_BYTES)
+        server = Server(rng, content)
+    else:
+        transfer = kind(INDEX, SUB, TIMEOUT_US, DEADLINE_US, content)  # type: ignore[arg-type]
+        server = Server(rng, b"")
+    requests = play(transfer, server, DEADLINE_US)
+    for request in requests if show else ():
+        show(request.hex(" "))  # type: ignore[misc]
+    return _judge(transfer, server, content)
+
+
+def _judge(transfer: Transfer, server: Server, content: bytes) -> str:
+    """Check that a transfer ended in exactly one way, and that without damage it did what it was for."""
+    name = type(transfer).__name__
+    if (transfer.abort_code is not None) and transfer.failure is not None:
+        raise BrokenError(f"{name}: aborted by both sides")
+    if len(transfer.data) > LIMIT_BYTES:
+        raise BrokenError(f"{name}: {len(transfer.data)} bytes, allowed are {LIMIT_BYTES}")
+    if transfer.abort_code is not None or transfer.failure is not None:
+        if not server.damages:
+            raise BrokenError(f"{name} of {len(content)} bytes failed without damage: {transfer.failure}")
+        if transfer.data:
+            raise BrokenError(f"{name}: failed, and has data")
+        return f"{name}: {'aborted by the server' if transfer.failure is None else transfer.failure or 'no response'}"
+    if not server.damages:
+        found = transfer.data if isinstance(transfer, Upload) else server.device.od.get(INDEX, SUB)
+        if found != content:
+            raise BrokenError(f"{name}: {len(content)} bytes became {found!r}")
+    return f"{name}: done"
+
+
+def rounds(seed: int, numbers: Iterable[int]) -> dict[str, int]:
+    """Hold conversations; return how often each end occurred. Raises BrokenError that names the conversation."""
+    ends: dict[str, int] = {}
+    for number in numbers:
+        measured = number % MEMORY_CONVERSATIONS == 0
+        if measured:
+            tracemalloc.start()
+        try:
+            end = converse(seed, number)
+            peak_bytes = tracemalloc.get_traced_memory()[1]  # 0 unless measured
+            if measured:
+                gc.collect()  # empties the interpreter's free lists, too
+            held_bytes = tracemalloc.get_traced_memory()[0]
+            if held_bytes > HELD_LIMIT_BYTES or peak_bytes > MEMORY_LIMIT_BYTES:
+                raise BrokenError(f"{peak_bytes} bytes of memory, {held_bytes} at its end")
+        except Exception as error:
+            raise BrokenError(f"--seed {seed} --only {number}: {type(error).__name__}: {error}") from error
+        finally:
+            tracemalloc.stop()
+        end = re.sub(r"\d+", "n", end)
+        ends[end] = ends.get(end, 0) + 1
+    return ends
+
+
+def main() -> int:
+    """Run the conversations; return 1 if an invariant broke."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--conversations", type=int, default=20_000)
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", type=int, help="the number of one conversation")
+    args = parser.parse_args()
+    if args.only is not None:
+        print(converse(args.seed, args.only, print))
+        return 0
+    started_s = time.perf_counter()
+    try:
+        ends = rounds(args.seed, range(args.conversations))
+    except BrokenError as error:
+        print(error)
+        return 1
+    for end, count in sorted(ends.items(), key=lambda item: -item[1]):
+        print(f"{count:9} {end}")
+    print(f"{args.conversations} conversations, seed {args.seed}, {time.perf_counter() - started_s:.0f} s: all ended")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,233 @@
+"""SdoChannel for asyncio, in virtual time: many nodes at once, cancellation, the total deadline."""
+
+from __future__ import annotations
+
+import asyncio
+import struct
+import threading
+from typing import Any
+
+import can
+import canopen
+import pytest
+
+from host.bus_with_nodes import finger
+from host.virtual_time import DelayedBus, run
+from tipforce.dictionary import names
+from tipforce.dictionary import objects as od
+from tipforce.errors import NoResponseError, SdoAbortError
+from tipforce.host.configuration.configuration_file import (
+    Configuration,
+    apply_configuration_async,
+    verify_configuration_async,
+)
+from tipforce.host.network.sdo import SdoChannel
+
+DELAY_S = 0.005
+HAND = range(1, 16)
+
+
+def settings(node_id: int) -> Configuration:
+    """A remapped PDO, and for some fingers one object more than for others."""
+    values: dict[str, Any] = {
+        "0x1017:00": 500 + node_id,
+        "0x1800:01": 0x40000180 + node_id,
+        "0x1A00:00": 2,
+        "0x1A00:01": 0x71300710,
+        "0x1A00:02": 0x21200008,
+    }
+    if node_id % 3 == 0:
+        values["0x1019:00"] = 240
+    entries = [(names.resolve(name, 3), value) for name, value in values.items()]
+    return {(entry.index, entry.sub): (entry, value) for entry, value in entries}
+
+
+def channel(network: canopen.Network, node_id: int, **options: Any) -> SdoChannel:
+    return SdoChannel(network, node_id, clock=asyncio.get_running_loop().time, **options)
+
+
+async def configured(nodes: list[int]) -> float:
+    """Configure and verify these of 15 fingers at once; return the time that it took in seconds."""
+    network = canopen.Network()
+    DelayedBus(network, [finger(node_id) for node_id in HAND], DELAY_S)
+    loop = asyncio.get_running_loop()
+
+    async def one(sdo: SdoChannel) -> None:
+        wanted = settings(sdo.node_id)
+        await apply_configuration_async(sdo, wanted)
+        assert await verify_configuration_async(sdo, wanted) == []
+        assert len(await sdo.read_async(od.CALIBRATION_ACTIVE_RECORD)) == 158
+
+    async with asyncio.TaskGroup() as group:
+        for node_id in nodes:
+            group.create_task(one(channel(network, node_id)))
+    return loop.time()
+
+
+def test_15_fingers_are_configured_in_the_time_of_the_slowest() -> None:
+    alone_s = [run(configured([node_id])) for node_id in HAND]
+    together_s = run(configured(list(HAND)))
+    assert together_s == pytest.approx(max(alone_s), abs=DELAY_S / 10)
+    assert sum(alone_s) > 14 * together_s * 0.9
+    assert len(set(alone_s)) == 2, "some have one object more: a write, and two reads"
+
+
+def test_tasks_share_a_channel() -> None:
+    async def work() -> None:
+        network = canopen.Network()
+        DelayedBus(network, [finger(5)], DELAY_S)
+        sdo = channel(network, 5)
+        assert await asyncio.gather(*(sdo.read_async(od.IDENTITY_SERIAL) for _ in range(5))) == [1005] * 5
+
+    run(work())
+
+
+def test_a_cancelled_transfer_is_aborted_and_gives_its_turn_back() -> None:
+    async def work() -> None:
+        network = canopen.Network()
+        bus = DelayedBus(network, [finger(5)], 0.1)
+        sdo = channel(network, 5)
+        first = asyncio.create_task(sdo.read_async(od.DEVICE_NAME))
+        second = asyncio.create_task(sdo.read_async(od.DEVICE_NAME))
+        third = asyncio.create_task(sdo.read_async(od.IDENTITY_SERIAL))
+        await asyncio.sleep(0.15)
+        first.cancel()
+        second.cancel()
+        assert await third == 1005
+        aborts = [data for _, data in bus.sent if data[0] == 0x80]
+        assert aborts == [struct.pack("<BHBI", 0x80, 0x1008, 0, 0x08000000)]
+        with pytest.raises(asyncio.CancelledError):
+            await first
+
+    run(work())
+
+
+def test_a_silent_node_costs_its_tries_and_an_abort_none() -> None:
+    async def work() -> None:
+        network = canopen.Network()
+        DelayedBus(network, [finger(5)], DELAY_S)
+        loop = asyncio.get_running_loop()
+        with pytest.raises(NoResponseError, match=r"node 9 .* no response after 3 tries of 0\.5 s"):
+            await channel(network, 9).upload_async(0x1000, 0)
+        assert loop.time() == pytest.approx(1.5, abs=1e-3)
+        with pytest.raises(SdoAbortError, match="0x06020000"):
+            await channel(network, 5).upload_async(0x3000, 0)
+        assert loop.time() == pytest.approx(1.5 + DELAY_S, abs=1e-3)
+
+    run(work())
+
+
+class Trickle:
+    """A server that answers each request of a segment with one byte, ``delay_s`` later, for ever."""
+
+    channel_info = "trickle"
+
+    def __init__(self, network: canopen.Network, delay_s: float) -> None:
+        self._network, self._delay_s = network, delay_s
+        network.bus = self  # type: ignore[assignment]
+
+    def send(self, message: Any, _timeout: float | None = None) -> None:
+        """Answer an initiate or segment request."""
+        command = message.data[0]
+        if command == 0x40:
+            answer = b"\x40" + bytes(message.data[1:4]) + bytes(4)
+        elif command & 0xEF == 0x60:
+            answer = bytes((command & 0x10 | 6 << 1, 0x55)) + bytes(6)
+        else:
+            return
+        asyncio.get_running_loop().call_later(self._delay_s, self._network.notify, 0x585, bytearray(answer), 0.0)
+
+
+def test_a_server_that_always_answers_in_time_meets_the_deadline() -> None:
+    async def work() -> None:
+        network = canopen.Network()
+        Trickle(network, 0.4)
+        with pytest.raises(NoResponseError, match=r"the last: the transfer exceeded its deadline"):
+            await channel(network, 5, deadline_s=7.0).upload_async(0x1008, 0)
+        assert asyncio.get_running_loop().time() == pytest.approx(7.0, abs=1e-3)
+
+    run(work())
+
+
+def test_a_full_transmit_queue_delays_a_block() -> None:
+    """The queue of a SocketCAN interface holds ten frames, a block has up to 127."""
+
+    async def work() -> None:
+        network = canopen.Network()
+        bus = ShortQueue(network, [finger(5)], DELAY_S)
+        sdo = channel(network, 5)
+        record = bytes(range(100)) + bytes(58)
+        await sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
+        assert bus.refused > 0
+        assert await sdo.read_async(od.CALIBRATION_STAGED_RECORD) == record
+        assert sdo.has_blocks
+
+    run(work())
+
+
+class ShortQueue(DelayedBus):
+    """A bus whose transmit queue takes eight frames a millisecond."""
+
+    refused = 0
+    _queued = 0
+
+    def send(self, message: Any, _timeout: float | None = None) -> None:
+        """Refuse a frame if the queue is full."""
+        if self._queued == 8:
+            self.refused += 1
+            raise can.CanOperationError("Transmit buffer full")
+        self._queued += 1
+        self._loop.call_later(0.001, self._sent)
+        super().send(message)
+
+    def _sent(self) -> None:
+        self._queued -= 1
+
+
+def test_a_node_without_blocks_is_asked_for_segments_from_then_on() -> None:
+    async def work() -> None:
+        network = canopen.Network()
+        bus = NoBlocks(network, [finger(5)], DELAY_S)
+        sdo = channel(network, 5)
+        for _ in range(2):
+            record = await sdo.read_async(od.CALIBRATION_ACTIVE_RECORD)
+            await sdo.write_async(od.CALIBRATION_STAGED_RECORD, record)
+        starts = [data[0] for _, data in bus.sent if data[0] in (0xA4, 0xC6, 0x40, 0x21)]
+        assert starts == [0xA4, 0x40, 0x21, 0x40, 0x21]
+
+    run(work())
+
+
+class NoBlocks(DelayedBus):
+    """A device without block transfer."""
+
+    def send(self, message: Any, _timeout: float | None = None) -> None:
+        """Abort a block transfer as CiA 301 asks for."""
+        if message.data[0] >> 5 in (5, 6):
+            self.sent.append((message.arbitration_id, bytes(message.data)))
+            abort = b"\x80" + bytes(message.data[1:4]) + struct.pack("<I", 0x05040001)
+            self._loop.call_later(self._delay_s, self._network.notify, 0x585, bytearray(abort), 0.0)
+        else:
+            super().send(message)
+
+
+def test_a_thread_waits_for_the_turn_of_a_task() -> None:
+    """A channel is given to threads and tasks in the order in which they ask for it."""
+
+    async def work() -> None:
+        network = canopen.Network()
+        DelayedBus(network, [finger(5)], DELAY_S)
+        sdo = channel(network, 5)
+        turn, later = sdo._turns.request(), sdo._turns.request()
+        thread = threading.Thread(target=later.result)
+        thread.start()
+        task = asyncio.create_task(sdo.read_async(od.IDENTITY_SERIAL))
+        await asyncio.sleep(1.0)
+        assert (turn.done(), later.done(), task.done()) == (True, False, False)
+        sdo._turns.release()
+        thread.join()
+        assert not task.done()
+        sdo._turns.release()
+        assert await task == 1005
+
+    run(work())
