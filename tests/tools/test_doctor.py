@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 import json
+import struct
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from host.bus_with_nodes import connected, finger, new_channel
 from tipforce.dictionary import objects as od
 from tipforce.errors import EnvironmentLackError
+from tipforce.host.frames.frame_array import FRAME
 from tipforce_tools.cli.main import main
-from tipforce_tools.doctor.bus import configuration_check
+from tipforce_tools.doctor.bus import configuration_check, heard
 from tipforce_tools.doctor.kernel import can_interfaces, interface_checks
 from tipforce_tools.doctor.software import software_checks
 from tipforce_tools.doctor.vcan import vcan_checks
@@ -133,3 +136,12 @@ def test_missing_extras_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
     checks = {check.topic: check for check in software_checks()}
     assert "science" in checks["extras"].finding
     assert "science" in checks["extras"].next_step
+
+
+def test_faults_that_are_heard_are_named() -> None:
+    frames = np.zeros(2, dtype=FRAME)
+    frames["can_id"], frames["length"] = (0x085, 0x087), 8
+    for row, (code, detail) in zip(frames, ((0x5020, 15), (0x8110, 0)), strict=True):
+        row["data"] = np.frombuffer(struct.pack("<HBHHx", code, 0x21, detail, 0), dtype=np.uint8)
+    found = [check.finding for check in heard(frames)]
+    assert found == ["node 5: overload", "EMCY from 7"]

@@ -242,7 +242,20 @@ def test_a_calibration_that_no_sensor_can_have_is_refused(
         f'covariance_microstrain2 = {covariance}\nload_sense = "push"\n'
     )
     gauges.write_text("SG1,SG2,SG3\n1,2,3\n")
-    for line in (["estimate", str(path), str(gauges)], ["budget", str(path)]):
+    hand, scene, log = tmp_path / "hand.toml", tmp_path / "scene.toml", tmp_path / "run.log"
+    hand.write_text(f'[[finger]]\nnode_id = 5\ncalibration = "{path.name}"\n')
+    node = f'ids = [5]\npdos = ["contact"]\ncalibration = "{path.name}"\n'
+    scene.write_text(f"duration_s = 1.0\nsync_hz = 100\n[[nodes]]\n{node}")
+    log.write_text("(1.000000) can0 185#0102030405060203\n")
+    bus = ["-i", "virtual", "-c", "refused", "--yes"]
+    for line in (
+        ["estimate", str(path), str(gauges)],
+        ["budget", str(path)],
+        ["hand", "check", str(hand)],
+        ["run", str(scene)],
+        ["decode", str(log), "--calibration", str(path)],
+        ["calibrate", "apply", str(path), "--node", "5", *bus],
+    ):
         assert main(line) == 2
         captured = capsys.readouterr()
         assert text in captured.err

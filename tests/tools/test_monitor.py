@@ -110,14 +110,32 @@ def test_the_rate_of_a_node_that_stops_falls() -> None:
         (CALIBRATED | 0x80, ("front-end fault",) * 3),
         (CALIBRATED | 0x08, ("no new sample",) * 3),
         (CALIBRATED | CONTACT | 0x04, ("gauge saturated",) * 3),
-        (CALIBRATED | CONTACT | 0x10, ("unknown to the node", "unknown to the node", "unresolved")),
-        (CALIBRATED | CONTACT | 0x20, ("unknown to the node", "unknown to the node", "misses the tip")),
+        (CALIBRATED | CONTACT | 0x10, ("unknown to the node", "unknown to the node", "theta unresolved")),
+        (CALIBRATED | CONTACT | 0x20, ("unknown to the node", "unknown to the node", "line of action misses the tip")),
     ],
 )
 def test_the_unknown_says_why(status: int, reasons: tuple[str, ...]) -> None:
     found = node(fed([(0, *contact_pdo(5, NAN, NAN, NAN, status))]))
     assert tuple(found.readings[name].reason for name in ("P", "phi", "theta")) == reasons
     assert display.shown(found.readings["theta"]) == f"unknown: {reasons[2]}"
+
+
+def test_what_the_calibration_says_of_a_sample_comes_from_tpdo4_and_emcy() -> None:
+    unknown = contact_pdo(5, NAN, NAN, NAN, CALIBRATED | 0x80)
+    emcy = struct.pack("<HBHHx", 0x5030, 0x81, 12, 0)
+    found = node(fed([(0, 0x085, emcy), (1, *unknown)]))
+    assert found.readings["P"].reason == "gauges contradict each other"
+    assert found.status == ("calibrated", "fault", "contradiction")
+    over = contact_pdo(5, NAN, NAN, NAN, CALIBRATED | 0x04)
+    health = struct.pack("<hHHBB", 2300, 0xFFFF, 0xA000, 0, 0)
+    found = node(fed([(0, 0x085, emcy), (1, 0x485, health), (2, *over)]))
+    assert found.readings["P"].reason == "overload"
+    assert found.status == ("calibrated", "saturated", "beyond_calibrated", "overload")
+    ended = struct.pack("<HBHHx", 0, 0, 0x5030, 12)
+    found = node(fed([(0, 0x085, emcy), (1, 0x085, ended), (2, *unknown)]))
+    assert found.readings["P"].reason == "front-end fault"
+    found = node(fed([(0, 0x085, emcy), (1, 0x705, bytes(1)), (2, *unknown)]))
+    assert found.readings["P"].reason == "front-end fault"
 
 
 def test_a_known_value_needs_no_reason() -> None:

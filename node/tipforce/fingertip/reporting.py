@@ -71,11 +71,12 @@ class Reports:
         if faults & _CONTRADICTION:
             self._contradicted_us = now_us
         held = now_us - self._contradicted_us < HOLD_US
+        left = 0 if sample.judgement is None else sample.judgement.left_out
         for bit in range(16):
             told = self._told.get(bit)
             error = _error(bit, sample) if faults >> bit & 1 else None
-            if error is None and held and told is not None and _of_contradiction(bit, told[1]):
-                continue
+            if error is None and held and told is not None and _of_contradiction(bit, told[1]) and not left:
+                continue  # where another gauge is left out now, that one ends at once
             if told == error:
                 continue
             if told is not None:

@@ -105,6 +105,31 @@ def test_read_back_as_numbers(bench: Bench) -> None:
     np.testing.assert_allclose(found.C, bench.active.C, rtol=1e-6)
 
 
+@pytest.fixture
+def unchecked(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A host that sends a calibration without checking it: the node refuses it all the same."""
+    monkeypatch.setattr(Calibration, "check", lambda _calibration: None)
+
+
+@pytest.mark.parametrize(
+    ("changes", "text"),
+    [
+        ({"C": np.zeros((3, 3))}, "matrix: rank below 3"),
+        ({"C": np.full((3, 3), np.nan)}, "matrix: nan is not finite"),
+        ({"covariance_strain2": 1e-12 * (2.0 * np.ones((3, 3)) - np.eye(3))}, "covariance: not positive"),
+        ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, "theta_min_deg: 170 is above"),
+    ],
+)
+def test_the_host_sends_no_calibration_that_no_sensor_can_have(
+    bench: Bench, changes: dict[str, object], text: str
+) -> None:
+    before = bench.state()
+    with pytest.raises(InputError, match=text):
+        bench.client.apply_calibration(beam_calibration(**changes))
+    assert bench.state() == before
+
+
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("field", ["C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons"])
 @pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
 def test_not_finite_is_refused(bench: Bench, field: str, value: float) -> None:
@@ -120,6 +145,7 @@ def test_not_finite_is_refused(bench: Bench, field: str, value: float) -> None:
     assert bench.state() == before
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
     "changes",
     [{"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02}],
@@ -131,6 +157,7 @@ def test_limits_that_cross_are_refused(bench: Bench, changes: dict[str, float]) 
     assert bench.state() == before
 
 
+@pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize("matrix", [np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5])])
 def test_an_ill_conditioned_matrix_is_refused(bench: Bench, matrix: FloatArray) -> None:
     before = bench.state()

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from tipforce.host.decoding.contacts import Status
 from tipforce_tools.view.blocks import CALIBRATED, CONTACT, FAULT, MISSES_TIP, MISSING, REPEATED, SATURATED
 from tipforce_tools.view.history import History
 from tipforce_tools.view.states import FingerState, finger_states
@@ -75,8 +76,9 @@ def test_never_heard_is_no_answer() -> None:
 @pytest.mark.parametrize(
     ("status", "reason"),
     [
-        (CALIBRATED | FAULT, "front-end fault"), (CALIBRATED | SATURATED, "a gauge is saturated"),
-        (0, "not calibrated"), (CALIBRATED | REPEATED, "no new sample from the converter"),
+        (CALIBRATED | FAULT, "front-end fault"), (CALIBRATED | SATURATED, "gauge saturated"),
+        (0, "not calibrated"), (CALIBRATED | FAULT | Status.CONTRADICTION, "gauges contradict each other"),
+        (CALIBRATED | SATURATED | Status.OVERLOAD, "overload"), (CALIBRATED | REPEATED, "no new sample"),
     ],
 )  # fmt: skip
 def test_unknown_says_why(status: int, reason: str) -> None:
@@ -106,3 +108,14 @@ def test_an_angle_that_is_unknown_says_why(status: int, reason: str) -> None:
     history.append(rows)
     (state,) = at(history, 290, 1)
     assert (state.word, state.angle_reason) == ("live", reason)
+
+
+def test_what_is_to_be_known_of_a_force_is_in_its_flags() -> None:
+    history = History(1, 3, 100)
+    status = CALIBRATED | CONTACT | SATURATED | Status.BEYOND_CALIBRATED | Status.TEMPERATURE
+    history.append(block(10 * np.arange(30), np.ones((30, 1)), status))
+    (state,) = at(history, 290, 1)
+    assert (state.word, state.reason) == ("live", "")
+    assert state.flags == (
+        "a gauge is left out", "beyond the calibrated force", "temperature outside the calibration or unknown",
+    )  # fmt: skip

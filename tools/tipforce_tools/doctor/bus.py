@@ -6,11 +6,14 @@ import os
 import time
 from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from tipforce.device.codes import EMCY_BASE, ERROR_FLAG, EXTENDED_FLAG, HEARTBEAT_BASE, NODE_ID_MASK, REMOTE_FLAG
 from tipforce.errors import TipforceError
 from tipforce_tools.doctor.check import Check
+
+if TYPE_CHECKING:
+    from tipforce.host.frames.frame_array import FrameArray
 
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 _LOADED = 0.8
@@ -78,18 +81,29 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
         yield Check("traffic", "note", finding, "a lower SYNC rate or fewer PDOs: `tipforce load --help`")
     else:
         yield Check("traffic", "ok", finding)
-    yield from _heard(frames)
+    yield from heard(frames)
 
 
-def _heard(frames: Any) -> Iterator[Check]:
+def heard(frames: FrameArray) -> Iterator[Check]:
+    """Yield what frames, FRAME (n,), say: error frames, nodes, and their faults in words."""
+    from tipforce.host.decoding import status_words
+    from tipforce.host.decoding.decoder import Decoder
+    from tipforce.host.decoding.health import Health
+
     errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
     if errors:
         yield Check("traffic", "fail", f"{errors} error frames", "`tipforce dump -e CHANNEL,#FFFFFFFF` shows them")
     flags = EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG
     standard = frames["can_id"][(frames["can_id"] & flags) == 0].tolist()
     beats = sorted({i - HEARTBEAT_BASE for i in standard if 0 < i - HEARTBEAT_BASE <= NODE_ID_MASK})
-    emergencies = sorted({i - EMCY_BASE for i in standard if 0 < i - EMCY_BASE <= NODE_ID_MASK})
+    emergencies = {i - EMCY_BASE for i in standard if 0 < i - EMCY_BASE <= NODE_ID_MASK}
+    health = Health()
+    health.take(frames, Decoder().decode(frames).values())
+    faults = {node: words for node in health.nodes if (words := status_words.of_faults(health.now(node)[0]))}
     if beats:
         yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` identifies them")
-    if emergencies:
-        yield Check("nodes", "note", f"EMCY from {', '.join(map(str, emergencies))}", "`tipforce scan`, object 1003h")
+    for node, words in sorted(faults.items()):
+        yield Check("nodes", "note", f"node {node}: {', '.join(words)}", "`tipforce sdo read` of 2124h")
+    others = sorted(emergencies - {*faults})
+    if others:
+        yield Check("nodes", "note", f"EMCY from {', '.join(map(str, others))}", "`tipforce scan`, object 1003h")

@@ -21,8 +21,11 @@ from tipforce.device.codes import (
     SYNC_COB_ID,
 )
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
-from tipforce.dictionary.table import STATUS_BITS
+from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
+from tipforce.host.decoding import status_words
+from tipforce.host.decoding.contacts import status_of
 from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce_tools.monitor.window import Periods, Window
@@ -30,21 +33,11 @@ from tipforce_tools.monitor.window import Periods, Window
 STALE_NS = 500_000_000
 """A value is stale after this, or after three of its periods if that is longer."""
 QUANTITIES = ("P", "phi", "theta")
-FLAGS = tuple(name for name, _ in STATUS_BITS)
+FLAGS = (*(name for name, _ in STATUS_BITS), *(f"fault_{name}" for _, name, _ in FAULT_BITS))
 
 # The number of stuff bits depends on the data: at least none, at most one in four (ISO 11898-1).
 _LEAST_BITS = np.array([[47 + 8 * n for n in range(9)], [67 + 8 * n for n in range(9)]])
 _WORST_BITS = _LEAST_BITS + np.array([[(33 + 8 * n) // 4 for n in range(9)], [(53 + 8 * n) // 4 for n in range(9)]])
-# Reasons for a missing quantity, the first that applies: (flag, its value, reason, first of QUANTITIES concerned).
-_REASONS = (
-    ("fault", True, "front-end fault", 0),
-    ("stale", True, "no new sample", 0),
-    ("calibrated", False, "not calibrated", 0),
-    ("saturated", True, "gauge saturated", 0),
-    ("contact", False, "no contact", 1),
-    ("misses_tip", True, "misses the tip", 2),
-    ("theta_unresolved", True, "unresolved", 2),
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,6 +109,7 @@ class BusMonitor:
         self._watched = frozenset(range(1, 128) if node_ids is None else node_ids)
         self._decoder = Decoder(gauges, sorted(self._watched))
         self._counters = SampleCounters()
+        self._health = Health()
         self._nodes: dict[int, _Node] = {}
         self._traffic = Window(columns=3)
         self._sync = Window()
@@ -132,6 +126,12 @@ class BusMonitor:
         self._counters.add(found)
         for (node_id, name), samples in found.items():
             self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
+        self._health.take(frames, found.values())
+        for node_id in self._health.nodes:
+            if node_id in self._nodes:
+                faults, _ = self._health.now(node_id)
+                flags = {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
+                self._nodes[node_id].flags |= flags
 
     def _count_traffic(self, frames: FrameArray) -> None:
         can_id = frames["can_id"]
@@ -188,8 +188,10 @@ def _view(node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
     age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
     limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
     stale = age_s is not None and age_s > limit_s
-    readings = {name: _reading(node, number, now_ns, limit_s) for number, name in enumerate(QUANTITIES)}
-    status = tuple(name for name in FLAGS if node.flags.get(name))
+    told = {"calibrated": True, "contact": True} | node.flags
+    bits = int(status_of({name: np.array(is_set) for name, is_set in told.items()}, ()))
+    readings = {name: _reading(node, number, bits, now_ns, limit_s) for number, name in enumerate(QUANTITIES)}
+    status = tuple(name.removeprefix("fault_") for name in FLAGS if node.flags.get(name))
     emergency = None
     if node.emergency is not None:
         code, register, t_ns = node.emergency
@@ -201,7 +203,7 @@ def _view(node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
     )  # fmt: skip
 
 
-def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
+def _reading(node: _Node, number: int, status: int, now_ns: int, limit_s: float) -> Reading:
     name = QUANTITIES[number]
     if name not in node.values:
         return Reading(None, "", "not sent")
@@ -210,10 +212,10 @@ def _reading(node: _Node, number: int, now_ns: int, limit_s: float) -> Reading:
         return Reading(None, unit, f"last {max(now_ns - t_ns, 0) * 1e-9:.1f} s ago", stale=True)
     if not np.isnan(value):
         return Reading(value, unit)
-    for flag, bad, reason, first in _REASONS:
-        if number >= first and node.flags.get(flag, not bad) == bad:
-            return Reading(None, unit, reason)
-    return Reading(None, unit, "unknown to the node")
+    reasons = status_words.why_no_force(status)
+    if not reasons and number:
+        reasons = [status_words.why_no_angle(status, theta=name == "theta")]
+    return Reading(None, unit, next(filter(None, reasons), status_words.UNKNOWN_TO_THE_NODE))
 
 
 def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:

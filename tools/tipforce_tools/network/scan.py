@@ -36,9 +36,10 @@ def run(args: argparse.Namespace) -> int:
         if args.json:
             common.print_json(asdict(node))
         else:
+            faults = f"  faults: {node.faults}" if node.faults else ""
             print(
                 f"{common.shown_id(node.node_id):>11}  {node.state:15}  {node.device:24}  serial {node.serial:<10}  "
-                f"{node.calibration:28}  EDS {node.eds}"
+                f"{node.calibration:28}  EDS {node.eds}{faults}"
             )
     if not found:
         common.note(args, "no node responded: is the bus powered and terminated, is the bit rate right?")

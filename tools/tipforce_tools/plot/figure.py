@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError
+from tipforce.host.decoding.status_words import BY_NAME
 from tipforce_tools.plot.finger import Finger, Fingers
 from tipforce_tools.plot.lines import TURN, broken, wrapped
 from tipforce_tools.plot.traces import Line
@@ -25,17 +26,11 @@ _TITLES = {"P": "P", "phi": "phi", "theta": "theta", "force": "force", "gauges":
 _UNITS = {"degree": "deg", "microstrain": "microstrain", "degC": "deg C"}
 _STYLES = ("-", "--", ":", "-.", (0, (5, 1, 1, 1, 1, 1)), (0, (3, 3)), (0, (1, 3)), (0, (8, 2)))
 _INK = ("#0b4f8a", "#a33c00", "#2b6a30", "#5b2a86", "#333333", "#8a6d00", "#00707a", "#91003f")
-_BARS = (
-    ("contact", "contact", ""),
-    ("not calibrated", "not calibrated", "xx"),
-    ("saturated", "saturated", "//"),
-    ("stale", "stale", "\\\\"),
-    ("theta_unresolved", "theta unresolved", ".."),
-    ("misses_tip", "misses the tip", "++"),
-    ("outside_pad", "outside the pad", "oo"),
-    ("fault", "front-end fault", "xx"),
-    ("beyond_first_order", "u beyond first order", ".."),
-)
+_HATCHES = {
+    "contact": "", "not calibrated": "xx", "saturated": "//", "stale": "\\\\", "theta_unresolved": "..",
+    "misses_tip": "++", "outside_pad": "oo", "fault": "xx", "beyond_first_order": "..",
+}  # fmt: skip
+"""By name of a flag, in the order of the strip; others follow."""
 _LEGEND_COLUMNS = 4
 _EPOCH_NS = 10**17  # 1973; earlier times are not dates
 LOST = "lost samples"
@@ -149,9 +144,8 @@ def _frame(fingers: Sequence[Finger], recording: Fingers) -> _Frame:
                 lines.setdefault(panel_of(signal), []).append(line)
     circles = {panel for panel, of_panel in lines.items() if _span(of_panel) >= TURN}
     happened = {name for finger in fingers for flags in finger.flags.values() for name in flags.bars()}
-    known = {name for name, _, _ in _BARS}
-    bars = [bar for bar in _BARS if bar[0] in happened or bar[0] == "contact"]
-    bars += [(name, name.replace("_", " "), "xx") for name in sorted(happened - known)]
+    names = [name for name in _HATCHES if name in happened or name == "contact"] + sorted(happened - {*_HATCHES})
+    bars = [(name, BY_NAME.get(name, name.replace("_", " ")), _HATCHES.get(name, "xx")) for name in names]
     if any(finger.lost.total for finger in fingers):
         bars.append((LOST, LOST, ""))
     banded = any(trace.banded for finger in fingers for trace in finger.traces.values())

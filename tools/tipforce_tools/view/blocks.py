@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.dictionary.table import STATUS_BITS
-from tipforce.host.decoding.contacts import contact_values, uncertainties
+from tipforce.host.decoding import status_words
+from tipforce.host.decoding.contacts import contact_values, status_of, uncertainties
 from tipforce.host.hand.rows import Rows
 from tipforce.sensor.contact import scalar
 from tipforce_tools.view.fingers import Finger
@@ -23,8 +23,8 @@ CONTACT, CALIBRATED, SATURATED, REPEATED = (
 THETA_UNRESOLVED, MISSES_TIP, OUTSIDE_PAD, FAULT = (
     scalar.THETA_UNRESOLVED, scalar.MISSES_TIP, scalar.OUTSIDE_PAD, scalar.FRONT_END_FAULT,
 )  # fmt: skip
-MISSING = 256
-"""Bit of ``status`` besides those of the status byte (2120h): no response from the finger."""
+MISSING = status_words.NO_ANSWER
+"""Bit of ``status``, which has those of ``contacts.Status``: no response from the finger."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,17 +46,22 @@ class Block:
         return len(self.t_ns)
 
 
-def block_of_rows(rows: Rows, fingers: Sequence[Finger], gauges: int, health_u_P: FloatArray | None = None) -> Block:
+def block_of_rows(
+    rows: Rows,
+    fingers: Sequence[Finger],
+    gauges: int,
+    health_u_P: FloatArray | None = None,
+    faults: npt.NDArray[np.int64] | None = None,
+) -> Block:
     """Convert rows, whose columns are those of ``fingers``, to a block.
 
     Without the contact PDO the contact is computed from forces, or from gauges and the finger's calibration.
-    ``health_u_P`` (m, k) is used as u(P) if no calibration is known.
+    ``health_u_P`` (m, k) is used as u(P) if no calibration is known; ``faults`` (m, k) is 2124h.
     """
     shape = rows.counter.shape
-    status = np.where(rows.missing, MISSING, 0).astype(np.uint16)
-    for bit, (name, _) in enumerate(STATUS_BITS):
-        if name in rows.columns:
-            status |= rows.columns[name].astype(np.uint16) << np.uint16(bit)
+    status = status_of(rows.columns, shape) | np.where(rows.missing, np.uint16(MISSING), np.uint16(0))
+    if faults is not None:
+        status |= (faults & status_words.JUDGED).astype(np.uint16)
     strains = np.full((*shape, gauges), np.nan)
     for k in range(gauges):
         if f"SG{k + 1}" in rows.columns:

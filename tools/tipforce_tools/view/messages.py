@@ -126,6 +126,8 @@ def _state(state: FingerState) -> dict[str, Any]:
         found["why"] = state.reason
     if state.angle_reason:
         found["angle"] = state.angle_reason
+    if state.flags:
+        found["f"] = state.flags
     if state.word != "silent":
         found["c"] = [round(value, digits) for value, digits in zip(state.contact, _DIGITS, strict=True)]
         found["u"] = [round(value, digits) for value, digits in zip(state.u, _DIGITS, strict=True)]

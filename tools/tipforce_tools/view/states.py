@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.host.decoding import status_words
 from tipforce_tools.view import blocks
 from tipforce_tools.view.blocks import Block
 from tipforce_tools.view.history import History
@@ -39,6 +40,8 @@ class FingerState:
     contact: tuple[float, float, float]
     u: tuple[float, float, float]
     gauges: tuple[float, ...]
+    flags: tuple[str, ...] = ()
+    """What the status says besides contact and calibration, in words."""
 
 
 def period_ns(t_ns: npt.NDArray[np.int64]) -> int:
@@ -99,33 +102,22 @@ def _old(history: History, last: int, k: int, now_ns: int) -> FingerState:
 
 def _state(block: Block, row: int, k: int, word: Word) -> FingerState:
     contact, status = block.contact[row, k], int(block.status[row, k])
-    reason = _unknown_reason(status) if np.isnan(contact[0]) else ""
-    angle_reason = "" if reason or not np.isnan(contact[1:]).any() else _angle_reason(status)
+    reason = angle_reason = ""
+    if np.isnan(contact[0]):
+        reason = next(iter(status_words.why_no_force(status)), "the node sends no force")
+    elif np.isnan(contact[1:]).any():
+        angle_reason = status_words.why_no_angle(status) or status_words.UNKNOWN_TO_THE_NODE
     if reason and word == "live":
         word = "unknown"
+    flags = tuple(status_words.flags(status) if reason else status_words.doubts(status))
     P, phi, theta = contact.tolist()
     u_P, u_phi, u_theta = block.u[row, k].tolist()
     strains = tuple(block.gauges[row, k].tolist())
     since_ns = int(block.t_ns[row])
-    return FingerState(word, reason, angle_reason, since_ns, status, (P, phi, theta), (u_P, u_phi, u_theta), strains)
+    contact_values, u = (P, phi, theta), (u_P, u_phi, u_theta)
+    return FingerState(word, reason, angle_reason, since_ns, status, contact_values, u, strains, flags)
 
 
 def _silent(since_ns: int) -> FingerState:
     nan = float("nan")
     return FingerState("silent", "no response", "", since_ns, 0, (nan, nan, nan), (nan, nan, nan), ())
-
-
-def _unknown_reason(status: int) -> str:
-    for bit, text in (
-        (blocks.FAULT, "front-end fault"), (blocks.REPEATED, "no new sample from the converter"),
-        (blocks.SATURATED, "a gauge is saturated"),
-    ):  # fmt: skip
-        if status & bit:
-            return text
-    return "not calibrated" if not status & blocks.CALIBRATED else "the node sends no force"
-
-
-def _angle_reason(status: int) -> str:
-    if not status & blocks.CONTACT:
-        return "no contact"
-    return "line of action misses the tip" if status & blocks.MISSES_TIP else "contact angle not resolved"

@@ -11,6 +11,7 @@ import numpy.typing as npt
 from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health import Health
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Supervisor
@@ -52,6 +53,7 @@ class Watcher:
         self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
         self._health = Decoder(gauges)
         self._health_u: dict[int, tuple[int, float]] = {}
+        self._faults = Health()
         self._synced = False
         self._unsynced_pdos = 0
         self._pacer = 0
@@ -72,7 +74,8 @@ class Watcher:
             self._take_health(frames)
         if not len(rows):
             return [], events
-        return [block_of_rows(rows, self.fingers, self._gauges, self._health_of(rows))], events
+        faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
+        return [block_of_rows(rows, self.fingers, self._gauges, self._health_of(rows), faults)], events
 
     def discover(self, frames: FrameArray) -> None:
         """Only find the fingers: the first pass over a log."""
@@ -165,10 +168,12 @@ class Watcher:
         return np.insert(frames, places, syncs)
 
     def _take_health(self, frames: FrameArray) -> None:
-        if (frames["can_id"] & _SERVICE == TPDO_BASES[3]).any():
-            for (node_id, name), samples in self._health.decode(frames, ("u_P",)).items():
-                if name == "Health":
-                    self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
+        service = frames["can_id"] & _SERVICE
+        chosen = frames[(service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE)]
+        found = self._health.decode(chosen)
+        self._faults.take(chosen, found.values())
+        for (node_id, _), samples in found.items():
+            self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
 
     def _health_of(self, rows: Rows) -> FloatArray | None:
         if not self._health_u:

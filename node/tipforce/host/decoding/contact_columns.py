@@ -14,7 +14,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
-from tipforce.host.decoding import judged
+from tipforce.host.decoding import judged, status_words
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
 from tipforce.sensor.contact import scalar
 
@@ -31,10 +31,10 @@ FLAGS = {
     "outside_pad": scalar.OUTSIDE_PAD,
     "beyond_first_order": estimate_rows.BEYOND_FIRST_ORDER,
     "gauge_left_out": estimate_rows.LEFT_OUT,
-    "contradiction": judged.CONTRADICTION,
-    "beyond_calibrated": judged.BEYOND_CALIBRATED,
-    "temperature_outside": judged.TEMPERATURE,
-    "overload": judged.OVERLOAD,
+    "contradiction": status_words.CONTRADICTION,
+    "beyond_calibrated": status_words.BEYOND_CALIBRATED,
+    "temperature_outside": status_words.TEMPERATURE,
+    "overload": status_words.OVERLOAD,
 }
 _COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
 

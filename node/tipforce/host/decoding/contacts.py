@@ -14,6 +14,7 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding import status_words
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.force import force_vector
 
@@ -35,35 +36,13 @@ class Status(enum.IntFlag):
     MISSES_TIP = scalar.MISSES_TIP
     OUTSIDE_PAD = scalar.OUTSIDE_PAD
     FAULT = scalar.FRONT_END_FAULT
-    NO_ANSWER = 1 << 8
-    BEYOND_FIRST_ORDER = 1 << 9
-    LEFT_OUT = 1 << 10
-    CONTRADICTION = 1 << table.FAULT_CONTRADICTION
-    BEYOND_CALIBRATED = 1 << table.FAULT_BEYOND_CALIBRATED
-    TEMPERATURE = 1 << table.FAULT_TEMPERATURE
-    OVERLOAD = 1 << table.FAULT_OVERLOAD
-
-
-_NO_MEASUREMENT = (
-    (Status.NO_ANSWER, "no response"),
-    (Status.STALE, "no new sample"),
-    (Status.FAULT, "front-end fault"),
-    (Status.SATURATED, "gauge saturated"),
-)
-_INSTEAD = {
-    Status.FAULT: (Status.CONTRADICTION, "gauges contradict each other"),
-    Status.SATURATED: (Status.OVERLOAD, "overload"),
-}
-"""What a bit of the status byte means where 2124h says more."""
-_DOUBTS = (
-    (Status.MISSES_TIP, "line of action misses the tip"),
-    (Status.THETA_UNRESOLVED, "theta unresolved"),
-    (Status.OUTSIDE_PAD, "theta outside the pad"),
-    (Status.BEYOND_FIRST_ORDER, "uncertainty beyond first order"),
-    (Status.LEFT_OUT, "a gauge is left out"),
-    (Status.BEYOND_CALIBRATED, "beyond the calibrated force"),
-    (Status.TEMPERATURE, "temperature outside the calibration or unknown"),
-)
+    NO_ANSWER = status_words.NO_ANSWER
+    BEYOND_FIRST_ORDER = status_words.BEYOND_FIRST_ORDER
+    LEFT_OUT = status_words.LEFT_OUT
+    CONTRADICTION = status_words.CONTRADICTION
+    BEYOND_CALIBRATED = status_words.BEYOND_CALIBRATED
+    TEMPERATURE = status_words.TEMPERATURE
+    OVERLOAD = status_words.OVERLOAD
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,20 +81,18 @@ class Contact:
     @property
     def reason(self) -> str:
         """Why a value is unknown or doubtful, in words; "" where P, phi and theta are known and nothing is flagged."""
-        found = [self._words(bit, text) for bit, text in _NO_MEASUREMENT if bit in self.status]
-        if Status.LEFT_OUT in self.status and Status.OVERLOAD not in self.status:
-            found = [text for text in found if text != "gauge saturated"]  # the others give the force
-        if Status.NO_ANSWER not in self.status and Status.CALIBRATED not in self.status:
-            found.insert(0, "not calibrated")
-        if not found:
-            found = [text for bit, text in _DOUBTS if bit in self.status] if self.present else ["no contact"]
-        if not found and math.isnan(self.P_newtons + self.phi_deg + self.theta_deg):
-            found.append("unknown to the node")
+        status, force_known = int(self.status), not math.isnan(self.P_newtons)
+        found = status_words.why_no_force(status & ~scalar.SATURATED if force_known else status)
+        if found:
+            return ", ".join(found)
+        if not force_known:
+            return status_words.UNKNOWN_TO_THE_NODE
+        found = status_words.doubts(status)
+        if not self.present:
+            found.insert(0, status_words.why_no_angle(status))
+        elif not found and math.isnan(self.phi_deg + self.theta_deg):
+            found.append(status_words.UNKNOWN_TO_THE_NODE)
         return ", ".join(found)
-
-    def _words(self, bit: Status, text: str) -> str:
-        more, instead = _INSTEAD.get(bit, (Status(0), text))
-        return instead if more & self.status else text
 
     @property
     def ok(self) -> bool:
@@ -166,8 +143,11 @@ def no_answer(node_id: int, t_s: float, name: str = "") -> Contact:
 
 
 def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
-    """The status byte from the columns of its bits, as ``Status``; ``shape`` is that of each column."""
+    """The status byte, and bits 12 to 15 of 2124h, from the columns of their bits; ``shape`` is that of each column."""
     status = np.zeros(shape, dtype=np.uint16)
+    for number, name, _ in table.FAULT_BITS:
+        if 1 << number & status_words.JUDGED and f"fault_{name}" in columns:
+            status |= (columns[f"fault_{name}"] == 1).astype(np.uint16) << np.uint16(number)
     for bit, (name, _) in enumerate(STATUS_BITS):
         if name in columns:
             status |= (columns[name] == 1).astype(np.uint16) << np.uint16(bit)

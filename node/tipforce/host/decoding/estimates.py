@@ -13,7 +13,7 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurement_rows import MODES
 from tipforce.host.configuration.measurements import Measurements
-from tipforce.host.decoding import judged
+from tipforce.host.decoding import judged, status_words
 from tipforce.host.decoding.contacts import Contacts, Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
@@ -32,16 +32,16 @@ _WORDS = {
     scalar.OUTSIDE_PAD: "outside_pad",
     BEYOND_FIRST_ORDER: "beyond_first_order",
     LEFT_OUT: "gauge_left_out",
-    judged.BEYOND_CALIBRATED: "beyond_calibrated",
-    judged.TEMPERATURE: "temperature",
+    status_words.BEYOND_CALIBRATED: "beyond_calibrated",
+    status_words.TEMPERATURE: "temperature",
 }
 _UNKNOWN_WORDS = {
     TARE: "tare",
     SATURATED: "saturated",
-    judged.OVERLOAD: "overload",
-    judged.CONTRADICTION: "contradiction",  # where no gauge could be left out
+    status_words.OVERLOAD: "overload",
+    status_words.CONTRADICTION: "contradiction",  # where no gauge could be left out
 }
-_NO_VALUE = TARE | SATURATED | judged.OVERLOAD | judged.CONTRADICTION
+_NO_VALUE = TARE | SATURATED | status_words.OVERLOAD | status_words.CONTRADICTION
 
 
 class Tares(NamedTuple):
@@ -109,9 +109,9 @@ def estimates(
 
 def following(found: Estimates, before: Before) -> Before:
     """What the last sample leaves for the next; rows without a force leave contact as it was."""
-    sensed = found.status[(found.status & (TARE | SATURATED | judged.CONTRADICTION | judged.OVERLOAD)) == 0]
+    sensed = found.status[(found.status & (TARE | SATURATED | status_words.CONTRADICTION | status_words.OVERLOAD)) == 0]
     present = bool(sensed[-1] & scalar.CONTACT_PRESENT) if sensed.size else before.present
-    overloaded = bool(found.status[-1] & judged.OVERLOAD) if found.status.size else before.overloaded
+    overloaded = bool(found.status[-1] & status_words.OVERLOAD) if found.status.size else before.overloaded
     return Before(present, overloaded)
 
 
@@ -144,8 +144,8 @@ def estimate(
     status = (found.status & 0xE0FF | Status.CALIBRATED).astype(np.uint16)
     for bits, flag in (
         (BEYOND_FIRST_ORDER, Status.BEYOND_FIRST_ORDER),
-        (judged.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
-        (SATURATED | LEFT_OUT | judged.OVERLOAD, Status.SATURATED),
+        (status_words.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
+        (SATURATED | LEFT_OUT | status_words.OVERLOAD, Status.SATURATED),
         (LEFT_OUT, Status.LEFT_OUT),
     ):
         status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
@@ -220,9 +220,9 @@ def _at_limit(calibration: Calibration, strain: FloatArray, limit: float | None)
 def _judged_status(found: judged.Judged, unloaded: BoolArray, missing: IntArray) -> IntArray:
     """The bits that are known before any contact is."""
     known = np.isfinite(found.F_newtons).all(axis=1)
-    contradict = (found.faults & judged.CONTRADICTION) != 0
-    status = found.faults & (judged.BEYOND_CALIBRATED | judged.TEMPERATURE | judged.OVERLOAD)
-    status |= np.where(contradict & ~known, judged.CONTRADICTION, 0)
+    contradict = (found.faults & status_words.CONTRADICTION) != 0
+    status = found.faults & (status_words.BEYOND_CALIBRATED | status_words.TEMPERATURE | status_words.OVERLOAD)
+    status |= np.where(contradict & ~known, status_words.CONTRADICTION, 0)
     status |= np.where(known & ((found.faults & judged.GAUGES) != 0), LEFT_OUT, 0)
     status |= np.where(~known & ~contradict & (missing != 0), SATURATED, 0)
     marked: IntArray = np.where(unloaded, TARE, status)

@@ -14,10 +14,9 @@ import numpy.typing as npt
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.dictionary import table
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.status_words import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
 from tipforce.sensor.contact import scalar_parity, scalar_redundancy
 
-CONTRADICTION, BEYOND_CALIBRATED = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_BEYOND_CALIBRATED
-TEMPERATURE, OVERLOAD = 1 << table.FAULT_TEMPERATURE, 1 << table.FAULT_OVERLOAD
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 RELEASE = 0.95
 """Of the overload force: an overload ends below."""

@@ -11,6 +11,7 @@ from tipforce.dictionary import objects as od
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
+from tipforce.host.decoding import status_words
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient, Identity
 
@@ -30,6 +31,8 @@ class FoundNode:
     calibration: str
     eds: str
     """"match", or the difference."""
+    faults: str = ""
+    """Its faults (2124h), in words."""
 
 
 def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
@@ -78,7 +81,9 @@ def _identified(client: FingertipClient, state_name: str) -> FoundNode:
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = client.sdo.read(od.CALIBRATION_GENERATION)
     calibration = f"0x{crc:08X} generation {generation}" if crc else "not calibrated"
-    return FoundNode(client.node_id, state_name, _device(identity), identity.serial, calibration, _eds_match(identity))
+    faults = ", ".join(status_words.of_faults(client.sdo.read(od.FAULTS)))
+    eds = _eds_match(identity)
+    return FoundNode(client.node_id, state_name, _device(identity), identity.serial, calibration, eds, faults)
 
 
 def _device(identity: Identity) -> str:

@@ -119,8 +119,10 @@ class FingertipClient:
         """Stage, commit, read back and compare, store; returns the generation (2103h:4).
 
         Raises RefusedError if the node rejects the commit (the active calibration stays active) or if its content
-        differs from the record that was sent, InputError if the number of gauges differs.
+        differs from the record that was sent, InputError if the number of gauges differs or if no sensor can have the
+        calibration (``Calibration.check``).
         """
+        calibration.check()
         identity = self.identity()
         if not identity.is_fingertip or identity.gauges != calibration.gauges:
             raise InputError(

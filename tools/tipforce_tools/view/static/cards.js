@@ -1,5 +1,5 @@
 // One card per finger: its picture and its numbers. The DOM is touched only where something changed.
-import { BITS, K, QUANTITIES, clock, duration, number } from "./format.js";
+import { K, QUANTITIES, clock, duration, number } from "./format.js";
 import { drawSection } from "./section.js";
 
 const make = (tag, className, text = "") => {
@@ -93,9 +93,7 @@ export class Card {
   }
 
   wording(state, nmt) {
-    // Without contact a contact angle is not expected.
-    const status = state.status & 1 ? state.status : state.status & ~16;
-    const flags = state.word === "silent" ? [] : BITS.filter(([bit]) => status & bit).map(([, text]) => text);
+    const { flags } = state;
     const key = `${sense(state)}|${flags.join()}|${nmt}`;
     if (key === this.worded) return;
     this.worded = key;

@@ -29,8 +29,3 @@ export function nice(value) {
   const power = 10 ** Math.floor(Math.log10(Math.max(value, 1e-9)));
   return [1, 2, 5, 10].map((k) => k * power).find((k) => k >= value * 0.999999);
 }
-
-export const BITS = [
-  [4, "gauge saturated"], [8, "no new sample"], [16, "\u03b8 not resolved"], [32, "misses the tip"],
-  [64, "outside the pad"], [128, "front-end fault"],
-];

@@ -167,7 +167,7 @@ function take(message) {
 function stateOf(finger) {
   const [P, phi, theta] = finger.c ?? [null, null, null], [uP, uPhi, uTheta] = finger.u ?? [null, null, null];
   return {
-    word: finger.w, why: finger.why ?? "", angle: finger.angle ?? "", since: finger.since, status: finger.s,
+    word: finger.w, why: finger.why ?? "", angle: finger.angle ?? "", since: finger.since, status: finger.s, flags: finger.f ?? [],
     P, phi, theta, uP, uPhi, uTheta, gauges: finger.g,
   };
 }
