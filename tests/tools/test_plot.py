@@ -253,7 +253,7 @@ def test_everything_is_written_on_it(one: Path, tmp_path: Path, capsys: pytest.C
     text = words_of(path)
     for words in (
         "node 5 (0x05), 5 samples lost", "P (N)", "phi (deg)", "theta (deg)", "strain (microstrain)", "SG3", "time (s)",
-        "contact", "saturated", "stale", "theta unresolved", "front-end fault", "lost samples",
+        "contact", "gauge saturated", "no new sample", "theta unresolved", "front-end fault", "lost samples",
         "from 2023-11-14 22:13:20.000 UTC", "grey: two standard uncertainties to either side (95 %)",
     ):  # fmt: skip
         assert words in text, words
