@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 import struct
+from pathlib import Path
 
 import numpy as np
+import pytest
 
 from fingertip.finger import PUSH, Finger
 from fingertip.test_judgement import drift, redundant, with_emcy
 from tipforce.fingertip.application import Fingertip
 from tipforce.host.decoding import status_words
+from tipforce.host.decoding.contacts import Status
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
+from tipforce.host.decoding.log import read_log
 from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce_tools.cli.main import main
 
 GAUGES = 8
 
@@ -75,6 +80,57 @@ def test_emcy_of_other_errors_tells_nothing() -> None:
         assert of_emcy(struct.pack("<HBHHx", code, 0x81, detail, 0)) == (0, False)
     assert of_emcy(struct.pack("<HBHHx", 0x5030, 0x81, 0x0C04, 0)) == (1 << 3, True)
     assert of_emcy(struct.pack("<HBHHx", 0, 0, 0x5010, 2)) == (1 << 1, False)
+
+
+def logged(path: Path, with_tpdo4: bool, skipped: tuple[int, ...] = ()) -> list[int]:
+    """A log of a node with a gauge that drifts between the 30th and the 60th SYNC; 2124h of each SYNC."""
+    talk = with_emcy(redundant(GAUGES))
+    if with_tpdo4:
+        assert talk.put("I", 0x1803, 1, 0x40000485) == 0
+        talk.take()
+    application = talk.device.application
+    assert isinstance(application, Fingertip)
+    lines, faults = [], []
+    for count in range(100):
+        drift(talk, 3, 50.0 if 30 <= count < 60 else 0.0)
+        talk.now_us += 20_000
+        talk.step([(0x80, b"")])
+        faults.append(application.sample.faults)
+        for can_id, data in talk.take():
+            if can_id not in skipped:
+                lines.append(f"({talk.now_us / 1e6:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n")
+    path.write_text("".join(lines))
+    return faults
+
+
+@pytest.mark.parametrize("with_tpdo4", [True, False])
+def test_a_log_joins_them_to_the_samples(with_tpdo4: bool, tmp_path: Path) -> None:
+    faults = logged(tmp_path / "run.log", with_tpdo4)
+    log = read_log(tmp_path / "run.log", gauges=GAUGES)
+    assert log.unseen == ()
+    samples = log[5].counter >= 0
+    status = log[5].status[samples]
+    assert len(status) == len(faults) == 100
+    left_out = np.array(faults) & 1 << 3 != 0
+    assert left_out[31:59].all()
+    np.testing.assert_array_equal(status & Status.LEFT_OUT != 0, left_out)
+    assert np.isfinite(log[5].P_newtons[samples]).all()
+    # 100 ms hold of EMCY, 1 sample later at the beginning of TPDO4 and EMCY.
+    said = status & Status.CONTRADICTION != 0
+    assert said[32:59].all()
+    assert not said[:30].any()
+    assert not said[66:].any()
+    table = log[5].columns["SG4_fault"][samples]
+    assert (table[32:59] == 1).all()
+    assert set(table[:30].tolist()) <= {0, -1}
+
+
+def test_a_log_with_neither_says_so_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:
+    logged(tmp_path / "run.log", False, (0x085,))
+    assert read_log(tmp_path / "run.log", gauges=GAUGES).unseen == (5,)
+    (record,) = caplog.records
+    assert "node 5: neither TPDO4 nor EMCY" in record.getMessage()
+    assert main(["decode", str(tmp_path / "run.log"), "--gauges", "8", "-o", str(tmp_path / "run.csv")]) == 0
 
 
 def test_words() -> None:

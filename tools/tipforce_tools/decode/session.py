@@ -10,6 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tipforce.errors import InputError
+from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, Told
 from tipforce.host.decoding.sample_table import Column, Table
@@ -204,6 +205,8 @@ def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
 def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: bool) -> None:
     for line in summaries.notes_lines(told):
         common.note(args, line)
+    if told.unseen and not args.calibration:
+        common.note(args, status_words.not_seen(node for _, node in told.unseen))
     if args.summary and not args.json:
         return
     if complete and not summary.samples:

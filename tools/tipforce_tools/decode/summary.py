@@ -17,6 +17,8 @@ _CONTACT = frozenset({"P", "phi", "theta", "F1", "F2", "F3"})
 _ANGLES = frozenset({"phi", "theta"})
 # (reason, its flag, whether a set flag means the reason, the signals; None: all)
 _REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
+    ("contradiction", "fault_contradiction", True, _CONTACT),
+    ("overload", "fault_overload", True, _CONTACT),
     ("fault", "fault", True, None),
     ("stale", "stale", True, None),
     ("uncalibrated", "calibrated", False, _CONTACT),

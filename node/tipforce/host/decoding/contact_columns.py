@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration
@@ -103,15 +103,17 @@ class ContactColumns:
             if name in table.values:
                 good &= table.values[name][rows] != 1
         temperature = self._temperature(key, rows, table)
+        lost = lost_gauges(table.values, rows, strain.shape)
         if "saturated" in table.values:
-            # A gauge that the node left out and whose reading does not show why: which one is not in these PDOs.
-            good &= (table.values["saturated"][rows] != 1) | self._shown(tip, strain)
-        rows, strain, temperature = rows[good], strain[good], temperature[good]
+            # A gauge that the node left out and whose reading does not show why: which one, TPDO4 or EMCY told, or
+            # nothing did.
+            good &= (table.values["saturated"][rows] != 1) | (lost != 0) | self._shown(tip, strain)
+        rows, strain, temperature, lost = rows[good], strain[good], temperature[good], lost[good]
         if not len(rows):
             return
         data = Measurements(table.t_ns[rows], strain, None, None, None, None, temperature, None, None, (), ())
         before = self._before.get(key, estimate_rows.Before())
-        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, judged.at_end(1e6 * strain))
+        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, lost | judged.at_end(1e6 * strain))
         for number, column in enumerate(VALUES):
             values[column.name][rows] = found.values[:, number]
         for name, bit in FLAGS.items():
@@ -133,6 +135,20 @@ class ContactColumns:
         found = judge.judge(strain - tip.offset_strain, None, judged.at_end(1e6 * strain), False)
         seen: BoolArray = (found.faults & judged.GAUGES) != 0
         return seen
+
+
+def lost_gauges(columns: Mapping[str, Values], rows: npt.NDArray[np.intp], shape: tuple[int, ...]) -> IntArray:
+    """Bits of the gauges that the node left out or found saturated, of rows with ``shape`` (k, n): (k,).
+
+    2124h may come later than the sample; what counts for a sample is its own status.
+    """
+    found = np.zeros(shape[0], dtype=np.int64)
+    for gauge in range(shape[1]):
+        told = columns.get(f"SG{gauge + 1}_fault")
+        if told is not None:
+            found |= (told[rows] == 1).astype(np.int64) << gauge
+    status = columns.get("saturated")
+    return found if status is None else np.where(status[rows] == 1, found, 0)
 
 
 def signals_needed(asked: Iterable[str] | None, gauges: int, temperature: bool = False) -> tuple[str, ...] | None:

@@ -9,6 +9,7 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health_rows import SERVICES
 from tipforce.host.frames.frame_array import FRAME
 
 _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
@@ -27,15 +28,21 @@ class Layouts:
     dbc: str | None = None
     pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
 
-    def decoder(self) -> Decoder:
-        """Return a separate decoder for each bus. Raises InputError for incompatible layouts."""
+    def decoder(self, services: bool = False) -> Decoder:
+        """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
+
+        ``services``: of EMCY and heartbeats too (health_rows), except for a DBC.
+        """
         if self.dbc is not None:
             from tipforce.host.decoding.pdo_layout import dbc_messages
 
             wanted = None if self.nodes is None else {*self.nodes}
             found = dbc_messages(self.dbc)
             return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
-        decoder = Decoder(self.gauges, range(1, 128) if self.nodes is None else self.nodes)
+        nodes = range(1, 128) if self.nodes is None else self.nodes
+        decoder = Decoder(self.gauges, nodes)
+        for message in SERVICES if services else ():
+            decoder.add(message, nodes)
         for node, pdos in self.pdos:
             if self.nodes is None or node in self.nodes:
                 for name, can_id, mapping in pdos:

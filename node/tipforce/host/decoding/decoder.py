@@ -105,6 +105,12 @@ class Decoder:
         decoder._messages.update(messages)
         return decoder
 
+    def add(self, message: Message, node_ids: Iterable[int]) -> None:
+        """Decode another message of some nodes, on its base identifier and their node-id."""
+        for node_id in node_ids:
+            self._messages[node_id, message.name] = message.cob_id_base + node_id, message
+        self._plans.clear()
+
     def messages(self) -> dict[Key, tuple[int, Message]]:
         """Return by (node-id, message name) the identifier, 0 for none, and the layout."""
         return dict(self._messages)

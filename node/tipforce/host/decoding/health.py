@@ -19,7 +19,8 @@ from tipforce.host.decoding.decoder import Samples
 from tipforce.host.frames.frame_array import FrameArray
 
 ALL = 0xFFFF
-TOLD_BY_EMCY = ALL & ~(1 << table.FAULT_BEYOND_CALIBRATED)
+TOLD_BY_EMCY = 1 << table.FAULT_CONTRADICTION | 1 << table.FAULT_TEMPERATURE | 1 << table.FAULT_OVERLOAD
+"""What the calibration says of a sample, as far as EMCY has it."""
 NAMES = {f"SG{k + 1}_fault": k for k in range(table.MAX_GAUGES)} | {f"fault_{n}": k for k, n, _ in table.FAULT_BITS}
 """Bit of 2124h by signal name."""
 EMCY_LENGTH = 8
@@ -78,9 +79,10 @@ class Health:
         place = np.searchsorted(told[1:, 0], times, side="right")
         return told[place, 1], told[place, 2]
 
-    def pdo(self, node: int, time: int, faults: int) -> None:
-        """A TPDO4 tells all bits."""
-        self._tell(node, time, faults, ALL)
+    def pdo(self, node: int, time: int, faults: int, mask: int = ALL) -> None:
+        """A TPDO4 tells the bits of ``mask``."""
+        before, seen = self.now(node)
+        self._tell(node, time, before & ~mask | faults, seen | mask)
 
     def boot(self, node: int, time: int) -> None:
         """A node that has booted tells each fault again."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from os import PathLike, fspath
@@ -13,7 +14,8 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding import judged
+from tipforce.host.decoding import judged, status_words
+from tipforce.host.decoding.contact_columns import lost_gauges
 from tipforce.host.decoding.contacts import Contacts, Status, contact_values, status_of, uncertainties
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.estimates import estimate
@@ -21,6 +23,7 @@ from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
 
+_log = logging.getLogger(__name__)
 FloatArray = npt.NDArray[np.float64]
 _NOT_USABLE = np.uint16(Status.STALE | Status.FAULT)
 """Status bits of a node for an invalid gauge reading."""
@@ -47,10 +50,15 @@ class Log(Mapping[int, NodeLog]):
     """Samples of a log by node-id: ``log[5].P_newtons``.
 
     ``lost``: by node-id the number of missing samples, by their counters. ``bad_lines``: lines that are not frames.
+    ``unseen``: node-ids without a calibration here of which neither TPDO4 nor EMCY told bits 12 to 15 of 2124h, so that
+    contradicting gauges, extrapolation, temperature and overload could not be seen.
     """
 
-    def __init__(self, nodes: Mapping[int, NodeLog], lost: Mapping[int, int], bad_lines: int) -> None:
+    def __init__(
+        self, nodes: Mapping[int, NodeLog], lost: Mapping[int, int], bad_lines: int, unseen: Iterable[int] = ()
+    ) -> None:
         self._nodes, self.lost, self.bad_lines = dict(nodes), dict(lost), bad_lines
+        self.unseen = tuple(unseen)
 
     def __getitem__(self, node_id: int) -> NodeLog:
         """Return the samples of a node. Raises KeyError, whose text names the available nodes."""
@@ -107,7 +115,10 @@ def read_log(
         of_node = [one.take(np.flatnonzero(one.key == key)) for one in tables]
         nodes[node_id] = _node_log(node_id, [one for one in of_node if len(one)], n, given)
     lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
-    return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes))
+    unseen = [node for _, node in told.unseen if node not in given and None not in given]
+    if unseen:
+        _log.warning("%s: %s", ", ".join(names), status_words.not_seen(unseen))
+    return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes), unseen)
 
 
 def _gauges(counts: set[int]) -> int:
@@ -129,16 +140,20 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     values = contact_values(columns, strain * 1e-6, status, calibration)
     u = uncertainties(values[:, np.newaxis], [calibration])[:, 0]
     if calibration is not None:
+        lost = lost_gauges(columns, np.arange(k), strain.shape)
         rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
         temperature = judged.last_known(columns["temperature"])[rows] if "temperature" in columns else None
-        found = estimate(calibration, strain[rows], temperature_degC=temperature, lost=judged.at_end(strain[rows]))
-        # The node left a gauge out that the readings do not show: only the node's own contact can be believed.
+        missing = lost[rows] | judged.at_end(strain[rows])
+        found = estimate(calibration, strain[rows], temperature_degC=temperature, lost=missing)
+        # The node left a gauge out and nothing says which: only the node's own contact holds.
         hidden = (status[rows] & np.uint16(Status.SATURATED) != 0) & ~found.has(Status.SATURATED)
         estimated = rows[~hidden]
         values[estimated] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)[~hidden]
         u[estimated] = np.stack([found.u_P_newtons, found.u_phi_deg, found.u_theta_deg], axis=-1)[~hidden]
         status[estimated] = found.status[~hidden]
     names = {"P", "phi", "theta", "F1", "F2", "F3", *(f"SG{gauge + 1}" for gauge in range(n))}
+    spared = (status & np.uint16(Status.SATURATED) != 0) & np.isfinite(values[:, 0])
+    status |= np.where(spared, np.uint16(Status.LEFT_OUT), np.uint16(0))  # the gauges left give the force
     others = {name: column for name, column in columns.items() if name not in names}
     counter = np.concatenate([one.counter for one in tables])
     (P, phi, theta), (u_P, u_phi, u_theta) = values.T, u.T

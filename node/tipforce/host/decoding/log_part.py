@@ -10,6 +10,8 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health_rows import joins, with_services
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_rows import GAP_FRAMES
 from tipforce.host.decoding.sample_table import Table
@@ -59,6 +61,15 @@ class Reading:
     strict: bool = False
     follow: bool = False
     deltas: bool = False
+
+    def decoder(self) -> Decoder:
+        """Return a separate decoder for each bus."""
+        return self.layouts.decoder(services=joins(self.signals))
+
+    @property
+    def wanted(self) -> tuple[str, ...] | None:
+        """The signals to decode: those asked for, and what the faults of 2124h are joined from."""
+        return self.signals if self.layouts.dbc is not None else with_services(self.signals)
 
 
 @dataclass(slots=True)
@@ -218,7 +229,7 @@ def part_items(
     there is no Edge.
     """
     source = Source(piece, reading, progress)
-    merger = SampleMerger(reading.layouts.decoder, source.channels, reading.signals)
+    merger = SampleMerger(reading.decoder, source.channels, reading.wanted)
     blocks = iter(source)
     begun, complete = (np.zeros(0, dtype=FRAME), True) if first else _beginning(blocks, merger, source)
     tail = begun[:0]

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import unwrap_counter
+from tipforce.host.decoding.health_rows import HealthRows, joins
 from tipforce.host.decoding.log_part import (
     Edge,
     End,
@@ -76,6 +77,8 @@ class Told:
 
     tally: Tally
     notes: list[Notes]
+    unseen: list[tuple[str, int]] = field(default_factory=list)
+    """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
 
 
 class Recording:
@@ -85,8 +88,8 @@ class Recording:
         self._reading = reading
         self.channels: list[str] = []
         self.told = Told(Tally(), [])
-        self._counters = Counters()
-        self._merger = SampleMerger(reading.layouts.decoder, self.channels, reading.signals)
+        self._counters, self._health = Counters(), HealthRows(reading.signals)
+        self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted)
 
     def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
         """Read logs in this process as if they were one."""
@@ -104,7 +107,7 @@ class Recording:
         for part in parts:
             for item in self._strictly(part):
                 if isinstance(item, Table):
-                    yield self._counters.unwrapped(self._renamed(item))
+                    yield from self._finished(self._renamed(item))
                 elif isinstance(item, End):
                     self._take_counts(item)
                     yield from self._add(self._numbered(item.tail.frames, item.tail.channels), item.notes.timed)
@@ -131,12 +134,19 @@ class Recording:
     def _flush(self) -> Iterator[Table]:
         table = self._merger.finish()
         if table is not None:
-            yield self._counters.unwrapped(table)
+            yield from self._finished(table)
+
+    def _finished(self, table: Table) -> Iterator[Table]:
+        joined = self._health.joined(self._counters.unwrapped(table))
+        if len(joined):
+            yield joined
 
     def _finish(self) -> Iterator[Table]:
         yield from self._flush()
         self.told.tally.append(self._merger.tally)
         self._merger.tally = Tally()
+        if joins(self._reading.signals):
+            self.told.unseen = self._health.unseen
 
     def _take_counts(self, end: End) -> None:
         self.told.tally.append(self._merger.tally)  # of the frames before this part
@@ -151,7 +161,7 @@ class Recording:
         self._merger.timed = timed
         table = self._merger.add(frames)
         if table is not None:
-            yield self._counters.unwrapped(table)
+            yield from self._finished(table)
 
     def _numbers(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
         for name in names:

@@ -5,6 +5,8 @@ A status has the bits of ``contacts.Status``: the status byte 2120h, three bits 
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
@@ -96,3 +98,12 @@ def of_faults(faults: int) -> list[str]:
     """2124h in words."""
     found = [f"SG{k + 1} saturated or left out" for k in range(table.MAX_GAUGES) if faults >> k & 1]
     return found + [BY_NAME[f"fault_{name}"] for bit, name, _ in table.FAULT_BITS if faults >> bit & 1]
+
+
+def not_seen(node_ids: Iterable[int]) -> str:
+    """What a log without TPDO4 and EMCY of some nodes does not show."""
+    shown = ", ".join(map(str, node_ids))
+    return (
+        f"node {shown}: neither TPDO4 nor EMCY, so gauges that contradict each other, overload, temperature and "
+        "extrapolation could not be seen (2124h bits 12 to 15; TPDO4 is off by default)"
+    )
