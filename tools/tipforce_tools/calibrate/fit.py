@@ -173,6 +173,7 @@ def readings_of(data: Measurements) -> Readings:
 def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Calibration:
     """The calibration that goes into the file and to the node, with where it is valid."""
     from tipforce.host.configuration.calibration import Calibration
+    from tipforce.sensor.calibration.rounding import to_digits
     from tipforce.sensor.structure.layouts import CUSTOM_LAYOUT_CODE, layout_code
     from tipforce_tools.calibrate.fit_checks import validity_of
     from tipforce_tools.cli.layout_file import read_layout
@@ -183,10 +184,11 @@ def calibration_of(args: argparse.Namespace, data: Measurements, fit: Fit) -> Ca
         points = [gauge for gauge in gauges if isinstance(gauge, str)]
         code = layout_code(points) if len(points) == len(gauges) else CUSTOM_LAYOUT_CODE
     day = args.date or datetime.date.today()
+    noise, parameters = map(to_digits, fit.record_covariances)
     return Calibration(
-        fit.C, fit.offset_strain, fit.noise_covariance_strain2, args.serial,
+        fit.C, fit.offset_strain, noise, args.serial,
         day.year * 10000 + day.month * 100 + day.day, layout_code=code, pull=_pulls(args, data),
-        parameter_covariance=fit.parameter_covariance,
+        parameter_covariance=parameters,
         **validity_of(args, fit),
     )  # fmt: skip
 

@@ -57,7 +57,7 @@ def validity_of(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
     found: dict[str, Any] = {
         "calibrated_force_newtons": largest,
         "model_uncertainty": 0.0 if straight is None else float(to_digits(straight.model_uncertainty, 3)),
-        "redundancy_limit": limit_of(args, fit, fit.noise_covariance_strain2, fit.dof, largest),
+        "redundancy_limit": limit_of(fit, fit.noise_covariance_strain2, fit.noise_dof, largest),
     }
     if args.saturation is not None and np.isfinite(args.saturation):
         found["converter_limit_strain"] = np.full(n, args.saturation * 1e-6)
@@ -77,8 +77,7 @@ def validity_of(args: argparse.Namespace, fit: Fit) -> dict[str, Any]:
     return found
 
 
-def limit_of(args: argparse.Namespace, fit: Fit, Sigma: Any, dof: float, largest_newtons: float) -> float:
+def limit_of(fit: Fit, Sigma: Any, dof: float, largest_newtons: float) -> float:
     """The limit of the redundancy check for one reading with the covariance Sigma, known with ``dof``."""
-    stated = float("inf") if args.noise is not None else dof
-    limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, stated, largest_newtons)
+    limit = redundancy_limit(fit.A, Sigma, fit.parameter_covariance, dof, largest_newtons)
     return float(to_digits(limit, 6))

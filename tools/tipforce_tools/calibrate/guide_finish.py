@@ -10,6 +10,7 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration_file import fit_record, write_calibration
 from tipforce.host.configuration.measurements import read_measurements
 from tipforce.host.network.finger import FingertipClient
+from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.rounding import matrix_to_digits, to_digits
 from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce_tools.calibrate import fit as fit_command
@@ -43,8 +44,10 @@ def finish(args: argparse.Namespace, session: Session, client: FingertipClient) 
     noise = to_digits(session.noise_covariance_strain2())
     C = matrix_to_digits(left_inverse(fit.A, noise)) if fit.C.shape[1] > 3 else fit.C
     calibration = fit_command.calibration_of(args, data, fit)
-    limit = limit_of(args, fit, noise, session.freedom(), calibration.calibrated_force_newtons)
-    calibration = replace(calibration, C=C, covariance_strain2=noise, redundancy_limit=limit)
+    dof = session.freedom()
+    limit = limit_of(fit, noise, dof, calibration.calibrated_force_newtons)
+    wider = to_digits(noise * variance_factors(dof, fit.C.shape[1] - 3)[0])
+    calibration = replace(calibration, C=C, covariance_strain2=wider, redundancy_limit=limit)
     notes = fit_report.notes(data, fit, model, args.layout, calibration, scores)
     warnings = fit_report.warnings(fit_command.readings_of(data), fit)
     notes.append("the node gets the noise covariance within the captures")

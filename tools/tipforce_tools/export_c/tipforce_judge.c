@@ -10,8 +10,9 @@ typedef TIPFORCE_REAL real;
 #define SMALLEST_PIVOT 1e-13
 #define SMALLEST_VARIANCE 1e-6
 #define CONDITION_LIMIT 1e4
-#define DOUBT ((real)4.0)
-#define LEAST_SHARE ((real)0.01)
+#define DOUBT ((real)3.5)
+#define LEAST_SHARE ((real)0.1)
+#define TIE ((real)(1 + 1e-3))
 #define RELEASE ((real)0.95)
 #define UNSTATED_KELVIN 10.0
 
@@ -411,12 +412,12 @@ static void add_doubt(const tipforce_record *r, tipforce_verdict *v, const real 
     real worst = 0, found[3] = {0, 0, 0};
     for (int k = 0; k < N; k++) {
         if (explained[k] > DOUBT && visible[k] * (real)r->noise[place(k, k)] >= LEAST_SHARE) {
-            real size = (real)sqrt((double)((explained[k] - DOUBT) / visible[k])), f[3], moved = 0;
+            real size = (real)sqrt((double)(explained[k] / visible[k])), f[3], moved = 0;
             for (int i = 0; i < 3; i++) {
                 f[i] = size * v->C[i][k];
                 moved += f[i] * f[i];
             }
-            if (moved > worst) {
+            if (moved > TIE * worst) {
                 worst = moved;
                 memcpy(found, f, sizeof found);
             }

@@ -131,8 +131,8 @@ class Calibration:
     @classmethod
     def from_fit(cls, fit: Fit, *, pull: bool, **facts: Any) -> Calibration:
         """The calibration that a fit found, with its uncertainty. ``facts`` as in ``from_microstrain``."""
-        facts["parameter_covariance"] = fit.parameter_covariance
-        found = cls(fit.C, fit.offset_strain, fit.noise_covariance_strain2, pull=pull, **facts)
+        noise, facts["parameter_covariance"] = fit.record_covariances
+        found = cls(fit.C, fit.offset_strain, noise, pull=pull, **facts)
         found.check()
         return found
 

@@ -294,9 +294,9 @@ def _doubt(matrix: FloatArray, variance: FloatArray, found: _Faults, rows: BoolA
     open_ = (explained > scalar_parity.DOUBT) & (
         visible * variance * factor[:, np.newaxis] >= scalar_parity.LEAST_SHARE
     )
-    squared = np.divide(explained - scalar_parity.DOUBT, visible, out=np.zeros_like(visible), where=open_)
+    squared = np.divide(explained, visible, out=np.zeros_like(visible), where=open_)
     moved = squared * np.square(matrix).sum(axis=0)
-    worst = moved.argmax(axis=1)
+    worst = (scalar_parity.TIE * moved >= moved.max(axis=1, keepdims=True)).argmax(axis=1)
     size = np.sqrt(np.take_along_axis(squared, worst[:, np.newaxis], axis=1)[:, 0])
     found_newtons: FloatArray = size[:, np.newaxis] * matrix[:, worst].T
     return found_newtons

@@ -7,9 +7,32 @@ from functools import lru_cache
 from math import exp, inf, isinf, lgamma, log, log1p, sqrt
 from statistics import NormalDist
 
+from tipforce.errors import InputError
+
 _TINY = 1e-300
 
 
+def variance_factors(dof: float, spare: int) -> tuple[float, float]:
+    """Return (of gauge noise, of parameters): factors with which 1.96 standard uncertainties hold 95 %.
+
+    For a noise covariance estimated with dof > spare + 1 degrees of freedom, from gauges of which ``spare`` = n - 3 are
+    redundant; 1 and 1 for infinite ones. Both have the square of Student's t with dof - spare over that of the normal
+    distribution. A matrix that weighs gauges by the estimate fits the noise that it was estimated from: the variance
+    stated is (dof - spare) / dof of the one with the true weights, and that of the force (dof - 1) / (dof - spare - 1)
+    of it (generalised least squares with an estimated covariance, Rao 1967). Raises InputError for fewer.
+    """
+    if isinf(dof):
+        return 1.0, 1.0
+    left = dof - spare
+    if spare and not left > 1.0:
+        raise InputError(
+            f"{dof:.3g} degrees of freedom for {spare + 3} gauges do not show their noise: add rows or state it"
+        )
+    student = (t_quantile(0.975, left) / NormalDist().inv_cdf(0.975)) ** 2
+    return (student * dof / left * (dof - 1.0) / (left - 1.0) if spare else student), student
+
+
+@lru_cache(maxsize=256)
 def t_quantile(probability: float, dof: float) -> float:
     """Return t with P(T < t) = probability, 0.5 <= probability < 1; dof > 0 may be fractional or infinite."""
     if isinf(dof):

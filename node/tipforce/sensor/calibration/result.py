@@ -9,6 +9,7 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.nonlinearity import Nonlinearity
 from tipforce.sensor.calibration.temperature import Temperature
 
@@ -63,6 +64,8 @@ class Fit:
     sigma0_unloaded: float
     dof: float
     """Rows less unknowns, for each gauge."""
+    noise_dof: float
+    """Degrees of freedom that the gauge noise is known with: dof, or infinite where it was stated."""
     condition_number: float
     row_equilibrated_condition_number: float
     design_singular_values: FloatArray
@@ -106,6 +109,15 @@ class Fit:
         """95 % confidence interval of each entry of C, (2, 3, n): lower and upper ends."""
         half = self.coverage_factor * self.C_uncertainty
         return np.stack((self.C - half, self.C + half))
+
+    @property
+    def record_covariances(self) -> tuple[FloatArray, FloatArray]:
+        """Noise (n, n) and parameter covariance (n, 4, n, 4) for a calibration record.
+
+        Wider than their estimates by what few degrees of freedom leave open: 1.96 standard uncertainties hold 95 %.
+        """
+        noise, parameters = variance_factors(self.noise_dof, len(self.A) - 3)
+        return noise * self.noise_covariance_strain2, parameters * self.parameter_covariance
 
     def covariance_F(self, F_newtons: npt.ArrayLike, *, offset_known: bool = False, noise: bool = True) -> FloatArray:
         """Return the covariance of an estimate at F (..., 3): (..., 3, 3), N^2. See covariance_of_estimate()."""

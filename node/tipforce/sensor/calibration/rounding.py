@@ -53,6 +53,7 @@ def rounded(fit: Fit) -> Fit:
         coverage_factor=float(to_digits(fit.coverage_factor)),
         sigma0=float(to_digits(fit.sigma0)),
         dof=float(to_digits(fit.dof)),
+        noise_dof=float(to_digits(fit.noise_dof)),
         condition_number=float(to_digits(fit.condition_number)),
         row_equilibrated_condition_number=float(to_digits(fit.row_equilibrated_condition_number)),
     )

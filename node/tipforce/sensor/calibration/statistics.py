@@ -89,13 +89,14 @@ def result(
     Sigma = found.Sigma * scales.strain**2
     C = left_inverse(A, Sigma)
     residual = found.unexplained * scales.strain
+    noise_dof = found.dof if model.noise_strain is None else float("inf")
     sigma0, loaded, unloaded = _sizes(problem, found, readings.P_newtons > 0.0)
     return Fit(
         C=C,
         A=A,
         offset_strain=at_reference[:, 3] if len(L) == 4 else np.zeros(n),
         C_uncertainty=matrix_uncertainty(A, C, Sigma, covariance[:, :3, :, :3]),
-        coverage_factor=t_quantile(0.975, found.dof if model.noise_strain is None else np.inf),
+        coverage_factor=t_quantile(0.975, noise_dof),
         noise_covariance_strain2=Sigma,
         residual_covariance_strain2=_residual_covariance(problem, residual, found.dof),
         N=_normal_matrix(problem, found, L, scales.newtons),
@@ -104,6 +105,7 @@ def result(
         sigma0_loaded=loaded,
         sigma0_unloaded=unloaded,
         dof=found.dof,
+        noise_dof=noise_dof,
         condition_number=condition_number(A),
         row_equilibrated_condition_number=row_equilibrated_condition_number(A),
         design_singular_values=singular,

@@ -6,7 +6,7 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
-from tipforce.sensor.calibration.distributions import f_quantile
+from tipforce.sensor.calibration.distributions import f_quantile, variance_factors
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.geometry import Geometry
@@ -22,17 +22,18 @@ def redundancy_limit(
 ) -> float:
     """Return the limit of chi-square (2116h) for one false alarm in a million samples; 0 for three gauges.
 
+    Of chi-square by the record's noise, which is wider than Sigma by variance_factors().
+
     A: (n, 3), strain per newton; Sigma: (n, n), of one reading, known with ``dof`` degrees of freedom;
     parameter_covariance: (n, 4, n, 4). Chi-square is weighed by Sigma alone: what the calibration itself may
     contradict, at the worst load up to ``largest_newtons``, and that Sigma is an estimate (Hotelling) widen it.
-    Raises InputError for a covariance that is not positive definite, or with fewer degrees of freedom than gauges.
+    Raises InputError for a covariance that is not positive definite, or with no more than n - 2 degrees of freedom.
     """
     n = len(A)
     if n == 3:
         return 0.0
     spare = n - 3
-    if not dof > spare:
-        raise InputError(f"{dof:.3g} degrees of freedom for {n} gauges do not show their noise: add rows or state it")
+    wider = variance_factors(dof, spare)[0]
     try:
         lower = np.linalg.cholesky(Sigma)
     except np.linalg.LinAlgError:
@@ -48,7 +49,8 @@ def redundancy_limit(
     if np.isinf(dof) or dof > 1e6:
         dof = 1e6
     chance = f_quantile(1.0 - FALSE_ALARM_RATE, spare, dof - spare + 1.0)
-    return spare * dof / (dof - spare + 1.0) * chance * (1.0 + max(widest, 0.0))
+    limit = spare * dof / (dof - spare + 1.0) * chance * (1.0 + max(widest, 0.0))
+    return limit / wider
 
 
 def overload_newtons(geometry: Geometry, yield_pascals: float | None = None, gap_m: float = PAPER_SLIT_M) -> float:

@@ -17,10 +17,13 @@ if TYPE_CHECKING:
 
     Directions = list[list[float]]
 
-DOUBT = 4.0
-"""Chi-square by which one gauge explains a sample before its possible fault adds to the uncertainty: two sigma."""
-LEAST_SHARE = 0.01
-"""Of a gauge's own variance: below, a fault that shows is so large that nothing useful can be said of a smaller one."""
+DOUBT = 3.5
+"""Chi-square by which a gauge explains a sample before its possible fault adds to the uncertainty (1.9 sigma)."""
+LEAST_SHARE = 0.1
+"""Of a gauge's own variance: a gauge that shows less in the residuals counts as invisible. Its noise there would pass
+for a fault that moves F by more than three times what all its noise does."""
+TIE = 1.0 + 1e-3
+"""Of two gauges whose faults move F alike the first counts, whatever rounding (of single precision, too) says."""
 
 
 def directions(C: "list[list[float]]", noise: "list[float]", kept: "list[int]") -> "Directions | None":
@@ -116,7 +119,7 @@ def doubt(
 ) -> "tuple[float, float, float]":
     """Return the change of F (N) by the fault, below the limit, that the residuals of a sample speak for.
 
-    Of the gauges that explain more than DOUBT, the one whose fault of that size moves F most; zeros where none does.
+    Of the gauges that explain more than DOUBT, the one whose best-fitting fault moves F most; zeros where none does.
     faults: of ``judge``. Times itself it is what a possible fault adds to the covariance of F.
     """
     n = len(faults)
@@ -127,10 +130,10 @@ def doubt(
         place += n - k
         explained, visible = faults[k]
         if explained > DOUBT and visible * variance >= LEAST_SHARE:
-            size = sqrt((explained - DOUBT) / visible)
+            size = sqrt(explained / visible)
             f1, f2, f3 = size * C[0][k], size * C[1][k], size * C[2][k]
             moved = f1 * f1 + f2 * f2 + f3 * f3
-            if moved > worst:
+            if moved > TIE * worst:
                 worst, found = moved, (f1, f2, f3)
     return found
 
