@@ -7,6 +7,7 @@ from collections import Counter
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from statistics import NormalDist
 
 import numpy as np
 
@@ -16,16 +17,22 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding.contacts import Status
+from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import true_matrix
 from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.redundancy import parity
+from tipforce.sensor.contact.scalar_parity import DOUBT, LEAST_SHARE
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce_tools.calibrate import fit as fit_command
 
 GAUGES = ("K_H", "S_H", "U", "L", "T", "R", "K_V", "S_V")
 NOISE, OFFSET = 1e-6, 30e-6
 CONVERTER_LIMIT = 2000e-6
-ROWS = 50
-"""Readings of each finger and fault."""
+ROWS = 200
+"""Readings of each finger and fault, 100 a second."""
+DRIFT_STRAIN = 0.5e-6
+"""Of each reading: 50 microstrain/s."""
+CHUNK = 20_000
 FACTOR_95 = 1.959964
 WEIGHTS_NEWTONS = (4.4, 2.2, 1.1)
 WARM_K = 20.0
@@ -36,11 +43,9 @@ GROOVE_ERROR_RAD = float(np.radians(0.5))
 AFTER = ("clean", "drift", "stuck", "open", "rail", "gain", "overload")
 """Faults of readings, on a calibration that is good."""
 IN_CALIBRATION = ("warm, coefficients known", "warm, calibrated cold", "nonlinear", "SI units")
-CANNOT_TELL = {
-    3: "three gauges fit every reading: no fault of one shows but its limit",
-    4: "four gauges leave one contradiction: a fault small beside the force is not told from noise at low load",
-}
-"""Gauges -> why a faulty gauge cannot always be seen."""
+OF_ONE_GAUGE = ("drift", "stuck", "gain")
+INVISIBLE = " of an invisible gauge"
+"""Cells of their own: the product counts such a gauge as one whose fault no residual shows (LEAST_SHARE)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,14 +73,34 @@ class Cell:
     """Rows that say ok and whose P is off by more than five of their own standard uncertainties."""
     covered: int = 0
     """Rows that say ok and whose 95 % interval of P holds the truth."""
+    alarms: int = 0
+    """Rows in which the gauges contradict each other."""
+    shares: dict[str, float] = field(default_factory=dict)
+    """Of the faulty gauges' own noise, the least that showed in the residuals of a finger."""
+    passes_5u: float = 0.0
+    """Sum over the rows: the chance that a fault that moves P by five u(P) passes without a doubt."""
+    passes_2u: float = 0.0
     error2: float = 0.0
     u2: float = 0.0
 
     def add(self, other: Cell) -> None:
         """Add the counts of another finger."""
-        for name in ("calibrations", "rows", "ok", "wrong", "covered", "error2", "u2"):
+        for name in (
+            "calibrations",
+            "rows",
+            "ok",
+            "wrong",
+            "covered",
+            "error2",
+            "u2",
+            "alarms",
+            "passes_5u",
+            "passes_2u",
+        ):
             setattr(self, name, getattr(self, name) + getattr(other, name))
         self.refused += other.refused
+        for name, share in other.shares.items():
+            self.shares[name] = min(share, self.shares.get(name, 1.0))
 
     @property
     def ok_share(self) -> float:
@@ -101,16 +126,20 @@ class Cell:
 def cells(gauges: int, rig: Rig, faults: tuple[str, ...], calibrations: int, jobs: int = 1) -> list[Cell]:
     """The cells of all faults, each over so many fingers; finger k has the seed k."""
     task = partial(_finger, gauges, rig, faults)
-    totals = [Cell(gauges, fault, rig) for fault in faults]
+    totals = {fault: Cell(gauges, fault, rig) for fault in _split(faults)}
     if jobs > 1:
         with ProcessPoolExecutor(jobs) as pool:
             found = list(pool.map(task, range(calibrations), chunksize=8))
     else:
         found = [task(seed) for seed in range(calibrations)]
     for one in found:
-        for total, cell in zip(totals, one, strict=True):
-            total.add(cell)
-    return totals
+        for cell in one:
+            totals[cell.fault].add(cell)
+    return [cell for cell in totals.values() if cell.calibrations]
+
+
+def _split(faults: tuple[str, ...]) -> list[str]:
+    return [name for fault in faults for name in (fault, fault + INVISIBLE) if name == fault or fault in OF_ONE_GAUGE]
 
 
 def _finger(gauges: int, rig: Rig, faults: tuple[str, ...], seed: int) -> list[Cell]:
@@ -181,15 +210,48 @@ def _loads(rig: Rig, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, 
     return P, phi, theta, groove.astype(np.int64)
 
 
+def _touches(rng: np.random.Generator, rows: int, largest: float) -> tuple[FloatArray, FloatArray]:
+    """P and F of pushes over the pad, newtons."""
+    P, theta = rng.uniform(0.3, largest, rows), rng.uniform(0.2, np.pi - 0.2, rows)
+    return P, force_vector(P, theta + np.radians(rng.uniform(-45.0, 45.0, rows)) + np.pi, theta)
+
+
+def false_alarms(gauges: int, rows: int, seed: int) -> int:
+    """Of so many good samples of a calibrated finger, those in which the gauges contradict each other."""
+    rng = np.random.default_rng([seed, gauges])
+    sensor = _Sensor.of(gauges, rng)
+    calibration, found = sensor.calibrated(Rig(), rng, "clean"), 0
+    for _ in range(0, rows, CHUNK):
+        V = sensor.read(_touches(rng, CHUNK, max(WEIGHTS_NEWTONS))[1], rng)
+        found += int(tipforce.estimate(calibration, V * 1e6, temperature_degC=20.0).has(Status.CONTRADICTION).sum())
+    return found
+
+
+def drifting(gauge: int, seed: int) -> tuple[int, int, float]:
+    """(samples, samples that show a P off by more than five u(P), share of those after the find that have a P).
+
+    Five gauges under one steady load at 1 kHz for ten seconds, of which one drifts by 50 microstrain/s.
+    """
+    rng = np.random.default_rng([seed, gauge])
+    sensor = _Sensor.of(5, rng)
+    calibration = sensor.calibrated(Rig(), rng, "clean")
+    P, F = (np.repeat(one, 10_000, axis=0) for one in _touches(rng, 1, max(WEIGHTS_NEWTONS)))
+    V = sensor.read(F, rng)
+    V[:, gauge] += rng.choice([-1.0, 1.0]) * 0.05e-6 * np.arange(len(V))
+    shown = tipforce.estimate(calibration, V * 1e6, temperature_degC=20.0)
+    known, contradict = np.isfinite(shown.P_newtons), shown.has(Status.CONTRADICTION)
+    wrong = np.abs(shown.P_newtons - P) > 5.0 * shown.u_P_newtons
+    after = known[int(contradict.argmax()) :] if contradict.any() else known[:0]
+    return len(V), int((wrong & known).sum()), float(after.mean()) if after.size else float("nan")
+
+
 def _judge(cell: Cell, calibration: Calibration, sensor: _Sensor, rng: np.random.Generator) -> None:
     """Readings of a finger that touches things, what the product shows of them, and the truth."""
     largest = 3.0 * max(WEIGHTS_NEWTONS) if cell.fault == "overload" else max(WEIGHTS_NEWTONS)
-    least = max(WEIGHTS_NEWTONS) if cell.fault == "overload" else 0.3
-    P = rng.uniform(least, largest, ROWS)
-    theta, delta = rng.uniform(0.2, np.pi - 0.2, ROWS), np.radians(rng.uniform(-45.0, 45.0, ROWS))
-    F = force_vector(P, theta + delta + np.pi, theta)
+    P, F = _touches(rng, ROWS, largest)
     warmer = WARM_K if cell.fault.startswith("warm") else 0.0
-    V = _broken(cell.fault, sensor.read(F, rng, warmer), rng)
+    gauge = int(rng.integers(calibration.gauges))
+    V = _broken(cell.fault, sensor.read(F, rng, warmer), gauge, rng)
     V = np.clip(V, -CONVERTER_LIMIT, CONVERTER_LIMIT)
     shown = tipforce.estimate(calibration, V * 1e6, temperature_degC=20.0 + warmer)
     ok = says_ok(shown)
@@ -200,6 +262,27 @@ def _judge(cell: Cell, calibration: Calibration, sensor: _Sensor, rng: np.random
     cell.covered += int((error <= FACTOR_95 * u).sum())
     cell.error2 += float(np.square(error).sum())
     cell.u2 += float(np.square(u).sum())
+    cell.alarms += int(shown.has(Status.CONTRADICTION).sum())
+    if cell.fault in OF_ONE_GAUGE:
+        _tell(cell, calibration, gauge, F)
+
+
+def _tell(cell: Cell, calibration: Calibration, gauge: int, F: FloatArray) -> None:
+    """What the residuals of good readings under F (m, 3) can tell of a fault of the gauge."""
+    Sigma, C, name = calibration.covariance_strain2, calibration.C, GAUGES[gauge]
+    visible = parity(C, Sigma).visible[gauge] if len(Sigma) > 3 else 0.0
+    cell.shares[name] = float(visible * Sigma[gauge, gauge])
+    if cell.shares[name] < LEAST_SHARE:
+        cell.fault += INVISIBLE
+    assert calibration.parameter_covariance is not None
+    covariance = covariance_of_estimate(C, Sigma, calibration.parameter_covariance, F)
+    along = F / np.linalg.norm(F, axis=1, keepdims=True)
+    u = np.sqrt(np.einsum("mi,mij,mj->m", along, covariance, along))
+    # A fault of u(P) shows by so many standard deviations of the residuals.
+    shown = np.sqrt(visible) * u / np.abs(along @ C[:, gauge])
+    for size, attribute in ((5.0, "passes_5u"), (FACTOR_95, "passes_2u")):
+        passes = sum(_NORMAL.cdf(DOUBT**0.5 - size * one) for one in shown.tolist())
+        setattr(cell, attribute, passes)
 
 
 def says_ok(shown: tipforce.Contacts) -> BoolArray:
@@ -209,11 +292,11 @@ def says_ok(shown: tipforce.Contacts) -> BoolArray:
     return ok
 
 
-def _broken(fault: str, V: FloatArray, rng: np.random.Generator) -> FloatArray:
-    """The readings with one gauge at fault."""
-    k, found = int(rng.integers(V.shape[1])), V.copy()
+def _broken(fault: str, V: FloatArray, k: int, rng: np.random.Generator) -> FloatArray:
+    """The readings with gauge k at fault."""
+    found = V.copy()
     if fault == "drift":
-        found[:, k] += rng.choice([-1.0, 1.0]) * np.linspace(0.0, 500e-6, len(V))
+        found[:, k] += rng.choice([-1.0, 1.0]) * DRIFT_STRAIN * np.arange(len(V))
     elif fault == "stuck":
         found[:, k] = V[0, k]
     elif fault == "open":
@@ -233,4 +316,4 @@ def _arguments() -> argparse.Namespace:
     )
 
 
-_ARGUMENTS = _arguments()
+_ARGUMENTS, _NORMAL = _arguments(), NormalDist()

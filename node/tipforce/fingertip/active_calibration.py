@@ -75,7 +75,7 @@ class Active:
         if W is None:
             return None
         alarm = self.redundancy if len(kept) == n else scalar_redundancy.same_rate(self.redundancy, n - 3, len(W))
-        exclusion = scalar_redundancy.chi_square_threshold(scalar_redundancy.EXCLUSION_RATE, len(W) - 1)
+        exclusion = scalar_redundancy.same_rate(self.redundancy, n - 3, len(W) - 1)
         return W, scalar_parity.columns(W, self.noise), alarm, exclusion
 
     def solver(self, lost: int) -> "Solver | None":

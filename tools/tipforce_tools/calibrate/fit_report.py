@@ -10,7 +10,8 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.sensor.calibration.fit import Fit, LoadResidual, Model, Readings
 from tipforce.sensor.calibration.rejections import rejections
-from tipforce.sensor.contact.redundancy import parity
+from tipforce.sensor.contact.redundancy import detectable_strain, parity
+from tipforce.sensor.contact.scalar_parity import LEAST_SHARE
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce_tools.cli import common
 from tipforce_tools.cli.layout_file import read_layout
@@ -110,11 +111,20 @@ def _of_validity(fit: Fit, calibration: Calibration, layout: str | None) -> list
         )
     if n > 3:
         model = parity(fit.C, calibration.covariance_strain2)
-        blind = [f"SG{k + 1}" for k in np.flatnonzero(model.visible == 0.0)]
+        share = model.visible * np.diag(calibration.covariance_strain2)
+        smallest = detectable_strain(model, limit=calibration.redundancy_limit) * UE
         found.append(
-            f"redundancy: limit {calibration.redundancy_limit:.4g} of chi-square, a false alarm in a million samples"
-            + (f"; a fault of {', '.join(blind)} does not show in this layout" if blind else "")
+            f"redundancy: limit {calibration.redundancy_limit:.4g} of chi-square, a false alarm in a million samples; "
+            "smallest fault that a sample shows: "
+            + ", ".join(f"SG{k + 1} {size:.3g}" for k, size in enumerate(smallest))
+            + " microstrain"
         )
+        blind = ", ".join(f"SG{k + 1} ({100.0 * share[k]:.2g} %)" for k in np.flatnonzero(share < LEAST_SHARE))
+        if blind:
+            found.append(
+                f"the residuals show under {100.0 * LEAST_SHARE:.0f} % of the noise of {blind}: a smaller fault there "
+                "passes as a force, and the uncertainty does not contain it"
+            )
     return found
 
 

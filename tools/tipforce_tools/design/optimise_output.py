@@ -7,9 +7,13 @@ from collections.abc import Iterable
 from dataclasses import asdict, fields
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from tipforce.sensor.calibration.validity import FALSE_ALARM_RATE
+from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
 from tipforce.sensor.design.assessment import AGREEMENT, Assessment
 from tipforce.sensor.design.figures_of_merit import Merit
-from tipforce.sensor.structure.gauge_positions import gauge_name
+from tipforce.sensor.structure.gauge_positions import gauge_matrix, gauge_name
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
@@ -23,7 +27,7 @@ def print_outcome(args: argparse.Namespace, outcome: Outcome) -> None:
     entries = [*outcome.paper, *outcome.front]
     if args.json:
         for entry in entries:
-            common.print_json(_record(entry))
+            common.print_json(_record(entry) | {"detectable_microstrain": _detectable(entry, args.noise)})
         common.print_json(_summary(args, outcome))
         return
     _print_structures(args, entries)
@@ -126,7 +130,21 @@ def _sentences(args: argparse.Namespace, outcome: Outcome) -> list[str]:
     )
     if args.gauges > 3:
         lines.append("cases I to III have 3 gauges: a part of the gain is that of more gauges")
+        for entry in outcome.front:
+            faults = ", ".join(f"SG{k + 1} {size:.3g}" for k, size in enumerate(_detectable(entry, args.noise)))
+            lines.append(
+                f"{entry.name}: smallest fault that a sample shows, microstrain: {faults or 'no noise stated'}"
+            )
     return lines
+
+
+def _detectable(entry: Assessment, noise_microstrain: float) -> list[float]:
+    """The smallest fault of each gauge that a sample shows, microstrain, with C known; none for three gauges."""
+    if len(entry.gauges) < 4 or not noise_microstrain > 0.0:
+        return []
+    A, Sigma = gauge_matrix(entry.geometry, entry.gauges), np.eye(len(entry.gauges)) * noise_microstrain**2 * 1e-12
+    found: list[float] = (1e6 * detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)).tolist()
+    return found
 
 
 def _record(entry: Assessment) -> dict[str, object]:

@@ -16,9 +16,6 @@ typedef TIPFORCE_REAL real;
 #define RELEASE ((real)0.95)
 #define UNSTATED_KELVIN 10.0
 
-/* Chi-square that is exceeded once in 1000, by degrees of freedom. */
-static const double EXCLUSION[] = {0.0, 10.827566170662733, 13.815510557964274, 16.26623619623813, 18.46682695290317};
-
 static double exceeds(double x, int degrees)
 {
     double half = 0.5 * x, total, term;
@@ -336,7 +333,7 @@ static void set_subset(const tipforce_record *r, unsigned lost, tipforce_subset 
     }
     s->rows = (uint8_t)(m - 3);
     s->alarm = (real)(m == N ? r->redundancy_limit : same_rate(r->redundancy_limit, N - 3, m - 3));
-    s->exclusion = (real)EXCLUSION[m - 4];
+    s->exclusion = (real)(m > 4 ? same_rate(r->redundancy_limit, N - 3, m - 4) : 0.0);
     for (int k = 0; k < N; k++) {
         double length = 0.0;
         for (int d = 0; d < m - 3; d++) {

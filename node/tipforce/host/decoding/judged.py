@@ -188,7 +188,7 @@ class Judge:
             return None
         shown = np.array([column is not None for column in scalar_parity.columns(W, self._noise)])
         alarm = limit if len(kept) == n else scalar_redundancy.same_rate(limit, n - 3, len(W))
-        exclusion = scalar_redundancy.chi_square_threshold(scalar_redundancy.EXCLUSION_RATE, len(W) - 1)
+        exclusion = scalar_redundancy.same_rate(limit, n - 3, len(W) - 1)
         return np.array(W), shown, alarm, exclusion
 
     # --- force and temperature ------------------------------------------------------------------------------

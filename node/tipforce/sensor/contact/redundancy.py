@@ -169,9 +169,14 @@ def alike(model: Parity, smallest_sine: float = 1e-6) -> list[tuple[int, int]]:
     return [(i, k) for i in range(n) for k in range(i + 1, n) if sine[i, k] < smallest_sine]
 
 
-def detectable_strain(model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE) -> FloatArray:
-    """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: invisible."""
-    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees)
+def detectable_strain(
+    model: Parity, false_alarm_rate: float = FALSE_ALARM_RATE, *, limit: float | None = None
+) -> FloatArray:
+    """Return the fault of each gauge that moves chi-square's mean to its threshold, (n,), strain; inf: invisible.
+
+    limit: the threshold (2116h), where it is not that of the rate.
+    """
+    threshold = scalar_redundancy.chi_square_threshold(false_alarm_rate, model.degrees) if limit is None else limit
     with np.errstate(divide="ignore"):
         found: FloatArray = np.sqrt((threshold - model.degrees) / model.visible)
     return found
