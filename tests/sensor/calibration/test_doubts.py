@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.drift_choice import best_fit
 from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration
 from tipforce.sensor.calibration.plausibility import require_degrees, require_order, require_size
@@ -147,3 +148,50 @@ def test_ok_means_ok_for_three_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
     assert rail.ok == warm.ok == 0
     assert sum(si.refused.values()) == 6
     assert row_of(si)[-1] == "good: refused"
+
+
+def test_ok_means_ok_for_five_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(Path(__file__).parents[3])
+    from bench.honesty import verdict
+    from bench.honesty_study import GAUGES, INVISIBLE, Rig, cells, drifting, false_alarms
+
+    found = {cell.fault: cell for cell in cells(5, Rig(), ("clean", "drift", "gain"), 4)}
+    clean, drift, gain = (found[name] for name in ("clean", "drift", "gain"))
+    assert (clean.wrong, drift.wrong) == (0, 0)
+    # K_H hardly shows: a tenth more of it passes where the force is small, and the verdict knows how often.
+    assert verdict(gain).startswith("cannot tell: a fault of 5 u(P) passes in ")
+    assert gain.wrong <= 1
+    assert clean.ok_share > 0.99
+    assert clean.u_over_error < 1.2
+    assert 0.0 < drift.ok_share < 0.3
+    # The layout has one gauge whose fault passes as a force; the verdict has the figure.
+    hidden = next(cell for name, cell in found.items() if name.endswith(INVISIBLE))
+    assert hidden.shares.keys() == {"S_H"}
+    assert verdict(hidden).startswith("cannot tell: of its own noise the residuals show, at least, S_H")
+    samples, wrong, known = drifting(GAUGES.index("L"), 2)
+    assert (samples, wrong) == (10_000, 0)
+    assert known > 0.8
+    assert false_alarms(5, 20_000, 0) == 0
+
+
+def test_few_degrees_of_freedom_widen_the_record() -> None:
+    assert variance_factors(np.inf, 2) == (1.0, 1.0)
+    noise, parameters = variance_factors(6.0, 0)
+    assert noise == parameters == pytest.approx((2.446912 / 1.959964) ** 2, rel=1e-5)
+    # Rao: the variance stated is 8 / 10 of that with the true weights, and that of the force 9 / 7 of it.
+    noise, parameters = variance_factors(10.0, 2)
+    assert noise / parameters == pytest.approx(10.0 / 8.0 * 9.0 / 7.0)
+    with pytest.raises(InputError, match="3 degrees of freedom for 5 gauges do not show their noise"):
+        variance_factors(3.0, 2)
+
+
+def test_a_noise_that_is_stated_is_not_widened() -> None:
+    sim = simulate("I", np.random.default_rng(3), CLEAN)
+    data = readings(sim)
+    stated = fit_calibration(data, Model(noise_strain=1e-6))
+    noise, parameters = stated.record_covariances
+    np.testing.assert_array_equal(noise, stated.noise_covariance_strain2)
+    np.testing.assert_array_equal(parameters, stated.parameter_covariance)
+    free = fit_calibration(data)
+    factor = (free.coverage_factor / 1.959964) ** 2
+    np.testing.assert_allclose(free.record_covariances[0], factor * free.noise_covariance_strain2, rtol=1e-6)
