@@ -1,6 +1,7 @@
 """`tipforce conformance`: the list, the report, JSON, exit codes; on a bus inside this process."""
 
 import json
+import signal
 import threading
 from collections.abc import Iterator
 from dataclasses import replace
@@ -12,7 +13,7 @@ from tipforce.errors import NoResponseError
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce_tools.cli.main import main
-from tipforce_tools.conformance.case import CheckError, all_cases, matching
+from tipforce_tools.conformance.case import Case, CheckError, all_cases, matching
 from tipforce_tools.conformance.dut import Dut
 from tipforce_tools.conformance.links import CoreLink, core_node
 from tipforce_tools.conformance.report import clause_key, lines, summary
@@ -115,6 +116,29 @@ def test_a_device_that_dies_ends_the_run() -> None:
         assert next(run).verdict == FAIL
         with pytest.raises(NoResponseError, match="no longer boots after the case test"):
             next(run)
+
+
+@pytest.mark.usefixtures("node")
+def test_sigterm_ends_with_the_results_until_then(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each result is printed before the next case runs; the last line counts them."""
+    before = signal.getsignal(signal.SIGTERM)
+    printed: list[str] = []
+
+    def terminated(case: Case, dut: Dut, persistent: bool) -> Result:
+        printed.append(capsys.readouterr().out)
+        if len(printed) == 3:
+            signal.raise_signal(signal.SIGTERM)
+        return run_case(case, dut, persistent)
+
+    monkeypatch.setattr("tipforce_tools.conformance.run.run_case", terminated)
+    try:
+        assert main([*ON_BUS, "--case", "identity.identity*"]) == 130
+    finally:
+        signal.signal(signal.SIGTERM, before)
+    assert ["  pass  " in text for text in printed] == [False, True, True]
+    assert capsys.readouterr().out == "2 passed, 0 failed, 0 not applicable\n"
 
 
 def test_clauses_are_ordered_by_their_numbers() -> None:

@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from host.bus_with_nodes import connected, finger, new_channel
+from device.services import service_dictionary
+from host.bus_with_nodes import connected, finger, new_channel, running
+from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.host.configuration.settings import default_settings, read_settings
 from tipforce.host.network.bus import Bus
@@ -117,3 +119,18 @@ def test_what_is_wrong_is_said(tipforce: Tipforce, tmp_path: Path) -> None:
         assert text in err
     path.write_text('[objects]\n"tpdo3.cob_id" = "$NODEID-1"\n')
     assert "write $NODEID+0x180" in tipforce("config", "apply", 5, path)[2]
+
+
+def test_another_device_is_compared_with_nothing(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
+    """Its objects have defaults of their own, and another meaning from 2000h on."""
+    device = Device(service_dictionary(9))
+    with running([device], bench[1]):
+        bench[0].wait_for({0x709})
+        code, out, err = tipforce("config", "show", 9)
+        assert code == 0
+        assert "0x1800:01  tpdo1.cob_id" in out
+        assert "default" not in out
+        assert not [line for line in out.splitlines() if line > "0x2000"]
+        assert "node 9 (0x09) is not a fingertip" in err
+        records = [json.loads(line) for line in tipforce("config", "show", 9, "--json")[1].splitlines()]
+        assert {"index": "0x1017", "sub": 0, "name": "heartbeat.producer_ms", "value": 0} in records

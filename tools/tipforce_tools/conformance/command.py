@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import argparse
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, NoResponseError
@@ -19,18 +18,21 @@ if TYPE_CHECKING:
     from tipforce_tools.conformance.run import Result
 
 EPILOG = """\
-Each case starts with a reset of the node and leaves nothing stored. SYNC, NMT to all nodes and LSS reach every device
-on the bus: run it with this device alone on the bus, or with others that may be disturbed. --persistent also stores
-parameters, restores defaults and changes the node-id temporarily; afterwards the stored parameters are the defaults.
+A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
+PRE-OPERATIONAL first; where reset node is slow, reset communication takes its place. SYNC, NMT to all nodes and LSS
+reach every device on the bus: run it with this device alone on the bus, or with others that may be disturbed.
+--persistent also stores parameters, restores defaults and changes the node-id temporarily; afterwards the stored
+parameters are the defaults.
 
 A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. --tolerance
-is the permitted error of measured times. A case about a feature that the device lacks is "not applicable".
+is the permitted error of measured times. A case about a feature that the device lacks, or with a precondition that it
+may refuse, is "not applicable". Results are printed as they come; Ctrl-C and SIGTERM end with those until then.
 
 examples:
   tipforce conformance --node-id 5 -i socketcan -c can0
   tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
   tipforce conformance --list --case 'CiA 305*'
-exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no response from the node
+exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no response from the node, 130 interrupted
 """
 
 
@@ -72,24 +74,33 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+    from tipforce_tools.cli.main import terminate_as_interrupt
     from tipforce_tools.conformance import report
     from tipforce_tools.conformance.run import FAIL, run_on
 
     results: list[Result] = []
+
+    def collected() -> Iterator[Result]:
+        for result in run_on(dut, report.by_clause(cases), args.persistent):
+            results.append(result)
+            yield result
+
+    terminate_as_interrupt()
     with common.open_bus(args) as bus:
         dut = _device(bus, args)
         try:
-            with _progress(args, len(cases)) as advance:
-                for result in run_on(dut, cases, args.persistent):
-                    results.append(result)
-                    if args.json:
-                        common.print_json(report.record(result))
-                    advance()
-        finally:  # report the results so far, also after Ctrl-C or the loss of the device
+            if args.json:
+                for result in collected():
+                    common.print_json(report.record(result))
+                    sys.stdout.flush()
+            else:
+                for line in report.lines(collected()):
+                    print(line, flush=True)
+        finally:  # also after Ctrl-C, SIGTERM or the loss of the device
             if args.json:
                 common.note(args, report.summary(results))
             else:
-                print("\n".join(report.lines(results)))
+                print(report.summary(results))
     return 1 if any(result.verdict == FAIL for result in results) else 0
 
 
@@ -101,23 +112,10 @@ def _device(bus: can.BusABC, args: argparse.Namespace) -> Dut:
 
     dut = Dut(BusLink(bus, args.tolerance), args.node_id)
     try:
-        dut.reset()
+        dut.measure_resets()
     except CheckError as failure:
         raise NoResponseError(
             f"node {common.shown_id(args.node_id)}: no boot-up message after NMT reset node; is it on this bus, "
             "is the bit rate right?"
         ) from failure
     return dut
-
-
-@contextmanager
-def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on stderr, on a terminal only; yield the function that advances it."""
-    if args.quiet or not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.progress import Progress
-
-    with Progress(console=common.console(args, stderr=True), transient=True) as progress:
-        task = progress.add_task("conformance", total=total)
-        yield lambda: progress.advance(task)

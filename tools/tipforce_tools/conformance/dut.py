@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Sequence
+from contextlib import suppress
 
 from tipforce_tools.conformance.case import CheckError, NotApplicableError
-from tipforce_tools.conformance.raw_frames import Frame, Frames, Link, Wanted, as_bytes
+from tipforce_tools.conformance.raw_frames import QUIET_MS, Frame, Frames, Link, Wanted, as_bytes
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
 READ_ONLY = 0x06010002
+# A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
+_MAY_REFUSE = (
+    0x06010000, 0x06040041, 0x06040042, 0x06040043, 0x06090030, 0x06090031, 0x06090032,
+    0x08000000, 0x08000020, 0x08000022,
+)  # fmt: skip
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
+_SLOW_RESET_MS = 250
 _TIPFORCE = 0x545
 
 
@@ -22,6 +30,9 @@ class Dut(Frames):
         super().__init__(link, node_id)
         self._survey: dict[tuple[int, int], bool] = {}
         self._is_tipforce: bool | None = None
+        self._starts_by_itself: bool | None = None
+        self._fresh = False  # as after a reset: since then only objects were read
+        self._reset_command = RESET_NODE
 
     # --- NMT ------------------------------------------------------------------------------------------------
 
@@ -29,12 +40,71 @@ class Dut(Frames):
         """Send an NMT command to this device, or to ``node_id`` (0: all)."""
         self.send(0x000, bytes((command, self.node_id if node_id is None else node_id)))
 
+    def send(self, can_id: int, data: bytes | str = b"") -> None:
+        """Send a frame."""
+        self._fresh = False
+        super().send(can_id, data)
+
     def reset(self, command: int = RESET_NODE) -> None:
-        """Reset the device and wait for its boot-up; earlier frames are discarded."""
+        """Reset the device and wait for its boot-up, then PRE-OPERATIONAL; earlier frames are discarded."""
+        self.boot(command)
+        if self.starts_by_itself():
+            self.nmt(ENTER_PRE_OPERATIONAL)
+            self.sleep(QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
+            self._pending.clear()
+        self._fresh = True
+
+    def boot(self, command: int) -> None:
+        """Reset the device and wait for its boot-up message."""
         self.forget()
         self.nmt(command)
         self.boot_up()
         self._pending.clear()  # frames before the boot-up message precede the reset
+
+    def refresh(self) -> None:
+        """Reset the device, unless it was only asked for objects since the last reset."""
+        if not self._fresh:
+            self.reset(self._reset_command)
+
+    def measure_resets(self) -> None:
+        """Reset the device. If reset node is slow and reset communication is faster, ``refresh`` uses the latter.
+
+        It restores what the cases change on any device: the communication parameters.
+        """
+        times_us = {}
+        for command in (RESET_NODE, RESET_COMMUNICATION):
+            start_us = self.now_us
+            self.reset(command)
+            times_us[command] = self.now_us - start_us
+            if times_us[command] < 1000 * _SLOW_RESET_MS:
+                break
+        self._reset_command = min(times_us, key=lambda command: times_us[command])
+        self.refresh()
+        with suppress(CheckError):
+            self.is_tipforce()
+
+    def starts_by_itself(self) -> bool:
+        """Return whether the device enters OPERATIONAL after its boot-up (CiA 302-2, 1F80h), by 1F80h or heartbeat."""
+        if self._starts_by_itself is None:
+            self._starts_by_itself = False
+            with suppress(CheckError):  # a device without SDO fails the cases of SDO
+                startup = self.try_read(0x1F80)
+                self._starts_by_itself = not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
+        return self._starts_by_itself
+
+    def _beats_operational(self) -> bool:
+        period = self.try_read(0x1017)
+        if not isinstance(period, bytes) or self.try_write(0x1017, 0, struct.pack("<H", _BEAT_MS)):
+            return False
+        beat = self.heard(0x700 + self.node_id, 3 * _BEAT_MS)
+        self.try_write(0x1017, 0, period)
+        self.forget(0x700 + self.node_id)
+        return beat is not None and beat.data == bytes((OPERATIONAL,))
+
+    def waits_for_start(self) -> None:
+        """End a case about the state after the boot-up for a device that starts by itself."""
+        if self.starts_by_itself():
+            raise NotApplicableError("the device enters OPERATIONAL by itself after its boot-up")
 
     def boot_up(self) -> Frame:
         """Wait for the boot-up message; a heartbeat sent during the reset may precede it."""
@@ -96,12 +166,17 @@ class Dut(Frames):
 
     def try_read(self, index: int, sub: int = 0) -> bytes | int:
         """Upload, expedited or segmented: return the data, or the abort code."""
+        fresh = self._fresh
         first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
+        data: bytes | int
         if first[0] == 0x80:
-            return int.from_bytes(first[4:], "little")
-        if first[0] & 2:
-            return first[4 : 8 - (first[0] >> 2 & 3)] if first[0] & 1 else first[4:]
-        return self.read_segments()
+            data = int.from_bytes(first[4:], "little")
+        elif first[0] & 2:
+            data = first[4 : 8 - (first[0] >> 2 & 3)] if first[0] & 1 else first[4:]
+        else:
+            data = self.read_segments()
+        self._fresh = fresh
+        return data
 
     def read_segments(self) -> bytes:
         """Read the segments of an initiated upload."""
@@ -147,12 +222,21 @@ class Dut(Frames):
         return int(self.number(kind, index, sub))
 
     def put(self, kind: str, index: int, sub: int, value: float) -> None:
-        """Download a number, which must succeed; not applicable if the object is read-only."""
+        """Download a number that the case needs as its precondition: not applicable if the device may refuse it."""
+        self._put(kind, index, sub, value, (READ_ONLY, *_MAY_REFUSE))
+
+    def accepts(self, kind: str, index: int, sub: int, value: float) -> None:
+        """Check that the device accepts a number; not applicable if the object is read-only."""
+        self._put(kind, index, sub, value, (READ_ONLY,))
+
+    def _put(self, kind: str, index: int, sub: int, value: float, allowed: tuple[int, ...]) -> None:
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
+        shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == READ_ONLY:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        if code in allowed:
+            raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
         if code:
-            shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
             raise CheckError(f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
 
     def holds(self, kind: str, index: int, sub: int, value: float) -> None:
@@ -176,16 +260,24 @@ class Dut(Frames):
 
     # --- identity -------------------------------------------------------------------------------------------
 
+    def lacks(self, entries: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+        """Return the first of the entries that does not exist; reset the device before it asks."""
+        if any(entry not in self._survey for entry in entries):
+            self.refresh()
+        return next((entry for entry in entries if not self.exists(*entry)), None)
+
     def exists(self, index: int, sub: int) -> bool:
         """Return whether the entry exists, by SDO upload; a write-only entry exists, too."""
         key = (index, sub)
         if key not in self._survey:
+            fresh = self._fresh
             first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
             lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (0x06020000, 0x06090011)
             self._survey[key] = not lacks
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.
                 self.request(struct.pack("<BHBI", 0x80, index, sub, 0x08000000))
+            self._fresh = fresh
         return self._survey[key]
 
     def is_tipforce(self) -> bool:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator
 
 from tipforce_tools.conformance.case import Case
 from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, Result
@@ -22,22 +22,22 @@ def clause_key(clause: str) -> tuple[tuple[int, int | str], ...]:
     return tuple((0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"[ .]", clause))
 
 
-def lines(results: Sequence[Result]) -> list[str]:
-    """Return the report: a heading per clause, a line per case, the frames of each failed case."""
-    found: list[str] = []
+def lines(results: Iterable[Result]) -> Iterator[str]:
+    """Yield the report of results in the order of ``by_clause`` as they come: a heading per clause, a line per case,
+    the frames of each failed case.
+    """
     clause = ""
-    for result in sorted(results, key=lambda result: clause_key(result.case.clause)):
+    for result in results:
         if result.case.clause != clause:
             clause = result.case.clause
-            found.append(clause)
+            yield clause
         shown = {PASS: "pass", FAIL: "FAIL", NOT_APPLICABLE: "n/a "}[result.verdict]
-        found.append(f"  {shown}  {result.case.name:36} {result.case.title}")
+        yield f"  {shown}  {result.case.name:36} {result.case.title}"
         if result.reason:
-            found.append(f"        {result.reason}")
+            yield f"        {result.reason}"
         if len(result.log) > _LAST_FRAMES:
-            found.append(f"        ... {len(result.log) - _LAST_FRAMES} frames before")
-        found += [f"        {line}" for line in result.log[-_LAST_FRAMES:]]
-    return [*found, summary(results)]
+            yield f"        ... {len(result.log) - _LAST_FRAMES} frames before"
+        yield from (f"        {line}" for line in result.log[-_LAST_FRAMES:])
 
 
 def summary(results: Iterable[Result]) -> str:

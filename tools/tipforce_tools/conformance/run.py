@@ -29,10 +29,10 @@ def run_case(case: Case, dut: Dut, persistent: bool) -> Result:
     """Reset the device, check the requirements of the case, and run it."""
     mark = len(dut.log)
     try:
-        dut.reset()
         lack = _lack(case, dut, persistent)
         if lack:
             return Result(case, NOT_APPLICABLE, lack)
+        dut.refresh()
         mark = len(dut.log)
         case.body(dut)
     except NotApplicableError as reason:
@@ -52,10 +52,8 @@ def _lack(case: Case, dut: Dut, persistent: bool) -> str:
         return "error frames come from the CAN controller; a bus does not carry them"
     if case.own and not dut.is_tipforce():
         return "specific to tipforce"
-    for index, sub in case.needs:
-        if not dut.exists(index, sub):
-            return f"no object {index:04X}h:{sub:02X}"
-    return ""
+    lacking = dut.lacks(case.needs)
+    return "" if lacking is None else f"no object {lacking[0]:04X}h:{lacking[1]:02X}"
 
 
 def run_on(dut: Dut, cases: Iterable[Case], persistent: bool) -> Iterator[Result]:

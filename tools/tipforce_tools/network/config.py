@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
+from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
@@ -111,7 +111,10 @@ def _show(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.settings import changed_settings, default_settings, setting_rows
 
     with common.open_connection(args) as connection:
-        settings = _read(args, connection.sdo(args.node))
+        sdo = connection.sdo(args.node)
+        if not _is_fingertip(sdo):
+            return _show_foreign(args, sdo)
+        settings = _read(args, sdo)
     known, defaults = setting_rows(args.gauges), default_settings(args.node, args.gauges)
     shown = settings if args.all else changed_settings(settings, args.node, args.gauges)
     for place, value in sorted(shown.items()):
@@ -125,6 +128,42 @@ def _show(args: argparse.Namespace) -> int:
             default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
             print(f"0x{row.index:04X}:{row.sub:02X}  {row.dotted:32} {texts[0]} {row.unit}{default}".rstrip())
     common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
+    return 0
+
+
+def _is_fingertip(sdo: SdoChannel) -> bool:
+    from tipforce.dictionary import objects as od
+    from tipforce.dictionary.rows import gauges_of
+
+    try:
+        return gauges_of(sdo.read(od.IDENTITY_PRODUCT)) > 0
+    except SdoAbortError:  # CiA 301 requires the vendor alone
+        return False
+
+
+def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
+    """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
+    from tipforce.device import communication
+    from tipforce.dictionary import types
+    from tipforce.host.configuration.settings import setting_rows
+
+    shown = 0
+    for (index, sub), row in setting_rows().items():
+        if index > communication.LAST:
+            continue
+        try:
+            value = types.decode(row.letter, sdo.upload(index, sub))
+        except (SdoAbortError, InputError):  # it lacks the object, or has one of another length
+            continue
+        shown += 1
+        if args.json:
+            common.print_json({"index": f"0x{index:04X}", "sub": sub, "name": row.dotted, "value": value})
+        else:
+            print(
+                f"0x{index:04X}:{sub:02X}  {row.dotted:32} {types.format_value(row.letter, value)} {row.unit}".rstrip()
+            )
+    node = f"node {common.shown_id(args.node)} is not a fingertip"
+    common.note(args, f"{node}: {shown} communication settings (CiA 301), compared with nothing")
     return 0
 
 

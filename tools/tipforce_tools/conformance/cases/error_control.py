@@ -29,7 +29,7 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
 
 @case("CiA 301 7.2.8.3.2.2", "a heartbeat each {0} ms", needs=PRODUCER, each=[(20,), (50,), (110,)])
 def period(dut: Dut, ms: int) -> None:
-    dut.put("H", 0x1017, 0, ms)
+    dut.accepts("H", 0x1017, 0, ms)
     first = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
     for _ in range(3):
         last = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
@@ -87,7 +87,7 @@ def producer_size(dut: Dut, kind: str, size: int) -> None:
 
 @case("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
 def consumer_read_back(dut: Dut) -> None:
-    dut.put("I", 0x1016, 1, WATCHED << 16 | 1234)
+    dut.accepts("I", 0x1016, 1, WATCHED << 16 | 1234)
     dut.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
 
 

@@ -57,6 +57,7 @@ def transition(dut: Dut, before: int, command: int, _in: str, _what: str, target
     ],
 )
 def reset(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
+    dut.waits_for_start()
     dut.enter(before)
     dut.forget()
     dut.nmt(command, None if target == TARGETS[0] else 0)
@@ -235,6 +236,7 @@ def startup_refused(dut: Dut, value: int) -> None:
     persistent=True,
 )
 def self_start(dut: Dut) -> None:
+    dut.waits_for_start()
     try:
         dut.put("I", 0x1F80, 0, 0)
         dut.put("H", 0x1017, 0, 20)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import case, check
+from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
 from tipforce_tools.conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 
@@ -116,6 +116,8 @@ def mapping_while_valid(dut: Dut, communication: int, mapping: int, _name: str, 
 @case("CiA 301 7.5.2.36", "{2}: an entry is not written while sub-index 0 is not 0", needs=EITHER, each=BOTH)
 def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
+    if not dut.integer("B", mapping, 0):
+        raise NotApplicableError("the PDO maps no object")
     dut.refuses("I", mapping, 1, dut.integer("I", mapping, 1), *WHILE_VALID)
 
 

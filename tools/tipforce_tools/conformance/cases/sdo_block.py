@@ -120,7 +120,12 @@ def resend_last(dut: Dut) -> None:
     end(dut, data)
 
 
-@case("CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", each=[(0,), (128,), (255,)])
+@case(
+    "CiA 301 7.2.4.3.13",
+    "block size {0} at the initiate: 05040002h",
+    needs=((0x1008, 0),),
+    each=[(0,), (128,), (255,)],
+)
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
     check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, BLOCK_SIZE), "abort 05040002h", answer.hex(" "))

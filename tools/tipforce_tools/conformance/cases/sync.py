@@ -81,7 +81,7 @@ def overflow_refused(dut: Dut, value: int) -> None:
 
 @case("CiA 301 7.5.2.22", "1019h = {0} is taken", needs=((0x1019, 0),), each=[(0,), (2,), (240,)])
 def overflow_taken(dut: Dut, value: int) -> None:
-    dut.put("B", 0x1019, 0, value)
+    dut.accepts("B", 0x1019, 0, value)
     dut.holds("B", 0x1019, 0, value)
 
 

@@ -22,7 +22,7 @@ def default(dut: Dut) -> None:
 
 @case("CiA 301 7.5.2.15", "1012h = {0:08X}h is taken", needs=NEEDS, each=[(0x100,), (0x80000390,), (0x80000100,)])
 def taken(dut: Dut, value: int) -> None:
-    dut.put("I", 0x1012, 0, value)
+    dut.accepts("I", 0x1012, 0, value)
     dut.holds("I", 0x1012, 0, value)
 
 
