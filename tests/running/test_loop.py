@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import subprocess
 import time
 from collections.abc import Iterable
 from itertools import pairwise
@@ -78,6 +79,30 @@ def test_a_bus_where_nobody_listens_does_not_fill_the_log(
         port.send([(0x705, b"\5")] * 100)
     assert caplog.text.count("No buffer space available") == 2
     assert port.receive(0.0) == TRANSMIT_OVERFLOW, "the device hears of it all the same (EMCY 8110h)"
+
+
+@pytest.mark.parametrize(
+    ("kind", "touched"),
+    [('[{"ifname": "x", "linkinfo": {"info_kind": "can"}}]', True), ('[{"linkinfo": {"info_kind": "vcan"}}]', False),
+     ("[{}]", False), ("", False)],
+)  # fmt: skip
+def test_only_a_link_with_bit_timing_is_switched(
+    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture, kind: str, touched: bool
+) -> None:
+    """LSS "activate bit timing": vcan would be set down and up, and lose frames, for nothing."""
+    commands: list[list[str]] = []
+
+    def run(command: list[str], **_options: object) -> subprocess.CompletedProcess[str]:
+        if "show" not in command:
+            commands.append(command)
+        return subprocess.CompletedProcess(command, 0, kind, "")
+
+    monkeypatch.setattr(ports, "_bound_socket", lambda _name: None)
+    monkeypatch.setattr(subprocess, "run", run)
+    ports.SocketCanPort("x").request("bit-rate", 500_000, 0)
+    switched = ["down", "type can bitrate 500000", "up"] if touched else []
+    assert [" ".join(command) for command in commands] == [f"ip link set x {words}" for words in switched]
+    assert ("x has no bit timing: LSS requests 500000 bit/s" in caplog.text) is not touched
 
 
 def test_an_endless_loop_is_asked_to_stop_five_times_a_second(monkeypatch: pytest.MonkeyPatch) -> None:

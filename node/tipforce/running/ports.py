@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import json
 import logging
 import select
 import socket
@@ -99,6 +100,8 @@ class SocketCanPort:
         link = ["ip", "link", "set", self._interface]
         if what == "bus-restart":
             _run([*link, "type", "can", "restart"], "enable automatic restart: `ip link set ... restart-ms 100`")
+        elif what == "bit-rate" and not _has_bit_timing(self._interface):
+            _LOG.warning("%s has no bit timing: LSS requests %d bit/s, nothing changes", self._interface, value)
         elif what == "bit-rate":
             time.sleep(delay_ms / 1000)  # CiA 305, 6.4.4: the switch delay, in which no node sends
             _run([*link, "down"], "set the bit rate manually")
@@ -143,6 +146,16 @@ def _bound_socket(interface: str) -> socket.socket:
         found.close()
         raise
     return found
+
+
+def _has_bit_timing(interface: str) -> bool:
+    """Return whether `ip` shows a CAN controller; vcan, vxcan and slcan have no bit timing to set."""
+    command = ["ip", "-json", "-details", "link", "show", interface]
+    try:
+        shown = subprocess.run(command, capture_output=True, text=True, timeout=5, check=True).stdout
+        return any(link.get("linkinfo", {}).get("info_kind") == "can" for link in json.loads(shown))
+    except (OSError, subprocess.SubprocessError, ValueError):
+        return False  # without `ip` it could not be set either
 
 
 def _run(command: list[str], remedy: str) -> None:

@@ -5,6 +5,7 @@ The host has its own connection, so the frames that it records were really on th
 
 from __future__ import annotations
 
+import logging
 import sys
 import threading
 import time
@@ -26,7 +27,80 @@ from tipforce.scene.build import Finger
 from tipforce.scene.recording import Recording
 from tipforce.scene.simulate import fault_events, sync_times
 
-_SETTLE_S = 0.05  # after the last SYNC, for its PDOs
+_LOG = logging.getLogger(__name__)
+_AFTER_ERROR_S = 0.05
+_SETTLE_S = 0.05  # without a frame, after the last SYNC
+_MOST_SETTLES = 20
+
+
+class _Heard(FrameBuffer):
+    """The received frames. An error of the bus does not end the reception; ``failure`` is it until a frame passes."""
+
+    failure: Exception | None = None
+    count = 0
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Store a frame."""
+        self.failure = None
+        self.count += 1
+        super().on_message_received(msg)
+
+    def on_error(self, exc: Exception) -> None:
+        """Continue; without this python-can's thread would end. A bus that fails repeatedly must not occupy a core."""
+        self.failure = exc
+        time.sleep(_AFTER_ERROR_S)
+
+    def settle(self) -> None:
+        """Wait until no frame arrives: on a busy machine nodes and reception may be late."""
+        for _ in range(_MOST_SETTLES):
+            before = self.count
+            time.sleep(_SETTLE_S)
+            if self.count == before:
+                return
+
+
+class _Master:
+    """The host of a run: it sends NMT and SYNC and records what it sends and hears."""
+
+    def __init__(self, bus: can.BusABC, heard: _Heard) -> None:
+        self._bus = bus
+        self._heard = heard
+        self._said: list[tuple[int, int, bytes]] = []
+        self._refused = 0
+        self._error: can.CanError | None = None  # of the last frame
+        self.epoch_ns = time.time_ns()
+
+    def say(self, can_id: int, data: bytes) -> None:
+        """Send a frame; one that the bus refuses is counted, because the bus may recover."""
+        t_ns = time.time_ns()
+        try:
+            self._bus.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
+        except can.CanError as error:
+            if not self._said:
+                raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
+            if self._error is None:
+                _LOG.warning("the bus failed: %s; the run continues when it works again", error)
+            self._error = error
+            self._refused += 1
+        else:
+            self._said.append((t_ns, can_id, data))
+            self._error = None
+
+    def record(self, recording: Recording) -> None:
+        """Add every frame to the recording, in the order of their times."""
+        frames = self._heard.take_all()
+        columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "data"))
+        heard = [(t_ns, can_id, bytes(data[:n])) for t_ns, can_id, n, data in zip(*columns, strict=True)]
+        for t_ns, can_id, data in sorted(heard + self._said, key=lambda row: row[0]):
+            recording.add(max(0, (t_ns - self.epoch_ns) // 1000), can_id, data)
+
+    def check(self) -> None:
+        """Raise EnvironmentLackError for a bus that is down at the end; log what one that recovered has missed."""
+        error = self._error or self._heard.failure
+        if error is not None:
+            raise EnvironmentLackError(f"the bus failed and did not recover: {error}; the log has what was received")
+        if self._refused:
+            _LOG.warning("%d SYNCs were not sent while the bus was down", self._refused)
 
 
 def run_on_bus(
@@ -36,44 +110,34 @@ def run_on_bus(
     recording: Recording,
     advance: Callable[[float], None],
 ) -> None:
-    """Run the hand for ``duration_s`` of real time. Raises EnvironmentLackError for a bus that fails or does not open.
+    """Run the hand for ``duration_s`` of real time; a bus that goes down and comes back misses SYNCs meanwhile.
 
-    Frames of other nodes on that bus are recorded too. SYNCs that are late because the machine is busy stay late: the
+    Raises EnvironmentLackError for a bus that does not open, or is down at the end; what was received is recorded then
+    too. Frames of other nodes on that bus are recorded. SYNCs that are late because the machine is busy stay late: the
     times in the recording show it.
     """
     options = _bus_options(scene.bus)
     with ExitStack() as opened:
         host = opened.enter_context(open_bus(**options))
         port = _port(options, opened)
-        buffer = FrameBuffer()
-        notifier = can.Notifier(host, [buffer], timeout=0.05)
+        heard = _Heard()
+        master = _Master(host, heard)
+        opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
+        notifier = can.Notifier(host, [heard], timeout=0.05)
         opened.callback(notifier.stop)
         with _running(fingers, port):
-            epoch_ns, start_s = time.time_ns(), time.monotonic()
+            master.epoch_ns, start_s = time.time_ns(), time.monotonic()
             clock_us = loop.now_us()
             for finger in fingers:
                 finger.clock.start_us = clock_us - clock_us % finger.group.sample_period_us
-            said: list[tuple[int, int, bytes]] = []
-
-            def say(can_id: int, data: bytes) -> None:
-                said.append((time.time_ns(), can_id, data))
-                try:
-                    host.send(can.Message(arbitration_id=can_id, data=data, is_extended_id=False))
-                except can.CanError as error:
-                    raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
-
-            say(NMT_COB_ID, b"\x01\x00")
-            for t_us, act in _acts(scene, fingers, duration_s, say):
+            master.say(NMT_COB_ID, b"\x01\x00")
+            for t_us, act in _acts(scene, fingers, duration_s, master.say):
                 _wait_until(start_s + 1e-6 * t_us)
                 act()
                 advance(1e-6 * t_us)
             _wait_until(start_s + duration_s)
-            time.sleep(_SETTLE_S)
-    frames = buffer.take_all()
-    columns = (frames[name].tolist() for name in ("t_ns", "can_id", "length", "data"))
-    heard = [(t_ns, can_id, bytes(data[:n])) for t_ns, can_id, n, data in zip(*columns, strict=True)]
-    for t_ns, can_id, data in sorted(heard + said, key=lambda row: row[0]):
-        recording.add(max(0, (t_ns - epoch_ns) // 1000), can_id, data)
+            heard.settle()
+    master.check()
 
 
 def _bus_options(bus: schema.Bus | None) -> dict[str, Any]:
