@@ -2,7 +2,7 @@
 
     python -m bench.fuzz_sdo                               20 000 conversations
     python -m bench.fuzz_sdo --conversations 1_000_000     the long run
-    python -m bench.fuzz_sdo --seed 1 --only 4711          conversation 4711 of seed 1 once more, frame by frame
+    python -m bench.fuzz_sdo --seed 1 --only 4711          the requests of conversation 4711 of seed 1
 
 A conversation is one transfer, of each kind, with the device core as the server; on its way each response may be
 changed, lost, repeated, delayed, replaced, or joined by others that nobody asked for. The clock is a fake one. A

@@ -85,6 +85,7 @@ def acyclic(dut: Dut) -> None:
     dut.put("f", 0x6133, 1, 100.0)
     can_id = begin(dut, 0)
     dut.send(0x080)
+    dut.sleep(dut.link.tolerance_ms)
     dut.forget(can_id)
     shift(dut, 150.0)
     dut.sleep(5)

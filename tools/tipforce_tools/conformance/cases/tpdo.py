@@ -63,6 +63,7 @@ def acyclic(dut: Dut) -> None:
     can_id = enable_tpdo1(dut, 0)
     dut.nmt(START)
     dut.send(0x080)
+    dut.sleep(dut.link.tolerance_ms)
     dut.forget(can_id)
     for _ in range(3):
         dut.send(0x080)
