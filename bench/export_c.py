@@ -26,6 +26,10 @@ CPU = ["-mcpu=cortex-m4", "-mthumb", "-mfpu=fpv4-sp-d16", "-mfloat-abi=hard", "-
 # Functions that a program calls, and the files they need; what the linker keeps of the library counts.
 PROGRAMS = {
     "float": (["tipforce_float_estimate"], ["tipforce_float.c", "tipforce_status.c"]),
+    "float, judging": (
+        ["tipforce_judge_setup", "tipforce_judge_sample", "tipforce_judge_estimate"],
+        ["tipforce_judge.c", "tipforce_float.c", "tipforce_status.c"],
+    ),
     "fixed point": (["tipforce_fixed_estimate"], ["tipforce_fixed.c", "tipforce_status.c"]),
     "fixed point and its setup": (
         ["tipforce_fixed_estimate", "tipforce_fixed_setup"],

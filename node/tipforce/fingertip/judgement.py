@@ -65,16 +65,14 @@ class Judgement:
             self._doubts = _doubt(active, self.solver, faults)
             return
         self.bits |= _CONTRADICTION
-        gauge = bits if bits & (bits - 1) == 0 else 0  # one bit alone
-        solver = active.solver(lost | gauge) if gauge else None
-        if solver is not None:
-            rest = active.check(lost | gauge)
-            if rest is None:  # four gauges, of which one responds to no force: the other three are not checked
-                faults = []
-            else:
-                bits, faults = _judged(rest, self._strains, self._extra)
-                if bits >= 0:
-                    solver = None
+        # One bit alone; of four gauges the three that would be left cannot be checked.
+        gauge = bits if bits & (bits - 1) == 0 and len(check[0]) > 1 else 0
+        rest = active.check(lost | gauge) if gauge else None
+        solver = None if rest is None else active.solver(lost | gauge)
+        if solver is not None and rest is not None:
+            bits, faults = _judged(rest, self._strains, self._extra)
+            if bits >= 0:
+                solver = None
         self.solver = solver
         if solver is not None:
             self.left_out = gauge

@@ -11,8 +11,9 @@ import pytest
 from fingertip.finger import PUSH, Finger
 from fingertip.test_judgement import drift, redundant, with_emcy
 from tipforce.fingertip.application import Fingertip
+from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import status_words
-from tipforce.host.decoding.contacts import Status
+from tipforce.host.decoding.contacts import Status, contact_values
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
 from tipforce.host.decoding.log import read_log
@@ -123,6 +124,26 @@ def test_a_log_joins_them_to_the_samples(with_tpdo4: bool, tmp_path: Path) -> No
     table = log[5].columns["SG4_fault"][samples]
     assert (table[32:59] == 1).all()
     assert set(table[:30].tolist()) <= {0, -1}
+
+
+@pytest.mark.parametrize("microstrain", [0.0, 50.0])
+def test_live_values_from_gauges_do_without_the_gauge_that_the_node_left_out(microstrain: float) -> None:
+    talk = redundant(GAUGES)
+    application = talk.device.application
+    assert isinstance(application, Fingertip)
+    drift(talk, 3, microstrain)
+    talk.now_us += 1000
+    talk.step([(0x80, b"")])
+    sample, calibration = application.sample, Calibration.from_record(application.calibration.active_record())
+    strain = 1e-6 * np.array([sample.microstrains])
+    status = np.array([sample.status()], dtype=np.uint16)
+    saturated = np.array([bool(sample.status() & Status.SATURATED)])
+    for columns in ({"saturated": saturated}, {"saturated": saturated, "SG4_fault": np.array([1])}):
+        values = contact_values(columns, strain, status, calibration)
+        assert values[0, 0] == pytest.approx(sample.contact()[0], rel=1e-6)
+    # A fault that the readings do not show, and that nothing names, is no value.
+    hidden = contact_values({}, strain - calibration.offset_strain, status | np.uint16(Status.SATURATED), calibration)
+    assert np.isnan(hidden).all() == (microstrain == 0.0)
 
 
 def test_a_log_with_neither_says_so_once(tmp_path: Path, caplog: pytest.LogCaptureFixture) -> None:

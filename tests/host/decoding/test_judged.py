@@ -11,6 +11,7 @@ import pytest
 from fingertip.finger import PUSH, finger, record
 from tipforce.errors import InputError
 from tipforce.fingertip.application import Fingertip
+from tipforce.fingertip.judgement import Judgement
 from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
@@ -124,3 +125,20 @@ def test_rows_in_parts_are_rows_at_once() -> None:
         before = following(found, before)
         parts.append(found.status)
     np.testing.assert_array_equal(np.concatenate(parts), whole)
+
+
+def test_four_gauges_isolate_nothing_not_even_a_gauge_that_no_force_moves() -> None:
+    C = np.hstack((1e4 * np.eye(3), np.zeros((3, 1))))
+    calibration = Calibration(C, np.zeros(4), 1e-12 * np.eye(4), redundancy_limit=24.0)
+    microstrain = np.array([[100.0, 0.0, 0.0, 0.0], [100.0, 0.0, 0.0, 50.0]])
+    found = judged.Judge(calibration).judge(1e-6 * microstrain, None, np.zeros(2, dtype=np.int64), False)
+    assert found.faults.tolist() == [0, 1 << 12]
+    assert np.isfinite(found.F_newtons).all(axis=1).tolist() == [True, False]
+    talk = finger(4, calibrated=calibration.record(), load=PUSH)
+    application = talk.device.application
+    assert isinstance(application, Fingertip)
+    active = application.calibration.active
+    assert active is not None
+    for row, force in zip(microstrain.tolist(), (True, False), strict=True):
+        one = Judgement(active, row, 0, -0x8000, False)
+        assert (one.force is not None, one.left_out) == (force, 0)

@@ -64,7 +64,12 @@ void tipforce_float_estimate(const tipforce_float_calibration *calibration,
                              const TIPFORCE_REAL strain[TIPFORCE_GAUGES], const TIPFORCE_REAL tare[3],
                              uint8_t early, bool was_present, tipforce_float_result *result);
 
-/* ---- fixed point ---- */
+/* ---- fixed point ----
+ *
+ * It does not judge (tipforce_judge.h, floating point): bits 12 to 15 of 2124h stay clear, no gauge is left out, and u is
+ * that of gauge noise alone. The caller passes SATURATED or FAULT at 2113h, compares P with 2112h:1 and 2, and either
+ * leaves 2116h at 0 or calls tipforce_judge_sample() first.
+ */
 
 #define TIPFORCE_FORCE_BITS 20           /* forces are in 2^-20 N, about 1 micronewton; up to 1024 N */
 #define TIPFORCE_UNITS_LIMIT 134217728   /* 2^27: largest gauge reading, in units */

@@ -528,12 +528,13 @@ void tipforce_judge_sample(const tipforce_judge *judge, const real strain[N], re
     int bits = s->usable && s->rows ? judged(s, v->V, extra, explained, visible) : -1;
     if (bits >= 0) {
         v->faults |= TIPFORCE_FAULT_CONTRADICTION;
-        unsigned gauge = bits > 0 && (bits & (bits - 1)) == 0 ? (unsigned)bits : 0u;
+        /* One bit alone; of four gauges the three that would be left cannot be checked. */
+        unsigned gauge = s->rows > 1 && bits > 0 && (bits & (bits - 1)) == 0 ? (unsigned)bits : 0u;
         if (gauge) {
             set_subset(r, lost | gauge, &other);
             memset(explained, 0, sizeof explained);
         }
-        if (!gauge || !other.usable || (other.rows && judged(&other, v->V, extra, explained, visible) >= 0)) {
+        if (!gauge || !other.usable || !other.rows || judged(&other, v->V, extra, explained, visible) >= 0) {
             unknown(v, TIPFORCE_FAULT);
             v->faults |= lost;
             return;

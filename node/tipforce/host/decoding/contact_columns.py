@@ -8,13 +8,14 @@ from dataclasses import replace
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
 from tipforce.host.decoding import judged, status_words
+from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
 from tipforce.sensor.contact import scalar
 
@@ -103,7 +104,7 @@ class ContactColumns:
             if name in table.values:
                 good &= table.values[name][rows] != 1
         temperature = self._temperature(key, rows, table)
-        lost = lost_gauges(table.values, rows, strain.shape)
+        lost = lost_gauges({name: table.values[name][rows] for name in table.values}, strain.shape)
         if "saturated" in table.values:
             # A gauge that the node left out and whose reading does not show why: which one, TPDO4 or EMCY told, or
             # nothing did.
@@ -135,20 +136,6 @@ class ContactColumns:
         found = judge.judge(strain - tip.offset_strain, None, judged.at_end(1e6 * strain), False)
         seen: BoolArray = (found.faults & judged.GAUGES) != 0
         return seen
-
-
-def lost_gauges(columns: Mapping[str, Values], rows: npt.NDArray[np.intp], shape: tuple[int, ...]) -> IntArray:
-    """Bits of the gauges that the node left out or found saturated, of rows with ``shape`` (k, n): (k,).
-
-    2124h may come later than the sample; what counts for a sample is its own status.
-    """
-    found = np.zeros(shape[0], dtype=np.int64)
-    for gauge in range(shape[1]):
-        told = columns.get(f"SG{gauge + 1}_fault")
-        if told is not None:
-            found |= (told[rows] == 1).astype(np.int64) << gauge
-    status = columns.get("saturated")
-    return found if status is None else np.where(status[rows] == 1, found, 0)
 
 
 def signals_needed(asked: Iterable[str] | None, gauges: int, temperature: bool = False) -> tuple[str, ...] | None:

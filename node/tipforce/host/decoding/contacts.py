@@ -163,7 +163,8 @@ def contact_values(
     """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger; NaN where unknown.
 
     As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n),
-    strain, and the calibration. What ``status`` (k,) makes unknown is NaN as on the node (scalar.unknown).
+    strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
+    on the node (scalar.unknown).
     """
     if "P" in columns:
         return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
@@ -171,17 +172,45 @@ def contact_values(
     if "F1" in columns:
         F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
         found = estimate.contacts(F, pull=pull)
+    elif calibration is not None and calibration.gauges == strain.shape[-1] > table.MIN_GAUGES:
+        return _redundant(columns, strain, status, calibration)
     elif calibration is not None and calibration.gauges == strain.shape[-1]:
         _, found = estimate.estimate(calibration.C, strain, calibration.offset_strain, pull=pull)
     else:
         return np.full((len(status), 3), np.nan)
     values = np.stack([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)], axis=-1)
     for value in np.unique(status).tolist():
-        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF)
+        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, "F1" in columns)
         at = status == value
         for k, bit in enumerate((scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)):
             if lost & bit:
                 values[at, k] = np.nan
+    return values
+
+
+def _redundant(
+    columns: Mapping[str, npt.NDArray[Any]],
+    strain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    calibration: Calibration,
+) -> FloatArray:
+    """The values of more than three gauges, judged here: one that is left out must not count."""
+    from tipforce.host.decoding.estimates import estimate as judged_estimate  # it builds on this module
+    from tipforce.host.decoding.health import lost_gauges
+    from tipforce.host.decoding.judged import at_end
+
+    values = np.full((len(status), 3), np.nan)
+    hidden = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT)
+    rows = np.flatnonzero((status & hidden == 0) & (status & np.uint16(Status.CALIBRATED) != 0))
+    if not len(rows):
+        return values
+    microstrain = 1e6 * strain[rows]
+    lost = lost_gauges(columns, strain.shape)[rows] | at_end(microstrain)
+    present = bool(status[rows[0]] & Status.CONTACT)
+    found = judged_estimate(calibration, microstrain, lost=lost, was_present=present)
+    values[rows] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)
+    # The node left a gauge out and nothing says which.
+    values[rows[(status[rows] & np.uint16(Status.SATURATED) != 0) & ~found.has(Status.SATURATED)]] = np.nan
     return values
 
 

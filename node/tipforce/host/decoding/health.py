@@ -54,6 +54,20 @@ def packed(columns: Mapping[str, npt.NDArray[Any]]) -> IntArray | None:
     return np.asarray(np.bitwise_or.reduce(found))
 
 
+def lost_gauges(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> IntArray:
+    """Bits of the gauges that the node left out or found saturated, of samples with ``shape`` (k, n): (k,).
+
+    2124h may come later than the sample; what counts for a sample is its own status.
+    """
+    found = np.zeros(shape[0], dtype=np.int64)
+    for gauge in range(shape[1]):
+        told = columns.get(f"SG{gauge + 1}_fault")
+        if told is not None:
+            found |= (told == 1).astype(np.int64) << gauge
+    status = columns.get("saturated")
+    return found if status is None else np.where(status == 1, found, 0)
+
+
 class Health:
     """2124h of each node over time: what is set, and which bits something has told.
 

@@ -39,14 +39,40 @@ class Judged:
     """(m,): as 2124h: the gauges left out, and bits 12 to 15."""
 
 
-Check = tuple[FloatArray, BoolArray, float, float]
-"""Directions, gauges whose fault shows, what chi-square must exceed for an alarm, what excludes a gauge."""
+class Check(NamedTuple):
+    """What the gauges kept are checked by."""
+
+    W: FloatArray
+    """(d, n): directions in which no force moves the gauges, of variance 1."""
+    shown: BoolArray
+    """(n,): gauges whose fault shows."""
+    alarm: float
+    """Chi-square of a contradiction."""
+    exclusion: float
+    """Chi-square that a gauge at fault may leave."""
 
 
 class _Faults(NamedTuple):
     chi_square: FloatArray  # (m,)
     explained: FloatArray  # (m, n): of chi-square, by the best-fitting fault of each gauge
     visible: FloatArray  # (m, n): chi-square per strain^2 of such a fault
+
+
+class _Work(NamedTuple):
+    """m samples while they are judged: what is given, and what is found in place."""
+
+    V: FloatArray  # (m, n)
+    extra: FloatArray  # (m, n), strain^2 beside the noise
+    factor: FloatArray  # (m,), of the noise's variance
+    left: IntArray  # (m,), bits of the gauges left out
+    doubts: FloatArray  # (m, 3), newtons
+    known: BoolArray  # (m,), the force
+    faults: IntArray  # (m,)
+
+    def found(self, check: Check, rows: npt.NDArray[np.intp]) -> _Faults:
+        """Chi-square of some rows; what a gauge that is not kept reads has no weight, as long as it is finite."""
+        V = np.where(check.W.any(axis=0), self.V[rows], 0.0)
+        return _faults(check.W, check.shown, V, self.extra[rows], self.factor[rows])
 
 
 class Judge:
@@ -85,13 +111,13 @@ class Judge:
         factor = np.broadcast_to(np.asarray(variance_factor, dtype=np.float64), (m,))
         faults = np.where(outside, TEMPERATURE, 0).astype(np.int64)
         extra = np.square(self._calibration.model_uncertainty * V)
-        left = lost.astype(np.int64).copy()
-        doubts = np.zeros((m, 3))
         known = np.zeros(m, dtype=np.bool_)
+        work = _Work(V, extra, factor, lost.astype(np.int64), np.zeros((m, 3)), known, faults)
         for mask in np.unique(lost).tolist():
             rows = np.flatnonzero(lost == mask)
             known[rows] = self._solver(mask) is not None
-            self._judge_gauges(mask, rows, V, extra, factor, left, doubts, known, faults)
+            self._judge_gauges(mask, rows, work)
+        left = work.left
         matrix, covariance = np.full((m, 3, n), np.nan), np.full((m, 3, 3), np.nan)
         for mask in np.unique(left[known]).tolist():
             rows = np.flatnonzero(known & (left == mask))
@@ -104,65 +130,45 @@ class Judge:
         F = used.sum(axis=2) / gain[:, np.newaxis]
         faults |= np.where(known, left, 0)
         faults |= self._forces(F, was_overloaded)
-        covariance += self._added(F, V, matrix, kelvin, doubts, faults)
+        covariance += self._added(F, V, matrix, kelvin, work.doubts, faults)
         return Judged(F, matrix, covariance, faults)
 
     # --- gauges ---------------------------------------------------------------------------------------------
 
-    def _judge_gauges(
-        self,
-        mask: int,
-        rows: npt.NDArray[np.intp],
-        V: FloatArray,
-        extra: FloatArray,
-        factor: FloatArray,
-        left: IntArray,
-        doubts: FloatArray,
-        known: BoolArray,
-        faults: IntArray,
-    ) -> None:
+    def _judge_gauges(self, mask: int, rows: npt.NDArray[np.intp], work: _Work) -> None:
         """Bit 12, the gauge left out and what it costs, of rows that have the same gauges."""
         check, solver = self._check(mask), self._solver(mask)
         if check is None or solver is None:
             return
-        W, shown, alarm, exclusion = check
-        V = np.where(np.isfinite(V), V, 0.0) if mask else V
-        found = _faults(W, shown, V[rows], extra[rows], factor[rows])
+        found = work.found(check, rows)
         with np.errstate(invalid="ignore"):
-            contradict = ~(found.chi_square <= alarm)
+            contradict = ~(found.chi_square <= check.alarm)
             explains = found.visible > 0.0
-            if len(W) > 1:
-                explains &= found.chi_square[:, np.newaxis] - found.explained <= exclusion
-        agree = rows[~contradict]
-        doubts[agree] = _doubt(solver[0], self._variance, found, ~contradict, factor[agree])
-        faults[rows[contradict]] |= CONTRADICTION
-        known[rows[contradict]] = False
+            explains &= found.chi_square[:, np.newaxis] - found.explained <= check.exclusion
+        self._doubt(solver[0], work, found, rows, ~contradict)
+        work.faults[rows[contradict]] |= CONTRADICTION
+        work.known[rows[contradict]] = False
+        if len(check.W) == 1:
+            return  # of four gauges the three that would be left cannot be checked
         alone = contradict & (explains.sum(axis=1) == 1) & np.isfinite(found.chi_square)
         for gauge in np.unique(explains[alone].argmax(axis=1)).tolist():
-            of_gauge = alone & (explains.argmax(axis=1) == gauge)
-            self._leave_out(mask | 1 << gauge, rows[of_gauge], V, extra, factor, left, doubts, known)
+            self._leave_out(mask | 1 << gauge, rows[alone & (explains.argmax(axis=1) == gauge)], work)
 
-    def _leave_out(
-        self,
-        mask: int,
-        rows: npt.NDArray[np.intp],
-        V: FloatArray,
-        extra: FloatArray,
-        factor: FloatArray,
-        left: IntArray,
-        doubts: FloatArray,
-        known: BoolArray,
-    ) -> None:
+    def _leave_out(self, mask: int, rows: npt.NDArray[np.intp], work: _Work) -> None:
         solver, check = self._solver(mask), self._check(mask)
-        if solver is None:
+        if solver is None or check is None:
             return
-        agree = np.ones(len(rows), dtype=np.bool_)
-        if check is not None:
-            found = _faults(check[0], check[1], V[rows], extra[rows], factor[rows])
-            agree = found.chi_square <= check[2]
-            doubts[rows[agree]] = _doubt(solver[0], self._variance, found, agree, factor[rows[agree]])
-        left[rows[agree]] = mask
-        known[rows[agree]] = True
+        found = work.found(check, rows)
+        agree = found.chi_square <= check.alarm
+        self._doubt(solver[0], work, found, rows, agree)
+        work.left[rows[agree]] = mask
+        work.known[rows[agree]] = True
+
+    def _doubt(
+        self, matrix: FloatArray, work: _Work, found: _Faults, rows: npt.NDArray[np.intp], agree: BoolArray
+    ) -> None:
+        """What a fault below the limit can do to the force of the rows that agree."""
+        work.doubts[rows[agree]] = _doubt(matrix, self._variance, found, agree, work.factor[rows[agree]])
 
     def _solver(self, mask: int) -> tuple[FloatArray, FloatArray] | None:
         if mask not in self._solvers:
@@ -189,7 +195,7 @@ class Judge:
         shown = np.array([column is not None for column in scalar_parity.columns(W, self._noise)])
         alarm = limit if len(kept) == n else scalar_redundancy.same_rate(limit, n - 3, len(W))
         exclusion = scalar_redundancy.same_rate(limit, n - 3, len(W) - 1)
-        return np.array(W), shown, alarm, exclusion
+        return Check(np.array(W), shown, alarm, exclusion)
 
     # --- force and temperature ------------------------------------------------------------------------------
 

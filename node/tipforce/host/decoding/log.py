@@ -15,10 +15,10 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged, status_words
-from tipforce.host.decoding.contact_columns import lost_gauges
 from tipforce.host.decoding.contacts import Contacts, Status, contact_values, status_of, uncertainties
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.estimates import estimate
+from tipforce.host.decoding.health import lost_gauges
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
@@ -140,7 +140,7 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     values = contact_values(columns, strain * 1e-6, status, calibration)
     u = uncertainties(values[:, np.newaxis], [calibration])[:, 0]
     if calibration is not None:
-        lost = lost_gauges(columns, np.arange(k), strain.shape)
+        lost = lost_gauges(columns, strain.shape)
         rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
         temperature = judged.last_known(columns["temperature"])[rows] if "temperature" in columns else None
         missing = lost[rows] | judged.at_end(strain[rows])

@@ -20,6 +20,7 @@ from tipforce.errors import InputError, NoNewSampleError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import columns_of
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
+from tipforce.host.decoding.health import NAMES, Health, packed
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 
 if TYPE_CHECKING:
@@ -60,14 +61,21 @@ class ContactReader:
         self._received = self._repeated = 0
         self._last_status = Status(0)
         self._since_s = time.monotonic()
+        self._health = Health()
+        self._services = (codes.EMCY_BASE + node_id, codes.HEARTBEAT_BASE + node_id)
         for can_id in pdos:
             connection.network.subscribe(can_id, self._on_frame)
+        for can_id in self._services:
+            connection.network.subscribe(can_id, self._on_service)
 
     def close(self) -> None:
         """Stop receiving."""
         for can_id in self._pdos:
             with suppress(KeyError, ValueError):
                 self._connection.network.unsubscribe(can_id, self._on_frame)
+        for can_id in self._services:
+            with suppress(KeyError, ValueError):
+                self._connection.network.unsubscribe(can_id, self._on_service)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none.
@@ -106,13 +114,25 @@ class ContactReader:
             self._waiting.append((t_s or time.time(), self._pdos[can_id], bytes(data)))
             self._arrived.notify_all()
 
+    def _on_service(self, can_id: int, data: bytearray, t_s: float) -> None:
+        """An EMCY or a heartbeat; called by the receiving thread."""
+        time_ns = int(1e9 * t_s)
+        if can_id == self._services[0]:
+            self._health.emcy(self._node_id, time_ns, bytes(data))
+        elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
+            self._health.boot(self._node_id, time_ns)
+
     def _take(self) -> Contact | None:
         while self._waiting:
             t_s, message, data = self._waiting.popleft()
             if len(data) < message.length_bytes:
                 continue
             words = np.frombuffer(data.ljust(8, b"\0")[:8], dtype="<u8")
-            self._last[message.name] = {name: column[0] for name, column in columns_of(words, message.signals).items()}
+            columns = columns_of(words, message.signals)
+            self._last[message.name] = {name: column[0] for name, column in columns.items()}
+            faults = packed(columns)
+            if faults is not None:
+                self._health.pdo(self._node_id, int(1e9 * t_s), int(faults[0]))
             self._received += 1
             if message.name == self._needed[-1]:
                 found = self._joined(t_s)
@@ -127,6 +147,8 @@ class ContactReader:
         if any(self._last.get(name, {}).get("counter") != counter for name in self._needed):
             return None
         columns = {name: np.array([value]) for values in same for name, value in values.items()}
+        faults, _ = self._health.now(self._node_id)
+        columns |= {name: np.array([faults >> bit & 1]) for name, bit in NAMES.items()}
         status = status_of(columns, (1,))
         self._last_status = Status(int(status[0]))
         if Status.STALE in self._last_status:
