@@ -5,6 +5,9 @@ from __future__ import annotations
 import ctypes
 import math
 import subprocess
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +22,20 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce_tools.export_c.files import write_c_files
 
 needs_gcc = pytest.mark.skipif(not estimators.found_compiler("gcc"), reason="gcc is missing: apt-get install gcc")
+Library = Callable[[int, str], ctypes.CDLL]
 CALIBRATED, UNKNOWN_FORCE = 0x02, 1
+BAND_CHI_SQUARE, BAND_FORCE = 1e-3, 1e-5
+"""Relative: within it single precision may decide otherwise (docs/uncertainty.md)."""
 
 
-def library(folder: Path, n: int, real: str) -> ctypes.CDLL:
-    """The exported sources as a shared library."""
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> Library:
+    """The exported sources as a shared library, by number of gauges and TIPFORCE_REAL."""
+    return cache(lambda n, real: compiled(tmp_path_factory.mktemp(f"judge{n}{real}"), n, real))
+
+
+def compiled(folder: Path, n: int, real: str) -> ctypes.CDLL:
+    """Compile and load."""
     write_c_files(folder, n)
     target = folder / f"judge-{real}.so"
     line = ["gcc", *HOST_FLAGS, *REALS[real], "-shared", "-fPIC", f"-I{folder}", *folder.glob("*.c"), "-lm"]
@@ -106,10 +118,10 @@ def told(
 @needs_gcc
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 8])
 @pytest.mark.parametrize("real", ["double", "float"])
-def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, tmp_path: Path) -> None:
+def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, library: Library) -> None:
     calibration, samples = recorded(n)
     kind = ctypes.c_double if real == "double" else ctypes.c_float
-    found = told(library(tmp_path, n, real), kind, calibration, samples)
+    found = told(library(n, real), kind, calibration, samples)
     node = [(s.faults & BITS, s.status()) for s in samples]
     other = [k for k, (mine, theirs) in enumerate(zip(found, node, strict=True)) if mine[:2] != theirs]
     if real == "double":
@@ -125,3 +137,30 @@ def test_the_verdicts_of_c_and_node_are_equal(n: int, real: str, tmp_path: Path)
         if not hidden:
             assert one[2] == pytest.approx(sample.contact()[0], rel=rel, abs=1e-6)
             assert one[3] == pytest.approx(sample.uncertainty()[0], rel=max(rel, 1e-6))
+
+
+@needs_gcc
+def test_float_and_double_differ_only_in_a_band_around_a_limit(library: Library) -> None:
+    """The limit is put beside a sample's own chi-square, and the calibrated force beside its own P."""
+    calibration, samples = recorded(5)
+    kinds = {"double": ctypes.c_double, "float": ctypes.c_float}
+    programs = {real: (library(5, real), kind) for real, kind in kinds.items()}
+    chosen = [samples[k] for k in range(105, len(samples), 48) if samples[k].solver is not None]
+    assert len(chosen) > 4
+    for sample in chosen:
+        P = math.hypot(*sample.force()[::2])  # the load is at the tip: F2 is small
+        low, high = 0.0, 1e3
+        while high - low > 1e-6 * high:  # chi-square of the sample, by the verdict of the double variant
+            limit = 0.5 * (low + high)
+            one = replace(calibration, redundancy_limit=limit)
+            contradicts = told(*programs["double"], one, [sample])[0][0] >> 12 & 1
+            low, high = (limit, high) if contradicts else (low, limit)
+        for side in (-1, 1):
+            one = replace(
+                calibration,
+                redundancy_limit=high * (1.0 + side * BAND_CHI_SQUARE),
+                calibrated_force_newtons=P * (1.0 + side * BAND_FORCE),
+            )
+            double, single = (told(*program, one, [sample])[0] for program in programs.values())
+            assert single[:2] == double[:2]
+            assert double[0] >> 12 & 1 == (side < 0)

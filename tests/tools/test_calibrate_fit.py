@@ -168,6 +168,19 @@ def test_what_cannot_be_seen_is_refused(data: Path, sim: Simulated, capsys: pyte
 
 
 @pytest.mark.parametrize(
+    ("strain", "load", "text"),
+    [(1e-6, 1.0, "(multiply SG1.. by 1e6)"), (1.0, 1000.0 / 9.80665, "(multiply P_N by 0.00980665)")],
+)
+def test_strain_in_si_units_and_loads_in_grams_are_refused_with_the_factor(
+    strain: float, load: float, text: str, data: Path, sim: Simulated, capsys: pytest.CaptureFixture[str]
+) -> None:
+    given = replace(measured(sim), strain=strain * sim.strain, P_newtons=load * sim.P_newtons)
+    write_measurements(data, given)
+    assert main(["calibrate", "fit", str(data), "--saturation", str(strain * 853.85)]) == 2
+    assert text in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
     ("words", "text"),
     [
         (["--prior", "beam"], "--prior beam needs --layout"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 from typing import Any
 
 import numpy as np
@@ -25,6 +26,7 @@ NOISE = 5e-7
 BITS = judged.GAUGES | 0xF000
 
 
+@cache
 def recorded(n: int) -> tuple[Calibration, list[Sample]]:
     """Samples of a node with ``n`` gauges: clean, drifting gauge by gauge, overloaded, warm, temperature unknown."""
     limit = chi_square_threshold(1e-6, n - 3) if n > 3 else 0.0
