@@ -38,7 +38,7 @@ WORDS = {
 BY_NAME = {
     "contact": "contact",
     "calibrated": "calibrated",
-    "saturated": WORDS[scalar.SATURATED],
+    "saturated": f"{WORDS[scalar.SATURATED]} or left out",
     "stale": WORDS[scalar.STALE],
     "theta_unresolved": WORDS[scalar.THETA_UNRESOLVED],
     "misses_tip": WORDS[scalar.MISSES_TIP],
