@@ -103,6 +103,7 @@ def _carry_out(job: Run, args: argparse.Namespace) -> None:
             if args.json:
                 common.print_json(text.record(item))
     if args.json:
+        common.print_json({"record": "verdict", **text.conclusions(job.report)})
         common.note(args, text.summary(job.report))
     else:
         text.print_report(common.console(args), job.report)

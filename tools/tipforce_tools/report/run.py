@@ -11,8 +11,8 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
-from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Effort, Study
+from tipforce_tools.report.stability.case import Case, Observed, plain
+from tipforce_tools.report.study import Effort, Grid, Study
 
 STUDIES: dict[str, tuple[str, str]] = {
     "structure": ("tipforce_tools.report.studies.structure", "structure models: beams, frame, finite elements"),
@@ -20,6 +20,7 @@ STUDIES: dict[str, tuple[str, str]] = {
     "estimators": ("tipforce_tools.report.studies.estimators", "arithmetic of the estimator"),
     "fits": ("tipforce_tools.report.studies.fits", "calibration fits against the number of loads"),
     "decoders": ("tipforce_tools.report.studies.decoders", "decoders of CAN frames"),
+    "honesty": ("tipforce_tools.report.studies.honesty", "what says ok and is wrong: every fault by every method"),
     "scenes": ("tipforce_tools.report.scene_costs", "cost of each part of a scene"),
 }
 """Key -> (module with STEPS and studies(effort, advance), subject)."""
@@ -48,6 +49,9 @@ class LeftOut:
     failed: bool
 
 
+Item = Study | Grid | Judged | LeftOut
+
+
 @dataclass(slots=True)
 class Report:
     """The content of a report."""
@@ -56,12 +60,25 @@ class Report:
     effort: Effort
     machine: dict[str, str]
     studies: list[Study] = field(default_factory=list)
+    grids: list[Grid] = field(default_factory=list)
     cases: list[Judged] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
 
     def sound(self) -> bool:
         """Whether every claim held and nothing failed; parts left out for a missing package do not count."""
-        return all(one.observed.held for one in self.cases) and not any(one.failed for one in self.left_out)
+        return (
+            all(one.observed.held for one in self.cases)
+            and all(row.held for grid in self.grids for row in grid.rows)
+            and not any(one.failed for one in self.left_out)
+        )
+
+    def add(self, found: Iterable[Study | Grid]) -> None:
+        """Add the results of a module."""
+        for one in found:
+            if isinstance(one, Grid):
+                self.grids.append(one)
+            else:
+                self.studies.append(one)
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,13 +147,13 @@ class Run:
             self._cases = matching(self._cases, selection.cases)
         self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
 
-    def items(self, advance: Advance) -> Iterator[Study | Judged | LeftOut]:
+    def items(self, advance: Advance) -> Iterator[Item]:
         """Run all; yield each study and case when done. The studies run first and alone, because they are timed."""
         yield from self.report.left_out
         for key, module in self._modules:
             before = len(self.report.left_out)
             found = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
-            self._keep(key, found, self.report.studies.extend)
+            self._keep(key, found, self.report.add)
             yield from self.report.left_out[before:]
             if not isinstance(found, _Lack):
                 yield from found
@@ -184,11 +201,12 @@ def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
 def _observed(case: Case) -> Observed:
     """Run a case: an exception means that it did not hold; a missing package means that it is left out."""
     try:
-        return case.check()
+        seen = case.check()
     except (ModuleNotFoundError, EnvironmentLackError):
         raise
     except Exception as error:
         return Observed(False, f"the check itself failed: {_told(error)}")
+    return Observed(seen.held, plain(seen.figures))
 
 
 def _told(error: Exception) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from statistics import quantiles
+from statistics import median, quantiles
 
 
 @dataclass(frozen=True, slots=True)
@@ -28,6 +28,13 @@ class Timing:
     first_quartile_s: float
     third_quartile_s: float
     runs: int
+    cpu_seconds: float | None = None
+    """Median processor time of the same runs: above ``seconds`` with several threads, below it where the work waits."""
+
+    @property
+    def work_seconds(self) -> float:
+        """Processor time where it is known: other load on the machine does not change it."""
+        return self.seconds if self.cpu_seconds is None else self.cpu_seconds
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,6 +57,17 @@ class Series:
 
 
 @dataclass(frozen=True, slots=True)
+class Need:
+    """What somebody wants to do, and the error that is small enough for it."""
+
+    text: str
+    enough: float
+    """In the unit of the study's errors."""
+    unfit: tuple[str, ...] = ()
+    """Methods that are not for it whatever their error: the remarks of the study say why."""
+
+
+@dataclass(frozen=True, slots=True)
 class Study:
     """Methods for one task, side by side. Errors and times have one unit throughout the study."""
 
@@ -68,32 +86,111 @@ class Study:
     """Methods that did not run, with the reason and what to install."""
     remarks: tuple[str, ...] = ()
     """Conclusions, one sentence each, supported by these numbers."""
+    needs: tuple[Need, ...] = ()
+    """The needs that this study answers."""
+    check: str = ""
+    """An independent computation of the reference, where that is code of the project; "" for none."""
+    check_difference: float | None = None
+    """Largest difference of reference and check, in ``error_unit``."""
+
+    def recommended(self, need: Need) -> tuple[Series, Point] | None:
+        """Return the method and setting with the least time among those whose error is small enough; None: none is."""
+        good = [
+            (one, point)
+            for one in self.series if one.method not in need.unfit
+            for point in one.points if point.error <= need.enough
+        ]  # fmt: skip
+        return min(good, key=lambda pair: pair[1].timing.work_seconds, default=None)
 
 
 def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:
-    """Time ``work``, which does ``units`` units of work: several runs, each long enough for the clock.
+    """Time ``work``, which does ``units`` units of work: several runs, each long enough for the clock."""
+    return timed_together([work], effort, units, at_least_s)[0]
 
-    One call goes first, untimed. A run repeats the call until it has taken ``at_least_s``.
+
+def timed_together(
+    works: Sequence[Callable[[], object]], effort: Effort, units: int = 1, at_least_s: float = 0.02, warm: bool = False
+) -> list[Timing]:
+    """Time several methods against each other: each run calls all of them in turn, so that a change of the machine's
+    speed or load meets all alike.
+
+    One call of each goes first, untimed, unless the works are ``warm``. A run repeats a call until it has taken
+    ``at_least_s``.
     """
-    work()
+    repeats = [_repeats(work, at_least_s, warm) for work in works]
+    runs: list[list[tuple[float, float]]] = [[] for _ in works]
+    for _ in range(effort.pick(3, 7)):
+        for work, count, found in zip(works, repeats, runs, strict=True):
+            found.append(_elapsed(work, count))
+    return [
+        quartiles(
+            [wall_s / (count * units) for wall_s, _ in found], median([cpu_s / (count * units) for _, cpu_s in found])
+        )
+        for count, found in zip(repeats, runs, strict=True)
+    ]
+
+
+def quartiles(seconds: Sequence[float], cpu_seconds: float | None = None) -> Timing:
+    """Return the timing of several runs, at least two, per unit of work."""
+    first, middle, third = quantiles(seconds, n=4, method="inclusive")
+    return Timing(middle, first, third, len(seconds), cpu_seconds)
+
+
+def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:
+    if not warm:
+        work()
     repeats = 1
     while True:
-        elapsed_s = _elapsed(work, repeats)
+        elapsed_s, _ = _elapsed(work, repeats)
         if elapsed_s >= at_least_s:
-            break
+            return repeats
         repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
-    runs = effort.pick(3, 7)
-    return quartiles([_elapsed(work, repeats) / (repeats * units) for _ in range(runs)])
 
 
-def quartiles(seconds: Sequence[float]) -> Timing:
-    """Return the timing of several runs, at least two, per unit of work."""
-    first, median, third = quantiles(seconds, n=4, method="inclusive")
-    return Timing(median, first, third, len(seconds))
-
-
-def _elapsed(work: Callable[[], object], repeats: int) -> float:
-    started = time.perf_counter_ns()
+def _elapsed(work: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Return wall time and processor time, seconds."""
+    started, started_cpu = time.perf_counter_ns(), time.process_time_ns()
     for _ in range(repeats):
         work()
-    return (time.perf_counter_ns() - started) * 1e-9
+    return (time.perf_counter_ns() - started) * 1e-9, (time.process_time_ns() - started_cpu) * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Rows of one case by one method: all, those that say ok, and those of them that are wrong."""
+
+    rows: int = 0
+    ok: int = 0
+    wrong: int = 0
+
+    def __add__(self, other: Counted) -> Counted:
+        return Counted(self.rows + other.rows, self.ok + other.ok, self.wrong + other.wrong)
+
+
+@dataclass(frozen=True, slots=True)
+class GridRow:
+    """One case by every method."""
+
+    name: str
+    cells: tuple[Counted, ...]
+    reasons: tuple[str, ...]
+    """For each method: why the data cannot tell where too many rows are wrong, or ""."""
+    over: tuple[bool, ...]
+    """For each method: more rows are wrong than allowed."""
+
+    @property
+    def held(self) -> bool:
+        """No method has too many wrong rows without a known reason."""
+        return all(reason or not over for reason, over in zip(self.reasons, self.over, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cases by methods: how often each says ok and is wrong."""
+
+    key: str
+    title: str
+    corner: str
+    methods: tuple[str, ...]
+    rows: tuple[GridRow, ...]
+    remarks: tuple[str, ...] = ()

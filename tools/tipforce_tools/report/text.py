@@ -6,9 +6,10 @@ from collections import Counter
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
-from tipforce_tools.report.run import Judged, LeftOut, Report
+from tipforce_tools.report.run import Item, Judged, Report
 from tipforce_tools.report.stability.case import Outcome
-from tipforce_tools.report.study import Point, Study
+from tipforce_tools.report.study import Counted, Grid, Point, Study
+from tipforce_tools.report.verdict import Advice, advice, verdict
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -31,6 +32,33 @@ def shown_error(error: float) -> str:
 def shown_quartiles(point: Point) -> str:
     """Return the interquartile range of the runs."""
     return f"{shown_time(point.timing.first_quartile_s)} - {shown_time(point.timing.third_quartile_s)}"
+
+
+def has_cpu(study: Study) -> bool:
+    """Return whether the processor time of any point is known beside its wall time."""
+    return any(point.timing.cpu_seconds is not None for one in study.series for point in one.points)
+
+
+def shown_reference(study: Study) -> str:
+    """Return the reference with its own error, and how it was checked."""
+    own = f"its own error is {shown_error(study.reference_error)}" if study.reference_error else "it is exact"
+    told = f"{study.reference}; {own}"
+    if study.check_difference is not None:
+        told += f". Checked independently ({study.check}): differs by {shown_error(study.check_difference)}"
+    return told
+
+
+def shown_counts(cell: Counted) -> str:
+    """Return a cell of a grid: the share that says ok, and the wrong ones among them."""
+    return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
+
+
+def shown_advice(one: Advice) -> tuple[str, str, str, str]:
+    """Return need, method, error, time."""
+    if not one.method:
+        return one.need, "none is exact enough", "", ""
+    unit = one.work_unit.replace("s per", "per")
+    return one.need, one.method, shown_error(one.error), f"{shown_time(one.seconds)} {unit.split(' (')[0]}"
 
 
 def has_rms(study: Study) -> bool:
@@ -66,8 +94,13 @@ def print_report(console: Console, report: Report) -> None:
 
     console.print(f"[bold]tipforce report[/bold], {headline(report)}")
     console.print(escape(", ".join(f"{name} {value}" for name, value in report.machine.items())))
+    for sentence in verdict(report):
+        console.print(escape(sentence))
+    _print_advice(console, advice(report))
     for study in report.studies:
         _print_study(console, study)
+    for grid in report.grids:
+        _print_grid(console, grid)
     if report.cases:
         _print_cases(console, report.cases)
     for lack in report.left_out:
@@ -87,14 +120,15 @@ def _print_study(console: Console, study: Study) -> None:
         table.add_column("root mean square", justify="right")
     table.add_column(escape(study.work_unit.replace("s per", "time per")), justify="right", no_wrap=True)
     table.add_column("quartiles", no_wrap=True)
+    if has_cpu(study):
+        table.add_column("processor", justify="right", no_wrap=True)
     table.add_column("runs", justify="right")
     for one in study.series:
         for number, point in enumerate(one.points):
             table.add_row(*map(escape, cells(study, one.method if not number else "", point)))
     console.print()
     console.print(table)
-    own = f"; its own error {shown_error(study.reference_error)}" if study.reference_error else ", which is exact"
-    console.print(escape(f"reference: {study.reference}{own}"))
+    console.print(escape(f"reference: {shown_reference(study)}"))
     for remark in study.remarks:
         console.print(escape(f"- {remark}"))
     for method, reason in study.left_out.items():
@@ -106,7 +140,53 @@ def cells(study: Study, method: str, point: Point) -> list[str]:
     row = [method, point.setting, shown_error(point.error)]
     if has_rms(study):
         row.append("" if point.rms_error is None else shown_error(point.rms_error))
-    return [*row, shown_time(point.timing.seconds), shown_quartiles(point), str(point.timing.runs)]
+    row += [shown_time(point.timing.seconds), shown_quartiles(point)]
+    if has_cpu(study):
+        row.append("" if point.timing.cpu_seconds is None else shown_time(point.timing.cpu_seconds))
+    return [*row, str(point.timing.runs)]
+
+
+def _print_advice(console: Console, found: list[Advice]) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    if not found:
+        return
+    table = Table(title="Which method for which need", title_justify="left")
+    for name in ("need", "method", "error", "processor time"):
+        table.add_column(name, justify="right" if name == "error" else "left")
+    for one in found:
+        table.add_row(*map(escape, shown_advice(one)))
+    console.print()
+    console.print(table)
+
+
+def _print_grid(console: Console, grid: Grid) -> None:
+    from rich.markup import escape
+    from rich.table import Table
+
+    table = Table(title=escape(grid.title), title_justify="left")
+    for name in (grid.corner, *grid.methods):
+        table.add_column(escape(name))
+    for row in grid.rows:
+        cells = []
+        for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
+            told = shown_counts(cell)
+            cells.append(f"[bold red]{told}[/bold red]" if over and not reason else told)
+        table.add_row(escape(row.name), *cells)
+    console.print()
+    console.print(table)
+    for remark in [*grid.remarks, *grid_reasons(grid)]:
+        console.print(escape(f"- {remark}"))
+
+
+def grid_reasons(grid: Grid) -> list[str]:
+    """Return each reason why wrong rows are shown as ok, with the cases and methods that it is for."""
+    found: dict[str, dict[str, None]] = {}
+    for row in grid.rows:
+        for reason in filter(None, row.reasons):
+            found.setdefault(reason, {})[row.name] = None
+    return [f"{'; '.join(names)}: {reason}" for reason, names in found.items()]
 
 
 def _print_cases(console: Console, cases: list[Judged]) -> None:
@@ -137,10 +217,17 @@ def head_record(report: Report) -> dict[str, Any]:
     }
 
 
-def record(item: Study | Judged | LeftOut) -> dict[str, Any]:
+def conclusions(report: Report) -> dict[str, Any]:
+    """Return the verdict and the advice of a finished report, for JSON."""
+    return {"verdict": verdict(report), "advice": [shown_advice(one) for one in advice(report)]}
+
+
+def record(item: Item) -> dict[str, Any]:
     """Return a study, a case, or a part left out as a JSON record."""
     if isinstance(item, Study):
         return {"record": "study", **asdict(item)}
+    if isinstance(item, Grid):
+        return {"record": "grid", **asdict(item)}
     if isinstance(item, Judged):
         case = item.case
         return {

@@ -158,7 +158,7 @@ def _log_2038() -> Observed:
     right = [int(stamp.replace(".", "")) * 1000 for stamp in stamps]
     again = CandumpFormat("a", log=True).lines(block)
     held = block.frames["t_ns"].tolist() == right and again == lines
-    return Observed(held, f"{len(lines)} lines, last {again[-1][:20]}")
+    return Observed(held, f"{len(lines)} lines, last {again[-1].split()[0]}")
 
 
 def _log_beyond() -> Observed:

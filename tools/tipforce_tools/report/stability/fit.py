@@ -13,7 +13,7 @@ from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce_tools.report.stability.case import Case, Observed
+from tipforce_tools.report.stability.case import Case, Observed, shortened
 
 _NOISE = 3e-7
 _P = 4.4
@@ -82,12 +82,12 @@ def _changed(readings: Readings, **columns: FloatArray) -> Readings:
 def _few() -> Observed:
     said = [_refusal(_readings(slice(0, 6 * k, 6), tares=1)) for k in (1, 2, 3)]
     held = all("cannot show" in text or "too little" in text or "no residuals" in text for text in said)
-    return Observed(held, "; ".join(text[:60] for text in said))
+    return Observed(held, "; ".join(shortened(text, 60) for text in said))
 
 
 def _collinear() -> Observed:
     said = _refusal(_readings(slice(3, 4), repeats=20))
-    return Observed("cannot show 2 of the 4" in said and "add a load" in said, said[:160])
+    return Observed("cannot show 2 of the 4" in said and "add a load" in said, shortened(said, 160))
 
 
 def _plane() -> Observed:
@@ -95,27 +95,27 @@ def _plane() -> Observed:
     F = force_vector(_P, phi, phi)
     strain = F @ strain_matrix(FABRICATED, "III").T + _NOISE * np.random.default_rng(13).standard_normal((60, 3))
     said = _refusal(Readings(strain, np.full(60, _P), phi, phi))
-    return Observed("F2 is 0 N in every row" in said, said[:160])
+    return Observed("F2 is 0 N in every row" in said, shortened(said, 160))
 
 
 def _no_tare() -> Observed:
     readings = _readings(slice(5, 8), tares=0, repeats=10)
     said = _refusal(readings)
-    return Observed("cannot be told from a sensitivity" in said and "tare" in said, said[:200])
+    return Observed("cannot be told from a sensitivity" in said and "tare" in said, shortened(said, 200))
 
 
 def _dead() -> Observed:
     A = strain_matrix(FABRICATED, "III")
     A[1] = 0.0
     said = _refusal(_readings(A=A))
-    return Observed(said.startswith("SG2 responds to no load"), said[:120])
+    return Observed(said.startswith("SG2 responds to no load"), shortened(said, 120))
 
 
 def _twins() -> Observed:
     A = strain_matrix(FABRICATED, "III")
     A[2] = A[0]
     said = _refusal(_readings(A=A))
-    return Observed("together do not respond" in said, said[:160])
+    return Observed("together do not respond" in said, shortened(said, 160))
 
 
 def _not_finite() -> Observed:
@@ -194,4 +194,4 @@ def _no_noise() -> Observed:
 
 def _noise() -> Observed:
     said = _refusal(_readings(noise=100.0 * 4.4 * float(np.abs(strain_matrix(FABRICATED, "III")).max())))
-    return Observed("lost in the noise" in said or "responds to no load" in said, said[:160])
+    return Observed("lost in the noise" in said or "responds to no load" in said, shortened(said, 160))

@@ -15,7 +15,7 @@ from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geom
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, EULER_BERNOULLI, TIMOSHENKO, Frame
 from tipforce.sensor.structure.strain import calibration_matrix, condition_number, strain_matrix, thin_limit_matrix
-from tipforce_tools.report.stability.case import Case, Observed, refusal
+from tipforce_tools.report.stability.case import Case, Observed, refusal, shortened
 
 _THICKNESSES_M = 10.0 ** np.arange(-9.0, -1.9, 0.5)
 
@@ -103,7 +103,7 @@ def _too_thin() -> Observed:
         geometry = replace(FABRICATED, h1_m=h1, h2_m=THIN_BEAM_RATIO * h1)
         said.append(refusal(lambda geometry=geometry: strain_matrix(geometry, "III")) if h1 < 1.0 else "too thick")  # type: ignore[misc]
         said.append(refusal(lambda geometry=geometry: Frame(geometry)))  # type: ignore[misc]
-    return Observed(all("too thin" in text or "too thick" in text for text in said), said[1][-70:])
+    return Observed(all("too thin" in text or "too thick" in text for text in said), shortened(said[1], 90))
 
 
 def _impossible() -> Observed:

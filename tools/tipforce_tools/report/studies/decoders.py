@@ -14,7 +14,7 @@ import numpy as np
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.frames.frame_array import FrameArray, frame_array
-from tipforce_tools.report.study import Effort, Point, Series, Study, timed
+from tipforce_tools.report.study import Effort, Need, Point, Series, Study, timed
 
 NODE_ID, GAUGES, UNKNOWN = 5, 3, -0x8000
 MEASURED = ("P", "phi", "theta")
@@ -202,4 +202,5 @@ def _study(series: list[Series], results: dict[str, _Result], count: int) -> Stu
         reference_error=0.0,
         series=tuple(series),
         remarks=tuple(remarks),
+        needs=(Need("decode a log exactly", 1e-6, tuple(name for name in results if name not in silent)),),
     )

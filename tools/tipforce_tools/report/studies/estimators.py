@@ -22,7 +22,7 @@ from tipforce_tools.report.studies.estimator_inputs import (
     near,
     tangent,
 )
-from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
+from tipforce_tools.report.study import Effort, Need, Point, Series, Study, Timing, timed
 
 FLOAT64, FLOAT32, NAIVE32 = "numpy float64 (the host's)", "numpy float32", "numpy float32, c2 = P2 - F2^2"
 NODE, MICROPYTHON = "node, one sample at a time", "node on MicroPython"
@@ -144,6 +144,7 @@ def _inputs(given: Contacts, what: str) -> str:
 
 def _study(
     about: tuple[str, str, str],
+    need: Need,
     inputs: str,
     series: tuple[Series, ...],
     left_out: dict[str, str],
@@ -161,6 +162,7 @@ def _study(
         series=series,
         left_out=left_out,
         remarks=remarks,
+        needs=(need,),
     )  # fmt: skip
 
 
@@ -184,7 +186,10 @@ def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         _INTEGERS,
     ]
     about = ("force", "the force P", "largest error of P / full scale")
-    return _study(about, _inputs(given, "and the corners of the converter range"), series, left_out, tuple(remarks))
+    need = Need("force P from strain, to 1e-6 of full scale", 1e-6)
+    return _study(
+        about, need, _inputs(given, "and the corners of the converter range"), series, left_out, tuple(remarks)
+    )
 
 
 def _angle_error(given: Contacts) -> Callable[[methods.Estimate], FloatArray]:
@@ -205,7 +210,8 @@ def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         _INTEGERS,
     )
     about = ("angle", "the contact angle theta", "largest error of theta (degrees)")
-    return _study(about, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
+    need = Need("contact angle from strain, to 0.01 degree", 0.01)
+    return _study(about, need, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
 
 
 def _same_on_micropython(found: dict[str, list[_Found]]) -> list[str]:
@@ -229,4 +235,5 @@ def _tangent_study(given: Contacts, found: dict[str, list[_Found]], left_out: di
         _INTEGERS,
     )
     about = ("tangent", "theta of contacts that nearly slide", "largest error of theta (degrees)")
-    return _study(about, _inputs(given, "with |cos(delta)| from 0.001 to 0.1"), series, left_out, remarks)
+    need = Need("contact angle near tangency, to 0.1 degree", 0.1)
+    return _study(about, need, _inputs(given, "with |cos(delta)| from 0.001 to 0.1"), series, left_out, remarks)

@@ -13,7 +13,7 @@ from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, li
 from tipforce.sensor.calibration.simulation import true_matrix, unseen_forces
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.design.groove_errors import paper_grooves
-from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, quartiles, timed
+from tipforce_tools.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, timed
 
 LOADS = (6, 12, 25, 50, 100, 200)
 NOISE_STRAIN, OFFSET_STRAIN, OUTLIER_STRAIN = 1e-6, 30e-6, 200e-6
@@ -82,6 +82,7 @@ def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, 
         series=series,
         left_out=refused,
         remarks=tuple(_remarks(points)),
+        needs=(Need("calibrate, " + ("some readings wrong" if share else "clean readings") + ", to 0.02 N", 0.02),),
     )
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
+from tipforce_tools.report.study import Effort, Need, Point, Series, Study, Timing, timed_together
 
 if TYPE_CHECKING:
     from tipforce.arrays import FloatArray
@@ -41,6 +41,9 @@ class _Task:
     """Substeps between samples -> elastic forces at the samples by the held step; None if it does not apply."""
     exact: Callable[[], FloatArray] | None
     """A method without a setting."""
+    need: str
+    check: Callable[[], FloatArray]
+    """The reference, computed independently."""
 
 
 def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
@@ -52,6 +55,21 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     return found
 
 
+_ENOUGH = 1e-3
+"""Of the largest force: below what calibrated gauges resolve."""
+_DAMPING = 0.01
+
+
+def _checked(name: str, beams_with_mass: bool, *words: object) -> FloatArray:
+    """Return a reference of integrator_check for the fabricated body. Raises ImportError without scipy."""
+    from tipforce.sensor.structure.geometry import FABRICATED
+    from tipforce_tools.report.studies import integrator_check
+
+    one = integrator_check.body(FABRICATED, _DAMPING, beams_with_mass)
+    found: FloatArray = getattr(integrator_check, name)(one, *words)
+    return found
+
+
 def _smooth() -> _Task:
     import numpy as np
 
@@ -60,7 +78,7 @@ def _smooth() -> _Task:
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
 
-    body, F, duration = modes(FABRICATED, 0.01), np.array(_FORCE), 0.04
+    body, F, duration = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.04
     t = np.linspace(0.0, duration, _SAMPLES + 1)
 
     def load(time_s: float) -> FloatArray:
@@ -70,7 +88,7 @@ def _smooth() -> _Task:
     return _Task(
         "integrators-smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", Problem(body), load, duration, t,
         exact.raised_cosine(body, F, duration, t), "steady state and free motion in closed form", 1e-14,
-        _held(body, load, duration), None,
+        _held(body, load, duration), None, "simulate a slowly changing load", lambda: _checked("smooth", False, F, t),
     )  # fmt: skip
 
 
@@ -83,7 +101,7 @@ def _step() -> _Task:
     from tipforce.sensor.structure.geometry import FABRICATED
 
     # The mass of the beams adds modes to 77 kHz: stiff.
-    body, F, duration = modes(FABRICATED, 0.01, beam_density_kg_m3=STEEL_DENSITY), np.array(_FORCE), 0.02
+    body, F, duration = modes(FABRICATED, _DAMPING, beam_density_kg_m3=STEEL_DENSITY), np.array(_FORCE), 0.02
     t = np.linspace(0.0, duration, _SAMPLES + 1)
 
     def load(time_s: float) -> FloatArray:
@@ -93,7 +111,8 @@ def _step() -> _Task:
     return _Task(
         "integrators-step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %",
         Problem(body), load, duration, t, exact.step(body, F, t), "free motion in closed form, from 0 to each time",
-        1e-14, _held(body, load, duration), None,
+        1e-14, _held(body, load, duration), None, "simulate a sudden load on a stiff structure",
+        lambda: _checked("step", True, F, t),
     )  # fmt: skip
 
 
@@ -105,7 +124,7 @@ def _tap() -> _Task:
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
 
-    body, F, duration, tap = modes(FABRICATED, 0.01), np.array(_FORCE), 0.02, 1e-3
+    body, F, duration, tap = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.02, 1e-3
     t = np.linspace(0.0, duration, _SAMPLES + 1)
 
     def load(time_s: float) -> FloatArray:
@@ -115,7 +134,7 @@ def _tap() -> _Task:
     return _Task(
         "integrators-tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", Problem(body), load,
         duration, t, exact.half_sine(body, F, tap, t), "harmonic and free motion in closed form", 1e-14,
-        _held(body, load, duration), None,
+        _held(body, load, duration), None, "simulate a tap", lambda: _checked("half_sine", False, F, tap, t),
     )  # fmt: skip
 
 
@@ -128,7 +147,7 @@ def _impact() -> _Task:
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
 
-    body, striker, duration = modes(FABRICATED, 0.01), Striker(0.01, 0.3, 1e7), 4e-3
+    body, striker, duration = modes(FABRICATED, _DAMPING), Striker(0.01, 0.3, 1e7), 4e-3
     t = np.linspace(0.0, duration, _SAMPLES + 1)
     wanted = impact(body, striker, duration, t).elastic_newtons
     # The same run with other time steps: only the start and end times are shared.
@@ -141,7 +160,8 @@ def _impact() -> _Task:
         Problem(body, striker), no_load, duration, t, wanted,
         "matrix exponentials between events, the events found to rounding; its error: other steps",
         error, None,
-        lambda: impact(body, striker, duration, t).elastic_newtons,
+        lambda: impact(body, striker, duration, t).elastic_newtons, "simulate an impact",
+        lambda: _checked("struck", False, striker, t),
     )  # fmt: skip
 
 
@@ -162,30 +182,78 @@ def _held(body: object, load: Load, duration_s: float) -> Callable[[int], FloatA
     return run
 
 
+@dataclass(frozen=True, slots=True)
+class _Job:
+    """One setting of one method."""
+
+    method: str
+    setting: str
+    run: Callable[[], FloatArray]
+    error: float
+
+
 def _study(task: _Task, effort: Effort) -> Study:
-    series, left_out = [], {}
-    if task.held is not None:
-        held = task.held
-        series.append(
-            Series("held step (exact)", tuple(
-                _point(task, effort, _setting(task, n), lambda n=n: held(n)) for n in _substeps(effort)  # type: ignore[misc]
-            ))
-        )  # fmt: skip
-    if task.exact is not None:
-        # It is the reference: its error is that of the reference.
-        itself = _point(task, effort, "the reference", task.exact)
-        series.append(Series("events (exact)", (replace(itself, error=max(itself.error, task.reference_error)),)))
-    series += [_fixed(task, effort, name) for name in _FIXED]
+    jobs = [_job(task, *one) for one in _exact_runs(task, effort)]
+    for name in _FIXED:
+        jobs += [_job(task, name, _setting(task, n), _fixed(task, name, n)) for n in _substeps(effort)]
+    left_out, check, difference = {}, "", None
     try:
-        import scipy.integrate  # noqa: F401
+        from tipforce_tools.report.studies import integrator_check
     except ImportError:
         left_out = dict.fromkeys(_ADAPTIVE, "scipy is not installed: pip install 'tipforce[science]'")
     else:
-        series += [_adaptive(task, effort, name) for name in _ADAPTIVE]
+        check = integrator_check.METHOD_OF_IMPACT if task.problem.push is not None else integrator_check.METHOD
+        difference = _relative(task.check(), task.wanted)
+        for name in _ADAPTIVE:
+            jobs += _adaptive(task, effort, name)
+    series = _timed(task, effort, jobs)
     return Study(
         task.key, task.title, "largest error of the elastic force over its largest value", "s per simulated second",
         task.reference, task.reference_error, tuple(series), left_out, tuple(_remarks(task, series)),
+        (Need(task.need, _ENOUGH),), check, difference,
     )  # fmt: skip
+
+
+def _exact_runs(task: _Task, effort: Effort) -> list[tuple[str, str, Callable[[], FloatArray]]]:
+    if task.held is not None:
+        held = task.held
+        return [("held step (exact)", _setting(task, n), lambda n=n: held(n)) for n in _substeps(effort)]  # type: ignore[misc]
+    assert task.exact is not None
+    return [("events (exact)", "the reference", task.exact)]
+
+
+def _job(task: _Task, method: str, setting: str, run: Callable[[], FloatArray]) -> _Job:
+    """Run once: for the error, and so that the timed runs are warm."""
+    return _Job(method, setting, run, _relative(run(), task.wanted))
+
+
+def _timed(task: _Task, effort: Effort, jobs: Sequence[_Job]) -> list[Series]:
+    """Time all settings of all methods together, and return a series per method."""
+    timings = timed_together([job.run for job in jobs], effort, at_least_s=0.004 if effort.quick else 0.02, warm=True)
+    found: dict[str, list[Point]] = {}
+    for job, timing in zip(jobs, timings, strict=True):
+        # The events are the reference: their error is that of the reference.
+        error = max(job.error, task.reference_error) if job.run is task.exact else job.error
+        point = Point(job.setting, error, _per_second(timing, task.duration_s))
+        found.setdefault(job.method, []).append(point)
+    return [Series(method, tuple(points)) for method, points in found.items()]
+
+
+def _per_second(timing: Timing, duration_s: float) -> Timing:
+    assert timing.cpu_seconds is not None
+    return replace(
+        timing, seconds=timing.seconds / duration_s, first_quartile_s=timing.first_quartile_s / duration_s,
+        third_quartile_s=timing.third_quartile_s / duration_s, cpu_seconds=timing.cpu_seconds / duration_s,
+    )  # fmt: skip
+
+
+def _relative(found: FloatArray, wanted: FloatArray) -> float:
+    """Return the largest error over the largest value; of a run that grew a thousandfold it is infinite."""
+    import numpy as np
+
+    with np.errstate(over="ignore", invalid="ignore"):
+        error = float(np.abs(found - wanted).max() / np.abs(wanted).max())
+    return error if error < 1e3 else math.inf
 
 
 def _substeps(effort: Effort) -> tuple[int, ...]:
@@ -196,60 +264,34 @@ def _tolerances(effort: Effort) -> tuple[float, ...]:
     return (1e-4, 1e-7) if effort.quick else (1e-3, 1e-5, 1e-7, 1e-9, 1e-11)
 
 
-def _fixed(task: _Task, effort: Effort, name: str) -> Series:
+def _fixed(task: _Task, name: str, substeps: int) -> Callable[[], FloatArray]:
     import numpy as np
 
     from tipforce.sensor.dynamics.integrators import generalised_alpha, newmark, runge_kutta_4
 
     method = {"RK4": runge_kutta_4, "Newmark": newmark}.get(name, generalised_alpha)
-
-    def run(n: int) -> FloatArray:
-        t = np.linspace(0.0, task.duration_s, _SAMPLES * n + 1)
-        return method(task.problem, task.load, t).elastic_newtons[::n]
-
-    return Series(
-        name, tuple(_point(task, effort, _setting(task, n), lambda n=n: run(n)) for n in _substeps(effort))  # type: ignore[misc]
-    )  # fmt: skip
+    t = np.linspace(0.0, task.duration_s, _SAMPLES * substeps + 1)
+    return lambda: method(task.problem, task.load, t).elastic_newtons[::substeps]
 
 
-def _adaptive(task: _Task, effort: Effort, name: str) -> Series:
+def _adaptive(task: _Task, effort: Effort, name: str) -> list[_Job]:
+    """Return the jobs of a method by tolerance, up to the first one that takes long."""
     from tipforce.sensor.dynamics.integrators import scipy_method
 
-    def run(rtol: float) -> FloatArray:
-        return scipy_method(task.problem, task.load, task.times_s, name, rtol).elastic_newtons
-
-    points, spent_s = [], 0.0
+    jobs = []
     for rtol in _tolerances(effort):
-        points.append(_point(task, effort, f"rtol {rtol:g}", lambda rtol=rtol: run(rtol)))  # type: ignore[misc]
-        spent_s = points[-1].timing.seconds * task.duration_s
-        if spent_s > (0.3 if effort.quick else 1.0):
+        started = time.process_time_ns()
+        jobs.append(
+            _job(task, name, f"rtol {rtol:g}",
+                 lambda rtol=rtol: scipy_method(task.problem, task.load, task.times_s, name, rtol).elastic_newtons)  # type: ignore[misc]
+        )  # fmt: skip
+        if (time.process_time_ns() - started) * 1e-9 > (0.05 if effort.quick else 0.5):
             break  # the next tolerance takes several times as long
-    return Series(name, tuple(points))
+    return jobs
 
 
 def _setting(task: _Task, substeps: int) -> str:
     return f"step {1e6 * task.duration_s / _SAMPLES / substeps:.4g} us"
-
-
-def _point(task: _Task, effort: Effort, setting: str, run: Callable[[], FloatArray]) -> Point:
-    import numpy as np
-
-    started = time.perf_counter_ns()
-    found = run()
-    once_s = (time.perf_counter_ns() - started) * 1e-9
-    with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.abs(found - task.wanted).max() / np.abs(task.wanted).max())
-    # The error of a run that grew a thousandfold is meaningless; it is shown as infinite, not hidden.
-    error = error if error < 1e3 else math.inf
-    if once_s > (0.03 if effort.quick else 0.1):
-        per_s = once_s / task.duration_s
-        return Point(setting, error, Timing(per_s, per_s, per_s, 1))
-    timing = timed(run, effort, at_least_s=0.004 if effort.quick else 0.02)
-    scale = 1.0 / task.duration_s
-    return Point(
-        setting, error,
-        Timing(timing.seconds * scale, timing.first_quartile_s * scale, timing.third_quartile_s * scale, timing.runs),
-    )  # fmt: skip
 
 
 def _remarks(task: _Task, series: list[Series]) -> list[str]:
@@ -269,12 +311,6 @@ def _remarks(task: _Task, series: list[Series]) -> list[str]:
         unstable = [point.setting for point in one.points if math.isinf(point.error)]
         if unstable:
             found.append(f"{one.method} is unstable at {', '.join(unstable)}: the error grows a thousandfold or more.")
-    good = [(p.timing.seconds, one.method, p) for one in series for p in one.points if p.error <= 1e-3]
-    if good:
-        seconds, method, point = min(good, key=lambda row: row[0])
-        found.append(
-            f"{method} ({point.setting}) reaches 1e-3 with the least time, {seconds:.2g} s per simulated second."
-        )
     if task.key == "integrators-step" and all(p.error < 1e-9 for p in series[0].points):
         found.append("The held step is exact at every step: a constant load is a straight line.")
     return found

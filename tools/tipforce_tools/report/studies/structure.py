@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tipforce.arrays import FloatArray
-from tipforce_tools.report.study import Effort, Point, Series, Study, Timing, timed
+from tipforce_tools.report.study import Effort, Need, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.plane_frame import FrameModel
@@ -105,6 +105,7 @@ def _conditions(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
         known,
         _series(found, error),
         remarks=(_against_uniform(found, error), _beams_against_meshes(found, error)),
+        needs=(Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
     )
 
 
@@ -122,6 +123,7 @@ def _matrices(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
         reference.matrix_error,
         _series(found, error),
         remarks=(_against_uniform(found, error), _beams_against_meshes(found, error)),
+        needs=(Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
     )
 
 
