@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import pytest
 
+from tipforce.sensor.dynamics.assembly import Striker
 from tipforce_tools.report.studies import integrators
-from tipforce_tools.report.study import Effort, Study
+from tipforce_tools.report.study import Effort, Study, Timing
+
+
+def once(works: Sequence[Callable[[], object]], *_arguments: object, **named: object) -> list[Timing]:
+    """In place of ``timed_together``: no run beyond the one for the error, which must have warmed them up."""
+    assert named["warm"]
+    return [Timing(1e-6, 1e-6, 1e-6, 2, 1e-6) for _ in works]
 
 
 @pytest.fixture(scope="module")
@@ -17,6 +26,7 @@ def found() -> dict[str, Study]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(integrators, "_substeps", lambda _: (1, 4))
         patch.setattr(integrators, "_tolerances", lambda _: (1e-3, 1e-5))
+        patch.setattr(integrators, "timed_together", once)
         studies = integrators.studies(Effort(quick=True), lambda: steps.append(1))
     assert len(steps) == integrators.STEPS
     return {study.key.removeprefix("integrators-"): study for study in studies}
@@ -29,9 +39,12 @@ def test_each_task_compares_all_methods(found: dict[str, Study]) -> None:
         first = "events (exact)" if key == "impact" else "held step (exact)"
         assert [series.method for series in study.series] == [first, *others]
         assert 0.0 < study.reference_error < 1e-12
+        assert study.check_difference is not None
+        assert study.check_difference < {"smooth": 1e-13, "step": 1e-10, "tap": 1e-12, "impact": 1e-11}[key]
         assert not study.left_out
         for series in study.series:
-            assert all(point.timing.seconds > 0.0 for point in series.points)
+            assert all(point.timing.seconds > 0.0 and point.timing.runs == 2 for point in series.points)
+            assert all(point.timing.cpu_seconds is not None for point in series.points)
 
 
 def test_finer_settings_are_better(found: dict[str, Study]) -> None:
@@ -47,3 +60,24 @@ def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(found: dict
     assert any("RK4 is unstable" in remark for remark in found["step"].remarks)
     assert any("stability limit" in remark for remark in found["step"].remarks)
     assert found["impact"].series[0].points[0].error <= found["impact"].reference_error
+
+
+def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce.sensor.dynamics import exact, mode_step
+
+    right = exact.hold
+
+    def wrong(x: float, zeta: float) -> mode_step.Hold:
+        found = right(x, zeta)
+        return found._replace(p12=found.p12 * (1.0 + 1e-8))
+
+    monkeypatch.setattr(exact, "hold", wrong)
+    task = integrators._tap()
+    assert integrators._relative(task.check(), task.wanted) > 1e-10
+
+
+def test_the_independent_impact_finds_another_contact() -> None:
+    task = integrators._impact()
+    softer = replace(Striker(0.01, 0.3, 1e7), stiffness=1e7 * (1.0 + 1e-6))
+    other = integrators._checked("struck", False, softer, task.times_s)
+    assert integrators._relative(other, task.wanted) > 1e-9

@@ -10,7 +10,7 @@ import pytest
 
 from tipforce_tools.report import run
 from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Effort, Point, Series, Study, Timing
+from tipforce_tools.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
 
 TIMING = Timing(2e-6, 1e-6, 4e-6, 7)
 
@@ -45,7 +45,17 @@ def study(key: str, reference_error: float = 1e-9) -> Study:
         ),
         left_out={"absent": "needs <something>"},
         remarks=("a remark & its reason",),
+        needs=(Need("1 < 2, nearly", 1e-2), Need("the impossible", 0.0, ("exact",))),
+        check="<another> way",
+        check_difference=3e-12,
     )
+
+
+def grid(held: bool = True) -> Grid:
+    """Two methods, one of which shows wrong rows: with a reason, or without one."""
+    counts = (Counted(100, 90, 0), Counted(100, 80, 7))
+    row = GridRow("drift, <3>", counts, ("", "none is spare & so" if held else ""), (False, True))
+    return Grid("ok", "What says <ok>", "fault", ("one", "two"), (row,), ("a remark",))
 
 
 def cases() -> list[Case]:

@@ -16,7 +16,8 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_tools.report import page, plots
 from tipforce_tools.report.run import Judged, LeftOut, Report
 from tipforce_tools.report.study import Effort
-from tools.report.made import cases, study
+from tipforce_tools.report.verdict import advice, verdict
+from tools.report.made import cases, grid, study
 
 pytestmark = pytest.mark.skipif(
     importlib.util.find_spec("matplotlib") is None, reason="the page needs the extra `report`"
@@ -58,6 +59,7 @@ def report() -> Report:
     made = Report("2026-01-31", Effort(quick=True), {"processor": "<fast>"})
     made.studies += [study("near", 1e-5), study("far", 1e-30), study("known", 0.0)]
     made.cases += [Judged(case, case.check()) for case in cases() if case.key != "other.broken"]
+    made.grids += [grid()]
     made.left_out.append(LeftOut("absent", "skfem is not installed", False))
     return made
 
@@ -86,7 +88,38 @@ def test_one_plot_per_study_and_one_row_per_case(parsed: Elements, report: Repor
 
 def test_every_point_stands_in_a_table(parsed: Elements, report: Report) -> None:
     rows = sum(len(one.points) for study in report.studies for one in study.series)
-    assert len(parsed.tags("tr")) == rows + len(report.studies) + len(report.cases) + 1
+    areas = {one.case.key.split(".")[0] for one in report.cases}
+    others = 1 + 2 * len(report.studies) + 2  # the advice with its head, the grid with its head
+    assert len(parsed.tags("tr")) == rows + len(report.studies) + len(report.cases) + len(areas) + others
+
+
+def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
+    places = [
+        html.index(text) for text in ("do NOT hold: other.wrong", "Which method for which need", "Contents", "<svg")
+    ]
+    assert places == sorted(places)
+    assert "3 references that are code of the project agree with an independent computation within 3.0e-12" in html
+    assert "To show values take one: it has the fewest rows that say ok and are wrong. In 1 of 1 cases" in html
+    assert "none is exact enough" in html
+    near = advice(report)[0]
+    # Good enough are 2 and 3 cells, "rms" and exact; the least time decides, not the least error.
+    assert (near.method, near.error) == ("with \"rms\" & 'quotes'", 1e-4)
+    assert advice(report)[1].method == ""
+
+
+def test_a_wrong_row_without_a_reason_is_in_the_verdict() -> None:
+    report = Report("", Effort(), {})
+    report.add([study("near"), grid(held=False)])
+    assert [len(report.studies), len(report.grids)] == [1, 1]
+    assert not report.sound()
+    assert "Too many, without a known reason: drift, <3>." in verdict(report)[0]
+    assert report.grids[0].rows[0].held is False
+    assert '<td data-name="two" class="broken"><b>80 % ok, 7 wrong</b></td>' in page._grid(report.grids[0])
+
+
+def test_tables_fold_unless_a_claim_does_not_hold(parsed: Elements, report: Report) -> None:
+    opened = ["open" in details for details in parsed.tags("details")]
+    assert opened == [False] * (1 + len(report.studies)) + [False, True]  # area, other
 
 
 def test_identifiers_are_unique_and_references_lead_somewhere(parsed: Elements) -> None:
@@ -159,7 +192,7 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
     paths = written
     assert [path.name for path in paths] == ["index.html", "report.jsonl", "near.svg", "far.svg", "known.svg"]
     records = [json.loads(line) for line in paths[1].read_text(encoding="utf-8").splitlines()]
-    assert [one["record"] for one in records] == ["report", *["study"] * 3, *["case"] * 5, "left out"]
+    assert [one["record"] for one in records] == ["report", *["study"] * 3, "grid", *["case"] * 5, "left out"]
 
 
 def test_a_place_that_is_not_there_is_said(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -192,14 +225,18 @@ def test_the_document_takes_the_figures_over(
 
     docs, built = tmp_path / "docs", written[0].parent
     (docs / "figures").mkdir(parents=True)
-    (docs / "report.md").write_text(f"before\n{document.BEGIN}old\n{document.END}after\n", encoding="utf-8")
+    (docs / "report.md").write_text(
+        f"before\n{document.BEGIN}previous figures\n{document.END}after\n", encoding="utf-8"
+    )
     monkeypatch.setattr("sys.argv", ["document", str(built), str(docs)])
     document.main()
     text = (docs / "report.md").read_text(encoding="utf-8")
     assert text.startswith("before\n")
     assert text.endswith("after\n")
-    assert "old" not in text
-    assert "| turned | 3 <cells> | 1.0e-03 | 30 us | 24 us - 39 us |" in text
+    assert "previous figures" not in text
+    assert "| turned | 3 <cells> | 1.0e-03 | 30 us | 24 us - 39 us |  |" in text
+    assert "| drift, <3> | 90 % ok, 0 wrong | **80 % ok, 7 wrong** |" in text
+    assert text.index("## Verdict") < text.index("## Which method") < text.index("## Study near")
     assert "| `other.wrong` | **NOT flagged** |" in text
     assert len(list((docs / "figures").iterdir())) == len(report.studies)
     document.main()  # again: the same

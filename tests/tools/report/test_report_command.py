@@ -50,6 +50,8 @@ def records(capsys: pytest.CaptureFixture[str]) -> list[dict[str, Any]]:
 def test_json_lines_tell_everything(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["report", "--json", "--quick", "--date", "2026-01-31", "--seed", "5"]) == 1
     head, *rest = records(capsys)
+    assert rest[-1]["record"] == "verdict"
+    assert "2 of 6 claims" in rest[-1]["verdict"][0]
     assert (head["record"], head["date"], head["quick"], head["seed"]) == ("report", "2026-01-31", True, 5)
     assert {"processor", "Python", "tipforce", "numpy"} <= set(head["machine"])
     assert [one["key"] for one in rest if one["record"] == "study"] == ["alpha", "beta"]
@@ -66,7 +68,7 @@ def test_text_names_what_did_not_hold(capsys: pytest.CaptureFixture[str]) -> Non
     out = capsys.readouterr().out
     assert "2 NOT AS CLAIMED (other.wrong, other.broken)" in " ".join(out.split())
     assert "ZeroDivisionError" in out
-    for shown in ("Study alpha & more", "reference: what is known <exactly>; its own error 1.0e-09", "- a remark"):
+    for shown in ("Study alpha & more", "reference: what is known <exactly>; its own error is 1.0e-09", "- a remark"):
         assert shown in out
 
 
@@ -124,7 +126,8 @@ def test_a_study_that_fails_is_a_line_and_an_exit_code(
 ) -> None:
     made.install(monkeypatch, {"bad": made.module(failing), "beta": made.module(one_study("beta"))}, with_cases=False)
     assert main(["report", "--json"]) == 1
-    _, lack, study = records(capsys)
+    _, lack, study, told = records(capsys)
+    assert told["verdict"][-1] == "Failed: bad."
     assert (lack["record"], lack["key"], lack["failed"]) == ("left out", "bad", True)
     assert "ZeroDivisionError in failing()" in lack["reason"]
     assert study["key"] == "beta"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tipforce_tools.report.study import Effort, quartiles, timed
+from tipforce_tools.report.study import Effort, Timing, quartiles, timed, timed_together
 
 
 class Clock:
@@ -14,6 +14,7 @@ class Clock:
         self.now_ns = 0
         self.calls = 0
         monkeypatch.setattr("tipforce_tools.report.study.time.perf_counter_ns", lambda: self.now_ns)
+        monkeypatch.setattr("tipforce_tools.report.study.time.process_time_ns", lambda: self.now_ns // 2)
 
     def work(self) -> None:
         self.calls += 1
@@ -26,6 +27,7 @@ def test_a_time_is_per_unit_and_without_the_first_call(monkeypatch: pytest.Monke
     assert timing.seconds == pytest.approx(1e-4)
     assert timing.first_quartile_s == pytest.approx(1e-4)
     assert timing.runs == 3
+    assert timing.cpu_seconds == timing.work_seconds == pytest.approx(0.5e-4)
 
 
 def test_each_run_is_long_enough_for_the_clock(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -38,3 +40,19 @@ def test_each_run_is_long_enough_for_the_clock(monkeypatch: pytest.MonkeyPatch) 
 def test_quartiles_of_uneven_runs() -> None:
     timing = quartiles([5.0, 1.0, 3.0, 2.0, 4.0])
     assert (timing.first_quartile_s, timing.seconds, timing.third_quartile_s, timing.runs) == (2.0, 3.0, 4.0, 5)
+
+
+def test_methods_are_timed_in_turn_and_warm(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The machine becomes slower and slower: each method still has its share of the slow and of the fast runs."""
+    clock, order = Clock(monkeypatch), []
+
+    def work(name: str, ns: int) -> None:
+        order.append(name)
+        clock.now_ns += ns * len(order)
+
+    one, two = timed_together(
+        [lambda: work("a", 1_000_000), lambda: work("b", 2_000_000)], Effort(quick=True), at_least_s=1e-9, warm=True
+    )
+    assert order == ["a", "b"] + ["a", "b"] * 3  # once for the number of repeats
+    assert 1.5 < two.seconds / one.seconds < 2.5
+    assert Timing(2.0, 1.0, 3.0, 3).work_seconds == 2.0

@@ -1,5 +1,6 @@
 """The stability report's rows: each claim holds, and each area can notice a fault."""
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -19,7 +20,7 @@ from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_r
 from tipforce.sensor.dynamics import first_order_hold, integrators, model, switched
 from tipforce.sensor.structure import plane_frame
 from tipforce_tools.report.stability.all import AREAS, cases
-from tipforce_tools.report.stability.case import Case
+from tipforce_tools.report.stability.case import Case, plain, shortened
 
 CASES = {case.key: case for case in cases()}
 OUTCOMES = {"pass", "bounded", "flagged", "refused"}
@@ -31,6 +32,18 @@ def test_claim(case: Case) -> None:
     assert observed.held, f"{case.claim}: {observed.figures}"
     assert observed.figures
     assert "\n" not in observed.figures
+    assert not re.search(r"[{}]|'\S*'|\bTrue\b|\bFalse\b|\bNone\b|(?<![\w\])])\[", plain(observed.figures))
+
+
+def test_figures_are_plain_words() -> None:
+    assert plain("accepted [True, False], none: ['06h', '8210h'], {'timestamp': 7}") == (
+        "accepted yes, no, none: 06h, 8210h, timestamp: 7"
+    )
+    assert plain("strain[17, 1] = nan; (1, 8); P inf N; 0.0e+00 (1 N, say)") == (
+        "strain[17, 1] = NaN; 1, 8; P infinity N; 0 (1 N, say)"
+    )
+    assert shortened("a message of several words, that ends", 30) == "a message of several words ..."
+    assert shortened("short", 27) == "short"
 
 
 def test_rows() -> None:

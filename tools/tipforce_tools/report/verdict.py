@@ -68,4 +68,7 @@ def _grid(grid: Grid) -> str:
     if broken:
         return f"{told}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)
-    return f"{told}. {excused} of {len(grid.rows)} cases have wrong rows, each with its reason; the others have none."
+    return (
+        f"{told}. In {excused} of {len(grid.rows)} cases a method shows wrong rows as ok, each with its reason; in the "
+        "others none shows more than the bound allows."
+    )
