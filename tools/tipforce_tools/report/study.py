@@ -64,7 +64,7 @@ class Need:
     enough: float
     """In the unit of the study's errors."""
     unfit: tuple[str, ...] = ()
-    """Methods that are not for it whatever their error: the remarks of the study say why."""
+    """Methods that are not for it whatever their error here: a remark of one of the studies says why."""
 
 
 @dataclass(frozen=True, slots=True)
