@@ -65,7 +65,7 @@ def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(found: dict
 def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
     from tipforce.sensor.dynamics import exact, mode_step
 
-    right = exact.hold
+    right = mode_step.hold
 
     def wrong(x: float, zeta: float) -> mode_step.Hold:
         found = right(x, zeta)
