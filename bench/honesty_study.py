@@ -36,13 +36,14 @@ CHUNK = 20_000
 FACTOR_95 = 1.959964
 WEIGHTS_NEWTONS = (4.4, 2.2, 1.1)
 WARM_K = 20.0
+SI_EVERY = 10
 QUADRATIC = 100.0
 """10 % per 1000 microstrain."""
 GROOVE_ERROR_RAD = float(np.radians(0.5))
 
-AFTER = ("clean", "drift", "stuck", "open", "rail", "gain", "overload")
+AFTER = ("clean", "drift", "stuck", "open", "rail", "gain", "overload", "warm, calibrated cold")
 """Faults of readings, on a calibration that is good."""
-IN_CALIBRATION = ("warm, coefficients known", "warm, calibrated cold", "nonlinear", "SI units")
+IN_CALIBRATION = ("warm, coefficients known", "nonlinear", "SI units")
 OF_ONE_GAUGE = ("drift", "stuck", "gain")
 INVISIBLE = " of an invisible gauge"
 """Cells of their own: the product counts such a gauge as one whose fault no residual shows (LEAST_SHARE)."""
@@ -148,6 +149,8 @@ def _finger(gauges: int, rig: Rig, faults: tuple[str, ...], seed: int) -> list[C
     finger = _Sensor.of(gauges, rng)
     found, good = [], None
     for fault in faults:
+        if fault == "SI units" and seed % SI_EVERY:
+            continue  # refused by its size alone: a tenth of the fits shows it
         cell = Cell(gauges, fault, rig, calibrations=1)
         sensor = replace(finger, quadratic=QUADRATIC) if fault == "nonlinear" else finger
         try:

@@ -84,6 +84,8 @@ class Solution(NamedTuple):
     """(m, n): reading less fit, the groove's angle left in."""
     R: FloatArray
     """(m, n, n): the covariance of each row's own noise."""
+    R_inverse: FloatArray
+    """(m, n, n): its inverse over the readings that count, zero elsewhere."""
     H: FloatArray
     """(m, n, n): the covariance of each row's fitted value, with the groove's angle."""
     distance: FloatArray
@@ -197,7 +199,9 @@ def _step(
     n, p = problem.V.shape[1], problem.g.shape[1]
     AD = A @ problem.D
     R = Sigma / problem.weight[:, np.newaxis, np.newaxis] + scatter.hang * AD @ AD.transpose(0, 2, 1)
-    whitener = _whitener(R, problem.observed) * np.sqrt(u)[:, np.newaxis, np.newaxis]
+    unweighted = _whitener(R, problem.observed)
+    inverse = unweighted.transpose(0, 2, 1) @ unweighted
+    whitener = unweighted * np.sqrt(u)[:, np.newaxis, np.newaxis]
     common = np.sqrt(scatter.groove) * AD
     X = (whitener[:, :, :, np.newaxis] * problem.g[:, np.newaxis, np.newaxis, :]).reshape(len(u), n, n * p)
     y = whitener @ problem.V[..., np.newaxis]
@@ -213,15 +217,14 @@ def _step(
     design = np.einsum("kl,ip->iklp", np.eye(n), problem.g).reshape(len(u), n, n * p) - common @ of_beta
     share = design @ root
     H = share @ share.transpose(0, 2, 1) + common @ effect.open @ common.transpose(0, 2, 1)
-    inverse = observed_inverse(R, problem.observed)
     hat = X @ root @ (whitener @ share).transpose(0, 2, 1)
     leverage = np.clip(np.trace(hat, axis1=1, axis2=2) / np.maximum(problem.observed.sum(axis=1), 1), 0.0, 1.0)
-    distance, absorbed, dof = _judged(residual, problem.observed, R, inverse, H)
+    distance, absorbed, dof = _judged(residual, problem.observed, R, unweighted, inverse, H)
     first = np.unique(problem.groove, return_index=True)[1]
     left_open = effect.open + (of_beta @ root) @ (of_beta @ root).transpose(0, 2, 1)
     decided = 2.0 - np.trace(left_open[first], axis1=1, axis2=2)
     return Solution(
-        coefficients, blocks, Sigma, restless, scatter, residual, unexplained, R, H, distance, leverage,
+        coefficients, blocks, Sigma, restless, scatter, residual, unexplained, R, inverse, H, distance, leverage,
         moved[first, :, 0], decided, absorbed, dof, converged=False,
     )  # fmt: skip
 
@@ -307,8 +310,7 @@ def _scatter(problem: Problem, found: Solution, u: FloatArray) -> Scatter:
     """The variances of load directions: squares of the angles over how many of them the data decide (MacKay)."""
     groove = STATED_WORTH + found.scatter.groove * float(np.square(found.angle).sum())
     groove /= STATED_WORTH + float(found.angle_decided.sum())
-    inverse = observed_inverse(found.R, problem.observed)
-    pull = (found.coefficients[:, :3] @ problem.D).transpose(0, 2, 1) @ inverse
+    pull = (found.coefficients[:, :3] @ problem.D).transpose(0, 2, 1) @ found.R_inverse
     e = np.where(problem.observed, found.residual, 0.0)
     # A row that disagrees must not pass for one whose direction strays: it counts by the square of its weight.
     share = np.square(u)
@@ -319,15 +321,13 @@ def _scatter(problem: Problem, found: Solution, u: FloatArray) -> Scatter:
     return Scatter(min(groove, LARGEST_SCATTER), min(hang, LARGEST_SCATTER))
 
 
-def observed_inverse(R: FloatArray, observed: BoolArray) -> FloatArray:
-    """Return the inverse of each row's covariance (m, n, n) over the readings that count, zero elsewhere."""
-    both = observed[:, :, np.newaxis] & observed[:, np.newaxis, :]
-    inverse: FloatArray = np.linalg.inv(np.where(both, R, np.eye(R.shape[1])))
-    return np.where(both, inverse, 0.0)
-
-
 def _judged(
-    residual: FloatArray, observed: BoolArray, R: FloatArray, inverse: FloatArray, H: FloatArray
+    residual: FloatArray,
+    observed: BoolArray,
+    R: FloatArray,
+    whitener: FloatArray,
+    inverse: FloatArray,
+    H: FloatArray,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Squared distances by the fit without the row, readings absorbed by the fit, degrees of freedom per gauge."""
     counts = observed.sum(axis=1)
@@ -335,15 +335,17 @@ def _judged(
     share = np.einsum("ikl,ilk->i", inverse, H)
     # The residual of a row that was fitted has the covariance R - H, direction by direction; one that was not, R + H.
     # In units of R, so that a direction in which the row alone decides (R = H) gives 0 / tiny, not 0 / 0.
-    whitener = _whitener(R, observed)
     e = np.where(observed | ~used[:, np.newaxis], residual, 0.0)
     taken = whitener @ H @ whitener.transpose(0, 2, 1)
     left = (1.0 + 1e-9) * np.eye(R.shape[1]) - taken
     whitened = (whitener @ e[..., np.newaxis])[..., 0]
-    inside = np.einsum("ik,ik->i", whitened, np.linalg.solve(left, whitened[..., np.newaxis])[..., 0])
-    outside = np.einsum("ik,ik->i", residual, np.linalg.solve(R + H, residual[..., np.newaxis])[..., 0])
+    distance = np.maximum(
+        np.einsum("ik,ik->i", whitened, np.linalg.solve(left, whitened[..., np.newaxis])[..., 0]), 0.0
+    )
+    out = residual[~used]
+    distance[~used] = np.einsum("ik,ik->i", out, np.linalg.solve((R + H)[~used], out[..., np.newaxis])[..., 0])
     dof = float((counts.sum() - share.sum()) / residual.shape[1])
-    return np.where(used, np.maximum(inside, 0.0), outside), share, dof
+    return distance, share, dof
 
 
 def _kink_variance(problem: Problem, found: Solution) -> FloatArray:
@@ -363,10 +365,9 @@ def _noise(problem: Problem, found: Solution) -> FloatArray:
     The load-direction part of a residual is taken off by its expectation; e e^T + H undoes what the fit has
     absorbed. Without direction scatter its fixed point is the sum of e e^T over (rows - unknowns).
     """
-    inverse = observed_inverse(found.R, problem.observed)
     used = problem.observed.any(axis=1)
     row_noise = found.Sigma / problem.weight[:, np.newaxis, np.newaxis]
-    gain = row_noise @ inverse
+    gain = row_noise @ found.R_inverse
     e = np.where(problem.observed, found.residual, 0.0)
     spread = e[:, :, np.newaxis] * e[:, np.newaxis, :] + found.H
     expected = gain @ spread @ gain.transpose(0, 2, 1) + row_noise - gain @ row_noise

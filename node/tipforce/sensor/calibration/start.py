@@ -8,7 +8,7 @@ import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.sensor.calibration.distributions import f_quantile
-from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution, observed_inverse
+from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution
 
 FALSE_ALARM = 0.01
 """Chance that a fit without any outlier names one."""
@@ -61,7 +61,7 @@ def noise_dof(problem: Problem, found: Solution) -> FloatArray:
     """
     if problem.Sigma is not None:
         return np.full(len(found.R), 1e6)
-    inverse = observed_inverse(found.R, problem.observed)
+    inverse = found.R_inverse
     noise = found.Sigma / problem.weight[:, np.newaxis, np.newaxis]
     free = noise @ inverse @ (found.R - found.H) @ inverse
     total = float(np.einsum("ikl,ilk->", free, free)) / problem.V.shape[1]

@@ -11,7 +11,7 @@ from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import t_quantile
 from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
-from tipforce.sensor.calibration.solve import Problem, Solution, observed_inverse
+from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 HOLD_OUT_CAP = 8.0
@@ -143,7 +143,7 @@ def _places(mask: BoolArray) -> tuple[tuple[int, int], ...]:
 def _sizes(problem: Problem, found: Solution, loaded: BoolArray) -> tuple[float, float, float]:
     """sigma0 of all rows, of the loaded ones, of the unloaded ones."""
     counts = problem.observed.sum(axis=1)
-    inverse = observed_inverse(found.R, problem.observed)
+    inverse = found.R_inverse
     squares = np.einsum("ik,ikl,il->i", found.residual, inverse, found.residual)
     free = counts - found.absorbed
 
