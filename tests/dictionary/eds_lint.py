@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dictionary import eds_lint_pdo as lint_pdo
 from tipforce.device import communication
 from tipforce.dictionary import signals, types
-from tipforce.dictionary.eds_file import EdsFile, Section, parse
+from tipforce.eds.sections import EdsFile, Section, parse
 from tipforce.errors import InputError
 
 MAX_NAME = 241  # characters, CiA 306-1, 4.6.2

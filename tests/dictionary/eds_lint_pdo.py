@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from tipforce.device import communication
 from tipforce.dictionary import types
-from tipforce.dictionary.eds_file import EdsFile, Section
+from tipforce.eds.sections import EdsFile, Section
 from tipforce.errors import InputError
 
 MAX_BITS = 64

@@ -11,7 +11,7 @@ import pytest
 from dictionary.eds_lint import lint_eds
 from tipforce.dictionary import table, types
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
-from tipforce.dictionary.eds_file import parse
+from tipforce.eds.sections import parse
 from tipforce.dictionary.rows import Row, objects, rows
 from tipforce.errors import InputError
 

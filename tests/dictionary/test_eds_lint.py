@@ -101,10 +101,10 @@ FAULTS = [
     ("version", _edited("FileInfo", "EDSVersion=4.0", "EDSVersion=9"), r"EDSVersion=9: allowed are 3.0 and 4.0"),
     ("flags", _edited("2104", "ObjFlags=0x3", "ObjFlags=all"), r"\[2104\] ObjFlags=all"),
     ("unknown section", TEXT + "\n[Nonsense]\nA=1\n", r"\[Nonsense\]: not a section of CiA 306"),
-    ("section twice", TEXT + "\n[1017]\nParameterName=x\n", r"\[1017\] line \d+: the section is already there"),
-    ("key twice", _edited("1017", "PDOMapping=0", "PDOMapping=0\nPDOMapping=1"), r"PDOMapping line \d+: the key"),
-    ("no key", TEXT + "\njust words\n", r"line \d+ 'just words': allowed are"),
-    ("no section", "A=1\n" + TEXT, r"line 1 'A=1': a key needs a \[section\]"),
+    ("section twice", TEXT + "\n[1017]\nParameterName=x\n", r"line \d+: \[1017\]: the section is already there"),
+    ("key twice", _edited("1017", "PDOMapping=0", "PDOMapping=0\nPDOMapping=1"), r"line \d+: \[1017\] PDOMapping: the key"),
+    ("no key", TEXT + "\njust words\n", r"line \d+: 'just words': allowed are"),
+    ("no section", "A=1\n" + TEXT, r"line 1: 'A=1': a key needs a \[section\]"),
 ]
 
 

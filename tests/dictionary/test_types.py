@@ -40,6 +40,10 @@ def test_codes_are_those_of_cia_301() -> None:
         ("s", "save", "73617665"),
         ("D", b"\x01\x02", "0102"),
         ("Q", 1, "0100000000000000"),
+        ("u3", 0x123456, "563412"),
+        ("i5", -2, "feffffffff"),
+        ("t", bytes(range(6)), "000102030405"),
+        ("f", 3.4025001647762064e38, "c5f97f7f"),
     ],
 )
 def test_known_bytes(letter: str, value: types.Value, data: str) -> None:

@@ -62,6 +62,8 @@ STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
 # Flags of COB-ID objects (7.5.2.35): bit 31: the object is not valid; bit 30 of a TPDO: no remote request;
 # bit 29: 29-bit identifier, which this device does not support.
 COB_ID_INVALID, NO_RTR, COB_ID_RESERVED = 0x80000000, 0x40000000, 0x7FFFF800
+EXTENDED_COB_ID = 0x20000000
+SYNC_PRODUCER = 0x40000000  # of 1005h: bit 30, the device sends SYNC
 TIME_CONSUMER = 0x80000000  # of 1012h: bit 31, the device consumes TIME
 
 

@@ -17,14 +17,14 @@ GENERIC, VOLTAGE, TEMPERATURE, COMMUNICATION, PROFILE, MANUFACTURER = 0x01, 0x04
 NO_ERROR = 0x0000
 CAN_OVERRUN, ERROR_PASSIVE, HEARTBEAT_LOST, BUS_OFF_RECOVERED = 0x8110, 0x8120, 0x8130, 0x8140
 COB_ID_COLLISION, PDO_LENGTH, SYNC_LENGTH, RPDO_TIMEOUT = 0x8150, 0x8210, 0x8240, 0x8250
-HISTORY_LENGTH = 8
+HISTORY_LENGTH = 8  # of a device without 1003h
 MAX_WAITING = 64  # limit of messages queued by the inhibit time or in STOPPED: bounds memory
 
 
 class Emcy:
     """Raise and clear errors; ``register`` is the value of 1001h."""
 
-    __slots__ = ("_active", "_device", "_free_us", "_history", "_waiting", "due_us", "register")
+    __slots__ = ("_active", "_device", "_free_us", "_history", "_history_length", "_waiting", "due_us", "register")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -32,6 +32,8 @@ class Emcy:
         self._active: "dict[tuple[int, int], int]" = {}
         self.reset(True)
         od = device.od
+        subs = od.subs(communication.ERROR_HISTORY)
+        self._history_length = subs[-1] if subs else HISTORY_LENGTH
         od.readers[communication.ERROR_REGISTER] = lambda _sub: self.register
         od.readers[communication.ERROR_HISTORY] = self._read_history
         od.writers[communication.ERROR_HISTORY] = self._write_history
@@ -75,7 +77,7 @@ class Emcy:
     def report(self, code: int, detail: int = 0) -> None:
         """Report an event that has no end: history entry and message, no bit in the register."""
         self._history.insert(0, code | detail << 16)
-        del self._history[HISTORY_LENGTH:]
+        del self._history[self._history_length :]
         self._queue(struct.pack("<HBHHx", code, self.register, detail, 0))
 
     def allowed(self) -> None:
@@ -112,7 +114,7 @@ class Emcy:
 
     def is_empty(self, sub: int) -> bool:
         """Return True for an entry of 1003h that holds no error: it cannot be read (7.5.2.4)."""
-        return len(self._history) < sub <= HISTORY_LENGTH
+        return len(self._history) < sub <= self._history_length
 
     def _read_history(self, sub: int) -> "Value":
         if sub == 0:

@@ -21,11 +21,13 @@ class LssSlave:
 
     __slots__ = (
         "_bit_rate_index", "_configuring", "_device", "_identified", "_matched", "_position", "pending_node_id",
+        "supported",
     )  # fmt: skip
 
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.pending_node_id = device.node_id
+        self.supported = True  # an EDS may say otherwise
         self._bit_rate_index = DEFAULT_BIT_RATE_INDEX
         self._configuring = False
         self._matched = 0
@@ -155,7 +157,10 @@ class LssSlave:
         self._answer(codes.LSS_IDENTIFIED)
 
     def _identity(self, part: int) -> int:
-        return int(self._device.od.get(communication.IDENTITY, part + 1))
+        od, sub = self._device.od, part + 1
+        if isinstance(od.find(communication.IDENTITY, sub), int):
+            return 0  # all but the vendor are optional
+        return int(od.get(communication.IDENTITY, sub))
 
     def _answer(self, service: int, value: int = 0) -> None:
         self._device.send(codes.LSS_RESPONSE_COB_ID, bytes((service, value, 0, 0, 0, 0, 0, 0)))

@@ -88,12 +88,18 @@ class Device:
         self.time = TimeConsumer(self)
         self.lss = lss.LssSlave(self)
         self.sync = SyncConsumer(self)
+        self.sync_producer = None
+        if od.indices(communication.SYNC_PERIOD, communication.SYNC_PERIOD):
+            from .sync_producer import SyncProducer  # a fingertip does without
+
+            self.sync_producer = SyncProducer(self)
         self.rpdos = ReceivePdos(self)
         self.tpdos = TransmitPdos(self)
-        self._timed = (
+        timed = (
             self.heartbeat, self.heartbeat_consumer, self.guarding, self.sdo, self.rpdos, self.tpdos,
             self.bus_faults, self.emcy,
         )  # fmt: skip
+        self._timed = timed if self.sync_producer is None else timed + (self.sync_producer,)
 
     def step(self, now_us: int, frames: "Iterable[Frame]" = ()) -> "tuple[list[Frame], int]":
         """Process ``frames``, (SocketCAN can_id, data); return the frames to send and the next due time."""
@@ -162,6 +168,8 @@ class Device:
             self.rpdos.forget()
         if self.nmt.state == codes.STOPPED:
             self.sdo.reset()
+        if self.sync_producer is not None:
+            self.sync_producer.state_changed()
         self.emcy.allowed()
         self.settings_changed()
         self.routes_changed()
@@ -193,7 +201,8 @@ class Device:
                 routes[can_id] = handler
             self._add_state_routes(routes)
             routes[codes.NMT_COB_ID] = self.nmt.receive
-        routes[codes.LSS_REQUEST_COB_ID] = self.lss.receive
+        if self.lss.supported:
+            routes[codes.LSS_REQUEST_COB_ID] = self.lss.receive
         self._routes = routes
 
     def _add_state_routes(self, routes: "dict[int, Callable[[bytes], None]]") -> None:
@@ -219,6 +228,8 @@ class Device:
         self.guarding.reset()
         self.sdo.reset()
         self.sync.reset()
+        if self.sync_producer is not None:
+            self.sync_producer.reset()
         self.rpdos.reset()
         self.tpdos.reset()
         if whole and self.application is not None:

@@ -14,8 +14,8 @@ if TYPE_CHECKING:
 # Flags of an entry.
 TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED = 1, 2, 4, 8, 16
 
-SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}
-_RANGES = {
+SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to both tables
+RANGES = {
     "B": (0, 0xFF),
     "b": (-0x80, 0x7F),
     "H": (0, 0xFFFF),
@@ -23,11 +23,14 @@ _RANGES = {
     "I": (0, 0xFFFFFFFF),
     "i": (-0x80000000, 0x7FFFFFFF),
 }
+DUMMIES = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
 REAL32_MAX = 3.4028234663852886e38
 
 
 def encode(kind: str, value: "Value") -> bytes:
     """Return ``value`` as little-endian bytes; ``kind`` is struct's letter, "s" a string, "D" bytes.
+
+    Integers of 24 to 56 bits are "u3" to "u7" and "i3" to "i7": sign and number of bytes (``wide_types``).
 
     Integers are limited to their type's range here because MicroPython's struct wraps where CPython's raises;
     a float beyond REAL32 becomes an infinity with its sign.
@@ -41,9 +44,11 @@ def encode(kind: str, value: "Value") -> bytes:
             value = float("inf")
         elif value < -REAL32_MAX:  # type: ignore[operator]
             value = float("-inf")
-    else:
-        low, high = _RANGES[kind]
+    elif kind != "d":
+        low, high = RANGES[kind]
         value = min(max(value, low), high)
+        if len(kind) > 1:
+            return (value & (1 << 8 * SIZES[kind]) - 1).to_bytes(SIZES[kind], "little")  # type: ignore[operator]
     return struct.pack("<" + kind, value)
 
 
@@ -53,6 +58,9 @@ def decode(kind: str, data: bytes) -> "Value":
         return bytes(data)
     if kind == "s":
         return bytes(data).decode()
+    if len(kind) > 1:
+        number = int.from_bytes(data, "little")
+        return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
     value: "Value" = struct.unpack("<" + kind, data)[0]
     return value
 
@@ -70,11 +78,12 @@ class ObjectDictionary:
 
     A service that owns an object registers hooks for its index: ``readers[index](sub)`` returns the value in place
     of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
-    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``watch(index, sub)`` returns
+    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``dummies`` are the types that
+    an RPDO may map as placeholders (7.4.7.1). ``watch(index, sub)`` returns
     the key of the value that a write changes if that matters, else 0; ``changed()`` is called after such a change.
     """
 
-    __slots__ = ("_entries", "changed", "node_id", "readers", "sizes", "values", "watch", "writers")
+    __slots__ = ("_entries", "changed", "dummies", "node_id", "readers", "sizes", "values", "watch", "writers")
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
@@ -83,6 +92,7 @@ class ObjectDictionary:
         self.readers: "dict[int, Callable[[int], Value]]" = {}
         self.writers: "dict[int, Callable[[int, Value], int]]" = {}
         self.sizes: "dict[int, int]" = {}
+        self.dummies = DUMMIES
         self.watch: "Callable[[int, int], int]" = _nothing
         self.changed: "Callable[[], None] | None" = None
 

@@ -1,7 +1,5 @@
 """Common part of TPDOs and RPDOs (CiA 301, 7.5.2.33 to 7.5.2.38): two parameter objects and their write rules."""
 
-import struct
-
 from . import codes
 from .object_dictionary import SIZES
 
@@ -12,20 +10,20 @@ if TYPE_CHECKING:
     from .object_dictionary import ObjectDictionary, Value
 
 _OTHER_BITS = codes.COB_ID_RESERVED & ~codes.NO_RTR
-MAX_MAPPED, MAX_BYTES = 8, 8
-_DUMMY_LETTERS = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}  # 7.4.7.1: placeholders in an RPDO
+MAX_BYTES = 8
 
 
 class Pdo:
     """One PDO: its number, its parameter objects, and their contents compiled for speed.
 
     ``direction`` is the entry flag that a mapped object needs. ``changed()`` is called after each accepted write.
-    ``valid`` is bit 31 of the COB-ID; ``active`` also requires a mapping that is not empty.
+    ``valid`` is bit 31 of the COB-ID; ``active`` also requires a mapping that is not empty. ``widths`` holds the bits
+    of each mapped entry if not all are whole values, otherwise None.
     """
 
     __slots__ = (
-        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "mapping", "packing",
-        "transmission", "valid",
+        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "letters", "mapping",
+        "transmission", "valid", "widths",
     )  # fmt: skip
 
     def __init__(
@@ -39,7 +37,8 @@ class Pdo:
         self.valid = self.active = False
         self.can_id = 0
         self.transmission = 255
-        self.packing = "<"
+        self.letters: "list[str]" = []
+        self.widths: "list[int] | None" = None
         self.length = 0
         self.keys: "list[tuple[int, int]]" = []
         od.writers[communication] = self._write_communication
@@ -54,7 +53,8 @@ class Pdo:
         words = [self._od.integer(self.mapping, sub) for sub in range(1, count + 1)]
         usable = self._compile(words) == 0 and self.length > 0
         self.valid = not cob_id & codes.COB_ID_INVALID
-        self.active = self.valid and usable and not codes.restricted(self.can_id)
+        # Bit 29, a 29-bit identifier, may come from an EDS; a write of it is rejected.
+        self.active = self.valid and usable and not cob_id & codes.EXTENDED_COB_ID and not codes.restricted(self.can_id)
 
     def parameter(self, sub: int) -> int:
         """Return a communication parameter, 0 if this PDO has no such sub-index."""
@@ -64,25 +64,27 @@ class Pdo:
 
     def _compile(self, words: "list[int]") -> int:
         """Apply a mapping; return the abort code of a rejected one, which changes nothing."""
-        packing, keys = "<", []
+        letters, keys, bits, plain = [], [], 0, True
         for word in words:
             letter = self._letter(word)
             if isinstance(letter, int):
                 return letter
-            packing += letter
+            letters.append(letter)
             keys.append((word >> 16, word >> 8 & 0xFF))
-        length = struct.calcsize(packing)
-        if length > MAX_BYTES:
+            bits += word & 0xFF
+            plain = plain and SIZES.get(letter, 0) * 8 == word & 0xFF
+        if bits > 8 * MAX_BYTES:
             return codes.PDO_LENGTH
-        self.packing, self.keys, self.length = packing, keys, length
+        self.letters, self.keys, self.length = letters, keys, (bits + 7) // 8
+        self.widths = None if plain else [word & 0xFF for word in words]
         return 0
 
     def _letter(self, word: int) -> "str | int":
         """Return struct's letter of a mapped entry, or the abort code of an entry that cannot be mapped here."""
         index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
         from_wire = self.direction != 1
-        if from_wire and index in _DUMMY_LETTERS and not sub:
-            letter = _DUMMY_LETTERS[index]
+        if from_wire and index in self._od.dummies and not sub:
+            letter = self._od.dummies[index]
         else:
             entry = self._od.find(index, sub)
             if isinstance(entry, int):
@@ -90,7 +92,12 @@ class Pdo:
             if not entry[2] & self.direction:
                 return codes.NOT_MAPPABLE
             letter = entry[0]
-        return letter if SIZES[letter] * 8 == bits else codes.NOT_MAPPABLE
+        size = SIZES.get(letter)
+        if size is None:  # a string or DOMAIN has no length of its own: whole bytes, cut or filled up
+            fits = bits and bits % 8 == 0
+        else:
+            fits = size * 8 == bits or (letter == "?" and bits == 1)
+        return letter if fits else codes.NOT_MAPPABLE
 
     def _write_communication(self, sub: int, value: "Value") -> int:
         number: int = value  # type: ignore[assignment]
@@ -109,7 +116,7 @@ class Pdo:
 
     def _check_cob_id(self, cob_id: int) -> int:
         can_id = cob_id & codes.STANDARD_MASK
-        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & codes.NO_RTR):
+        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & codes.NO_RTR and self._no_rtr()):
             return codes.INVALID_VALUE
         if cob_id & codes.COB_ID_INVALID:
             return 0
@@ -117,6 +124,10 @@ class Pdo:
         if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
             return codes.INVALID_VALUE
         return 0
+
+    def _no_rtr(self) -> bool:
+        """Return whether bit 30, no remote request, must be set: as in the default of a device without RTR."""
+        return bool(int(self._od.default(self.communication, 1)) & codes.NO_RTR)
 
     def _write_mapping(self, sub: int, value: "Value") -> int:
         word: int = value  # type: ignore[assignment]

@@ -103,8 +103,15 @@ class ReceivePdos:
         self.due_us = min([pdo.deadline_us for pdo in self._pdos], default=codes.NEVER_US)
 
     def _apply(self, pdo: ReceivePdo, data: bytes) -> None:
+        if pdo.widths is not None:
+            from .bit_packing import unpack  # a device without mapped bits does without
+
+            for (index, sub), part in zip(pdo.keys, unpack(pdo.widths, data)):  # noqa: B905
+                if index > 0x1F:
+                    self._device.od.download(index, sub, part)
+            return
         offset = 0
-        for letter, (index, sub) in zip(pdo.packing[1:], pdo.keys):  # noqa: B905
+        for letter, (index, sub) in zip(pdo.letters, pdo.keys):  # noqa: B905
             size = SIZES[letter]
             if index > 0x1F:  # below are the dummy types, placeholders without a value
                 self._device.od.download(index, sub, data[offset : offset + size])

@@ -19,10 +19,14 @@ MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 class SdoServer:
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
 
-    __slots__ = ("_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us")
+    __slots__ = (
+        "_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us",
+        "max_download_bytes",
+    )  # fmt: skip
 
     def __init__(self, device: "Device") -> None:
         self._device = device
+        self.max_download_bytes = MAX_DOWNLOAD_BYTES
         self.reset()
 
     def reset(self) -> None:
@@ -205,4 +209,4 @@ class SdoServer:
             self.finish(bytes(self._buffer), confirmation)
 
     def _limit(self) -> int:
-        return self._device.od.expected_size(self._index, self._sub) or MAX_DOWNLOAD_BYTES
+        return self._device.od.expected_size(self._index, self._sub) or self.max_download_bytes

@@ -46,7 +46,10 @@ class Storage:
         device.od.writers[communication.STORE_PARAMETERS] = self._write_store
         device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
         for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
-            device.od.readers[index] = lambda _sub: 1  # bit 0: stores on command, never autonomously
+            device.od.readers[index] = self._reader(device.od, index << 8)
+
+    def _reader(self, od: "ObjectDictionary", count: int) -> "Callable[[int], Value]":
+        return lambda sub: 1 if sub else od.values[count]  # bit 0: stores on command, never autonomously
 
     def add_range(self, sub: int, name: str, first: int, last: int) -> None:
         """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""

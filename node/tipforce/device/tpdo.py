@@ -16,11 +16,24 @@ _SYNCHRONOUS = 240  # the highest synchronous transmission type
 class TransmitPdo(Pdo):
     """One TPDO with its counters and due times."""
 
-    __slots__ = ("_getters", "due_us", "event_us", "free_us", "inhibit_us", "pending", "sync_start", "syncs")
+    __slots__ = (
+        "_getters",
+        "_packing",
+        "due_us",
+        "event_us",
+        "free_us",
+        "inhibit_us",
+        "pending",
+        "sync_start",
+        "syncs",
+    )
 
     def load(self) -> None:
         """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
+        # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
+        plain = self.widths is None and not [k for k in self.letters if k not in "BbHhIi"]
+        self._packing = "<" + "".join(self.letters) if plain else ""
         self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in self.keys]
         self.inhibit_us = 100 * self.parameter(3)
         self.event_us = 1000 * self.parameter(5)
@@ -34,9 +47,13 @@ class TransmitPdo(Pdo):
         """Return the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
         stored = self._od.values
         values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
-        if "f" in self.packing:
-            return b"".join([encode(k, v) for k, v in zip(self.packing[1:], values)])  # noqa: B905
-        return struct.pack(self.packing, *values)
+        if self._packing:
+            return struct.pack(self._packing, *values)
+        if self.widths is not None:
+            from .bit_packing import pack  # a device without mapped bits does without
+
+            return pack(self.letters, self.widths, values)
+        return b"".join([encode(k, v) for k, v in zip(self.letters, values)])  # noqa: B905
 
     def on_sync(self, counter: int) -> bool:
         """Count a SYNC; return True if this PDO is due on it."""

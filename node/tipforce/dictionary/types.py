@@ -1,13 +1,15 @@
 """The data types of the dictionary: codes, names, sizes, bytes and text (CiA 301, 7.4.7; CiA 309-3, data types).
 
-A type is named by one letter, as in ``table.py``: the letter that ``struct`` uses, "s" a VISIBLE_STRING,
-"o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN. Everything is little-endian on the wire.
+A type is named by a letter, as in ``table.py``: the letter that ``struct`` uses, "s" a VISIBLE_STRING,
+"o" an OCTET_STRING, "u" a UNICODE_STRING, "D" a DOMAIN, "t" TIME_OF_DAY and "T" TIME_DIFFERENCE, both as six bytes.
+Integers of 24 to 56 bits are "i3" to "i7" and "u3" to "u7". Everything is little-endian on the wire.
 """
 
 from __future__ import annotations
 
 import operator
 import struct
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
@@ -37,7 +39,7 @@ class DataType:
         if self.letter == "?":
             return (0, 1)
         bits = 8 * self.size
-        return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.letter.islower() else (0, (1 << bits) - 1)
+        return (-(1 << bits - 1), (1 << bits - 1) - 1) if self.name.startswith("INTEGER") else (0, (1 << bits) - 1)
 
 
 TYPES: Final = {
@@ -54,9 +56,19 @@ TYPES: Final = {
         DataType("s", 0x09, "VISIBLE_STRING", None, str, "vs"),
         DataType("o", 0x0A, "OCTET_STRING", None, bytes, "os"),
         DataType("u", 0x0B, "UNICODE_STRING", None, str, "us"),
+        DataType("t", 0x0C, "TIME_OF_DAY", 6, bytes, "t"),
+        DataType("T", 0x0D, "TIME_DIFFERENCE", 6, bytes, "td"),
         DataType("D", 0x0F, "DOMAIN", None, bytes, "d"),
+        DataType("i3", 0x10, "INTEGER24", 3, int, "i24"),
         DataType("d", 0x11, "REAL64", 8, float, "r64"),
+        DataType("i5", 0x12, "INTEGER40", 5, int, "i40"),
+        DataType("i6", 0x13, "INTEGER48", 6, int, "i48"),
+        DataType("i7", 0x14, "INTEGER56", 7, int, "i56"),
         DataType("q", 0x15, "INTEGER64", 8, int, "i64"),
+        DataType("u3", 0x16, "UNSIGNED24", 3, int, "u24"),
+        DataType("u5", 0x18, "UNSIGNED40", 5, int, "u40"),
+        DataType("u6", 0x19, "UNSIGNED48", 6, int, "u48"),
+        DataType("u7", 0x1A, "UNSIGNED56", 7, int, "u56"),
         DataType("Q", 0x1B, "UNSIGNED64", 8, int, "u64"),
     )
 }
@@ -83,14 +95,16 @@ def letter_of_word(word: str) -> str:
 def encode(letter: str, value: Value) -> bytes:
     """The bytes that go on the wire for ``value``. Raises InputError naming the value and what is allowed."""
     kind = data_type(letter)
-    if kind.python is int:
-        return struct.pack("<" + letter, _checked_integer(kind, value))
+    if kind.python is int and kind.size is not None:
+        return _checked_integer(kind, value).to_bytes(kind.size, "little", signed=kind.name.startswith("INTEGER"))
     if kind.python is float:
         return struct.pack("<" + letter, _checked_real(kind, value))
     if kind.python is str:
         return _encode_text(kind, value)
     if not isinstance(value, bytes | bytearray | memoryview):
         raise InputError(f"{value!r} is not {kind.name}: allowed are bytes")
+    if kind.size is not None and len(value) != kind.size:
+        raise InputError(f"{bytes(value).hex()} does not fit {kind.name}: allowed are {kind.size} bytes")
     return bytes(value)
 
 
@@ -104,8 +118,12 @@ def decode(letter: str, data: bytes) -> Value:
     if kind.size is not None:
         if len(data) != kind.size:
             raise InputError(f"{len(data)} bytes ({data.hex()}) for {kind.name}: allowed is {kind.size}")
-        (value,) = struct.unpack("<" + letter, data)
-        return kind.python(value)
+        if letter == "?":
+            return int(data != b"\0")
+        if kind.python is int:
+            return int.from_bytes(data, "little", signed=kind.name.startswith("INTEGER"))
+        if kind.python is float:
+            return float(struct.unpack("<" + letter, data)[0])
     if kind.letter == "s":
         return data.rstrip(b"\0").decode("ascii", "backslashreplace")
     if kind.letter == "u":
@@ -202,6 +220,7 @@ def _shortest_real32(value: float) -> str:
     wire = struct.pack("<f", value)
     for digits in range(1, 10):
         text = f"{value:.{digits}g}"
-        if struct.pack("<f", float(text)) == wire:
-            break
+        with suppress(OverflowError):  # rounded up beyond the largest REAL32
+            if struct.pack("<f", float(text)) == wire:
+                break
     return repr(float(text))

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from tipforce.device import communication
 from tipforce.device.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
 from tipforce.dictionary import table
-from tipforce.dictionary.eds_file import EdsFile, parse
+from tipforce.eds.sections import EdsFile, parse
 from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.errors import InputError

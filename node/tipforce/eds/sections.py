@@ -1,0 +1,168 @@
+"""The text of an EDS or DCF as sections and keys, with the line of each, and what is wrong with it (CiA 306-1, 4.4)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from tipforce.errors import InputError
+
+_OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})", re.IGNORECASE)
+_SUB = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*sub\s*(?:0x)?([0-9a-f]{1,2})", re.IGNORECASE)
+_LIST = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*(name|value|denotation)", re.IGNORECASE)
+_MOST_BYTES = 32 << 20
+
+
+class Finding(NamedTuple):
+    """What is wrong at ``line`` (0: in the file as a whole), and how the file is read in spite of it."""
+
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        """``line 12: ...``."""
+        return f"line {self.line}: {self.text}" if self.line else self.text
+
+
+@dataclass(slots=True)
+class Section:
+    """One section; keys are in lower case, ``name`` and ``written`` as the file has them, ``lines`` by key."""
+
+    name: str
+    line: int
+    keys: dict[str, str] = field(default_factory=dict)
+    written: dict[str, str] = field(default_factory=dict)
+    lines: dict[str, int] = field(default_factory=dict)
+
+    def get(self, key: str) -> str | None:
+        """The value of ``key``, in any case; None where it is missing."""
+        return self.keys.get(key.lower())
+
+    def line_of(self, key: str) -> int:
+        """The line of ``key``; that of the section where it is missing."""
+        return self.lines.get(key.lower(), self.line)
+
+    def complaint(self, key: str, what: str) -> str:
+        """``[name] key=value: what``."""
+        value = self.get(key)
+        shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={value}"
+        return f"[{self.name}] {shown}: {what}"
+
+    def finding(self, key: str, what: str) -> Finding:
+        """The complaint with its line."""
+        return Finding(self.line_of(key), self.complaint(key, what))
+
+
+@dataclass(slots=True)
+class EdsFile:
+    """The sections of a file by their names in lower case; objects, their subs and their lists by number.
+
+    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object.
+    """
+
+    sections: dict[str, Section] = field(default_factory=dict)
+    objects: dict[int, Section] = field(default_factory=dict)
+    subs: dict[int, dict[int, Section]] = field(default_factory=dict)
+    lists: dict[int, dict[str, Section]] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+
+    @property
+    def complaints(self) -> list[str]:
+        """The findings as text."""
+        return [str(finding) for finding in self.findings]
+
+    def entry(self, index: int, sub: int) -> Section | None:
+        """The section of an entry: that of the sub-index, or of the object itself where it has none."""
+        if index in self.subs:
+            return self.subs[index].get(sub)
+        return self.objects.get(index) if sub == 0 else None
+
+
+def read(path: str | Path) -> EdsFile:
+    """Return the sections of a file in UTF-8, UTF-16 with a byte order mark, or Windows-1252.
+
+    Raises InputError for a file that cannot be read, or that has no section at all.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if len(content) > _MOST_BYTES:
+        raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {_MOST_BYTES}")
+    text, finding = decoded(content)
+    found = parse(text)
+    found.findings[:0] = finding
+    if not found.sections:
+        raise InputError(f"{path}: no [section] in it; an EDS or DCF (CiA 306) has [FileInfo], [DeviceInfo], [1000], ...")
+    return found
+
+
+def decoded(content: bytes) -> tuple[str, list[Finding]]:
+    """Return the text of a file's bytes, with a finding if it is neither ASCII nor UTF-8."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
+    try:
+        return content.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        told = f"byte 0x{content[error.start]:02X} is not UTF-8; the file is read as Windows-1252"
+        return content.decode("cp1252", "replace"), [Finding(line, told)]
+
+
+def parse(text: str) -> EdsFile:
+    """Never raises: lines that are no part of an EDS, and what occurs twice, become findings."""
+    found = EdsFile()
+    section: Section | None = None
+    for number, raw in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
+        line = raw.strip(" \t\x00\x1a\ufeff")
+        if not line or line.startswith((";", "#")):
+            continue
+        head = line.partition(";")[0].rstrip()
+        if head.startswith("[") and head.endswith("]"):
+            section = _open(found, head[1:-1].strip(), number)
+        elif "=" not in line:
+            found.findings.append(Finding(number, f"{line!r}: allowed are [section], key=value and ; comment; skipped"))
+        elif section is None:
+            found.findings.append(Finding(number, f"{line!r}: a key needs a [section] above it; skipped"))
+        else:
+            _add(found, section, line, number)
+    return found
+
+
+def _open(found: EdsFile, name: str, number: int) -> Section:
+    section = Section(name, number)
+    key = "".join(name.lower().split())
+    if key in found.sections:
+        first = found.sections[key].line
+        found.findings.append(
+            Finding(number, f"[{name}]: the section is already there at line {first}; the first one applies")
+        )
+        return section
+    match = _OBJECT.fullmatch(name) or _SUB.fullmatch(name) or _LIST.fullmatch(name)
+    index = int(match[1], 16) if match else 0
+    if _SUB.fullmatch(name) and match:
+        known: Section | None = found.subs.setdefault(index, {}).setdefault(int(match[2], 16), section)
+    elif _LIST.fullmatch(name) and match:
+        known = found.lists.setdefault(index, {}).setdefault(match[2].lower(), section)
+    else:
+        known = found.objects.setdefault(index, section) if match else section
+    if known is not None and known is not section:  # [018] and [0018]
+        told = f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies"
+        found.findings.append(Finding(number, told))
+        return section
+    found.sections[key] = section
+    return section
+
+
+def _add(found: EdsFile, section: Section, line: str, number: int) -> None:
+    key, _, value = line.partition("=")
+    name = key.strip()
+    if name.lower() in section.keys:
+        told = f"[{section.name}] {name}: the key is already there at line {section.line_of(name)}; the first one applies"
+        found.findings.append(Finding(number, told))
+        return
+    section.keys[name.lower()] = value.strip()
+    section.written[name.lower()] = name
+    section.lines[name.lower()] = number
