@@ -15,10 +15,12 @@
 - a calibration: ``Calibration.from_microstrain(C, offset, covariance)``, ``Calibration.read("finger.toml")``,
   ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``
 - fingers for your own tests: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
+- any CANopen device from its EDS or DCF: ``device_from_eds("drive.eds", 5)``
 
 The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
-``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.running`` and ``tipforce.scene``. They follow semantic
-versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without notice.
+``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.running`` and ``tipforce.scene``. They follow
+semantic versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without
+notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
@@ -29,6 +31,8 @@ from tipforce._lazy import lazy
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce.dictionary.table import SOFTWARE_VERSION as __version__  # noqa: N811
+    from tipforce.eds.load import EdsWarning as EdsWarning
+    from tipforce.eds.load import device_from_eds as device_from_eds
     from tipforce.errors import EnvironmentLackError as EnvironmentLackError
     from tipforce.errors import InputError as InputError
     from tipforce.errors import NoNewSampleError as NoNewSampleError
@@ -74,6 +78,8 @@ _MODULES = {
     "simulated_finger": "scene.simulated_bus",
     "simulated_hand": "scene.simulated_bus",
     "SimulatedBus": "scene.simulated_bus",
+    "device_from_eds": "eds.load",
+    "EdsWarning": "eds.load",
     "TipforceError": "errors",
     "InputError": "errors",
     "NoResponseError": "errors",
@@ -88,6 +94,7 @@ __all__ = [
     "Calibration",
     "Contact",
     "Contacts",
+    "EdsWarning",
     "EnvironmentLackError",
     "Finger",
     "Hand",
@@ -104,6 +111,7 @@ __all__ = [
     "Status",
     "TipforceError",
     "__version__",
+    "device_from_eds",
     "estimate",
     "fit_calibration",
     "open",

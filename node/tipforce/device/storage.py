@@ -84,7 +84,7 @@ class Storage:
 
     def save_blob(self, name: str, data: bytes) -> bool:
         """Store ``data`` under its own name, outside the groups of 1010h."""
-        return self._save is not None and self._save(name, _with_crc(data))
+        return self._save is not None and self._save(name, with_crc(data))
 
     def read_blob(self, name: str) -> "bytes | None":
         """Return the data stored by ``save_blob``, empty if there is none, None if it is damaged."""
@@ -104,7 +104,7 @@ class Storage:
     def _write_store(self, sub: int, value: "Value") -> int:
         if value != codes.SIGNATURE_SAVE:
             return codes.NOT_TRANSFERRED
-        return self._each(sub, lambda dump: _with_crc(dump()))
+        return self._each(sub, lambda dump: with_crc(dump()))
 
     def _write_restore(self, sub: int, value: "Value") -> int:
         if value != codes.SIGNATURE_LOAD:
@@ -122,7 +122,8 @@ class Storage:
         return 0
 
 
-def _with_crc(data: bytes) -> bytes:
+def with_crc(data: bytes) -> bytes:
+    """Return the content of a group as it is stored: CRC-32, then ``data``."""
     return struct.pack("<I", binascii.crc32(data) & 0xFFFFFFFF) + data
 
 

@@ -95,7 +95,9 @@ def read(path: str | Path) -> EdsFile:
     found = parse(text)
     found.findings[:0] = finding
     if not found.sections:
-        raise InputError(f"{path}: no [section] in it; an EDS or DCF (CiA 306) has [FileInfo], [DeviceInfo], [1000], ...")
+        raise InputError(
+            f"{path}: no [section] in it; an EDS or DCF (CiA 306) has [FileInfo], [DeviceInfo], [1000], ..."
+        )
     return found
 
 
@@ -160,7 +162,9 @@ def _add(found: EdsFile, section: Section, line: str, number: int) -> None:
     key, _, value = line.partition("=")
     name = key.strip()
     if name.lower() in section.keys:
-        told = f"[{section.name}] {name}: the key is already there at line {section.line_of(name)}; the first one applies"
+        told = (
+            f"[{section.name}] {name}: the key is already there at line {section.line_of(name)}; the first one applies"
+        )
         found.findings.append(Finding(number, told))
         return
     section.keys[name.lower()] = value.strip()

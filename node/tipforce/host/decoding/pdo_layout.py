@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 from tipforce.device import communication
 from tipforce.device.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
 from tipforce.dictionary import table
-from tipforce.eds.sections import EdsFile, parse
 from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
+from tipforce.eds.sections import EdsFile, parse
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
 

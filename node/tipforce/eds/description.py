@@ -1,0 +1,119 @@
+"""What an EDS or DCF says of a device: objects with their entries, general facts, and what is wrong with the file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from tipforce.dictionary.types import TYPES, DataType, Value
+from tipforce.eds.sections import Finding
+
+NULL, DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0, 2, 5, 6, 7, 8, 9  # object codes (CiA 301, 7.4.3)
+READ_ONLY, CONSTANT, WRITE_ONLY = "ro", "const", "wo"
+
+
+@dataclass(slots=True)
+class Entry:
+    """One sub-index. ``default`` and ``value`` (ParameterValue, None without one) include the node-id.
+
+    ``directions`` are those of the PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``.
+    ``access`` is ro, wo, rw, rwr, rww or const; ``letter`` one of ``dictionary.types``; ``line`` that of its section.
+    """
+
+    index: int
+    sub: int
+    name: str
+    letter: str
+    access: str
+    default: Value
+    low: int | float | None = None
+    high: int | float | None = None
+    mappable: bool = False
+    directions: int = 0
+    has_node_id: bool = False
+    has_default: bool = True
+    value: Value | None = None
+    flags: int = 0
+    unit: str = ""
+    denotation: str = ""
+    line: int = 0
+
+    @property
+    def type(self) -> DataType:
+        """The data type."""
+        return TYPES[self.letter]
+
+    @property
+    def initial(self) -> Value:
+        """The value after power-on."""
+        return self.default if self.value is None else self.value
+
+    @property
+    def place(self) -> str:
+        """``0x1018:01``."""
+        return f"0x{self.index:04X}:{self.sub:02X}"
+
+
+@dataclass(slots=True)
+class Object:
+    """One index; ``code`` is the object code, ``entries`` by sub-index (a VAR or DOMAIN has 0 alone)."""
+
+    index: int
+    name: str
+    code: int
+    line: int
+    entries: dict[int, Entry] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Description:
+    """A device as its file describes it, for one node-id. ``findings`` are in the order of the lines.
+
+    ``bit_rates`` are those that [DeviceInfo] allows, in bit/s; ``bit_rate`` is that of a DCF. ``dummies`` are the data
+    types that an RPDO may map as placeholders, None if the file does not say. ``is_dcf``: it configures one node.
+    """
+
+    path: Path
+    node_id: int
+    objects: dict[int, Object] = field(default_factory=dict)
+    findings: list[Finding] = field(default_factory=list)
+    content: bytes = b""
+    vendor_name: str = ""
+    product_name: str = ""
+    order_code: str = ""
+    node_name: str = ""
+    bit_rates: tuple[int, ...] = ()
+    bit_rate: int | None = None
+    serial: int | None = None
+    lss: bool = True
+    dummies: frozenset[int] | None = None
+    is_dcf: bool = False
+
+    def add(self, line: int, text: str) -> None:
+        """Note what is wrong at ``line``."""
+        self.findings.append(Finding(line, text))
+
+    @property
+    def warnings(self) -> list[str]:
+        """The findings as text: ``drive.eds:120: [6040] DataType=...: ...``."""
+        name = self.path.name
+        return [f"{name}:{line}: {text}" if line else f"{name}: {text}" for line, text in sorted(self.findings)]
+
+    def entry(self, index: int, sub: int) -> Entry | None:
+        """The entry, None if there is none."""
+        found = self.objects.get(index)
+        return None if found is None else found.entries.get(sub)
+
+    def entries(self) -> list[Entry]:
+        """Every entry, by index and sub-index."""
+        return [found.entries[sub] for _, found in sorted(self.objects.items()) for sub in sorted(found.entries)]
+
+    def find(self, key: int | tuple[int, int] | str) -> Entry:
+        """The entry of an index (its only or first value), of (index, sub), of ``"0x6064"``, ``"6041h:00"``, or a name.
+
+        A name is the ParameterName, "Object name/Entry name" for an entry of a record; case and spaces do not matter.
+        Raises InputError with the nearest names, and for a name that several entries have.
+        """
+        from tipforce.eds.names import find
+
+        return find(self, key)
