@@ -77,7 +77,7 @@ def test_an_exception_is_reported_with_its_frame(monkeypatch: pytest.MonkeyPatch
 @settings(derandomize=True, max_examples=150, deadline=None)
 @given(st.binary(max_size=60), st.booleans())
 def test_any_stored_bytes_leave_a_working_node(blob: bytes, checked: bool) -> None:
-    content = storage._with_crc(blob) if checked else blob
+    content = storage.with_crc(blob) if checked else blob
     names = ("communication", "application", "calibration", "lss")
     source = SimulatedSource(fuzz.STRAIN_PER_NEWTON)
     device = fingertip_node(5, source, load=dict.fromkeys(names, content).get)
@@ -105,7 +105,7 @@ def record(index: int, sub: int, data: bytes) -> bytes:
 )
 def test_a_record_that_does_not_fit_is_passed_over(blob: bytes) -> None:
     store = Memory()
-    store.groups["application"] = storage._with_crc(record(0x6000, 0, b"\7\0") + blob)
+    store.groups["application"] = storage.with_crc(record(0x6000, 0, b"\7\0") + blob)
     talk = tiny(store)
     assert talk.get("H", 0x6000) == 7
     assert talk.get("f", 0x6001) == 0.5
@@ -120,7 +120,7 @@ def test_a_stored_string_that_is_no_text_is_passed_over() -> None:
 
 
 def test_stored_scaling_points_that_make_no_line_give_way_to_the_defaults() -> None:
-    store: Store = {"application": storage._with_crc(record(0x6122, 2, struct.pack("<f", 0.0)))}
+    store: Store = {"application": storage.with_crc(record(0x6122, 2, struct.pack("<f", 0.0)))}
     device = fingertip_node(5, SimulatedSource(fuzz.STRAIN_PER_NEWTON), load=store.get)
     device.step(0)
     assert device.od.get(0x6122, 2) == 10000.0

@@ -92,7 +92,7 @@ def test_store_where_nothing_can_be_stored() -> None:
 @pytest.mark.parametrize("content", [b"\x09", b"\x09\x05", b"\x80\x00", b"\x09\x00\x00"])
 def test_a_stored_node_id_that_cannot_be_is_passed_over(content: bytes) -> None:
     store = Memory()
-    store.groups["lss"] = storage._with_crc(content)
+    store.groups["lss"] = storage.with_crc(content)
     assert serving(store=store).device.node_id == 5
 
 

@@ -11,8 +11,8 @@ import pytest
 from dictionary.eds_lint import lint_eds
 from tipforce.dictionary import table, types
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
-from tipforce.eds.sections import parse
 from tipforce.dictionary.rows import Row, objects, rows
+from tipforce.eds.sections import parse
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]

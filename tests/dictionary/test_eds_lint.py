@@ -102,7 +102,11 @@ FAULTS = [
     ("flags", _edited("2104", "ObjFlags=0x3", "ObjFlags=all"), r"\[2104\] ObjFlags=all"),
     ("unknown section", TEXT + "\n[Nonsense]\nA=1\n", r"\[Nonsense\]: not a section of CiA 306"),
     ("section twice", TEXT + "\n[1017]\nParameterName=x\n", r"line \d+: \[1017\]: the section is already there"),
-    ("key twice", _edited("1017", "PDOMapping=0", "PDOMapping=0\nPDOMapping=1"), r"line \d+: \[1017\] PDOMapping: the key"),
+    (
+        "key twice",
+        _edited("1017", "PDOMapping=0", "PDOMapping=0\nPDOMapping=1"),
+        r"line \d+: \[1017\] PDOMapping: the key",
+    ),
     ("no key", TEXT + "\njust words\n", r"line \d+: 'just words': allowed are"),
     ("no section", "A=1\n" + TEXT, r"line 1: 'A=1': a key needs a \[section\]"),
 ]

@@ -23,7 +23,7 @@ class SyncConsumer:
 
     def reset(self) -> None:
         """Apply the present value of 1005h."""
-        self.cob_id = self._device.od.integer(communication.COB_ID_SYNC) & codes.STANDARD_MASK
+        self.cob_id = self._device.od.integer(communication.COB_ID_SYNC) & codes.STANDARD_MASK or codes.SYNC_COB_ID
 
     def receive(self, data: bytes) -> None:
         """Process a SYNC frame: no data, or one counter byte if 1019h is set; other lengths are an error."""

@@ -12,6 +12,7 @@ from tipforce.eds.sections import EdsFile, Section
 _LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
 _COUNT_KEYS = ("SupportedObjects", "NrOfObjects", "NrOfEntries")
 _SHOWN = 5
+_SYNCHRONOUS = 240  # the highest synchronous transmission type
 _IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")
 _DEFAULT_DUMMIES = frozenset(range(1, 8))
 _PDOS = (
@@ -118,6 +119,7 @@ def _directions(entry: Entry) -> int:
 
 def _check_pdos(found: Description, first: int, last: int, direction: int) -> None:
     used: dict[int, int] = {}
+    has_sync = communication.COB_ID_SYNC in found.objects
     for index in sorted(index for index in found.objects if first <= index <= last):
         entry = found.entry(index, 1)
         cob_id = entry.initial if entry is not None else codes.COB_ID_INVALID
@@ -138,7 +140,12 @@ def _check_pdos(found: Description, first: int, last: int, direction: int) -> No
             found.add(line, f"[{index:04X}sub1] 0x{can_id:X}: a restricted identifier (CiA 301, 7.3.5); inactive{hint}")
         elif valid and can_id in used:
             found.add(line, f"[{index:04X}sub1] 0x{can_id:X}: also the identifier of 0x{used[can_id]:04X}")
-        used.setdefault(can_id, index) if valid else None
+        if valid:
+            used.setdefault(can_id, index)
+            kind = found.entry(index, 2)
+            if not has_sync and kind is not None and isinstance(kind.initial, int) and kind.initial <= _SYNCHRONOUS:
+                told = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
+                found.add(kind.line, f"[{index:04X}sub2]: {told}")
         _check_mapping(found, index + communication.MAPPING, direction)
 
 

@@ -1,0 +1,262 @@
+"""Files that leave CiA 306: each loads, says so with its line, and is read as the warning says."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from eds.samples import INFO, MANDATORY, Talk, described, pdo, record, text, var
+from tipforce.eds import Description, read_eds
+from tipforce.errors import InputError
+
+Value = object
+
+
+def value(index: int, sub: int = 0) -> Callable[[Description], Value]:
+    return lambda found: found.find((index, sub)).default
+
+
+ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
+    "octal": (text(var("2000", 6, "rw", "010")), r"DefaultValue=010: read as octal: 8", value(0x2000), 8),
+    "decimal 08": (text(var("2000", 6, "rw", "08")), r"read as decimal 8", value(0x2000), 8),
+    "no 0x": (text(var("2000", 6, "rw", "FF")), r"0x is missing", value(0x2000), 255),
+    "h suffix": (text(var("2000", 6, "rw", "1Fh")), r"0x is missing", value(0x2000), 0x1F),
+    "too large": (text(var("2000", 5, "rw", "0x1FF")), r"0 to 255; read as 255", value(0x2000), 255),
+    "negative unsigned": (text(var("2000", 7, "rw", "-1")), r"read as 4294967295", value(0x2000), 0xFFFFFFFF),
+    "unsigned in signed": (text(var("2000", 2, "rw", "255")), r"not in INTEGER8; read as -1", value(0x2000), -1),
+    "no number": (text(var("2000", 6, "rw", "on")), r"DefaultValue=on: not a number; read as 0", value(0x2000), 0),
+    "real integer": (text(var("2000", 6, "rw", "5.0")), r"read as the integer 5", value(0x2000), 5),
+    "decimal comma": (text(var("2000", 8, "rw", "1,5")), r"the decimal sign is a point", value(0x2000), 1.5),
+    "inline comment": (text(var("2000", 6, "rw", "5 ; five")), r"taken as a comment", value(0x2000), 5),
+    "NODEID": (text(var("2000", 7, "rw", "NodeId+0x180")), r"the form is \$NODEID", value(0x2000), 0x185),
+    "two NODEID": (text(var("2000", 7, "rw", "$NODEID+$NODEID+1")), r"it is added once", value(0x2000), 6),
+    "product": (text(var("2000", 7, "rw", "$NODEID*2")), r"sum of numbers and \$NODEID; read as 0", value(0x2000), 0),
+    "default beyond limit": (
+        text(var("2000", 5, "rw", "9", HighLimit="8")), r"outside the limits any to 8", value(0x2000), 9
+    ),
+    "limits reversed": (
+        text(var("2000", 5, "rw", "9", LowLimit="8", HighLimit="2")), r"LowLimit=8: above HighLimit",
+        lambda found: found.find(0x2000).high, None,
+    ),
+    "limits of nothing": (
+        text(var("2000", 5, "rw", "0", LowLimit="0", HighLimit="0")), r"LowLimit=0: HighLimit, too, is 0",
+        lambda found: found.find(0x2000).high, None,
+    ),
+    "no data type": (
+        text("[2000]\nParameterName=x\nAccessType=rw\n"), r"DataType missing: no DataType; read as OCTET_STRING",
+        lambda found: found.find(0x2000).letter, "o",
+    ),
+    "standard data type": (
+        text("[1017]\nParameterName=x\nAccessType=rw\n"), r"no DataType; read as UNSIGNED16 of CiA 301",
+        lambda found: found.find(0x1017).letter, "H",
+    ),
+    "unknown data type": (
+        text(var("2000", 0x7F)), r"DataType=0x007F: no type of CiA 301", lambda found: found.find(0x2000).letter, "o",
+    ),
+    "heartbeat as text": (
+        text(var("1017", 9, "rw", "x")), r"DataType=0x0009: CiA 301 has UNSIGNED16; read as it",
+        lambda found: found.find(0x1017).letter, "H",
+    ),
+    "no name": (
+        text("[2000]\nDataType=5\nAccessType=rw\n"), r"ParameterName missing: called '2000h'",
+        lambda found: found.objects[0x2000].name, "2000h",
+    ),
+    "access": (
+        text(var("2000", 5, "read")), r"AccessType=read: allowed are ro, wo", lambda f: f.find(0x2000).access, "rw"
+    ),
+    "sub number": (
+        text(record("2000", var("2000sub0", 5, "ro", "1"), var("2000sub1", 5)).replace("SubNumber=2", "SubNumber=9")),
+        r"SubNumber=9: the file has 2 sections", lambda found: len(found.objects[0x2000].entries), 2,
+    ),
+    "sub 0 value": (
+        text(record("2000", var("2000sub0", 5, "ro", "4"), var("2000sub1", 5))),
+        r"DefaultValue=4: the highest sub-index is 1; the value stays", value(0x2000), 4,
+    ),
+    "no sub 0": (
+        text(record("2000", var("2000sub1", 5), var("2000subA", 5))), r"no sub-index 0; added as UNSIGNED8 ro",
+        value(0x2000), 10,
+    ),
+    "no object section": (
+        text() + var("2000sub0", 5, "ro", "1") + var("2000sub1", 5, "rw", "3"),
+        r"no section \[2000\]; read as a RECORD",
+        value(0x2000, 1), 3,
+    ),
+    "var with subs": (
+        text(var("2000", 5), var("2000sub0", 5, "ro", "1"), var("2000sub1", 5, "rw", "3")),
+        r"the object has sub-indices; read as a RECORD", value(0x2000, 1), 3,
+    ),
+    "record without subs": (
+        text(var("2000", 5, "rw", "3", ObjectType="0x8")), r"no sub-index; read as a VAR", value(0x2000), 3,
+    ),
+    "object twice": (
+        text(var("2000", 5, "rw", "1"), var("2000", 5, "rw", "2")),
+        r"\[2000\]: the section is already there at line \d+",
+        value(0x2000), 1,
+    ),
+    "same number": (
+        text(var("2000", 5, "rw", "1"), var("0x2000", 5, "rw", "2")),
+        r"the same as \[2000\]", value(0x2000), 1,
+    ),
+    "key twice": (
+        text(var("2000", 5, "rw", "1") + "DefaultValue=2\n"),
+        r"DefaultValue: the key is already there", value(0x2000), 1
+    ),
+    "words": (text() + "just words\n", r"'just words': allowed are", value(0x1018), 1),
+    "listed, missing": (
+        text().replace("[1000]", "[1009]"), r"\[MandatoryObjects\] 1=0x1000: the file has no such section",
+        lambda found: 0x1000 in found.objects, False,
+    ),
+    "list without 0x": (
+        text().replace("1=0x1000", "1=1000"),
+        r"1=1000: 0x is missing; read as 0x1000", value(0x1018), 1,
+    ),
+    "list count": (
+        text().replace("SupportedObjects=3", "SupportedObjects=7"),
+        r"SupportedObjects=7: the list has 3", value(0x1018), 1
+    ),
+    "no lists at all": (INFO + MANDATORY, r"any.eds: no section \[MandatoryObjects\]", value(0x1018), 1),
+    "vendor differs": (
+        text().replace("VendorNumber=0x12", "VendorNumber=0x13"),
+        r"0x1018:01 has 18, which applies", value(0x1018, 1), 0x12
+    ),
+    "pdo count": (text(info=INFO + "NrOfTXPDO=4\n"), r"NrOfTXPDO=4: the file has 0 PDOs", value(0x1018), 1),
+    "not mappable": (
+        text(var("2000", 5, "rw", "", PDOMapping="0"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000008)),
+        r"0x2000:00 has PDOMapping=0; taken as mappable into a TPDO", lambda found: found.find(0x2000).directions, 1,
+    ),
+    "mapped length": (
+        text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 255, 0x20000010)), r"UNSIGNED8 has 8 bits, 16 are mapped",
+        value(0x2000), 0,
+    ),
+    "mapped, missing": (
+        text(pdo(0x1800, "$NODEID+0x180", 255, 0x20000010)), r"0x20000010: no such entry; the PDO is inactive",
+        value(0x1018), 1,
+    ),
+    "restricted": (
+        text(var("2000", 5), pdo(0x1800, "0x180", 255, 0x20000008)),
+        r"restricted identifier .* \$NODEID\+0x180 may be meant",
+        value(0x2000), 0,
+    ),
+    "29 bits": (
+        text(var("2000", 5), pdo(0x1800, "0x20000185", 255, 0x20000008)), r"a 29-bit identifier", value(0x2000), 0
+    ),
+    "synchronous without 1005h": (
+        text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 1, 0x20000008)), r"no object 1005h; SYNC is received on 0x80",
+        value(0x2000), 0,
+    ),
+    "commissioning of another node": (
+        "[DeviceCommissioning]\nNodeID=7\n" + text(), r"NodeID=7: loaded as node 5", lambda found: found.node_id, 5
+    ),
+    "compact value out of range": (
+        text("[2000]\nParameterName=x\nObjectType=8\nDataType=5\nAccessType=rw\nCompactSubObj=2\n[2000Value]\nNrOfEntries=3\n3=1\n"),
+        r"\[2000Value\] 3=1: CompactSubObj is 2", value(0x2000), 2,
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_it_loads_and_says_so(name: str, tmp_path: Path) -> None:
+    content, message, look, expected = ODD[name]
+    found = described(tmp_path, content)
+    about = [line for line in found.warnings if re.search(message, line)]
+    assert about, found.warnings
+    assert re.match(r"any\.eds(:\d+)?: ", about[0])
+    assert look(found) == expected
+    talk = Talk(found)
+    for entry in found.entries():
+        assert talk.read(entry.index, entry.sub) is not None
+    assert len(found.warnings) < 6, found.warnings
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        str.lower,
+        lambda content: content.replace("\n", "\r\n"),
+        lambda content: content.replace("\n", "\r"),
+        lambda content: content.replace("=", " = ").replace("[", "  [").replace("]", "] "),
+        lambda content: ";a comment\n\n" + content.replace("[1000]", "# another\n[1000]"),
+        lambda content: "\ufeff" + content,
+        lambda content: content.replace("0x", "0X").replace("sub", "Sub"),
+    ],
+    ids=["lower case", "CRLF", "CR", "spaces", "comments", "byte order mark", "upper case"],
+)
+def test_spelling_that_changes_nothing(change: Callable[[str], str], tmp_path: Path) -> None:
+    content = text(var("2000", 6, "rw", "0xA5"), pdo(0x1400, "$NODEID+0x200", 255, 0x20000010))
+    found = described(tmp_path, change(content))
+    assert found.warnings == []
+    plain = described(tmp_path, content)
+    assert [(e.index, e.sub, e.letter, e.access, e.default) for e in found.entries()] == [
+        (e.index, e.sub, e.letter, e.access, e.default) for e in plain.entries()
+    ]
+
+
+def test_encodings(tmp_path: Path) -> None:
+    content = text(var("2000", 9, "rw", "Grüße °C"))
+    utf8 = described(tmp_path, content)
+    assert utf8.warnings == []
+    for encoded, said in ((content.encode("cp1252"), "read as Windows-1252"), (content.encode("utf-16"), "UTF-16")):
+        found = described(tmp_path, encoded)
+        assert [said in line for line in found.warnings] == [True]
+        assert found.find(0x2000).default == "Grüße °C"
+        assert Talk(found).read(0x2000) == "Grüße °C".encode("latin-1")
+
+
+@pytest.mark.parametrize("content", [b"", b"hello", bytes(range(256)) * 9, b"[FileInfo]\n", b"PK\3\4" + bytes(400)])
+def test_what_is_no_eds_is_refused(content: bytes, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"any\.eds: no "):
+        described(tmp_path, content)
+    with pytest.raises(InputError, match=r"Is a directory"):
+        read_eds(tmp_path, 5)
+
+
+def test_damaged_files_never_raise_anything_else(tmp_path: Path) -> None:
+    """Lines removed, doubled, changed, 150 times: a description whose device works, or InputError."""
+    rng = random.Random(17)
+    compact = "[2100]\nParameterName=G\nObjectType=8\nDataType=6\nAccessType=rw\nCompactSubObj=4\n[2100Value]\n1=7\n"
+    content = text(
+        var("1005", 7, "rw", "0x80"), var("1006", 7, "rw", "1000"), var("1014", 7, "rw", "$NODEID+0x80"),
+        var("1017", 6, "rw", "100"), record("1010", var("1010sub0", 5, "ro", "1"), var("1010sub1", 7)),
+        record("1016", var("1016sub0", 5, "ro", "1"), var("1016sub1", 7, "rw", "0x00070064")), compact,
+        var("2000", 5, "rw", "9"), var("2001", 8, "rw", "1.5"), pdo(0x1400, "$NODEID+0x200", 1, 0x20000008),
+        pdo(0x1800, "$NODEID+0x180", 255, 0x20000008, 0x20010020, event_ms=20),
+        info=INFO + "NrOfTXPDO=3\nCompactPDO=0x1F\n",
+    )  # fmt: skip
+    loaded = 0
+    for _ in range(150):
+        lines = content.splitlines()
+        for _ in range(rng.randrange(1, 12)):
+            k = rng.randrange(len(lines))
+            kind = rng.randrange(4)
+            if kind == 0:
+                del lines[k]
+            elif kind == 1:
+                lines.insert(k, rng.choice(lines))
+            elif kind == 2:
+                key, equal, _ = lines[k].partition("=")
+                lines[k] = (
+                    key + equal + rng.choice(["", "-1", "0xFFFFFFFF", "1e99", "$NODEID", "zz", "9" * 50, "0x9", "8"])
+                )
+            else:
+                at = rng.randrange(len(lines[k]) + 1)
+                lines[k] = lines[k][:at] + chr(rng.randrange(32, 300)) + lines[k][at + 1 :]
+        try:
+            found = described(tmp_path, "\n".join(lines))
+        except InputError:
+            continue
+        loaded += 1
+        talk = Talk(found, {})
+        talk.step([(0, b"\x01\x05")])
+        for _ in range(60):
+            entry = rng.choice(found.entries())
+            talk.read(entry.index, entry.sub)
+            talk.write(entry.index, entry.sub, rng.randbytes(rng.choice((1, 2, 4, 8))))
+            talk.step([(rng.choice((0x80, 0x205, 0x605, 0x7E5, 0x707)), rng.randbytes(rng.randrange(9)))])
+            talk.now_us += 5000
+            talk.sent.clear()
+        talk.step([(0, b"\x81\x05")])
+    assert loaded > 100
