@@ -15,12 +15,13 @@
 - a calibration: ``Calibration.from_microstrain(C, offset, covariance)``, ``Calibration.read("finger.toml")``,
   ``fit_calibration(Readings(...))``; ``finger.apply_calibration(calibration)``; ``estimate(calibration, microstrain)``
 - fingers for your own tests: ``simulated_finger(5, load=(4.4, 90, 45))``, ``simulated_hand(5)``
-- any CANopen device from its EDS or DCF: ``device_from_eds("drive.eds", 5)``
+- any CANopen device from its EDS or DCF: ``device_from_eds("drive.eds", 5)``; on a bus, for tests of a master:
+  ``with simulated_device("drive.eds", 5, bus) as drive: drive[0x6064] = 100``
 
 The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
-``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.running`` and ``tipforce.scene``. They follow
-semantic versioning: until 1.0 a minor version may change them, as the changelog states. All else may change without
-notice.
+``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.machine``, ``tipforce.running`` and
+``tipforce.scene``. They follow semantic versioning: until 1.0 a minor version may change them, as the changelog states.
+All else may change without notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.
@@ -53,6 +54,8 @@ if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus as Bus
     from tipforce.host.network.bus import open_connection as open
     from tipforce.host.network.finger import Finger as Finger
+    from tipforce.machine.device import SimulatedDevice as SimulatedDevice
+    from tipforce.machine.running import simulated_device as simulated_device
     from tipforce.scene.simulated_bus import SimulatedBus as SimulatedBus
     from tipforce.scene.simulated_bus import simulated_finger as simulated_finger
     from tipforce.scene.simulated_bus import simulated_hand as simulated_hand
@@ -80,6 +83,8 @@ _MODULES = {
     "SimulatedBus": "scene.simulated_bus",
     "device_from_eds": "eds.load",
     "EdsWarning": "eds.load",
+    "simulated_device": "machine.running",
+    "SimulatedDevice": "machine.device",
     "TipforceError": "errors",
     "InputError": "errors",
     "NoResponseError": "errors",
@@ -108,6 +113,7 @@ __all__ = [
     "RefusedError",
     "SdoAbortError",
     "SimulatedBus",
+    "SimulatedDevice",
     "Status",
     "TipforceError",
     "__version__",
@@ -116,6 +122,7 @@ __all__ = [
     "fit_calibration",
     "open",
     "read_log",
+    "simulated_device",
     "simulated_finger",
     "simulated_hand",
 ]

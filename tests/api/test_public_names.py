@@ -13,10 +13,8 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PACKAGES = [
-    "tipforce",
-    *(f"tipforce.{n}" for n in ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds"]),
-]
+PARTS = ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds", "machine"]
+PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS)]
 TOOLS = ["tipforce_tools.fem"]  # an extra of its own
 
 
@@ -45,7 +43,7 @@ def test_a_bare_environment_is_enough_to_import_it() -> None:
     code += "print(tipforce.__version__, len(tipforce.__all__), sorted(dir(tipforce)) == sorted(tipforce.__all__))"
     version, count, same = python(code, "-S", "-I").split()
     assert re.fullmatch(r"\d+\.\d+\.\d+", version)
-    assert int(count) == 28
+    assert int(count) == 30
     assert same == "True"
 
 

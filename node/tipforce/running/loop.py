@@ -29,12 +29,27 @@ class Port(Protocol):
         """Execute a device's request to its bus: see ``Device.requests``."""
 
 
+class Runnable(Protocol):
+    """What the loop steps: a ``Device``, or what behaves as one."""
+
+    @property
+    def node_id(self) -> int:
+        """The node-id at present."""
+
+    @property
+    def requests(self) -> list[tuple[str, int, int]]:
+        """Requests to the bus, see ``Device.requests``; the loop empties it."""
+
+    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
+        """Frames in; frames out and the next due time."""
+
+
 def now_us() -> int:
     """Return microseconds of the monotonic clock."""
     return time.monotonic_ns() // 1000
 
 
-def run(devices: Sequence[Device], port: Port, stop: Callable[[], bool] = lambda: False) -> None:
+def run(devices: Sequence[Runnable], port: Port, stop: Callable[[], bool] = lambda: False) -> None:
     """Step ``devices`` on one bus until ``stop()``, called at least five times a second, returns true.
 
     Each frame goes to every device. The clock is the monotonic one; changes of the time of day have no effect.
@@ -58,7 +73,7 @@ def say_stopped(devices: Sequence[Device], port: Port) -> None:
             port.send([(codes.HEARTBEAT_BASE + device.node_id, bytes((codes.STOPPED,)))])
 
 
-def _step(devices: Sequence[Device], port: Port, frames: list[Frame]) -> int:
+def _step(devices: Sequence[Runnable], port: Port, frames: list[Frame]) -> int:
     due_us = now_us() + 1_000_000
     for device in devices:
         sent, device_due_us = device.step(now_us(), frames)

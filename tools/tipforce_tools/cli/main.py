@@ -24,6 +24,7 @@ COMMANDS = {
     "demo": ("tipforce_tools.demo.command", "calibrate, store, load, decode and compare simulated nodes; no hardware"),
     "node": ("tipforce_tools.node.command", "run one fingertip node on a CAN bus"),
     "run": ("tipforce_tools.scene.run", "run a scene: nodes, loads, faults and a recording, defined in a TOML file"),
+    "simulate": ("tipforce_tools.simulate.command", "simulate CANopen devices from their EDS, or a machine in TOML"),
     "scene": ("tipforce_tools.scene.command", "explain what a scene builds, what it leaves out, and why"),
     "scan": ("tipforce_tools.network.scan", "list the nodes on the bus"),
     "read": ("tipforce_tools.network.read", "read the contact of fingers, with its uncertainty"),

@@ -6,7 +6,6 @@ import argparse
 import contextlib
 import gc
 import math
-import sys
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
@@ -83,12 +82,13 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run the node until Ctrl-C or SIGTERM; return 0."""
     from tipforce_tools.cli import service
+    from tipforce_tools.cli.port import open_port
 
     common.set_up_logging(args)
     service.mark_levels_for_journal()
     device, source = _device(args)
     with contextlib.closing(source):  # stop a started capture in every case
-        port, place = _port(args)
+        port, place = open_port(args)
         if args.priority is not None:
             service.set_priority(args.priority)
             gc.freeze()  # keep present objects out of later collections
@@ -190,24 +190,6 @@ def _front_end(args: argparse.Namespace) -> FrontEnd | None:
     from tipforce.sources.front_end import FrontEnd
 
     return FrontEnd(args.bits, one_over_f=args.noise_1f or None, seed=args.seed)
-
-
-def _port(args: argparse.Namespace) -> tuple[Port, str]:
-    """Open the bus: kernel sockets for SocketCAN, python-can for every other interface."""
-    from tipforce.errors import EnvironmentLackError
-    from tipforce.running.ports import PythonCanPort, SocketCanPort
-
-    options = common.bus_options(args)
-    if sys.platform == "linux" and options.get("interface") == "socketcan" and "channel" in options:
-        try:
-            return SocketCanPort(options["channel"]), options["channel"]
-        except OSError as error:
-            raise EnvironmentLackError(
-                f"interface socketcan, channel {options['channel']}: {error.strerror}; `ip -br link` lists interfaces; "
-                "`tipforce vcan -- ...` provides vcan"
-            ) from error
-    bus = common.open_bus(args)
-    return PythonCanPort(bus), str(bus.channel_info)
 
 
 def _numbers(flag: str, text: str, count: int) -> Sequence[float]:

@@ -1,0 +1,200 @@
+"""A simulated device without a bus: values by name, events, applications, signals and faults."""
+
+from __future__ import annotations
+
+import math
+import struct
+from pathlib import Path
+
+import pytest
+
+from device.conversation import Conversation
+from eds.samples import described, pdo, record, text, var
+from tipforce.dictionary.types import Value
+from tipforce.eds import Entry
+from tipforce.errors import InputError
+from tipforce.machine import DeviceApplication, Follows, Ramp, RandomWalk, SimulatedDevice, Sine, recorded
+from tipforce.machine.faults import Planned
+
+PRESS = text(
+    var("1005", 7, "rw", "0x80"), var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 4, "rw", "7"),
+    var("2001", 8, "rw", "0"), var("2002", 9, "rw", "Press"), var("2003", 5, "ro", "0"),
+    var("2004", 0x0F, "rw", "00" * 20),
+    record("2100", var("2100sub0", 5, "ro", "2"), var("2100sub1", 4), var("2100sub2", 4)),
+    pdo(0x1800, "$NODEID+0x180", 255, 0x20000020, inhibit=100), pdo(0x1801, "$NODEID+0x280", 1, 0x20010020),
+    pdo(0x1400, "$NODEID+0x200", 255, 0x20000020),
+)  # fmt: skip
+
+
+class Talk(Conversation):
+    """A conversation with a simulated device, node-id 5."""
+
+    def __init__(self, device: SimulatedDevice) -> None:
+        super().__init__(device, emcy=True)  # type: ignore[arg-type]
+        self.sent.clear()
+
+
+def press(folder: Path, **given: object) -> SimulatedDevice:
+    return SimulatedDevice(described(folder, PRESS), **given)  # type: ignore[arg-type]
+
+
+def test_values_by_index_and_name(tmp_path: Path) -> None:
+    device = press(tmp_path)
+    assert device[0x2000] == device["p2000"] == device["2000h"] == device["0x2000:00"] == device[0x2000, 0] == 7
+    device["P2002"] = "Grüße"
+    assert device[0x2002] == "Grüße"
+    device["R2100/P2100sub1"] = -4
+    assert device[0x2100, 1] == device["P2100sub1"] == -4
+    assert "P2000" in device
+    assert 0x2999 not in device
+    for key, message in (
+        ("P200", "no object is called 'P200'; close to it: 'P2004'"),
+        (0x2005, "no object 0x2005; the nearest are 0x2004"),
+        (0x2100, "several entries: write 0x2100:SS, 00, 01, 02"), ((0x2100, 3), "no sub-index 3"),
+    ):  # fmt: skip
+        with pytest.raises(InputError, match=message):
+            _ = device[key]
+    for key, value, message in (
+        (0x2003, 256, "allowed are 0 to 255"),
+        (0x2000, 1.5, "allowed are integers"),
+        (0x2002, 3, "text"),
+    ):
+        with pytest.raises(InputError, match=message):
+            device[key] = value
+
+
+def test_a_change_sends_the_event_driven_pdo_after_its_inhibit_time(tmp_path: Path) -> None:
+    device = press(tmp_path)
+    talk = Talk(device)
+    talk.say("""\
+        > 000#0105
+        < 185#07000000
+        + 20000
+    """)
+    device[0x2000] = 9
+    talk.step()
+    assert talk.sent.pop(0) == (0x185, b"\x09\0\0\0")
+    device[0x2000] = 9  # no change
+    talk.advance(20_000)
+    talk.say("""\
+        > 205#0A000000
+        < 185#0A000000
+        > 605#2300200063000000
+        < 585#6000200000000000
+        + 9999
+        + 1
+        < 185#63000000
+    """)
+
+
+class Doubler(DeviceApplication):
+    """2100h:2 is twice what is written to 2100h:1; 13 is refused; 2003h counts steps."""
+
+    period_s = 0.1
+
+    def on_write(self, entry: Entry, value: Value) -> int:
+        if (entry.index, entry.sub) == (0x2100, 1):
+            if value == 13:
+                return 0x06090030
+            self.device[0x2100, 2] = 2 * int(value)
+        return 0
+
+    def step(self, dt_s: float) -> None:
+        assert dt_s == pytest.approx(0.1)
+        self.device[0x2003] = int(self.device[0x2003]) + 1
+
+    def on_reset(self) -> None:
+        self.device[0x2003] = 0
+
+
+def test_an_application_in_python(tmp_path: Path) -> None:
+    device = press(tmp_path, application=Doubler())
+    talk = Talk(device)
+    talk.say("""\
+        > 605#2300210115000000
+        < 585#6000210100000000
+        > 605#4000210200000000
+        < 585#430021022A000000
+        > 605#230021010D000000
+        < 585#8000210130000906
+    """)
+    talk.advance(1_000_000)
+    assert device[0x2003] == 10
+    talk.step([(0, b"\x81\x05")])
+    assert device[0x2003] == 0
+
+
+def test_signals(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text("t_s,force\n0,1\n0.5,2.5\n1,4\n")
+    signals = {
+        0x2000: Ramp(0, 100, 2.0), "P2001": Sine(2.0, 1.0, 4.0), (0x2100, 1): Follows(0x2000, gain=-1.0),
+        (0x2100, 2): recorded(tmp_path / "log.csv", "force"), 0x2003: RandomWalk(10, 5.0, 0, 20, 0.1, seed=3),
+    }  # fmt: skip
+    device = press(tmp_path, signals=signals)
+    talk = Talk(device)
+    seen = []
+    for _ in range(10):
+        talk.advance(100_000)
+        seen.append(int(device[0x2003]))
+    assert (device[0x2000], device[0x2100, 1], device[0x2100, 2]) == (50, -50, 4)
+    assert device[0x2001] == pytest.approx(3.0)
+    assert len(set(seen)) > 3
+    assert all(0 <= value <= 20 for value in seen)
+    talk.advance(3_000_000)
+    assert device[0x2000] == 100
+    # A SYNC and an SDO upload carry the value of that moment.
+    talk.step([(0, b"\x01\x05")])
+    talk.sent.clear()
+    talk.now_us += 1_003_700
+    sent = dict(talk.step([(0x80, b"")]))
+    t_s = (talk.now_us - 0) * 1e-6
+    assert struct.unpack("<f", sent[0x285])[0] == pytest.approx(1 + 2 * math.sin(math.tau * t_s / 4), abs=1e-5)
+    with pytest.raises(InputError, match=r"0x2003:00 'P2003': the signal runs from 0 to 300; UNSIGNED8 holds 0 to 255"):
+        press(tmp_path, signals={0x2003: Ramp(0, 300)})
+    with pytest.raises(InputError, match="a signal sets numbers only"):
+        press(tmp_path, signals={0x2002: Ramp()})
+
+
+def test_faults(tmp_path: Path) -> None:
+    device = press(tmp_path)
+    talk = Talk(device)
+    device.fault("silent")
+    talk.say("> 605#4000200000000000")
+    device.clear_fault("silent")
+    device.fault("slow", delay_s=0.2)
+    talk.say("""\
+        > 605#4000200000000000
+        + 199999
+        + 1
+        < 585#4300200007000000
+    """)
+    device.clear_fault("slow")
+    device.fault("wrong_toggle")
+    talk.say("""\
+        > 605#4004200000000000
+        < 585#4104200014000000
+        > 605#6000000000000000
+        < 585#1000000000000000
+    """)
+    device.clear_fault("wrong_toggle")
+    device.fault("emcy", code=0x4210, register=8)
+    assert talk.step() == [(0x85, b"\x10\x42\x09\0\0\0\0\0")]
+    device.clear_fault("emcy")
+    assert [data[:3] for _, data in talk.step()] == [b"\0\0\0"]
+    with pytest.raises(InputError, match="allowed are silent, slow, wrong_toggle, emcy"):
+        device.fault("loud")
+    with pytest.raises(InputError, match="allowed: delay_s"):
+        device.fault("slow", ms=1)
+
+
+def test_planned_faults_begin_and_end(tmp_path: Path) -> None:
+    device = press(tmp_path)
+    device.faults.plan(Planned("emcy", 0.5, 0.25, {"code": 0x4210}))
+    talk = Conversation(device, emcy=True)  # type: ignore[arg-type]
+    talk.sent.clear()
+    talk.advance(400_000)
+    assert talk.sent == []
+    talk.advance(200_000)
+    assert [data[:2] for _, data in talk.sent] == [b"\x10\x42"]
+    talk.advance(200_000)
+    assert [data[:2] for _, data in talk.sent] == [b"\x10\x42", b"\0\0"]

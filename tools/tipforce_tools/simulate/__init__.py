@@ -1,0 +1,1 @@
+"""`tipforce simulate`: CANopen devices of any manufacturer."""

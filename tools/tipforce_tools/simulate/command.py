@@ -1,0 +1,123 @@
+"""`tipforce simulate`: devices from their EDS or DCF, or a machine in TOML, on a bus."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce.machine.device import SimulatedDevice
+
+EPILOG = """\
+examples:
+  tipforce simulate cia402 --node-id 5 -i socketcan -c vcan0          the drive that tipforce ships
+  tipforce simulate io.eds --node-id 10-12 -c vcan0 -i socketcan      three nodes of one EDS
+  tipforce simulate drive.eds io.eds --node-id 5,10 --set 10:0x6000:01=0x0F -i socketcan -c vcan0
+  tipforce simulate press.toml -i socketcan -c vcan0                  a machine: values, signals, faults, applications
+
+Where an EDS leaves CiA 306 or contradicts itself, a warning names the line and how it is read. docs/simulate.md
+describes the TOML file and applications in Python.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce simulate`."""
+    parser.epilog = EPILOG
+    parser.add_argument("files", nargs="+", metavar="FILE", help="EDS or DCF files, cia402, or one TOML file")
+    parser.add_argument(
+        "--node-id",
+        type=common.node_ids,
+        default=None,
+        metavar="IDS",
+        help="5, or 1,2,5-9; one for each file",
+    )
+    parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE.py:CLASS")
+    parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
+    parser.add_argument(
+        "--set",
+        action="append",
+        default=[],
+        metavar="[ID:]OBJECT=VALUE",
+        dest="values",
+        help="initial value",
+    )
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the devices until Ctrl-C or SIGTERM; return 0."""
+    from tipforce_tools.cli.port import open_port
+
+    common.set_up_logging(args)
+    devices = _devices(args)
+    for device in devices:
+        for warning in device.description.warnings:
+            common.note(args, f"warning: {warning}")
+    port, place = open_port(args)
+    _serve(args, devices, port, place)
+    return 0
+
+
+def _serve(args: argparse.Namespace, devices: list[SimulatedDevice], port: object, place: str) -> None:
+    from tipforce.running import loop
+    from tipforce_tools.cli import service
+
+    shown = ", ".join(f"{common.shown_id(one.node_id)} {one.description.product_name}" for one in devices)
+    stop = service.StopSignal()
+    common.note(args, f"node {shown}: on {place}; Ctrl-C ends it")
+    try:
+        with contextlib.suppress(KeyboardInterrupt):
+            loop.run(devices, port, stop)  # type: ignore[arg-type]
+    finally:
+        loop.say_stopped([device.core for device in devices], port)  # type: ignore[arg-type]
+        stop.restore()
+    common.note(args, "stopped")
+
+
+def _devices(args: argparse.Namespace) -> list[SimulatedDevice]:
+    from tipforce.machine.file import check_node_ids, make_device, read_machine
+
+    if any(file.endswith(".toml") for file in args.files):
+        if len(args.files) > 1 or args.node_id or args.values or args.application or args.store:
+            raise InputError("a machine in TOML stands alone: its devices have their node-ids, values and applications")
+        return read_machine(args.files[0])
+    pairs = _pairs(args.files, args.node_id)
+    if args.store and len(pairs) > 1:
+        raise InputError("--store: one file belongs to one node; use a TOML file for several")
+    values = _values(args.values, [node_id for _, node_id in pairs])
+    made = [make_device(file, node_id, args.application, values.get(node_id), args.store) for file, node_id in pairs]
+    check_node_ids(made)
+    return made
+
+
+def _pairs(files: list[str], node_ids: list[int] | None) -> list[tuple[str, int | None]]:
+    """Return (file, node-id): one file may have many node-ids; a DCF names its own."""
+    if node_ids is None:
+        return [(file, None) for file in files]
+    if len(files) == 1:
+        return [(files[0], node_id) for node_id in node_ids]
+    if len(files) != len(node_ids):
+        raise InputError(f"--node-id: {len(node_ids)} for {len(files)} files; give one for each")
+    return list(zip(files, node_ids, strict=True))
+
+
+def _values(given: list[str], node_ids: list[int | None]) -> dict[int | None, dict[str, str]]:
+    """Return the values of --set by node-id."""
+    found: dict[int | None, dict[str, str]] = {}
+    for text in given:
+        place, equal, value = text.partition("=")
+        head, colon, rest = place.partition(":")
+        own = head.isdigit() and bool(colon)
+        if not equal or not (rest if own else place):
+            raise InputError(f"--set {text!r}: the form is OBJECT=VALUE, or ID:OBJECT=VALUE")
+        if own and int(head) not in node_ids:
+            raise InputError(f"--set {text!r}: no node {head} here")
+        if not own and len(node_ids) > 1:
+            raise InputError(f"--set {text!r}: several nodes; write ID:OBJECT=VALUE")
+        found.setdefault(int(head) if own else node_ids[0], {})[rest if own else place] = value
+    return found
