@@ -78,7 +78,7 @@ def test_a_machine_has_its_devices(folder: Path) -> None:
         ("P2001", "P20", r"device\[1\]: press.eds: no object is called 'P20'; close to it"),
         ("P2000 = 3", "P2000 = 300", "300 does not fit UNSIGNED8"),
         ("press.py:Press", "press.py:Other", "no subclass of DeviceApplication called 'Other'"),
-        ("press.py:Press", "no.py:Press", "allowed are cia402, and FILE.py:CLASS"),
+        ("press.py:Press", "no.py:Press", "allowed are cia402, and FILE:CLASS"),
         ('"silent"', '"slow"', "delay_s is missing"),
     ],
 )

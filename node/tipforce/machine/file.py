@@ -203,7 +203,7 @@ def load_application(name: str, folder: Path) -> DeviceApplication | None:
     file, _, wanted = name.rpartition(":")
     path = folder / file
     if not file.endswith(".py") or not path.is_file():
-        raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE.py:CLASS of a file that exists")
+        raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE:CLASS of a file that exists")
     spec = importlib.util.spec_from_file_location(path.stem, path)
     if spec is None or spec.loader is None:
         raise InputError(f"application {name!r}: {path} cannot be imported")

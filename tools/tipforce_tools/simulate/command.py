@@ -35,7 +35,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         metavar="IDS",
         help="5, or 1,2,5-9; one for each file",
     )
-    parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE.py:CLASS")
+    parser.add_argument("--application", default="", metavar="NAME", help="cia402, or FILE:CLASS")
     parser.add_argument("--store", metavar="FILE", default="", help="file of stored parameters, for one node")
     parser.add_argument(
         "--set",
