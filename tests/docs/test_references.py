@@ -19,7 +19,8 @@ LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 # Names that are no file of the repository, and why.
 ELSEWHERE = {
     "manifest.py",  # of a MicroPython build
-    "press.py", "no.py",  # written, or not, by tests/machine
+    "press.py",
+    "no.py",  # written, or not, by tests/machine
     "page.md",  # written by tests/docs/test_examples.py
 }
 
