@@ -20,7 +20,7 @@ LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 ELSEWHERE = {
     "manifest.py",  # of a MicroPython build
     "press.py",
-    "no.py",  # written, or not, by tests/machine
+    "no.py",  # written, or not, by tests/simulate
     "page.md",  # written by tests/docs/test_examples.py
 }
 
