@@ -250,3 +250,11 @@ def finger_and_files() -> Iterator[Names]:
     Path("grooves.csv").write_text("\n".join(rows) + "\n")
     with fingers_on_default_bus(5):
         yield {}
+
+
+@setup("simulate.md")
+def lamp_of_the_page() -> Iterator[Names]:
+    """The EDS that the page shows."""
+    page = (Path(__file__).parents[2] / "docs" / "simulate.md").read_text(encoding="utf-8")
+    Path("lamp.eds").write_text(page.split("```ini\n")[1].split("```")[0])
+    yield {}

@@ -26,6 +26,7 @@ MUST_HAVE_EXAMPLES = {
     "protocol.md",
     "recipes.md",
     "scenes.md",
+    "simulate.md",
     "tools.md",
 }
 every_document = pytest.mark.parametrize("path", DOCUMENTS, ids=lambda path: str(path.relative_to(ROOT)))

@@ -47,11 +47,12 @@ def test_decoded_with(name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     assert space["result"] == [{"node": 5, "P_N": 4.4, "known": 2}, {"node": 6, "P_N": 2.0, "known": 1}]
 
 
-def test_the_hand_test_runs_where_a_user_copies_it(tmp_path: Path) -> None:
-    (tmp_path / "test_hand.py").write_text((DOCS / "examples" / "test_hand.py").read_text())
+@pytest.mark.parametrize("name", ["test_hand.py", "test_master.py"])
+def test_an_example_test_runs_where_a_user_copies_it(name: str, tmp_path: Path) -> None:
+    (tmp_path / name).write_text((DOCS / "examples" / name).read_text())
     plain = {name: value for name, value in os.environ.items() if not name.startswith(("PYTEST_", "CAN_"))}
     done = subprocess.run(
-        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", "test_hand.py"],
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", name],
         cwd=tmp_path, env=plain, capture_output=True, text=True, timeout=60, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout

@@ -20,7 +20,8 @@ LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 ELSEWHERE = {
     "manifest.py",  # of a MicroPython build
     "press.py",
-    "no.py",  # written, or not, by tests/simulate
+    "no.py",
+    "dimmer.py",  # written, or not, by tests/simulate
     "page.md",  # written by tests/docs/test_examples.py
 }
 

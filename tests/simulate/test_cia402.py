@@ -15,7 +15,7 @@ from tipforce.eds import read_eds
 from tipforce.errors import InputError
 from tipforce.machine import Drive, SimulatedDevice
 from tipforce.machine import cia402 as drive_module
-from tipforce.machine.device import eds_beside
+from tipforce.machine.device import shipped_eds
 
 SHUTDOWN, SWITCH_ON, ENABLE, DISABLE, QUICK_STOP, RESET = 0x06, 0x07, 0x0F, 0x00, 0x02, 0x80
 DISABLED, READY, ON, ENABLED, QUICK, FAULT = 0x40, 0x21, 0x23, 0x27, 0x07, 0x08
@@ -26,7 +26,7 @@ class Axis(Conversation):
 
     def __init__(self) -> None:
         self.drive = Drive()
-        self.simulated = SimulatedDevice(read_eds(eds_beside("cia402"), 5), self.drive)
+        self.simulated = SimulatedDevice(read_eds(shipped_eds("cia402"), 5), self.drive)
         super().__init__(self.simulated)  # type: ignore[arg-type]
         self.step([(0, b"\x01\x05")])
 
@@ -181,7 +181,7 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
     eds = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
     with pytest.raises(InputError, match=r"no drive \(CiA 402\): without 6040h"):
         SimulatedDevice(read_eds(eds, 5), Drive())
-    assert read_eds(eds_beside("cia402"), 5).warnings == []
+    assert read_eds(shipped_eds("cia402"), 5).warnings == []
     assert drive_module.Drive is Drive
 
 
@@ -190,7 +190,7 @@ def test_base_node_402_drives_it_on_a_virtual_bus() -> None:
     network.connect(interface="virtual", channel="machine-402")
     try:
         with tipforce.simulated_device("cia402", 5, network) as drive:
-            node = BaseNode402(5, str(eds_beside("cia402")))
+            node = BaseNode402(5, str(shipped_eds("cia402")))
             network.add_node(node)
             node.sdo[0x1017].raw = 20
             node.nmt.wait_for_heartbeat(2)

@@ -9,7 +9,7 @@ from canopen.profiles.p402 import BaseNode402
 
 import tipforce
 from tipforce.machine import Drive
-from tipforce.machine.device import eds_beside
+from tipforce.machine.device import shipped_eds
 from vcan.support import WAIT_S
 
 NODE_ID = 6
@@ -28,7 +28,7 @@ def test_enable_move_fault_and_reset() -> None:
     drive = Drive()
     try:
         with tipforce.simulated_device("cia402", NODE_ID, "vcan0", application=drive) as device:
-            node = BaseNode402(NODE_ID, str(eds_beside("cia402")))
+            node = BaseNode402(NODE_ID, str(shipped_eds("cia402")))
             node.TIMEOUT_SWITCH_STATE_FINAL = node.TIMEOUT_SWITCH_STATE_SINGLE = node.TIMEOUT_CHECK_TPDO = WAIT_S
             node.sdo.RESPONSE_TIMEOUT = node.TIMEOUT_SWITCH_OP_MODE = WAIT_S
             network.add_node(node)

@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from tipforce.machine.application import DeviceApplication as DeviceApplication
     from tipforce.machine.cia402 import Drive as Drive
     from tipforce.machine.device import SimulatedDevice as SimulatedDevice
+    from tipforce.machine.device import shipped_eds as shipped_eds
     from tipforce.machine.running import device_from_file as device_from_file
     from tipforce.machine.running import simulated_device as simulated_device
     from tipforce.machine.running import simulated_devices as simulated_devices
@@ -22,6 +23,7 @@ _MODULES = {
     "simulated_devices": "running",
     "device_from_file": "running",
     "SimulatedDevice": "device",
+    "shipped_eds": "device",
     "DeviceApplication": "application",
     "Drive": "cia402",
     "Ramp": "signals",
@@ -42,6 +44,7 @@ __all__ = [
     "Sine",
     "device_from_file",
     "recorded",
+    "shipped_eds",
     "simulated_device",
     "simulated_devices",
 ]

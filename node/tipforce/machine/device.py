@@ -205,6 +205,6 @@ class _Bridge(Application):
             self._device.application.step(dt_s)
 
 
-def eds_beside(name: str) -> Path:
+def shipped_eds(name: str) -> Path:
     """The path of an EDS that tipforce ships: ``cia402`` for the drive."""
     return Path(__file__).with_name(f"{name}.eds")

@@ -16,7 +16,7 @@ from tipforce.eds.reader import read_eds
 from tipforce.errors import InputError
 from tipforce.machine import signals
 from tipforce.machine.application import DeviceApplication
-from tipforce.machine.device import Key, SimulatedDevice, eds_beside
+from tipforce.machine.device import Key, SimulatedDevice, shipped_eds
 from tipforce.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE, Planned
 from tipforce.toml_table import convert, read_table
 
@@ -162,7 +162,7 @@ def make_device(
     """Return a device of a file: "cia402" is the shipped drive. Raises InputError."""
     folder = folder or Path()
     shipped = eds == CIA402 and not (folder / eds).exists()
-    description = read_eds(eds_beside(CIA402) if shipped else folder / eds, node_id)
+    description = read_eds(shipped_eds(CIA402) if shipped else folder / eds, node_id)
     kept: dict[str, bytes] = {}
 
     def save(group: str, data: bytes) -> bool:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 from tipforce.eds.reader import read_eds
 from tipforce.errors import InputError
-from tipforce.machine.device import Key, SimulatedDevice, eds_beside
+from tipforce.machine.device import Key, SimulatedDevice, shipped_eds
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 
@@ -106,7 +106,7 @@ def device_from_file(
     from tipforce.machine.file import CIA402, load_application
 
     shipped = os.fspath(path) == CIA402 and not Path(path).exists()
-    description = read_eds(eds_beside(CIA402) if shipped else os.fspath(path), node_id)
+    description = read_eds(shipped_eds(CIA402) if shipped else os.fspath(path), node_id)
     for text in description.warnings:
         warnings.warn(text, EdsWarning, stacklevel=4)
     store: dict[str, bytes] = {}
