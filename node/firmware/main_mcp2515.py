@@ -1,8 +1,9 @@
 """Main program for an MCP2515 on SPI: copy to the board as :main.py."""
 
+from machine import SPI, Pin
+
 from firmware import board, start
 from firmware.can_mcp2515 import Mcp2515
-from machine import SPI, Pin
 
 _SPI = SPI(board.MCP2515_SPI, baudrate=8000000, polarity=0, phase=0)
 start.run(Mcp2515(_SPI, Pin(board.MCP2515_CS, Pin.OUT, value=1), board.BIT_RATE, board.MCP2515_HZ))
