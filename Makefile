@@ -49,6 +49,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.fuzz_sdo --conversations 1000000
 	$(PYTHON) -m bench.device
+	$(PYTHON) -m bench.eds
 	$(PYTHON) -m bench.micropython
 	$(PYTHON) -m bench.firmware
 	$(PYTHON) -m bench.export_c
