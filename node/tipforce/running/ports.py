@@ -59,7 +59,7 @@ class SocketCanPort:
             # The kernel reports it once per change, so this is not a busy loop.
             self._lose(error)
             return None
-        self._find()
+        # A frame may have waited since before the interface went down: that it is up again shows a sent one.
         return can_id, data[:length]
 
     def send(self, frames: Iterable[Frame]) -> None:

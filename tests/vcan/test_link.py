@@ -1,0 +1,68 @@
+"""The interface itself: one that goes down and comes back during a run, and one without bit timing."""
+
+from __future__ import annotations
+
+import itertools
+import subprocess
+from pathlib import Path
+
+import pytest
+
+from vcan.adc import in_user_mode_linux
+from vcan.support import NODE_ID, SYNC, Launch, RawBus, running_node, wait_until
+
+CHANNEL = "vcan1"
+SCENE = """\
+duration_s = 3.0
+sync_hz = 50
+
+[[nodes]]
+ids = [1]
+pdos = ["contact"]
+
+[[loads]]
+kind = "static"
+P_N = 2.0
+phi_deg = -90
+theta_deg = 80
+"""
+
+
+@pytest.fixture(autouse=True)
+def _own_kernel() -> None:
+    if not in_user_mode_linux():
+        pytest.skip("sets an interface down: only on a kernel of its own, `tipforce vcan --uml -- ...`")
+
+
+def set_link(state: str) -> None:
+    subprocess.run(["ip", "link", "set", CHANNEL, state], check=True, capture_output=True)
+
+
+def test_a_run_records_after_an_outage(launch: Launch, tmp_path: Path) -> None:
+    scene, log = tmp_path / "scene.toml", tmp_path / "run.log"
+    with RawBus(CHANNEL, only=SYNC) as bus:
+        scene.write_text(SCENE)
+        run = launch("run", str(scene), "-i", "socketcan", "-c", CHANNEL, "-o", str(log))
+        for _ in range(20):
+            bus.receive()
+        set_link("down")
+    wait_until(lambda: "the bus failed" in run.stderr or run.ended, "the run notices")
+    set_link("up")
+    assert run.wait() == 0, run.stderr
+    assert "SYNCs were not sent while the bus was down" in run.stderr
+    assert run.stderr.count(f"{CHANNEL}: up again") == 1
+    times = [float(line[1:18]) for line in log.read_text().splitlines() if " 080#" in line]
+    gaps = [after - before for before, after in itertools.pairwise(times)]
+    longest = gaps.index(max(gaps))
+    pdos = [float(line[1:18]) for line in log.read_text().splitlines() if " 281#" in line]
+    assert [t for t in pdos if t < times[longest + 1]]
+    assert len([t for t in pdos if t > times[longest + 1]]) > 20, "the nodes are heard after it"
+
+
+def test_activating_a_bit_timing_leaves_vcan_up(tmp_path: Path) -> None:
+    with running_node(tmp_path, channel=CHANNEL) as node, RawBus(CHANNEL) as bus:
+        for request in (b"\x04\x01", b"\x13\x00\x04", b"\x15\x00\x00", b"\x04\x00"):  # 125 kbit/s, at once
+            bus.send(0x7E5, request.ljust(8, b"\0"))
+        wait_until(lambda: "vcan1 has no bit timing" in node.stderr, "the node says so")
+        # An interface that was down ends the reception of this socket with ENETDOWN.
+        assert (0x7E4, b"\x13" + bytes(7)) in bus.answers(NODE_ID)
