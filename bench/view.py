@@ -185,9 +185,11 @@ def sending(receiver: socket.socket, seconds: float) -> Iterator[None]:
 
 
 def screenshots(browser: Browser, folder: Path) -> None:
-    """The simulated hand, light on a desktop and dark on a phone; while a finger has a fault."""
+    """The simulated hand, light on a desktop and dark on a phone, while a finger has a fault; and a recording."""
+    from tipforce_tools.cli.shipped import shipped_folder
     from tipforce_tools.view.command import hand_source
     from tipforce_tools.view.demo import simulated_hand
+    from tipforce_tools.view.scene_source import scene_source
 
     with simulated_hand() as (hand, _):
         source: Any = hand_source(argparse.Namespace(quiet=True), hand, "simulated hand")
@@ -207,7 +209,20 @@ def screenshots(browser: Browser, folder: Path) -> None:
         phone.screenshot(path=folder / "view-phone.png")
         phone.close()
         server.close()
-    for name in ("desktop", "phone"):
+    source = scene_source(shipped_folder("scenes") / "grooves.toml", Finger, 3, 0.0, None)
+    server = ViewServer(source, Guard(), ("127.0.0.1",))
+    server.start()
+    page = browser.new_page(viewport={"width": 1280, "height": 1000}, color_scheme="dark")
+    page.goto(server.url)
+    page.select_option("#what", "gauges")
+    page.wait_for_timeout(1500)
+    page.click("#play")
+    page.locator(".chart").first.hover(position={"x": 300, "y": 60})
+    page.wait_for_timeout(500)
+    page.screenshot(path=folder / "view-recording.png")
+    page.close()
+    server.close()
+    for name in ("desktop", "phone", "recording"):
         shrink(folder / f"view-{name}.png")
         print(folder / f"view-{name}.png")
 

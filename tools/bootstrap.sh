@@ -1,7 +1,7 @@
 #!/bin/bash
 # Install what the targets of the Makefile need, if it is missing.
 #   tools/bootstrap.sh demo|report|docs   .venv with tipforce, and with what the report or the site needs
-#   tools/bootstrap.sh test               the same with development tools, MicroPython, and their system packages
+#   tools/bootstrap.sh test               the same with development tools, MicroPython, axe-core, and their system packages
 # Messages go to stderr, details to .venv/bootstrap.log. Only root installs system packages; others get the command.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -9,6 +9,7 @@ export PATH="$PATH:/usr/sbin:/sbin" PIP_DISABLE_PIP_VERSION_CHECK=1 PIP_NO_INPUT
 unset PYTHONHOME PYTHONPATH
 log=.venv/bootstrap.log
 micropython=@micropython/micropython-webassembly-pyscript@1.27.0
+axe=axe-core@4.14.1 # checks the web page
 
 say() { printf 'bootstrap: %s\n' "$*" >&2; }
 
@@ -91,14 +92,14 @@ kernel_has_vcan() {
     unshare "${as_root[@]}" --net ip link add dev vcan0 type vcan 2>/dev/null
 }
 
-# It is in .venv, so it is removed and recreated with .venv.
-have_micropython() { [ "$(cat .venv/micropython/stamp 2>/dev/null)" = "$micropython" ]; }
+# In .venv, so they are removed and recreated with .venv.
+have_npm() { [ "$(cat ".venv/$1/stamp" 2>/dev/null)" = "$2" ]; }
 
-install_micropython() {
-    have_micropython && return
-    logged "npm install $micropython" npm install --prefix .venv/micropython --no-audit --no-fund \
-        --no-update-notifier "$micropython"
-    printf '%s\n' "$micropython" >.venv/micropython/stamp
+# install_npm FOLDER PACKAGE
+install_npm() {
+    have_npm "$@" && return
+    logged "npm install $2" npm install --prefix ".venv/$1" --no-audit --no-fund --no-update-notifier "$2"
+    printf '%s\n' "$2" >".venv/$1/stamp"
 }
 
 install_system_packages() {
@@ -110,9 +111,9 @@ install_system_packages() {
         missing+=(user-mode-linux)
     fi
     command -v gcc >/dev/null || missing+=(gcc libc6-dev) # compiles the output of tipforce export c
-    # MicroPython runs under Node.js; npm is needed only to fetch it.
+    # MicroPython runs under Node.js; npm is needed only to fetch it, and axe-core.
     command -v node >/dev/null || missing+=(nodejs)
-    have_micropython || command -v npm >/dev/null || missing+=(npm)
+    { have_npm micropython "$micropython" && have_npm axe "$axe"; } || command -v npm >/dev/null || missing+=(npm)
     # Only the tests of the web page need it.
     command -v chromium >/dev/null || command -v chromium-browser >/dev/null || command -v google-chrome >/dev/null ||
         missing+=(chromium)
@@ -124,7 +125,8 @@ demo | report | docs) install_project "$1" ;;
 test)
     install_project test
     install_system_packages
-    install_micropython
+    install_npm micropython "$micropython"
+    install_npm axe "$axe"
     ;;
 *) die "usage: tools/bootstrap.sh demo|report|docs|test" ;;
 esac

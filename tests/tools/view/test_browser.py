@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+import sys
 import threading
 from collections.abc import Iterator
 from pathlib import Path
@@ -152,12 +153,9 @@ def test_more_than_six_tabs_are_live(browser: Browser) -> None:
             expect(page.locator(".finger .state")).to_contain_text("live", timeout=WAIT_MS)
 
 
-def test_tare_is_off_when_read_only(shown: Shown) -> None:
+def test_a_read_only_page_has_no_tare(shown: Shown) -> None:
     shown.word(1, "live")
-    button = shown.page.locator(".tare").first
-    expect(button).to_be_disabled()
-    assert button.get_attribute("title") == "read-only: start it with --allow-writes"
-    assert shown.source.tared == []
+    expect(shown.page.locator(".tare")).to_have_count(0)
 
 
 @pytest.mark.parametrize("shown", [{"allow_writes": True}], indirect=True)
@@ -178,7 +176,7 @@ def test_everything_by_keyboard_with_a_visible_focus(shown: Shown) -> None:
     page = shown.page
     shown.word(1, "live")
     seen = []
-    for _ in range(16):
+    for _ in range(18):
         page.keyboard.press("Tab")
         seen.append(
             page.evaluate(
@@ -187,7 +185,8 @@ def test_everything_by_keyboard_with_a_visible_focus(shown: Shown) -> None:
             )
         )
     names = [name for name, _ in seen]
-    for wanted in ("png", "csv", "theme", "pick", "window", "events", "play", "live", "scrub", "speed"):
+    offered = ("newtons", "microstrain", "what", "window", "closer", "wider")
+    for wanted in ("png", "csv", "theme", "pick", *offered, "events", "play", "scrub"):
         assert wanted in names, names
     assert all(visible for name, visible in seen if name), seen
     page.locator(".pick").nth(2).focus()
@@ -221,8 +220,11 @@ def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
         page = browser.new_page()
         page.goto(server.url)
         mode, second = page.locator("#mode"), page.locator('.finger[data-node="2"] .state')
-        expect(mode).to_have_text("paused", timeout=WAIT_MS)
+        expect(mode).to_contain_text("replay", timeout=WAIT_MS)  # it opens playing, as a whole
         expect(page.locator("#live")).to_be_hidden()
+        expect(page.locator("#window")).to_have_value("0")
+        page.click("#play")
+        expect(mode).to_have_text("paused", timeout=WAIT_MS)
         page.focus("#scrub")
         page.keyboard.press("Home")
         expect(second).to_have_text("recorded", timeout=WAIT_MS)
@@ -248,3 +250,95 @@ def test_exports(shown: Shown, tmp_path: Path) -> None:
         page.click("#csv")
     table.value.save_as(tmp_path / "view.csv")
     assert (tmp_path / "view.csv").read_text().startswith("t_s,node_id,name,P_N")
+
+
+SPAN = "[window.tipforce.panel.from, window.tipforce.panel.to]"
+
+
+def recording(path: Path, rows: int = 200) -> LogSource:
+    """A log of two fingers over two seconds, with gauges."""
+    frames = [frame for k in range(rows) for frame in cycle(k, (1, 2))]
+    return LogSource(written(path / "run.log", frame_array(frames)), Finger)
+
+
+def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path: Path) -> None:
+    source = recording(tmp_path)
+    start, end = (ns / 1e6 for ns in source.model.span_ns())
+    with serving(source) as server:
+        page = browser.new_page()
+        page.goto(server.url)
+        expect(page.locator("#mode")).to_have_text("paused", timeout=WAIT_MS)  # played to its end
+        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
+        chart = page.locator(".chart").first
+        box = chart.bounding_box()
+        assert box is not None
+        left, width = box["x"] + 46, box["width"] - 46 - 62
+        page.mouse.click(left + 0.5 * width, box["y"] + 50)
+        page.wait_for_function(
+            "t => Math.abs(Number(document.getElementById('scrub').value) - t) < 60", arg=(start + end) / 2
+        )
+        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
+        page.mouse.move(left + 0.25 * width, box["y"] + 50)  # a drag selects half of it
+        page.mouse.down()
+        page.mouse.move(left + 0.5 * width, box["y"] + 50, steps=4)
+        page.mouse.move(left + 0.75 * width, box["y"] + 50, steps=4)
+        page.mouse.up()
+        span = end - start
+        wanted = [pytest.approx(start + share * span, abs=0.02 * span) for share in (0.25, 0.75)]
+        assert page.evaluate(SPAN) == wanted
+        page.click("#wider")
+        low, high = page.evaluate(SPAN)
+        assert high - low == pytest.approx(span, rel=0.05)
+        page.click("#whole")
+        assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
+        page.close()
+
+
+def test_gauges_and_forces_are_charted_with_fixed_scales(shown: Shown) -> None:
+    page = shown.page
+    shown.word(1, "live")
+    expect(page.locator("#newtons")).to_have_value("5")
+    for what, charts, label in (
+        ("gauges", 1, "gauges of f1"),
+        ("forces", 1, "forces F1, F2, F3 of f1"),
+        ("contact", 3, "force P"),
+    ):
+        page.select_option("#what", what)
+        expect(page.locator(".chart")).to_have_count(charts)
+        assert label in str(page.locator(".chart").first.get_attribute("aria-label"))
+        page.wait_for_function("() => window.tipforce.panel.bins.rows.size > 5", timeout=WAIT_MS)
+        row = page.evaluate("[...window.tipforce.panel.bins.rows.values()].at(-1)")
+        assert len(row) == 3 * 10  # three fingers, each with three quantities
+        if what == "gauges":
+            assert row[:3] == [100.0, 100.0, 100.0]
+    shown.source.P[0] = 30.0
+    expect(page.locator(".finger .n").first).to_contain_text("30.0", timeout=WAIT_MS)
+    expect(page.locator("#newtons")).to_have_value("5")
+    page.select_option("#newtons", "fit")
+    expect(page.locator("#newtons")).to_have_value("50")
+
+
+AXE = Path(sys.prefix) / "axe/node_modules/axe-core/axe.min.js"
+
+
+@pytest.mark.parametrize("width", [1280, 390])
+def test_axe_finds_nothing(browser: Browser, tmp_path: Path, width: int) -> None:
+    """Light and dark, live and a recording, every kind of chart."""
+    assert AXE.is_file(), "axe-core is missing: tools/bootstrap.sh test installs it"
+    found = []
+    for dark, source in ((False, MovingSource(2)), (True, recording(tmp_path, 20))):
+        with serving(source, allow_writes=True) as server:
+            page = browser.new_page(viewport={"width": width, "height": 844}, color_scheme="dark" if dark else "light")
+            page.goto(server.url)
+            expect(page.locator(".finger")).to_have_count(2)
+            page.evaluate(AXE.read_text())
+            for what in ("contact", "forces"):
+                page.select_option("#what", what)
+                found += [
+                    (dark, rule["id"], rule["nodes"][0]["html"]) for rule in page.evaluate("axe.run()")["violations"]
+                ]
+            assert page.evaluate("document.documentElement.scrollWidth") <= width
+            if width == 390:
+                assert page.evaluate("document.getElementById('fingers').getBoundingClientRect().top") < 120
+            page.close()
+    assert found == []

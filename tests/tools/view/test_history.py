@@ -82,3 +82,22 @@ def test_more_fingers_find_their_places() -> None:
 @pytest.mark.parametrize("count", [1, 5, 15, 32])
 def test_memory_is_bounded(count: int) -> None:
     assert 2 * History(count, 3).capacity * row_bytes(count, 3) <= MAX_BYTES
+
+
+def test_envelopes_of_gauges_and_forces() -> None:
+    history = History(2, 4, 10)
+    rows = block([0, 1], [[1.0, 2.0], [3.0, np.nan]], gauges=4)
+    rows.gauges[1, 0] = [-250.0, 1.0, 2.0, np.nan]
+    history.append(rows)
+    first = START_NS // (10 * MS)
+    gauges = history.envelope(first, first, 10 * MS, "gauges")
+    assert gauges.low[0, 0].tolist() == [-250.0, 1.0, 2.0, 100.0]
+    assert gauges.high[0, 0].tolist() == [100.0, 100.0, 100.0, 100.0]
+    assert np.isnan(gauges.u).all()
+    forces = history.envelope(first, first, 10 * MS, "forces")  # phi -90, theta 90 degrees: F1 = -P, F2 = 0, F3 = 0
+    assert forces.low[0, :, 0].tolist() == pytest.approx([-3.0, -2.0])
+    assert forces.high[0, :, 0].tolist() == pytest.approx([-1.0, -2.0])
+    assert forces.high[0, 0, 1:].tolist() == pytest.approx([0.0, 0.0], abs=1e-6)
+    assert forces.unknown.tolist() == [[0, 1]]
+    assert history.largest() == (3.0, 250.0)
+    assert History(1, 3, 10).largest() == (0.0, 0.0)

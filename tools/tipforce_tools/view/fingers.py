@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Literal
 
 import numpy as np
@@ -82,6 +83,12 @@ def _gauge(geometry: Geometry, gauge: Gauge) -> dict[str, Any]:
     return {"name": gauge_name(gauge), "beam": spot.beam, "from": [x0, y0], "to": [x1, y1], "out": out}
 
 
+def largest_strain_per_newton(geometry: Geometry) -> float:
+    """Return the largest strain of a face, in microstrain, for 1 N of F1, F2 or F3."""
+    return max(float(np.abs(face["microstrain_per_newton"]).max()) for face in _faces(geometry))
+
+
+@lru_cache(maxsize=16)
 def _faces(geometry: Geometry) -> list[dict[str, Any]]:
     found = []
     for beam, side, face in _FACES:

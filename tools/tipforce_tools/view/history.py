@@ -3,30 +3,35 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce_tools.view.blocks import MISSING, Block
+from tipforce_tools.view.blocks import FAULT, MISSING, SATURATED, Block
 
 MAX_BYTES = 96 << 20
 MAX_ROWS = 600_000
 QUANTITIES = 3
+Charted = Literal["contact", "forces", "gauges"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Envelope:
-    """b bins of k fingers, without empty ones: minimum, maximum and number of unknown rows."""
+    """b bins of k fingers, without empty ones: minimum, maximum and number of unknown rows of q quantities.
+
+    They are P, phi, theta; or F1, F2, F3; or the strain of each gauge.
+    """
 
     index: npt.NDArray[np.int64]
     """(b,) number of each bin: its time is index x width."""
     low: npt.NDArray[np.float32]
-    """(b, k, 3) minimum of P, phi, theta; NaN where none was known."""
+    """(b, k, q) minimum; NaN where none was known."""
     high: npt.NDArray[np.float32]
     u: npt.NDArray[np.float32]
-    """(b, k, 3) largest standard uncertainty; NaN where none was known."""
+    """(b, k, q) largest standard uncertainty; NaN where none was known, and of forces and gauges."""
     unknown: npt.NDArray[np.int64]
-    """(b, k) rows in which P was unknown or the finger missing."""
+    """(b, k) rows in which the first quantity was unknown or the finger missing."""
 
 
 def row_bytes(fingers: int, gauges: int) -> int:
@@ -122,20 +127,41 @@ class History:
         wider.append(new)
         return wider
 
-    def envelope(self, first_bin: int, last_bin: int, width_ns: int) -> Envelope:
+    def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """Return bins first to last (inclusive) of ``width_ns``: they keep extremes and gaps at any width."""
         low, high = np.searchsorted(self.t_ns, (first_bin * width_ns, (last_bin + 1) * width_ns))
         rows = self.part(int(low), int(high))
         number = rows.t_ns // width_ns
         starts = np.flatnonzero(np.diff(number, prepend=number[:1] - 1))
-        unknown = np.isnan(rows.contact[..., 0]) | (rows.status & MISSING != 0)
+        values = rows.gauges if what == "gauges" else forces(rows.contact) if what == "forces" else rows.contact
+        u = rows.u if what == "contact" else np.full_like(values, np.nan)
+        unknown = np.isnan(values[..., 0]) | (rows.status & MISSING != 0)
         if not len(starts):
-            empty = rows.contact[:0]
+            empty = values[:0]
             return Envelope(number, empty, empty, empty, np.zeros(unknown.shape, dtype=np.int64))
         return Envelope(
             number[starts],
-            np.fmin.reduceat(rows.contact, starts, axis=0),
-            np.fmax.reduceat(rows.contact, starts, axis=0),
-            np.fmax.reduceat(rows.u, starts, axis=0),
+            np.fmin.reduceat(values, starts, axis=0),
+            np.fmax.reduceat(values, starts, axis=0),
+            np.fmax.reduceat(u, starts, axis=0),
             np.add.reduceat(unknown.astype(np.int64), starts, axis=0),
         )
+
+    def largest(self) -> tuple[float, float]:
+        """Return the largest P in newtons and the largest strain in microstrain, without sign; 0 if none is known.
+
+        The strain of a finger with a saturated gauge or a fault is that of the converter's limit: it does not count.
+        """
+        rows = self.rows
+        sound = (rows.status & (SATURATED | FAULT) == 0)[..., np.newaxis]
+        lowest, highest = (
+            float(reduce(rows.gauges, axis=None, initial=0.0, where=sound))
+            for reduce in (np.fmin.reduce, np.fmax.reduce)
+        )
+        return float(np.fmax.reduce(rows.contact[..., 0], axis=None, initial=0.0)), max(highest, -lowest)
+
+
+def forces(contact: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+    """Return F1 = P sin(phi), F2 = P sin(phi - theta), F3 = P cos(phi) of (..., 3) P, phi, theta in degrees."""
+    P, phi, theta = (contact[..., k] for k in range(QUANTITIES))
+    return np.stack([P * np.sin(np.radians(phi)), P * np.sin(np.radians(phi - theta)), P * np.cos(np.radians(phi))], -1)

@@ -8,10 +8,9 @@ from typing import Any
 
 import msgspec
 import numpy as np
-import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce_tools.view.history import Envelope
+from tipforce_tools.view.history import Charted, Envelope
 from tipforce_tools.view.model import Model, PageEvent, Picture
 from tipforce_tools.view.states import FingerState
 
@@ -19,6 +18,7 @@ MAX_BINS = 1500
 """Limit per message: a browser that reconnects late gets the newest ones."""
 MAX_EVENTS = 200
 SPEEDS = 0.05, 50.0
+_BIN_DIGITS = 4
 _DIGITS = (4, 3, 3)  # P in N, phi and theta in degrees: one more than the node's resolution
 
 
@@ -53,8 +53,10 @@ class Cursor:
     They are envelopes that keep the extremes, so at most one message is in transit.
     """
 
-    def __init__(self, model: Model, playhead: Playhead, bin_ns: int, after_event: int = 0) -> None:
-        self._model, self._playhead, self._bin_ns = model, playhead, bin_ns
+    def __init__(
+        self, model: Model, playhead: Playhead, bin_ns: int, after_event: int = 0, what: Charted = "contact"
+    ) -> None:
+        self._model, self._playhead, self._bin_ns, self._what = model, playhead, bin_ns, what
         self._bin = playhead.now_ns()[0] // bin_ns
         self._event = after_event
 
@@ -67,7 +69,7 @@ class Cursor:
         # The last bin is not complete: it is sent again.
         self._bin = last
         found = picture_message(self._model, picture)
-        found["bins"] = envelope_message(self._model.envelope(first, last, self._bin_ns))
+        found["bins"] = envelope_message(self._model.envelope(first, last, self._bin_ns, self._what))
         events = self._model.events(self._event, now_ns if not self._is_live(now_ns) else None)[-MAX_EVENTS:]
         if events:
             self._event = events[-1].number
@@ -103,21 +105,16 @@ def picture_message(model: Model, picture: Picture) -> dict[str, Any]:
 
 
 def envelope_message(envelope: Envelope) -> dict[str, Any]:
-    """Encode bins, each with k x 10 numbers: low, high and u of P, phi, theta, and the number of unknown rows."""
-    parts = [_rounded(array) for array in (envelope.low, envelope.high, envelope.u)]
+    """Encode bins, each with k x (3 q + 1) numbers: low, high and u of q quantities, and the number of unknown rows."""
+    parts = [np.round(array.astype(np.float64), _BIN_DIGITS) for array in (envelope.low, envelope.high, envelope.u)]
     unknown = envelope.unknown[..., np.newaxis].astype(np.float64)
     table = np.concatenate([*parts, unknown], axis=-1)
-    return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * 10).tolist()}
+    return {"i": envelope.index.tolist(), "v": table.reshape(len(table), table.shape[1] * table.shape[2]).tolist()}
 
 
 def events_message(model: Model, until_ns: int | None = None) -> list[dict[str, Any]]:
     """Encode the last events up to a time."""
     return [_event(event) for event in model.events(0, until_ns)[-MAX_EVENTS:]]
-
-
-def _rounded(values: npt.NDArray[np.float32]) -> npt.NDArray[np.float64]:
-    wide = values.astype(np.float64)
-    return np.stack([np.round(wide[..., k], digits) for k, digits in enumerate(_DIGITS)], axis=-1)
 
 
 def _state(state: FingerState) -> dict[str, Any]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from tipforce_tools.view.blocks import Block
 from tipforce_tools.view.fingers import Finger
-from tipforce_tools.view.history import Envelope, History
+from tipforce_tools.view.history import Charted, Envelope, History
 from tipforce_tools.view.states import FingerState, finger_states, period_ns
 
 MAX_EVENTS = 2000
@@ -148,10 +148,15 @@ class Model:
             states = finger_states(self._history, moment, len(self._fingers))
             return Picture(moment, start, end, rate_hz, period_ns(t_ns[:last]), states, self.generation)
 
-    def envelope(self, first_bin: int, last_bin: int, width_ns: int) -> Envelope:
+    def envelope(self, first_bin: int, last_bin: int, width_ns: int, what: Charted = "contact") -> Envelope:
         """See History."""
         with self._lock:
-            return self._history.envelope(first_bin, last_bin, width_ns)
+            return self._history.envelope(first_bin, last_bin, width_ns, what)
+
+    def largest(self) -> tuple[float, float]:
+        """See History."""
+        with self._lock:
+            return self._history.largest()
 
     def rows_after(self, t_ns: int, count: int, until_ns: int) -> Block:
         """Return a copy of at most ``count`` rows with t_ns < time <= until_ns."""

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import Annotated, Any
 
 import msgspec
 
 from tipforce.errors import InputError, RefusedError
-from tipforce_tools.view.fingers import drawing
+from tipforce_tools.view.fingers import drawing, largest_strain_per_newton
+from tipforce_tools.view.history import Charted
 from tipforce_tools.view.messages import (
     MAX_BINS,
     Cursor,
@@ -48,6 +50,7 @@ class History(Request):
     start: Milliseconds
     end: Milliseconds
     bin: BinWidth
+    what: Charted = "contact"
 
 
 class Stream(Request):
@@ -58,6 +61,8 @@ class Stream(Request):
     speed: float = 1.0
     after: int = 0
     """Number of the last event known to the page."""
+    what: Charted = "contact"
+    """Quantities of the bins."""
 
 
 class Pause(Request):
@@ -98,9 +103,23 @@ def setup(source: Source, read_only: str) -> dict[str, Any]:
     return {
         "title": source.title, "live": model.live, "generation": model.generation,
         "fingers": [drawing(finger, model.gauges) for finger in model.fingers],
-        "no_tare": source.no_tare or read_only, "events": events_message(model),
-        "picture": picture_message(model, model.picture()),
+        "gauges": model.gauges, "no_tare": source.no_tare or read_only, "events": events_message(model),
+        "picture": picture_message(model, model.picture()), "scale": _scale(model),
     }  # fmt: skip
+
+
+def _scale(model: Model) -> dict[str, float]:
+    """Return the full scales of force and strain: those of a log's rows; of a live page at least the usual ones."""
+    least = (5.0, 500.0) if model.live else (0.5, 50.0)
+    P, strain = model.largest()
+    expected = P * max((largest_strain_per_newton(finger.geometry) for finger in model.fingers), default=0.0)
+    return {"newtons": _nice(max(P, least[0])), "microstrain": _nice(max(strain, expected, least[1]))}
+
+
+def _nice(value: float) -> float:
+    """Return 1, 2 or 5 times a power of ten, at least ``value``."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return next(float(k * power) for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-6))
 
 
 def moment(model: Model, request: At) -> dict[str, Any]:
@@ -117,13 +136,13 @@ def history(model: Model, request: History) -> dict[str, Any]:
     first, last = _ns(request.start) // width_ns, _ns(request.end) // width_ns
     if not 0 <= last - first <= MAX_BINS:
         raise InputError(f"start, end, bin: {last - first} bins, allowed are 0 to {MAX_BINS}")
-    return envelope_message(model.envelope(first, last, width_ns))
+    return envelope_message(model.envelope(first, last, width_ns, request.what))
 
 
 def cursor(model: Model, request: Stream) -> Cursor:
     """Return the position of a page in the stream. Raises InputError for a speed that is not allowed."""
     playhead = Playhead(model, None if request.start is None else _ns(request.start), request.speed)
-    return Cursor(model, playhead, _ns(request.bin), request.after)
+    return Cursor(model, playhead, _ns(request.bin), request.after, request.what)
 
 
 def tare(source: Source, read_only: str, request: Tare) -> dict[str, str]:

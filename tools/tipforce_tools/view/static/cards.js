@@ -1,6 +1,6 @@
 // One card per finger: its picture and its numbers. The DOM is touched only where something changed.
 import { K, QUANTITIES, clock, duration, number } from "./format.js";
-import { drawSection } from "./section.js";
+import { drawSection, pixelsPerMm } from "./section.js";
 
 const make = (tag, className, text = "") => {
   const element = document.createElement(tag);
@@ -27,7 +27,7 @@ export function sizeCanvas(canvas) {
 }
 
 export class Card {
-  constructor(geometry, noTare, choose, tare) {
+  constructor(geometry, choose, tare) {
     this.geometry = geometry;
     this.element = make("article", "finger");
     this.element.dataset.node = geometry.node_id;
@@ -51,16 +51,8 @@ export class Card {
       return parts;
     });
     this.words = make("p", "words");
-    this.tare = make("button", "tare", "Tare\u2026");
-    this.tare.type = "button";
-    this.tare.setAttribute("aria-label", `Tare ${geometry.label}`);
-    this.tare.disabled = Boolean(noTare);
-    if (noTare) {
-      this.tare.title = noTare;
-      this.tare.setAttribute("aria-describedby", "note");
-    }
-    this.tare.addEventListener("click", tare);
-    this.element.append(head, this.canvas, values, this.words, this.tare);
+    this.element.append(head, this.canvas, values, this.words);
+    if (tare) this.element.append(tareButton(geometry.label, tare)); // a page that cannot tare shows no button
     this.described = 0;
   }
 
@@ -106,8 +98,16 @@ export class Card {
   draw(state, scale) {
     const [context, width, height] = sizeCanvas(this.canvas);
     drawSection(context, this.geometry, state, scale, 0, 0, width, height);
-    return width / 52;
+    return pixelsPerMm(this.geometry, width, height);
   }
+}
+
+function tareButton(label, tare) {
+  const button = make("button", "tare", "Tare\u2026");
+  button.type = "button";
+  button.setAttribute("aria-label", `Tare ${label}`);
+  button.addEventListener("click", tare);
+  return button;
 }
 
 export function sense(state) {

@@ -1,68 +1,19 @@
-// Strip charts of P, phi and theta, from bins with minimum, maximum and uncertainty.
-import { K, QUANTITIES, clock, nice, number } from "./format.js";
+// Strip charts of curves: bins with minimum, maximum and uncertainty, the name at each curve's end.
+import { nearest } from "./bins.js";
+import { K, clock, nice, number } from "./format.js";
 import { colour, font } from "./theme.js";
 
-const FIELDS = 10; // per finger: low x 3, high x 3, u x 3, unknown rows
-
-// The bins of all fingers, by their number: time = number x width.
-export class Bins {
-  constructor(widthMs) {
-    this.widthMs = widthMs;
-    this.rows = new Map();
-    this.keys = null; // sorted bin numbers, if computed
-  }
-
-  add(bins) {
-    bins.i.forEach((index, n) => this.set(index, bins.v[n]));
-  }
-
-  set(index, row) {
-    if (!this.rows.has(index)) this.keys = null;
-    this.rows.set(index, row);
-  }
-
-  // Calls with (time, row) for each bin of a span, in the order of time.
-  each(fromMs, toMs, call) {
-    this.keys ??= [...this.rows.keys()].sort((a, b) => a - b);
-    for (const index of this.keys) {
-      const t = index * this.widthMs;
-      if (t >= fromMs - this.widthMs && t <= toMs) call(t, this.rows.get(index));
-    }
-  }
-
-  prune(firstMs) {
-    const first = Math.floor(firstMs / this.widthMs) - 2;
-    for (const index of this.rows.keys()) {
-      if (index < first) {
-        this.rows.delete(index);
-        this.keys = null;
-      }
-    }
-  }
-
-  // [{t, low, high, u, unknown}] of one quantity of one finger, in the order of time; low is null where unknown.
-  series(finger, quantity, fromMs, toMs) {
-    const found = [], base = finger * FIELDS;
-    this.each(fromMs, toMs, (t, row) => {
-      if (row.length < base + FIELDS) return;
-      found.push({
-        t, low: row[base + quantity], high: row[base + 3 + quantity], u: row[base + 6 + quantity], unknown: row[base + 9],
-      });
-    });
-    return found;
-  }
-}
-
-export const LEFT = 46;
+export const LEFT = 46, RIGHT = 62; // pixels for the values and for the names of the curves
 const ANGLES = [1, 2, 5, 10, 15, 30, 45, 90];
+const LINE = 12; // height of a name
 
-// options: {bins, fingers, chosen, quantity, from, to, periodMs, events, axis}
+// options: {bins, curves, title, unit, digits, range, least, from, to, periodMs, events, node, axis, cursor, pointer}
+// A curve is {name, finger, quantity, colour, main}; range is [lowest, highest], or null to fit the values.
 export function drawChart(context, options, x, y, width, height) {
-  const { bins, fingers, chosen, quantity, from, to, axis } = options;
-  const what = QUANTITIES[quantity];
-  const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - 4;
-  const series = bins.series(chosen, quantity, from, to);
-  const [least, most, step] = range(options, series);
+  const { bins, curves, from, to, axis } = options;
+  const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - RIGHT;
+  const drawn = curves.map((curve) => ({ ...curve, series: bins.series(curve, from, to) }));
+  const [least, most, step] = range(options, drawn);
   const px = (t) => left + ((t - from) / (to - from)) * (right - left);
   const py = (value) => bottom - ((value - least) / (most - least)) * (bottom - top);
   context.save();
@@ -73,43 +24,121 @@ export function drawChart(context, options, x, y, width, height) {
   context.rect(left, top - 6, right - left, bottom - top + 12);
   context.clip();
   const joint = 2.5 * options.periodMs + 1.1 * bins.widthMs; // the time of a bin is known to its width
-  others(context, options, joint, px, py);
   const w = Math.max(1, px(from + bins.widthMs) - left);
-  band(context, series, joint, px, py, w);
-  envelope(context, series, px, py, w);
-  line(context, series, joint, px, py, colour.select, 1.6);
-  gaps(context, series, px, bottom, w);
-  marks(context, options.events, chosen, fingers, px, from, to, top, bottom);
+  for (const curve of drawn) {
+    if (curve.main) band(context, curve.series, joint, px, py, w);
+    if (curve.main) envelope(context, curve, px, py, w);
+    line(context, curve.series, joint, px, py, curve.colour, curve.main ? 1.6 : 1);
+  }
+  const [first] = drawn.filter((curve) => curve.main);
+  if (first) gaps(context, first.series, px, bottom, w);
+  marks(context, options, px, top, bottom);
+  if (options.selected) {
+    const [a, b] = options.selected.map(px);
+    context.fillStyle = colour.select;
+    context.globalAlpha = 0.15;
+    context.fillRect(Math.min(a, b), top, Math.abs(b - a), bottom - top);
+    context.globalAlpha = 1;
+  }
+  if (options.cursor !== null) upright(context, px(options.cursor), top, bottom, colour.ink, 1.4);
+  if (options.pointer !== null) upright(context, px(options.pointer), top, bottom, colour.soft, 1);
   context.restore();
+  names(context, drawn, py, right, top, bottom, most, least);
+  heading(context, options, drawn, joint, left, y + 10, x + width - 2, most, least);
+}
+
+function upright(context, at, top, bottom, style, width) {
+  context.strokeStyle = style;
+  context.lineWidth = width;
+  context.beginPath();
+  context.moveTo(Math.round(at) + 0.5, top - 4);
+  context.lineTo(Math.round(at) + 0.5, bottom + 4);
+  context.stroke();
+}
+
+// The name of each curve, at the height of its last value; names that would overlap are moved apart.
+function names(context, drawn, py, right, top, bottom, most, least) {
+  const places = [];
+  for (const curve of drawn) {
+    const last = curve.series.findLast((bin) => bin.low !== null);
+    if (!last) continue;
+    const value = Math.min(most, Math.max(least, (last.low + last.high) / 2));
+    places.push({ curve, y: py(value), end: py(value) });
+  }
+  places.sort((a, b) => a.y - b.y);
+  places.forEach((place, n) => { if (n) place.y = Math.max(place.y, places[n - 1].y + LINE); });
+  let limit = bottom + 4;
+  for (const place of places.toReversed()) {
+    place.y = Math.min(place.y, limit);
+    limit = place.y - LINE;
+  }
+  context.textAlign = "left";
+  context.textBaseline = "middle";
+  for (const { curve, y, end } of places) {
+    context.strokeStyle = curve.main ? curve.colour : colour.other;
+    context.lineWidth = 0.8;
+    context.beginPath();
+    context.moveTo(right, end);
+    context.lineTo(right + 6, y);
+    context.stroke();
+    context.font = `${curve.main ? "600 " : ""}11px ${font.family}`;
+    context.fillStyle = curve.main ? curve.colour : colour.soft;
+    context.fillText(curve.name, right + 8, y, RIGHT - 8);
+  }
+}
+
+// The title, and the values under the pointer.
+function heading(context, options, drawn, joint, left, baseline, right, most, least) {
   context.font = `600 12px ${font.family}`;
   context.fillStyle = colour.ink;
   context.textAlign = "left";
   context.textBaseline = "alphabetic";
-  context.fillText(`${what.symbol} in ${what.unit === "\u00b0" ? "degrees" : what.unit}`, left, y + 10);
+  context.fillText(options.title, left, baseline);
+  let at = left + context.measureText(options.title).width + 14;
+  const beyond = drawn.some(({ series }) => series.some(({ low, high }) => low !== null && (high > most + 1e-9 || low < least - 1e-9)));
+  if (beyond && options.range) {
+    context.fillStyle = colour.bad;
+    context.fillText("beyond the scale", at, baseline);
+    at += context.measureText("beyond the scale").width + 14;
+  }
+  if (options.pointer === null) return;
+  context.font = `12px ${font.family}`;
+  const words = [[clock(options.pointer, 2), colour.soft]];
+  const order = [...drawn.filter((curve) => curve.main), ...drawn.filter((curve) => !curve.main)];
+  for (const curve of order) words.push([`${curve.name} ${reading(nearest(curve.series, options.pointer, joint), options.digits)}`, curve.main ? curve.colour : colour.soft]);
+  for (const [text, style] of words) {
+    const width = context.measureText(text).width;
+    if (at + width > right) return;
+    context.fillStyle = style;
+    context.fillText(text, at, baseline);
+    at += width + 12;
+  }
 }
 
-function range({ bins, fingers, quantity, from, to }, series) {
-  let least = Infinity, most = -Infinity;
-  bins.each(from, to, (_, row) => {
-    for (let n = 0; n < fingers.length; n += 1) {
-      const low = row[n * FIELDS + quantity] ?? null, high = row[n * FIELDS + 3 + quantity];
-      if (low === null) continue;
-      if (low < least) least = low;
-      if (high > most) most = high;
-    }
-  });
-  for (const { low, high, u } of series) {
-    if (low === null || u === null) continue;
-    const extra = Math.min(K * u, 30);
-    least = Math.min(least, low - extra);
-    most = Math.max(most, high + extra);
+function reading(bin, digits) {
+  if (!bin) return "unknown";
+  const spread = bin.u === null ? "" : ` \u00b1 ${number(K * bin.u, digits)}`;
+  const low = number(bin.low, digits), high = number(bin.high, digits);
+  return (low === high ? low : `${low} to ${high}`) + spread;
+}
+
+function range({ range: fixed, least: span, degrees }, drawn) {
+  if (fixed) {
+    const step = nice((fixed[1] - fixed[0]) / (fixed[0] < 0 ? 4 : 5));
+    return [fixed[0], fixed[1], step];
   }
-  if (!Number.isFinite(least)) [least, most] = quantity ? [0, 180] : [0, 1];
-  // A force is not negative, even if its band extends below zero.
-  if (quantity === 0) least = 0;
-  const span = Math.max(most - least, QUANTITIES[quantity].least);
-  const step = quantity ? ANGLES.find((angle) => angle >= span / 4) ?? 90 : nice(span / 4);
-  if (quantity) [least, most] = [Math.max(least, -180), Math.min(most, 180)];
+  let least = Infinity, most = -Infinity;
+  for (const { series, main } of drawn) {
+    for (const { low, high, u } of series) {
+      if (low === null) continue;
+      const extra = main && u !== null ? Math.min(K * u, 30) : 0;
+      least = Math.min(least, low - extra);
+      most = Math.max(most, high + extra);
+    }
+  }
+  if (!Number.isFinite(least)) [least, most] = [0, 180];
+  const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, span) / 4) ?? 90 : nice(Math.max(most - least, span) / 4);
+  [least, most] = [Math.max(least, -180), Math.min(most, 180)];
   const bottom = Math.floor(least / step + 1e-9) * step;
   return [bottom, Math.max(Math.ceil(most / step - 1e-9) * step, bottom + step), step];
 }
@@ -131,7 +160,7 @@ function grid(context, { left, right, least, most, step, py, digits }) {
 }
 
 function timeAxis(context, { left, right, from, to, px, bottom }) {
-  const step = nice((to - from) / 1000 / 5) * 1000;
+  const step = nice((to - from) / 1000 / Math.max(2, Math.min(8, (right - left) / 110))) * 1000;
   context.textBaseline = "top";
   for (let t = Math.ceil(from / step) * step; t <= to; t += step) {
     const at = px(t);
@@ -152,26 +181,6 @@ function* runs(series, joint) {
     if (bin.low !== null) run.push(bin);
   }
   if (run.length) yield run;
-}
-
-// The other fingers, thin: all in one path.
-function others(context, { bins, fingers, chosen, quantity, from, to }, joint, px, py) {
-  context.strokeStyle = colour.other;
-  context.lineWidth = 1;
-  context.beginPath();
-  for (let n = 0; n < fingers.length; n += 1) {
-    if (n === chosen) continue;
-    const low = n * FIELDS + quantity, high = low + 3;
-    let last = -Infinity;
-    bins.each(from, to, (t, row) => {
-      if ((row[low] ?? null) === null) return;
-      const x = px(t), y = py((row[low] + row[high]) / 2);
-      if (t - last > joint) context.moveTo(x, y);
-      else context.lineTo(x, y);
-      last = t;
-    });
-  }
-  context.stroke();
 }
 
 function line(context, series, joint, px, py, style, width) {
@@ -206,8 +215,8 @@ function band(context, series, joint, px, py, width) {
   context.globalAlpha = 1;
 }
 
-function envelope(context, series, px, py, width) {
-  context.fillStyle = colour.select;
+function envelope(context, { series, colour: style }, px, py, width) {
+  context.fillStyle = style;
   context.globalAlpha = 0.55;
   for (const { t, low, high } of series) {
     if (low !== null && high > low) context.fillRect(px(t), py(high), width, py(low) - py(high));
@@ -220,12 +229,12 @@ function gaps(context, series, px, bottom, width) {
   for (const { t, unknown } of series) if (unknown > 0) context.fillRect(px(t), bottom + 1, Math.max(width, 1), 4);
 }
 
-function marks(context, events, chosen, fingers, px, from, to, top, bottom) {
+function marks(context, { events, node, from, to }, px, top, bottom) {
   context.strokeStyle = colour.bad;
   context.setLineDash([3, 3]);
   context.lineWidth = 1;
   for (const event of events) {
-    if (event.t < from || event.t > to || !isBad(event) || (event.node && event.node !== fingers[chosen]?.node_id)) continue;
+    if (event.t < from || event.t > to || !isBad(event) || (event.node && event.node !== node)) continue;
     context.beginPath();
     context.moveTo(px(event.t), top);
     context.lineTo(px(event.t), bottom);

@@ -24,6 +24,12 @@ export function duration(ms) {
   return seconds < 100 ? `${number(seconds, 1)} s` : `${Math.floor(seconds / 60)} min ${two(Math.floor(seconds % 60))} s`;
 }
 
+// A width of time: 0.25 s, 10 s, 2 min, 1.5 h.
+export function spanText(seconds) {
+  const [value, unit] = seconds < 60 ? [seconds, "s"] : seconds < 3600 ? [seconds / 60, "min"] : [seconds / 3600, "h"];
+  return `${Number(value.toPrecision(3))} ${unit}`;
+}
+
 // 1, 2 or 5 times a power of ten, at least `value`.
 export function nice(value) {
   const power = 10 ** Math.floor(Math.log10(Math.max(value, 1e-9)));

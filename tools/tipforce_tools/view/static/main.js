@@ -1,14 +1,15 @@
 // The page: data from the server, the view of it, and the moment shown.
+import { drawAngles } from "./angles.js";
 import { Card, sizeCanvas } from "./cards.js";
-import { Bins, LEFT, drawChart, isBad } from "./charts.js";
+import { isBad } from "./charts.js";
 import { Link, fetchCsv, save } from "./link.js";
 import { savePicture } from "./picture.js";
-import { QUANTITIES, clock, duration, nice, number } from "./format.js";
+import { clock, duration, nice, number } from "./format.js";
+import { Panel } from "./panel.js";
 import { MARGIN, drawLegend } from "./section.js";
 import { startTheme } from "./theme.js";
 
 const LATE_MS = 500; // an older message, or a longer silence of the server, is not "live"
-const BINS = 500; // in a chart's width
 const calm = matchMedia("(prefers-reduced-motion: reduce)");
 const $ = (id) => document.getElementById(id);
 
@@ -16,10 +17,10 @@ const page = {
   setup: null, cards: [], chosen: 0,
   mode: "wait", // live, paused, replay, wait
   message: null, // the last one of the server
-  states: [], events: [], bins: new Bins(20),
-  windowMs: 10000, speed: 1,
+  states: [], events: [], speed: 1,
   lateBy: Infinity, arrived: 0, link: null, stream: 0, lost: false,
-  scale: { mmPerNewton: 2, fullStrain: 200, barNewtons: 2, pixelsPerMm: 4 },
+  scale: null, // full scales {newtons, microstrain}: fixed unless the user changes them
+  pixelsPerMm: 4,
   dirty: false, drawnAt: 0, asked: 0,
 };
 const inSight = new Set();
@@ -27,8 +28,16 @@ const sight = new IntersectionObserver((entries) => {
   for (const { target, isIntersecting } of entries) inSight[isIntersecting ? "add" : "delete"](target);
   page.dirty = true;
 });
-// For measurements: messages received and pictures drawn so far.
-window.tipforce = { messages: 0, drawn: 0, longest: 0 };
+const panel = new Panel(page, {
+  ask: (request) => page.link.ask(request),
+  moveTo: (t) => scrubTo(Math.min(Math.max(t, page.message.start), page.message.end)),
+  changed: (span) => { page.dirty = true; if (span) respan(); },
+  built: (canvases) => { canvases.forEach((canvas) => sight.observe(canvas)); page.dirty = true; },
+  pause: () => pause(),
+  failed,
+});
+// For measurements and tests: messages received and pictures drawn so far, and the charts.
+window.tipforce = { messages: 0, drawn: 0, longest: 0, panel };
 
 // --- start -----------------------------------------------------------------------------------------------------
 
@@ -38,23 +47,24 @@ async function begin() {
   $("title").textContent = setup.title;
   document.title = `tipforce: ${setup.title}`;
   page.events = setup.events;
-  page.cards = setup.fingers.map((geometry, n) => new Card(geometry, setup.no_tare, () => choose(n), () => tare(geometry)));
+  page.cards = setup.fingers.map((geometry, n) => new Card(geometry, () => choose(n), setup.no_tare ? null : () => tare(geometry)));
   sight.disconnect();
-  document.querySelectorAll(".chart").forEach((canvas) => sight.observe(canvas));
+  page.scale ??= setup.scale;
+  offerScales();
   page.cards.forEach((card) => sight.observe(card.canvas));
   $("fingers").replaceChildren(...page.cards.map((card) => card.element));
   choose(Math.min(page.chosen, Math.max(0, page.cards.length - 1)));
   const missing = setup.fingers.some((finger) => !finger.gauges.length) ? "Gauge positions are not known: see --layout. " : "";
   const spread = setup.fingers.every((finger) => finger.calibrated_here) ? "" : "Uncertainty: only with a calibration or a health PDO. ";
-  $("note").textContent = missing + spread + (setup.no_tare ? `Tare is off: ${setup.no_tare}.` : "");
-  $("live").hidden = !setup.live;
+  $("note").textContent = missing + spread;
+  $("band").hidden = false;
   showEvents();
   take(setup.picture);
+  panel.begin(setup);
   if (setup.live) goLive();
-  else goTo(Math.min(setup.picture.start + page.windowMs, setup.picture.end));
+  else if (calm.matches) goTo(setup.picture.start);
+  else play();
 }
-
-const binMs = () => Math.max(0.5, page.windowMs / BINS);
 
 // --- time ------------------------------------------------------------------------------------------------------
 
@@ -62,7 +72,7 @@ function listen(parameters) {
   page.arrived = performance.now();
   page.lateBy = Infinity;
   const after = page.events.length ? page.events[page.events.length - 1].n : 0;
-  page.stream = page.link.send({ do: "stream", bin: binMs(), after, ...parameters });
+  page.stream = page.link.send({ do: "stream", bin: panel.binMs, what: panel.what, after, ...parameters });
 }
 
 // The server may have changed: a live page starts again, a paused one keeps its picture.
@@ -77,9 +87,9 @@ function disconnected() {
 
 async function goLive() {
   setMode("live");
-  const until = page.message.t;
+  panel.follow(page.message.end, true);
   listen({});
-  await fillCharts(until);
+  await panel.fill();
 }
 
 async function play() {
@@ -87,8 +97,16 @@ async function play() {
   const atEnd = page.message.t >= page.message.end - 1;
   const from = !page.setup.live && atEnd ? page.message.start : page.message.t;
   setMode("replay");
+  panel.follow(from, false);
   listen({ start: from, speed: page.speed });
-  await fillCharts(from);
+  await panel.fill();
+}
+
+// The span of the charts has changed, or what they show.
+async function respan() {
+  if (page.mode === "live") await goLive();
+  else if (page.mode === "replay") await play();
+  else await panel.fill();
 }
 
 function pause() {
@@ -98,27 +116,33 @@ function pause() {
 }
 
 async function goTo(t) {
-  pause();
+  if (page.mode !== "paused") pause();
   const turn = (page.asked += 1);
   const message = await page.link.ask({ do: "at", t }).catch(failed);
   if (!message || turn !== page.asked || page.mode !== "paused") return;
   take(message);
-  await fillCharts(message.t);
+  if (panel.follow(message.t, false) || !panel.bins.rows.size) await panel.fill();
 }
 
-async function fillCharts(until) {
-  const bins = new Bins(binMs()), { mode } = page;
-  page.bins = bins;
-  const found = await page.link.ask({ do: "history", start: until - page.windowMs, end: until, bin: bins.widthMs }).catch(failed);
-  if (!found || page.bins !== bins || page.mode !== mode) return;
-  found.i.forEach((index, n) => { if (!bins.rows.has(index)) bins.set(index, found.v[n]); });
-  page.dirty = true;
+let next = null, busy = false;
+async function scrubTo(t) { // one request at a time: fast dragging must not fill the server's queue
+  next = t;
+  if (busy) return;
+  busy = true;
+  while (next !== null) {
+    const wanted = next;
+    next = null;
+    await goTo(wanted);
+  }
+  busy = false;
 }
 
 function setMode(mode) {
   page.mode = mode;
   page.dirty = true;
   $("play").textContent = mode === "paused" ? "Play" : "Pause";
+  $("live").hidden = !page.setup.live || mode === "live";
+  $("speed").parentElement.hidden = mode === "live"; // the speed of a replay
   showMode();
 }
 
@@ -143,14 +167,16 @@ function receive(message) {
     begin().catch(failed);
     return;
   }
-  page.bins.add(message.bins);
-  page.bins.prune(message.t - page.windowMs * 1.1);
+  panel.bins.add(message.bins);
+  const live = page.mode === "live";
   if (message.events) {
     page.events = [...page.events, ...message.events].slice(-500);
     showEvents();
     speak(message.events);
   }
   take(message);
+  if (panel.follow(message.t, live)) panel.fill();
+  panel.bins.prune(panel.from - 0.1 * panel.widthMs);
   if (message.ended) pause();
 }
 
@@ -161,6 +187,7 @@ function take(message) {
   }
   page.message = message;
   page.states = message.fingers.map(stateOf);
+  panel.offer(page.states);
   page.dirty = true;
 }
 
@@ -194,57 +221,52 @@ function paint(everything) {
   const begun = performance.now();
   page.dirty = false;
   const states = shownStates(), { message } = page;
-  setScale(states);
+  const scale = drawingScale();
   page.cards.forEach((card, n) => {
     const state = states[n];
     if (!state) return;
     card.show(state, message.t, page.mode === "live", page.mode === "live" && message.nmt ? message.nmt[n] ?? "" : nmtOf(card.geometry.node_id, message.t));
-    if (everything || inSight.has(card.canvas)) page.scale.pixelsPerMm = card.draw(state, page.scale);
+    if (everything || inSight.has(card.canvas)) page.pixelsPerMm = card.draw(state, scale);
   });
   const [context, width, height] = sizeCanvas($("legend"));
-  drawLegend(context, page.scale, width, height);
-  drawCharts(everything);
+  drawLegend(context, { ...scale, pixelsPerMm: page.pixelsPerMm }, width, height);
+  drawAngles(...sizeCanvas($("angles")));
+  panel.draw((canvas) => everything || inSight.has(canvas));
   showBus(message);
   showTime(message);
   window.tipforce.drawn += 1;
   window.tipforce.longest = Math.max(window.tipforce.longest, performance.now() - begun);
 }
 
-// Steps of 1, 2, 5: a scale that follows each value would hide changes.
-function setScale(states) {
-  const { scale } = page;
-  const strain = Math.max(50, ...states.flatMap((s) => (s.gauges ?? []).map((g) => Math.abs(g ?? 0))));
-  const P = Math.max(0.5, ...states.map((s) => s.P ?? 0));
-  if (strain > scale.fullStrain || strain < 0.15 * scale.fullStrain) scale.fullStrain = nice(strain);
-  const longest = P * scale.mmPerNewton;
-  if (longest > MARGIN || longest < 0.15 * MARGIN) scale.mmPerNewton = MARGIN / nice(P);
-  scale.barNewtons = nice((0.4 * MARGIN) / scale.mmPerNewton);
-}
-
-export function chartOptions(quantity) {
-  const to = page.message.t;
-  return {
-    bins: page.bins, fingers: page.setup.fingers, chosen: page.chosen, quantity, from: to - page.windowMs, to,
-    periodMs: page.message.period || 0, events: page.events, axis: quantity === 2,
-  };
-}
-
-function drawCharts(everything) {
-  for (const canvas of document.querySelectorAll(".chart")) {
-    if (!everything && !inSight.has(canvas)) continue;
-    const [context, width, height] = sizeCanvas(canvas);
-    drawChart(context, chartOptions(Number(canvas.dataset.quantity)), 0, 0, width, height);
+// The lists of full scales; the present one is always among them.
+function offerScales() {
+  for (const [name, unit] of [["newtons", "N"], ["microstrain", "microstrain"]]) {
+    const steps = name === "newtons" ? [0.5, 1, 2, 5, 10, 20, 50] : [50, 100, 200, 500, 1000, 2000, 5000];
+    const values = [...new Set([...steps, page.scale[name]])].sort((a, b) => a - b);
+    $(name).replaceChildren(...values.map((value) => new Option(`${value} ${unit}`, String(value))), new Option("fit", "fit"));
+    $(name).value = String(page.scale[name]);
   }
+}
+
+// "fit" takes the smallest step that holds the present values.
+function setScale(name, text) {
+  const values = name === "newtons" ? page.states.map((s) => s.P ?? 0) : page.states.flatMap((s) => (s.gauges ?? []).map((g) => Math.abs(g ?? 0)));
+  page.scale[name] = text === "fit" ? nice(Math.max(name === "newtons" ? 0.5 : 50, ...values)) : Number(text);
+  offerScales();
+  page.dirty = true;
+}
+
+function drawingScale() {
+  return { mmPerNewton: MARGIN / page.scale.newtons, fullStrain: page.scale.microstrain, newtons: page.scale.newtons };
 }
 
 function showBus({ rate, period, counters, error }) {
   const sum = (list) => list.reduce((total, value) => total + value, 0);
-  const load = counters.load[0] === null ? "not known"
-    : `${number(100 * counters.load[0], 1)} to ${number(100 * counters.load[1], 1)} %`;
+  const load = `${number(100 * counters.load[0], 1)} to ${number(100 * counters.load[1], 1)} %`;
   const entries = [
     ["rate", rate ? `${number(rate, rate < 100 ? 1 : 0)} Hz` : "no SYNC", !rate],
-    ["period", period ? `${number(period, 3)} ms` : "\u2013"],
-    ["bus load", load, counters.load[1] > 0.8],
+    ...(period ? [["period", `${number(period, 3)} ms`]] : []),
+    ...(counters.load[0] === null ? [] : [["bus load", load, counters.load[1] > 0.8]]),
     ["rows", String(counters.rows)],
     ["missing", String(sum(counters.missing)), sum(counters.missing) > 0],
     ["late", String(sum(counters.late)), sum(counters.late) > 0],
@@ -254,7 +276,7 @@ function showBus({ rate, period, counters, error }) {
   ];
   if (counters.jitter_p99_us !== null) entries.push(["SYNC jitter p99", `${number(counters.jitter_p99_us, 0)} \u00b5s`]);
   const list = $("bus");
-  if (list.children.length !== entries.length) {
+  if (list.children.length !== entries.length || entries.some(([name], n) => list.children[n].firstChild.textContent !== name)) {
     list.replaceChildren(...entries.map(([name]) => {
       const row = document.createElement("div"), term = document.createElement("dt"), value = document.createElement("dd");
       term.textContent = name;
@@ -274,16 +296,16 @@ function showBus({ rate, period, counters, error }) {
 
 function showTime({ t, start, end }) {
   const scrub = $("scrub");
+  const step = Math.max(10, (end - start) / 500);
   scrub.min = start;
-  scrub.max = Math.max(end, start + 1);
-  if (page.mode === "live") scrub.value = scrub.max;
+  scrub.max = start + Math.max(1, Math.ceil((end - start) / step)) * step;
+  scrub.step = step;
+  if (page.mode === "live" || t >= end) scrub.value = scrub.max;
   else if (document.activeElement !== scrub || page.mode === "replay") scrub.value = t;
   const behind = page.setup.live && page.mode !== "live" ? `  \u2212${duration(Math.max(0, end - t))}` : "";
   const text = clock(t, 2) + behind;
   $("when").textContent = text;
   scrub.setAttribute("aria-valuetext", text);
-  const step = Math.max(10, Math.round((end - start) / 500));
-  scrub.step = step > 10 ? step : 10;
 }
 
 function nmtOf(node, until) {
@@ -321,11 +343,7 @@ function choose(n) {
   page.chosen = n;
   page.cards.forEach((card, k) => card.choose(k === n));
   const label = page.setup.fingers[n]?.label ?? "";
-  $("charted").textContent = `Contact over time: ${label}`;
-  document.querySelectorAll(".chart").forEach((canvas) => {
-    const { symbol, name, unit } = QUANTITIES[canvas.dataset.quantity];
-    canvas.setAttribute("aria-label", `${name} ${symbol} of ${label} over time, ${unit}`);
-  });
+  panel.label();
   page.dirty = true;
 }
 
@@ -353,31 +371,9 @@ function wire() {
     page.speed = Number($("speed").value);
     if (page.mode === "replay") play();
   });
-  $("window").addEventListener("change", () => {
-    page.windowMs = 1000 * Number($("window").value);
-    if (page.mode === "live") goLive();
-    else if (page.mode === "replay") play();
-    else goTo(page.message.t);
-  });
-  let next = null, busy = false;
-  const scrubTo = async (t) => { // one request at a time: fast dragging must not fill the server's queue
-    next = t;
-    if (busy) return;
-    busy = true;
-    while (next !== null) {
-      const wanted = next;
-      next = null;
-      await goTo(wanted);
-    }
-    busy = false;
-  };
-  $("scrub").addEventListener("input", () => scrubTo(Number($("scrub").value)));
-  document.querySelectorAll(".chart").forEach((canvas) => canvas.addEventListener("click", (event) => {
-    const share = (event.offsetX - LEFT) / (canvas.clientWidth - LEFT - 4);
-    const t = page.message.t - page.windowMs * (1 - Math.min(1, Math.max(0, share)));
-    scrubTo(Math.max(t, page.message.start));
-  }));
-  $("png").addEventListener("click", () => savePicture(page, shownStates(), chartOptions));
+  for (const name of ["newtons", "microstrain"]) $(name).addEventListener("change", () => setScale(name, $(name).value));
+  $("scrub").addEventListener("input", () => scrubTo(Math.min(Number($("scrub").value), page.message.end)));
+  $("png").addEventListener("click", () => savePicture(page, shownStates(), panel, { ...drawingScale() }));
   $("csv").addEventListener("click", () => fetchCsv().then((blob) => save(blob, "tipforce.csv"), failed));
   document.addEventListener("keydown", (event) => {
     if (event.key !== " " || event.target.closest("button, select, input, a, dialog")) return;

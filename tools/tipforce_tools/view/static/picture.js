@@ -3,14 +3,15 @@ import { drawChart } from "./charts.js";
 import { sense, stateText } from "./cards.js";
 import { K, QUANTITIES, clock, number } from "./format.js";
 import { save } from "./link.js";
-import { drawLegend, drawSection } from "./section.js";
+import { drawLegend, drawSection, pixelsPerMm } from "./section.js";
 import { colour, font } from "./theme.js";
 
-const WIDTH = 1280, CARD = 248, CARD_HEIGHT = 290, CHART = 120, RATIO = 2;
+const WIDTH = 1280, CARD = 248, CARD_HEIGHT = 310, SECTION = 215, CHART = 120, RATIO = 2;
 
-export function paintPicture(page, states, chartOptions) {
+export function paintPicture(page, states, panel, scale) {
   const perRow = Math.max(1, Math.floor((WIDTH - 20) / CARD)), rows = Math.ceil(states.length / perRow);
-  const height = 84 + rows * CARD_HEIGHT + 3 * CHART + 40;
+  const charts = panel.canvases.length, chart = charts > 1 ? CHART : 2 * CHART;
+  const height = 84 + rows * CARD_HEIGHT + charts * chart + 40;
   const canvas = document.createElement("canvas");
   canvas.width = WIDTH * RATIO;
   canvas.height = height * RATIO;
@@ -30,8 +31,9 @@ export function paintPicture(page, states, chartOptions) {
   write(`${page.mode}, ${day} ${clock(page.message.t, 2)} (times are local, the date is UTC)`, 16, 48, "12px", colour.soft);
   context.save();
   context.translate(16, 54);
-  const scale = { ...page.scale, pixelsPerMm: (CARD - 16) / 52 };
-  drawLegend(context, scale, 430, 26);
+  const geometry = page.setup.fingers[0];
+  const perMm = geometry ? pixelsPerMm(geometry, CARD - 16, SECTION) : 4;
+  drawLegend(context, { ...scale, pixelsPerMm: perMm }, 430, 26);
   context.restore();
   states.forEach((state, n) => {
     const x = 10 + (n % perRow) * CARD, y = 84 + Math.floor(n / perRow) * CARD_HEIGHT;
@@ -39,19 +41,19 @@ export function paintPicture(page, states, chartOptions) {
     const word = state.word === "live" && page.mode !== "live" ? "recorded" : state.word;
     write(`${geometry.label}  (node ${geometry.node_id})`, x + 8, y + 16, "600 13px");
     write(`${stateText(state, word, page.message.t)}  ${sense(state)}`, x + 8, y + 32, "12px", colour.soft);
-    drawSection(context, geometry, state, scale, x + 8, y + 38, CARD - 16, 195);
+    drawSection(context, geometry, state, scale, x + 8, y + 38, CARD - 16, SECTION);
     const values = [state.P, state.phi, state.theta], spreads = [state.uP, state.uPhi, state.uTheta];
     QUANTITIES.forEach(({ symbol, unit, digits }, k) => {
       const spread = spreads[k] === null ? "" : ` \u00b1 ${number(K * spreads[k], digits)}`;
-      write(`${symbol} ${values[k] === null ? "unknown" : `${number(values[k], digits)}${spread} ${unit}`}`, x + 8, y + 250 + 15 * k, "12px");
+      write(`${symbol} ${values[k] === null ? "unknown" : `${number(values[k], digits)}${spread} ${unit}`}`, x + 8, y + 270 + 15 * k, "12px");
     });
   });
   const top = 84 + rows * CARD_HEIGHT + 20;
-  write(`Contact over time: ${page.setup.fingers[page.chosen]?.label ?? ""}; bands: k = ${K}`, 16, top, "600 13px");
-  QUANTITIES.forEach((_, k) => drawChart(context, chartOptions(k), 10, top + 8 + k * CHART, WIDTH - 20, CHART));
+  write(`${document.getElementById("charted").textContent}; bands: k = ${K}`, 16, top, "600 13px");
+  panel.canvases.forEach((_, k) => drawChart(context, panel.chartOptions(k), 10, top + 8 + k * chart, WIDTH - 20, chart));
   return canvas;
 }
 
-export function savePicture(page, states, chartOptions) {
-  paintPicture(page, states, chartOptions).toBlob((blob) => save(blob, "tipforce.png"), "image/png");
+export function savePicture(page, states, panel, scale) {
+  paintPicture(page, states, panel, scale).toBlob((blob) => save(blob, "tipforce.png"), "image/png");
 }

@@ -2,16 +2,15 @@
 import { K, signed } from "./format.js";
 import { colour, font, strainColour } from "./theme.js";
 
-export const MARGIN = 11; // around the tip, for the arrow
+export const MARGIN = 8.5; // mm around the tip: the length of the full scale of force
+const BASE = 2.6, BELOW = 3; // height of the base, and the lowest point below the vertical beam
 const LEG = 2, LEG_TOP = 2.5, SLIT = 0.25, STRIP = 0.8, GAUGE = 1.7;
 const RADIANS = Math.PI / 180;
 
 // state: {word, P, phi, theta, uP, uPhi, uTheta, gauges}, angles in degrees, null for unknown.
 // scale: {mmPerNewton, fullStrain}. The drawing fills width x height at x, y of the context.
 export function drawSection(context, geometry, state, scale, x, y, width, height) {
-  const { a, d, r, h1 } = geometry;
-  const half = r + MARGIN, low = -(d + 0.5 * h1 + 4.2), high = r + MARGIN;
-  const k = Math.min(width / (2 * half), height / (high - low));
+  const { low, high } = extent(geometry), k = pixelsPerMm(geometry, width, height);
   const view = {
     context, k,
     x: (mm) => x + width / 2 + mm * k,
@@ -26,6 +25,13 @@ export function drawSection(context, geometry, state, scale, x, y, width, height
   if (state.word === "stale") context.globalAlpha = 0.35;
   if (state.P !== null && state.phi !== null) force(view, geometry, state, scale);
   context.restore();
+}
+
+const extent = ({ d, r, h1 }) => ({ half: r + MARGIN, low: -(d + 0.5 * h1 + BELOW), high: r + MARGIN });
+
+export function pixelsPerMm(geometry, width, height) {
+  const { half, low, high } = extent(geometry);
+  return Math.min(width / (2 * half), height / (high - low));
 }
 
 function path(view, points) {
@@ -51,7 +57,7 @@ function body(view, { a, d, r, h1 }) {
   path(view, points);
   context.fill();
   context.stroke();
-  path(view, [[-9, bottom], [9, bottom], [9, bottom - 3.4], [-9, bottom - 3.4]]);
+  path(view, [[-9, bottom], [9, bottom], [9, bottom - BASE], [-9, bottom - BASE]]);
   context.fill();
   context.stroke();
 }
@@ -164,7 +170,7 @@ function force(view, { r }, state, scale) {
   // Without a contact angle only the line of action is drawn, through the middle of the tip.
   const at = state.theta === null ? [0, r * 0.5] : [r * Math.cos(state.theta * RADIANS), r * Math.sin(state.theta * RADIANS)];
   const out = pushes ? -1 : 1;
-  const length = Math.min(state.P * scale.mmPerNewton, MARGIN + 4);
+  const length = Math.min(state.P * scale.mmPerNewton, MARGIN);
   const U = state.uPhi === null ? null : K * state.uPhi * RADIANS;
   if (state.theta !== null && state.uTheta !== null) arc(view, r, state.theta, K * state.uTheta);
   if (U !== null) cone(view, at, phi, out, Math.min(U, Math.PI), length, K * (state.uP ?? 0) * scale.mmPerNewton);
@@ -172,6 +178,7 @@ function force(view, { r }, state, scale) {
   const [tail, head] = pushes ? [end, at] : [at, end];
   if (state.theta !== null) arrow(view, tail, head);
   else line(view, tail, head);
+  if (state.P > scale.newtons) broken(view, tail, head);
   context.fillStyle = colour.force;
   context.beginPath();
   if (state.theta !== null) context.arc(view.x(at[0]), view.y(at[1]), Math.max(2.5, 0.55 * view.k), 0, 2 * Math.PI);
@@ -217,6 +224,22 @@ function line(view, tail, head) {
   context.lineTo(view.x(head[0]), view.y(head[1]));
   context.stroke();
   context.setLineDash([]);
+}
+
+// Two bars across the shaft: the force is beyond the scale, and the arrow too short.
+function broken(view, tail, head) {
+  const { context } = view;
+  const [tx, ty, hx, hy] = [view.x(tail[0]), view.y(tail[1]), view.x(head[0]), view.y(head[1])];
+  const length = Math.hypot(hx - tx, hy - ty), ux = (hx - tx) / length, uy = (hy - ty) / length;
+  context.strokeStyle = colour.bad;
+  context.lineWidth = 2;
+  context.beginPath();
+  for (const at of [0.35, 0.5]) {
+    const [x, y] = [tx + at * (hx - tx), ty + at * (hy - ty)];
+    context.moveTo(x - 6 * uy, y + 6 * ux);
+    context.lineTo(x + 6 * uy, y - 6 * ux);
+  }
+  context.stroke();
 }
 
 function arrow(view, tail, head) {
@@ -268,12 +291,12 @@ export function drawLegend(context, scale, width, height) {
   context.fillText(signed(-scale.fullStrain, 0), left - 5, middle);
   context.textAlign = "left";
   context.fillText(`${signed(scale.fullStrain, 0)} microstrain`, left + bar + 6, middle);
-  const start = left + bar + 118, length = scale.barNewtons * scale.mmPerNewton * scale.pixelsPerMm;
+  const start = left + bar + 118, length = MARGIN * scale.pixelsPerMm;
   context.strokeStyle = colour.force;
   context.lineWidth = 2.2;
   context.beginPath();
   context.moveTo(start, middle);
   context.lineTo(start + length, middle);
   context.stroke();
-  context.fillText(`${scale.barNewtons} N`, start + length + 6, middle);
+  context.fillText(`${scale.newtons} N`, start + length + 6, middle);
 }

@@ -1,6 +1,6 @@
 // Colours come from the style sheet, so that drawings follow light, dark and print.
 const NAMES = ["paper", "card", "ink", "soft", "line", "faint", "body", "edge", "beam", "neutral", "minus", "plus",
-  "force", "cone", "select", "good", "warn", "bad", "other"];
+  "force", "cone", "select", "good", "warn", "bad", "other", "curve1", "curve2", "curve3", "curve4"];
 const dark = matchMedia("(prefers-color-scheme: dark)");
 let printing = false;
 export const colour = {};

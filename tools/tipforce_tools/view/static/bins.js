@@ -1,0 +1,58 @@
+// The bins of all fingers, by their number: time = number x width.
+// A row has for each finger the minima, maxima and uncertainties of its quantities, and the number of unknown rows.
+export class Bins {
+  constructor(widthMs, quantities) {
+    this.widthMs = widthMs;
+    this.quantities = quantities;
+    this.fields = 3 * quantities + 1;
+    this.rows = new Map();
+    this.keys = null; // sorted bin numbers, if computed
+  }
+
+  add(bins) {
+    bins.i.forEach((index, n) => this.set(index, bins.v[n]));
+  }
+
+  set(index, row) {
+    if (!this.rows.has(index)) this.keys = null;
+    this.rows.set(index, row);
+  }
+
+  // Calls with (time, row) for each bin of a span, in the order of time.
+  each(fromMs, toMs, call) {
+    this.keys ??= [...this.rows.keys()].sort((a, b) => a - b);
+    for (const index of this.keys) {
+      const t = index * this.widthMs;
+      if (t >= fromMs - this.widthMs && t <= toMs) call(t, this.rows.get(index));
+    }
+  }
+
+  prune(firstMs) {
+    const first = Math.floor(firstMs / this.widthMs) - 2;
+    for (const index of this.rows.keys()) {
+      if (index < first) {
+        this.rows.delete(index);
+        this.keys = null;
+      }
+    }
+  }
+
+  // [{t, low, high, u, unknown}] of one quantity of one finger, in the order of time; low is null where unknown.
+  series({ finger, quantity }, fromMs, toMs) {
+    const found = [], base = finger * this.fields, q = this.quantities;
+    this.each(fromMs, toMs, (t, row) => {
+      if (row.length < base + this.fields) return;
+      found.push({
+        t, low: row[base + quantity], high: row[base + q + quantity], u: row[base + 2 * q + quantity], unknown: row[base + 3 * q],
+      });
+    });
+    return found;
+  }
+}
+
+// The bin of a series nearest to a time, at most `within` away; null for none, or one without a value.
+export function nearest(series, t, within) {
+  let best = null;
+  for (const bin of series) if (!best || Math.abs(bin.t - t) < Math.abs(best.t - t)) best = bin;
+  return best && Math.abs(best.t - t) <= within && best.low !== null ? best : null;
+}
