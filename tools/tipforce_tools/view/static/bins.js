@@ -37,6 +37,22 @@ export class Bins {
     }
   }
 
+  // Calls with (time, low, high) for each bin of a curve, as `each`; low is null where unknown.
+  values({ finger, quantity }, fromMs, toMs, call) {
+    const low = finger * this.fields + quantity, high = low + this.quantities;
+    this.each(fromMs, toMs, (t, row) => call(t, row[low] ?? null, row[high]));
+  }
+
+  // {low, high, u} of the bin nearest to a time, at most `within` away; null for none, or one without a value.
+  nearest({ finger, quantity }, t, within) {
+    const index = Math.floor(t / this.widthMs), low = finger * this.fields + quantity, q = this.quantities;
+    for (let away = 0; away * this.widthMs <= within; away += 1) {
+      const row = this.rows.get(index - away) ?? this.rows.get(index + away);
+      if (row) return (row[low] ?? null) === null ? null : { low: row[low], high: row[low + q], u: row[low + 2 * q] };
+    }
+    return null;
+  }
+
   // [{t, low, high, u, unknown}] of one quantity of one finger, in the order of time; low is null where unknown.
   series({ finger, quantity }, fromMs, toMs) {
     const found = [], base = finger * this.fields, q = this.quantities;
@@ -48,11 +64,4 @@ export class Bins {
     });
     return found;
   }
-}
-
-// The bin of a series nearest to a time, at most `within` away; null for none, or one without a value.
-export function nearest(series, t, within) {
-  let best = null;
-  for (const bin of series) if (!best || Math.abs(bin.t - t) < Math.abs(best.t - t)) best = bin;
-  return best && Math.abs(best.t - t) <= within && best.low !== null ? best : null;
 }

@@ -1,5 +1,4 @@
 // Strip charts of curves: bins with minimum, maximum and uncertainty, the name at each curve's end.
-import { nearest } from "./bins.js";
 import { K, clock, nice, number } from "./format.js";
 import { colour, font } from "./theme.js";
 
@@ -12,7 +11,8 @@ const LINE = 12; // height of a name
 export function drawChart(context, options, x, y, width, height) {
   const { bins, curves, from, to, axis } = options;
   const bottom = y + height - (axis ? 24 : 8), top = y + 16, left = x + LEFT, right = x + width - RIGHT;
-  const drawn = curves.map((curve) => ({ ...curve, series: bins.series(curve, from, to) }));
+  // A series has an object for each bin: only for the main curves.
+  const drawn = curves.map((curve) => ({ ...curve, series: curve.main ? bins.series(curve, from, to) : null, ...limits(bins, curve, from, to) }));
   const [least, most, step] = range(options, drawn);
   const px = (t) => left + ((t - from) / (to - from)) * (right - left);
   const py = (value) => bottom - ((value - least) / (most - least)) * (bottom - top);
@@ -26,9 +26,11 @@ export function drawChart(context, options, x, y, width, height) {
   const joint = 2.5 * options.periodMs + 1.1 * bins.widthMs; // the time of a bin is known to its width
   const w = Math.max(1, px(from + bins.widthMs) - left);
   for (const curve of drawn) {
-    if (curve.main) band(context, curve.series, joint, px, py, w);
-    if (curve.main) envelope(context, curve, px, py, w);
-    line(context, curve.series, joint, px, py, curve.colour, curve.main ? 1.6 : 1);
+    if (curve.main) {
+      band(context, curve.series, joint, px, py, w);
+      envelope(context, curve, px, py, w);
+    }
+    line(context, bins, curve, from, to, joint, px, py);
   }
   const [first] = drawn.filter((curve) => curve.main);
   if (first) gaps(context, first.series, px, bottom, w);
@@ -47,6 +49,18 @@ export function drawChart(context, options, x, y, width, height) {
   heading(context, options, drawn, joint, left, y + 10, x + width - 2, most, least);
 }
 
+// The extremes of a curve, and its last value.
+function limits(bins, curve, from, to) {
+  let lowest = Infinity, highest = -Infinity, last = null;
+  bins.values(curve, from, to, (_, low, high) => {
+    if (low === null) return;
+    if (low < lowest) lowest = low;
+    if (high > highest) highest = high;
+    last = (low + high) / 2;
+  });
+  return { lowest, highest, last };
+}
+
 function upright(context, at, top, bottom, style, width) {
   context.strokeStyle = style;
   context.lineWidth = width;
@@ -60,9 +74,8 @@ function upright(context, at, top, bottom, style, width) {
 function names(context, drawn, py, right, top, bottom, most, least) {
   const places = [];
   for (const curve of drawn) {
-    const last = curve.series.findLast((bin) => bin.low !== null);
-    if (!last) continue;
-    const value = Math.min(most, Math.max(least, (last.low + last.high) / 2));
+    if (curve.last === null) continue;
+    const value = Math.min(most, Math.max(least, curve.last));
     places.push({ curve, y: py(value), end: py(value) });
   }
   places.sort((a, b) => a.y - b.y);
@@ -95,7 +108,7 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   context.textBaseline = "alphabetic";
   context.fillText(options.title, left, baseline);
   let at = left + context.measureText(options.title).width + 14;
-  const beyond = drawn.some(({ series }) => series.some(({ low, high }) => low !== null && (high > most + 1e-9 || low < least - 1e-9)));
+  const beyond = drawn.some(({ lowest, highest }) => highest > most + 1e-9 || lowest < least - 1e-9);
   if (beyond && options.range) {
     context.fillStyle = colour.bad;
     context.fillText("beyond the scale", at, baseline);
@@ -105,7 +118,7 @@ function heading(context, options, drawn, joint, left, baseline, right, most, le
   context.font = `12px ${font.family}`;
   const words = [[clock(options.pointer, 2), colour.soft]];
   const order = [...drawn.filter((curve) => curve.main), ...drawn.filter((curve) => !curve.main)];
-  for (const curve of order) words.push([`${curve.name} ${reading(nearest(curve.series, options.pointer, joint), options.digits)}`, curve.main ? curve.colour : colour.soft]);
+  for (const curve of order) words.push([`${curve.name} ${reading(options.bins.nearest(curve, options.pointer, joint), options.digits)}`, curve.main ? curve.colour : colour.soft]);
   for (const [text, style] of words) {
     const width = context.measureText(text).width;
     if (at + width > right) return;
@@ -127,14 +140,12 @@ function range({ range: fixed, least: span, degrees }, drawn) {
     const step = nice((fixed[1] - fixed[0]) / (fixed[0] < 0 ? 4 : 5));
     return [fixed[0], fixed[1], step];
   }
-  let least = Infinity, most = -Infinity;
-  for (const { series, main } of drawn) {
-    for (const { low, high, u } of series) {
-      if (low === null) continue;
-      const extra = main && u !== null ? Math.min(K * u, 30) : 0;
-      least = Math.min(least, low - extra);
-      most = Math.max(most, high + extra);
-    }
+  let least = Math.min(...drawn.map(({ lowest }) => lowest)), most = Math.max(...drawn.map(({ highest }) => highest));
+  for (const { low, high, u } of drawn.flatMap(({ series }) => series ?? [])) {
+    if (low === null || u === null) continue;
+    const extra = Math.min(K * u, 30);
+    least = Math.min(least, low - extra);
+    most = Math.max(most, high + extra);
   }
   if (!Number.isFinite(least)) [least, most] = [0, 180];
   const step = degrees ? ANGLES.find((angle) => angle >= Math.max(most - least, span) / 4) ?? 90 : nice(Math.max(most - least, span) / 4);
@@ -183,18 +194,24 @@ function* runs(series, joint) {
   if (run.length) yield run;
 }
 
-function line(context, series, joint, px, py, style, width) {
-  context.strokeStyle = style;
-  context.lineWidth = width;
+function line(context, bins, curve, from, to, joint, px, py) {
+  context.strokeStyle = curve.colour;
+  context.lineWidth = curve.main ? 1.6 : 1;
   context.beginPath();
-  for (const run of runs(series, joint)) {
-    run.forEach((bin, n) => {
-      const at = [px(bin.t), py((bin.low + bin.high) / 2)];
-      if (n) context.lineTo(...at);
-      else context.moveTo(...at);
-    });
-    if (run.length === 1) context.lineTo(px(run[0].t) + 1.5, py((run[0].low + run[0].high) / 2));
-  }
+  let before = -Infinity;
+  bins.values(curve, from, to, (t, low, high) => {
+    if (low === null) {
+      before = -Infinity;
+      return;
+    }
+    const x = px(t), y = py((low + high) / 2);
+    if (t - before > joint) {
+      context.moveTo(x, y);
+      context.lineTo(x + 1.5, y); // a single bin is a dot
+      context.moveTo(x, y);
+    } else context.lineTo(x, y);
+    before = t;
+  });
   context.stroke();
 }
 
