@@ -123,7 +123,8 @@ def test_a_command_loads_what_it_needs(words: list[str], left_out: set[str]) -> 
         "print('MODULES', *sorted({name.partition('.')[0] for name in sys.modules}))\n"
     )
     done = subprocess.run([sys.executable, "-c", code, *words], capture_output=True, text=True, check=True)
-    assert not set(done.stdout.rpartition("MODULES ")[2].split()) & left_out
+    loads = {"random"} if np.__version__.startswith("1.") else set()  # numpy below 2 does so itself
+    assert not set(done.stdout.rpartition("MODULES ")[2].split()) & (left_out - loads)
 
 
 def test_costs_are_those_of_the_parts_that_are_built() -> None:

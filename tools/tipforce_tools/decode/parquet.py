@@ -58,7 +58,9 @@ def _array(column: Column, values: Any, kind: Any) -> Any:
 def _as_array(values: Any, kind: Any, mask: Any = None) -> Any:
     """Wrap numbers without a copy. pyarrow's ``array`` imports pandas if installed, which takes half a second."""
     present = None if mask is None else _bits(~mask)
-    values = np.ascontiguousarray(values, dtype=kind.to_pandas_dtype())
+    # to_pandas_dtype() of the kind would need pandas. A time is its integer.
+    code = "f" if pa.types.is_floating(kind) else "u" if pa.types.is_unsigned_integer(kind) else "i"
+    values = np.ascontiguousarray(values, dtype=f"{code}{kind.bit_width // 8}")
     return pa.Array.from_buffers(kind, len(values), [present, pa.py_buffer(values)])
 
 

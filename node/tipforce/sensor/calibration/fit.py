@@ -161,7 +161,7 @@ def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
     V, F = np.asarray(strain, dtype=np.float64), np.asarray(F_newtons, dtype=np.float64)
     if V.ndim != 2 or F.shape != (V.shape[0], 3):
         raise InputError(f"strain {V.shape}, F {F.shape}: allowed are (m, n) and (m, 3)")
-    C, _, rank, _ = np.linalg.lstsq(V, F)
+    C, _, rank, _ = np.linalg.lstsq(V, F, rcond=None)
     if rank < 3:
         raise InputError(
             f"the readings have rank {rank}: allowed are readings of loads in three independent directions"

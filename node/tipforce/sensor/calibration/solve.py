@@ -186,7 +186,9 @@ def _start(problem: Problem) -> tuple[FloatArray, FloatArray]:
         rows = problem.observed[:, k]
         g, V = problem.g[rows] * root[rows, np.newaxis], problem.V[rows, k] * root[rows]
         pull = np.sqrt(problem.prior_information[k]) * np.eye(3, g.shape[1])
-        beta = np.linalg.lstsq(np.vstack((g, pull)), np.concatenate((V, pull[:, :3] @ problem.prior_mean[k])))[0]
+        beta = np.linalg.lstsq(
+            np.vstack((g, pull)), np.concatenate((V, pull[:, :3] @ problem.prior_mean[k])), rcond=None
+        )[0]
         A[k], variance[k] = beta[:3], np.mean((V - g @ beta) ** 2) if rows.any() else 0.0
     if problem.Sigma is not None:
         return A, problem.Sigma

@@ -111,7 +111,7 @@ def _linear(rig: _Rig) -> Fitted:
 
 def _affine(rig: _Rig) -> Fitted:
     F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
-    found, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain)
+    found, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain, rcond=None)
     return np.linalg.pinv(found[:3].T), found[3]
 
 
