@@ -148,6 +148,15 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 1, 0x20000008)), r"no object 1005h; SYNC is received on 0x80",
         value(0x2000), 0,
     ),
+    "parameter value in an EDS": (
+        text(var("2000", 5, "rw", "1", ParameterValue="9")), r"1 ParameterValues, but no \[DeviceComissioning\]",
+        lambda found: found.find(0x2000).initial, 1,
+    ),
+    "real sub-index 0": (
+        text(record("2000", var("2000sub0", 8, "ro", "1.5"))),
+        r"\[2000sub0\]: REAL32; CiA 301 has UNSIGNED8; the type stays",
+        lambda found: found.find((0x2000, 0)).default, 1.5,
+    ),
     "commissioning of another node": (
         "[DeviceCommissioning]\nNodeID=7\n" + text(), r"NodeID=7: loaded as node 5", lambda found: found.node_id, 5
     ),

@@ -1,4 +1,4 @@
-"""`tipforce export eds|dbc|dcf|c`: files for other tools and for C firmware, from the object dictionary."""
+"""`tipforce export eds|dbc|dcf|xdd|ros2|c`: files for other tools and for C firmware, from the object dictionary."""
 
 from __future__ import annotations
 
@@ -19,15 +19,28 @@ FORMATS = {
     "eds": "objects of a node, for configuration tools",
     "dbc": "PDOs of the nodes, for log and bus tools",
     "dcf": "EDS with the settings of one node",
+    "xdd": "objects of a node, or of --eds FILE, in XML (CiA 311)",
+    "ros2": "bus configuration of ros2_canopen for a hand, and its EDS files, in one folder",
     "c": "C99 sources of the dictionary and the estimator, in one folder",
 }
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce export`."""
-    parser.epilog = "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/"
+    parser.epilog = (
+        "examples: tipforce export dbc --nodes 1-5 -o hand.dbc; tipforce export c --gauges 4 -o firmware/; "
+        "tipforce export ros2 --hand hand.toml -o bus/"
+    )
     add_choice(parser, "format", FORMATS)
-    parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c: a folder, required")
+    parser.add_argument("-o", "--output", metavar="PATH", help="default: stdout; c, ros2: a folder, required")
+    parser.add_argument(
+        "--dialect",
+        choices=("decimal", "lely"),
+        default="decimal",
+        help="eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)",
+    )
+    parser.add_argument("--eds", metavar="FILE", help="xdd: the EDS or DCF of any device")
+    parser.add_argument("--hand", metavar="FILE", help="ros2: the hand in TOML, required")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 16)), metavar="IDS", help="dbc: 1,2,5-9 (default 1-15)"
@@ -50,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format == "c":
         return _write_c(args, converter)
+    if args.format == "ros2":
+        return _write_ros2(args)
     text = _text(args, converter)
     if not args.output or args.output == "-":
         print(text, end="")
@@ -67,13 +82,47 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
         from tipforce.dictionary.dbc import dbc_text
 
         return dbc_text(args.nodes, args.gauges)
-    from tipforce.dictionary.eds import dcf_text, eds_text
+    from tipforce.dictionary.eds import dcf_text, eds_text, lely_dialect
 
+    if args.format == "xdd":
+        return _xdd(args, converter)
     if args.format == "eds":
-        return eds_text(args.gauges, args.simulated, converter)
-    if args.node_id is None:
+        text = eds_text(args.gauges, args.simulated, converter)
+    elif args.node_id is None:
         raise InputError("--node-id: a DCF belongs to one node; add it, for example --node-id 5")
-    return dcf_text(args.gauges, args.node_id, _values(args), args.simulated, converter=converter)
+    else:
+        text = dcf_text(args.gauges, args.node_id, _values(args), args.simulated, converter=converter)
+    return lely_dialect(text) if args.dialect == "lely" else text
+
+
+def _xdd(args: argparse.Namespace, converter: Converter) -> str:
+    """Return the XDD of a file, or of a fingertip."""
+    from tipforce.dictionary.eds import eds_text, file_name
+    from tipforce.eds.reader import describe, read_eds
+    from tipforce.eds.sections import parse
+    from tipforce.eds.xdd import xdd_text
+
+    if args.eds:
+        found = read_eds(args.eds, args.node_id or 1)
+        for warning in found.warnings:
+            common.note(args, f"warning: {warning}")
+        return xdd_text(found)
+    text = eds_text(args.gauges, args.simulated, converter)
+    path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
+    return xdd_text(describe(parse(text), path, text.encode(), 1))
+
+
+def _write_ros2(args: argparse.Namespace) -> int:
+    from tipforce.host.hand.file import read_hand
+    from tipforce_tools.cli.ros2_bus import write_ros2_bus
+
+    if not args.hand:
+        raise InputError("--hand: `export ros2` needs the hand; add its file, for example --hand hand.toml")
+    if not args.output or args.output == "-":
+        raise InputError("--output: `export ros2` writes several files; name a folder")
+    for path in write_ros2_bus(read_hand(args.hand), Path(args.output)):
+        common.note(args, str(path))
+    return 0
 
 
 def _values(args: argparse.Namespace) -> Values:

@@ -86,6 +86,21 @@ def value_text(letter: str, value: types.Value) -> str:
     return text.replace(" ", "") if letter in "Do" else text
 
 
+def lely_dialect(text: str) -> str:
+    """An EDS or DCF with each REAL32 value as its bits in hexadecimal, as Lely's dcfgen needs it."""
+    lines, is_real = [], False
+    for line in text.split("\n"):
+        key, equal, value = line.partition("=")
+        if line.startswith("["):
+            is_real = False
+        elif key == "DataType":
+            is_real = int(value, 0) == types.data_type("f").code
+        elif is_real and value and key in ("DefaultValue", "LowLimit", "HighLimit", "ParameterValue"):
+            value = f"0x{int.from_bytes(types.encode('f', float(value)), 'little'):08X}"
+        lines.append(key + equal + value)
+    return "\n".join(lines)
+
+
 def default_text(row: Row) -> str:
     """``DefaultValue`` of an entry; a COB-ID that follows the node-id is written ``$NODEID+0x180``."""
     if row.letter == "D":

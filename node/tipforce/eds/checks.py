@@ -33,6 +33,7 @@ def check(file: EdsFile, found: Description) -> None:
         _check_lists(file, found)
     if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
         found.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
+    _check_parameter_values(file, found)
     _check_identity(file.sections.get("deviceinfo"), found)
     if found.bit_rate and found.bit_rates and found.bit_rate not in found.bit_rates:
         found.add(0, f"Baudrate={found.bit_rate // 1000}: [DeviceInfo] has BaudRate_{found.bit_rate // 1000}=0")
@@ -74,6 +75,16 @@ def _check_lists(file: EdsFile, found: Description) -> None:
         found.add(
             found.objects[unlisted[0]].line, f"{len(unlisted)} objects are in no list of objects: {shown}; loaded"
         )
+
+
+def _check_parameter_values(file: EdsFile, found: Description) -> None:
+    """Report the values of a DCF in a file that configures no node."""
+    subs = [section for index in file.subs for section in file.subs[index].values()]
+    given = [one for one in [*file.objects.values(), *subs] if one.get("ParameterValue")]
+    if given and not found.is_dcf:
+        first = min(given, key=lambda one: one.line)
+        told = f"{len(given)} ParameterValues, but no [DeviceComissioning], as a DCF has; the DefaultValues apply"
+        found.findings.append(first.finding("ParameterValue", told))
 
 
 def _listed_index(file: EdsFile, text: str) -> int | None:

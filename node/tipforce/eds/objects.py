@@ -170,8 +170,8 @@ class _Object:
         zero = found.entries[0]
         free = standard.is_mapping(index) or index == communication.ERROR_HISTORY
         if zero.type.python is not int:
-            self._into.add(zero.line, f"[{index:04X}sub0]: {zero.type.name}; allowed is UNSIGNED8; read as it")
-            zero.letter, zero.default = "B", highest
+            self._into.add(zero.line, f"[{index:04X}sub0]: {zero.type.name}; CiA 301 has UNSIGNED8; the type stays")
+            return
         if not zero.has_default and not free and 0 in self._subs:
             zero.default = highest
         elif zero.initial != highest and 0 in self._subs and not free and highest < 0xFF:
@@ -243,7 +243,7 @@ class _Object:
     def _read_values(self, entry: Entry, section: Section) -> None:
         entry.has_default = bool(section.get("DefaultValue"))
         entry.default, entry.has_node_id = self._value(entry, section, "DefaultValue")
-        if section.get("ParameterValue"):
+        if section.get("ParameterValue") and self._into.is_dcf:
             entry.value, _ = self._value(entry, section, "ParameterValue")
         for key in ("UploadFile", "DownloadFile"):
             name = section.get(key)

@@ -9,7 +9,7 @@ from tipforce.eds.checks import check
 from tipforce.eds.compact_pdo import add_compact_pdos
 from tipforce.eds.description import Description
 from tipforce.eds.objects import read_objects
-from tipforce.eds.sections import Section, read
+from tipforce.eds.sections import EdsFile, Section, read
 from tipforce.errors import InputError
 
 _COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
@@ -25,12 +25,15 @@ def read_eds(path: str | Path, node_id: int | None = None) -> Description:
     how it is read there. Raises InputError for a file that cannot be read, is no EDS, has no object, or, without
     ``node_id``, names no node.
     """
-    file = read(path)
-    found = Description(Path(path), 0, findings=file.findings)
+    return describe(read(path), Path(path), Path(path).read_bytes(), node_id)
+
+
+def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> Description:
+    """Return the description of the sections of a file. Raises InputError as ``read_eds``."""
+    found = Description(path, 0, findings=file.findings, content=content)
     commissioning = next((file.sections[name] for name in _COMMISSIONING if name in file.sections), None)
     found.is_dcf = commissioning is not None
     found.node_id = _node_id(found, commissioning, node_id)
-    found.content = found.path.read_bytes()
     _read_device_info(file.sections.get("deviceinfo"), found)
     if commissioning is not None:
         _read_commissioning(commissioning, found)

@@ -14,6 +14,7 @@ from pathlib import Path
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
 from tipforce.host.decoding.log_part import Reading, When, start_of
+from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.cli.shipped import file_or_shipped
 
 STDIN = "-"
@@ -78,6 +79,10 @@ def layouts(args: Namespace) -> Layouts:
     """Return the layouts that --gauges, --nodes, --dcf, --dbc and --ask select. Raises InputError."""
     if args.dbc and (args.dcf or args.ask):
         raise InputError("--dbc: defines all layouts; leave out --dcf and --ask")
+    if args.eds:
+        if args.dbc or args.dcf or args.ask or args.gauges:
+            raise InputError("--eds: defines all layouts; leave out --dbc, --dcf, --ask and --gauges")
+        return Layouts(nodes=None if args.nodes is None else tuple(args.nodes), eds=eds_files(args.eds))
     dbc = str(file_or_shipped(args.dbc, "dbc")) if args.dbc else None
     found = Layouts(args.gauges or 3, None if args.nodes is None else tuple(args.nodes), dbc)
     if args.dcf:

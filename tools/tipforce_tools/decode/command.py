@@ -3,6 +3,7 @@
 import argparse
 
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import add_eds_argument
 
 DESCRIPTION = """\
 Convert logs to contact: one row per sample of each node, the PDOs of a sample joined by its counter. Several logs
@@ -71,6 +72,7 @@ def _add_layouts(group: argparse._ArgumentGroup) -> None:
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
     group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
     group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead; tipforce: the shipped one")
+    add_eds_argument(group)
     group.add_argument("--ask", type=common.node_ids, metavar="IDS", help="read the layout of these nodes over SDO")
     group.add_argument("-i", "--interface", help="for --ask: python-can's interface")
     group.add_argument("-c", "--channel", help="of --ask")

@@ -4,6 +4,7 @@ import argparse
 import re
 
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import add_eds_argument
 
 DESCRIPTION = """\
 Plot the fingers of a log: P, phi and theta over time with their uncertainty, gauges, and a strip that shows contact
@@ -47,6 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--gauges", type=int, choices=range(3, 9), metavar="N", help="3 (default) to 8")
     group.add_argument("--dcf", action="append", metavar="FILE", help="configuration of a node; repeatable")
     group.add_argument("--dbc", metavar="FILE", help="use the messages of a DBC instead; tipforce: the shipped one")
+    add_eds_argument(group)
     common.add_output_arguments(parser)
 
 

@@ -32,6 +32,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
     parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump: read from the node)")
+    parser.add_argument("--eds", metavar="FILE", help="EDS or DCF of a node of any manufacturer: names and types")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
@@ -49,7 +50,10 @@ def run(args: argparse.Namespace) -> int:
     value_text = words.pop() if args.action == "write" and len(words) > 1 else None
     if args.action == "write" and value_text is None:
         raise InputError("sdo write: expected NAME VALUE, or INDEX SUB TYPE VALUE")
-    index, sub, letter, name = _entry(words, 3 if args.gauges is None else args.gauges)
+    if args.eds:
+        index, sub, letter, name = _eds_entry(words, args)
+    else:
+        index, sub, letter, name = _entry(words, 3 if args.gauges is None else args.gauges)
     data = None if value_text is None else types.encode(letter, types.parse_value(letter, value_text))
     common.set_up_logging(args)
     if data is not None and index in PERSISTENT:
@@ -68,6 +72,21 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(text)
     return 0
+
+
+def _eds_entry(words: list[str], args: argparse.Namespace) -> tuple[int, int, str, str]:
+    """Return (index, sub, type letter, name) of an object of the EDS: by its name, or INDEX [SUB]."""
+    from tipforce.eds.reader import read_eds
+
+    found = read_eds(args.eds, args.node)
+    if len(words) > 2:
+        raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
+    try:
+        key: str | tuple[int, int] = words[0] if len(words) == 1 else (int(words[0], 0), int(words[1], 0))
+    except ValueError:
+        raise InputError(f"sdo: {words[0]!r} {words[1]!r} is not INDEX SUB; write 0x6064 0, or one NAME") from None
+    entry = found.find(key)
+    return entry.index, entry.sub, entry.letter, entry.name
 
 
 def _dump(args: argparse.Namespace) -> int:

@@ -64,6 +64,8 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     from tipforce.dictionary.rows import rows
     from tipforce.host.network.finger import FingertipClient
 
+    if args.eds:
+        return _rows_of(args)
     gauges, below = args.gauges, 0x10000
     if gauges is None:
         try:
@@ -79,6 +81,28 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
                 "(--gauges N: all objects of a fingertip)",
             )
     return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
+
+
+def _rows_of(args: argparse.Namespace) -> list[Row]:
+    """Return the readable entries of the EDS, under its names."""
+    from tipforce.dictionary.rows import Row
+    from tipforce.eds.reader import read_eds
+
+    found = read_eds(args.eds, args.node)
+    for warning in found.warnings:
+        common.note(args, f"warning: {warning}")
+    rows = []
+    for entry in found.entries():
+        one = found.objects[entry.index]
+        name = one.name if set(one.entries) == {0} else f"{one.name}/{entry.name}"
+        if entry.access != "wo" and entry.index != EDS:
+            rows.append(
+                Row(
+                    entry.index, entry.sub, name, name, False, entry.letter, entry.access, 0, 0, entry.low,
+                    entry.high, entry.unit,
+                )
+            )  # fmt: skip
+    return rows
 
 
 def _read(sdo: SdoChannel, rows: list[Row]) -> Iterator[Found | None]:

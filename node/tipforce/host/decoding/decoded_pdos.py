@@ -20,13 +20,15 @@ COUNTER = "counter"
 class Layouts:
     """A description that can be sent to another process. ``nodes`` None means all of them.
 
-    ``pdos``: by node-id the PDOs that differ from the default, as (message name, can_id, mapping).
+    ``pdos``: by node-id the PDOs that differ from the default, as (message name, can_id, mapping). ``eds``: (node-id,
+    EDS or DCF) of devices of any manufacturer; then only their PDOs are decoded.
     """
 
     gauges: int = 3
     nodes: tuple[int, ...] | None = None
     dbc: str | None = None
     pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
+    eds: tuple[tuple[int, str], ...] = ()
 
     def decoder(self, services: bool = False) -> Decoder:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
@@ -39,6 +41,11 @@ class Layouts:
             wanted = None if self.nodes is None else {*self.nodes}
             found = dbc_messages(self.dbc)
             return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
+        if self.eds:
+            from tipforce.host.decoding.eds_layout import eds_messages
+
+            chosen = [(node, path) for node, path in self.eds if self.nodes is None or node in self.nodes]
+            return Decoder.of_messages({k: v for node, path in chosen for k, v in eds_messages(path, node).items()})
         nodes = range(1, 128) if self.nodes is None else self.nodes
         decoder = Decoder(self.gauges, nodes)
         for message in SERVICES if services else ():

@@ -1,0 +1,92 @@
+"""`tipforce export` for other tools: Lely's dialect of an EDS, XDD, the bus configuration of ros2_canopen."""
+
+from __future__ import annotations
+
+import struct
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from tipforce.eds import read_eds
+from tipforce_tools.cli.main import main
+from tipforce_tools.cli.ros2_bus import ros_name
+
+HAND = """\
+[hand]
+sync_hz = 200
+[[finger]]
+node_id = 1
+name = "thumb"
+[[finger]]
+node_id = 2
+name = "2nd finger"
+"""
+SPACE = "{http://www.canopen.org/xml/1.1}"
+
+
+def exported(path: Path, *words: str) -> Path:
+    assert main(["export", *words, "-o", str(path), "-q"]) == 0
+    return path
+
+
+def test_lely_has_the_same_values_as_bits(tmp_path: Path) -> None:
+    decimal = exported(tmp_path / "a.eds", "eds", "--simulated")
+    lely = exported(tmp_path / "b.eds", "eds", "--simulated", "--dialect", "lely")
+    one, other = read_eds(decimal, 5), read_eds(lely, 5)
+    assert one.warnings == other.warnings == []
+    reals = 0
+    for entry, same in zip(one.entries(), other.entries(), strict=True):
+        if entry.letter == "f":
+            assert struct.pack("<f", float(entry.default)) == struct.pack("<f", float(same.default))
+            reals += 1
+        else:
+            assert entry == same
+    assert reals > 100
+    section = False
+    for line in lely.read_text().splitlines():
+        section = line == "DataType=0x0008" or (section and not line.startswith("["))
+        if section and line.startswith(("DefaultValue=", "LowLimit=", "HighLimit=")):
+            assert line.partition("=")[2][:2] in ("0x", "")
+
+
+def test_xdd_has_each_entry(tmp_path: Path) -> None:
+    for words, eds in (
+        (("xdd",), exported(tmp_path / "a.eds", "eds")),
+        (("xdd", "--eds", str(tmp_path / "a.eds")), None),
+    ):
+        root = ET.parse(exported(tmp_path / "a.xdd", *words)).getroot()
+        objects = root.findall(f".//{SPACE}CANopenObject")
+        found = read_eds(eds or tmp_path / "a.eds", 5)
+        assert [int(one.attrib["index"], 16) for one in objects] == sorted(found.objects)
+        subs = {
+            (int(one.attrib["index"], 16), int(sub.attrib["subIndex"], 16)): sub.attrib
+            for one in objects
+            for sub in one.findall(f"{SPACE}CANopenSubObject")
+        }
+        assert subs[0x1800, 1]["defaultValue"] == "$NODEID+0x40000180"
+        assert subs[0x7130, 1]["dataType"] == "0004" or subs[0x7130, 1]["PDOmapping"] == "TPDO"
+        for entry in found.entries():
+            if set(found.objects[entry.index].entries) != {0}:
+                assert subs[entry.index, entry.sub]["name"] == entry.name
+        rates = [one.attrib["value"] for one in root.iter(f"{SPACE}supportedBaudRate")]
+        assert rates[-1] == "1000 Kbps"
+
+
+def test_ros2_canopen_bus_of_a_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "hand.toml").write_text(HAND)
+    folder = exported(tmp_path / "bus", "ros2", "--hand", str(tmp_path / "hand.toml"))
+    text = (folder / "bus.yml").read_text()
+    assert "sync_period: 5000\n" in text
+    assert '\nthumb:\n  node_id: 1\n  dcf: "tipforce-3.eds"\n' in text
+    assert "\nfinger_2_2nd_finger:\n  node_id: 2\n" in text
+    assert (folder / "tipforce-3.eds").read_text() == exported(
+        tmp_path / "l.eds", "eds", "--dialect", "lely"
+    ).read_text()
+    assert ros_name("", 4) == "finger_4"
+    for words, said in (
+        (["ros2", "-o", "x"], "--hand: "),
+        (["ros2", "--hand", str(tmp_path / "hand.toml")], "--output: "),
+    ):
+        assert main(["export", *words]) == 2
+        assert said in capsys.readouterr().err
