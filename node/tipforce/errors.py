@@ -9,6 +9,10 @@ class InputError(TipforceError):
     """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
 
 
+class WriteError(TipforceError):
+    """A file could not be written completely, for example on a full disk; an existing one is unchanged."""
+
+
 class NoResponseError(TipforceError):
     """A node did not respond within the time-out and the number of retries."""
 

@@ -59,6 +59,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file or files; return 0."""
     from tipforce.dictionary import table
+    from tipforce.output_file import DBC, EDS, new_file
 
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format == "c":
@@ -69,10 +70,8 @@ def run(args: argparse.Namespace) -> int:
     if not args.output or args.output == "-":
         print(text, end="")
         return 0
-    try:
-        Path(args.output).write_text(text, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"--output {args.output}: {error.strerror}") from None
+    with new_file(args.output, DBC if args.format == "dbc" else EDS, [args.settings or ""]) as partial:
+        partial.write_text(text, encoding="utf-8", newline="\n")
     common.note(args, f"{args.output}: {len(text.splitlines())} lines")
     return 0
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError
+from tipforce.output_file import FIGURES, save_figure
 from tipforce.scene import schema
 from tipforce.scene.results import Contact
 
@@ -44,8 +45,6 @@ def write_plot(
         one.set_xlabel("t (s)")
     figure.suptitle(scene.title or "scene")
     try:
-        figure.savefig(path, metadata={"Date": None} if str(path).endswith(".svg") else None)
-    except (OSError, ValueError) as error:
-        raise InputError(f"plot {path}: {error}") from None
+        save_figure(figure, path, FIGURES)
     finally:
         plt.close(figure)

@@ -8,8 +8,9 @@ from types import TracebackType
 
 import numpy as np
 
-from tipforce.errors import InputError
+from tipforce.errors import WriteError
 from tipforce.host.frames.frame_array import FRAME, FrameArray, RawFrame, frame_array
+from tipforce.output_file import CANDUMP_LOG, NewFile
 
 BLOCK_FRAMES = 16_384
 
@@ -17,7 +18,7 @@ BLOCK_FRAMES = 16_384
 class Recording:
     """Record frames in the order of their times. With ``log`` each is also written to that file. A context manager.
 
-    Raises InputError when the log cannot be written.
+    Raises InputError for an unusable path of the log, WriteError when it cannot be written; then an old log stays.
     """
 
     def __init__(self, log: str | Path | None = None, interface: str = "sim0") -> None:
@@ -55,9 +56,16 @@ class Recording:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        self._flush()
-        if self._log is not None:
-            self._log.close()
+        complete = kind is None or issubclass(kind, KeyboardInterrupt)
+        try:
+            if complete:
+                self._flush()
+        except WriteError:
+            complete = False
+            raise
+        finally:
+            if self._log is not None:
+                self._log.close(complete)
 
 
 class _LogFile:
@@ -66,12 +74,9 @@ class _LogFile:
     def __init__(self, path: str | Path) -> None:
         from tipforce.host.logs.candump_format import CandumpFormat
 
-        self._path = path
         self._format = CandumpFormat(log=True)
-        try:
-            self._file: TextIOBase = open(path, "w", encoding="ascii", newline="\n")  # noqa: SIM115
-        except OSError as error:
-            raise InputError(f"log {path}: {error.strerror}") from error
+        self._new = NewFile(path, CANDUMP_LOG)
+        self._file: TextIOBase = self._new.partial.open("w", encoding="ascii", newline="\n")
 
     def write(self, frames: FrameArray, interface: str) -> None:
         from tipforce.host.logs.candump import CandumpBlock
@@ -81,7 +86,16 @@ class _LogFile:
         try:
             self._file.write("\n".join([*self._format.lines(block), ""]))
         except OSError as error:
-            raise InputError(f"log {self._path}: {error.strerror}") from error
+            raise self._new.failed(error) from error
 
-    def close(self) -> None:
-        self._file.close()
+    def close(self, complete: bool) -> None:
+        """Give the complete file its name; remove an incomplete one."""
+        try:
+            self._file.close()
+        except OSError as error:
+            self._new.drop()
+            raise self._new.failed(error) from error
+        if complete:
+            self._new.keep()
+        else:
+            self._new.drop()

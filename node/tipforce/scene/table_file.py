@@ -8,14 +8,14 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Samples
+from tipforce.output_file import CSV, new_file
 
 
 def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> None:
     """Write columns t_s, node, message, then the signals; a cell is empty if a PDO has no such signal or no value.
 
-    Rows are in the order of the frames. Raises InputError if the file cannot be written.
+    Rows are in the order of the frames. Raises InputError for an unusable path, WriteError if writing fails.
     """
     names = list(dict.fromkeys(name for samples in messages.values() for name in samples.columns))
     rows: list[tuple[int, int, list[object]]] = []
@@ -24,13 +24,10 @@ def write_table(path: str | Path, messages: dict[tuple[int, str], Samples]) -> N
         for k, (t_ns, row) in enumerate(zip(samples.t_ns.tolist(), samples.row.tolist(), strict=True)):
             rows.append((row, node_id, [f"{1e-9 * t_ns:.6f}", node_id, message, *(cells[k] for cells in columns)]))
     rows.sort(key=lambda entry: entry[:2])
-    try:
-        with open(path, "w", encoding="utf-8", newline="") as file:
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(["t_s", "node", "message", *names])
-            writer.writerows(cells for _, _, cells in rows)
-    except OSError as error:
-        raise InputError(f"table {path}: {error.strerror}") from error
+    with new_file(path, CSV) as partial, partial.open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["t_s", "node", "message", *names])
+        writer.writerows(cells for _, _, cells in rows)
 
 
 def _digits(samples: Samples, name: str) -> int:

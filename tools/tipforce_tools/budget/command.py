@@ -6,6 +6,7 @@ import argparse
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
+from tipforce.output_file import check_output, figure_kind
 from tipforce.sensor.contact.scalar import DEGREES
 from tipforce_tools.cli import common
 
@@ -101,8 +102,8 @@ def _check(args: argparse.Namespace) -> None:
         value = getattr(args, name)
         if value is not None and not -360.0 <= value <= 360.0:
             raise InputError(f"--{name} {value}: allowed are degrees from -360 to 360")
-    if args.output and not args.output.lower().endswith((".png", ".svg")):
-        raise InputError(f"--output {args.output}: allowed is a name that ends in .png or .svg")
+    if args.output:
+        check_output(args.output, figure_kind(args.output))
 
 
 def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tipforce.output_file import save_figure
 from tipforce_tools.cli import figures
 
 if TYPE_CHECKING:
@@ -41,4 +41,4 @@ def plot(found: Budget, path: str) -> None:
             axes.tick_params(axis="y", length=0)
         panels[0].set_yticks(range(len(names)), names)
         panels[0].invert_yaxis()
-        figures.save(figure, Path(path), dpi=130)
+        save_figure(figure, path, dpi=130)

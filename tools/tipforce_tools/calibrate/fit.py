@@ -73,9 +73,12 @@ def run(args: argparse.Namespace) -> int:
     """Print the fit and write the file: 0. With --strict and bad rows or a doubtful fit: no file, 1."""
     from tipforce.host.configuration.calibration_file import fit_record, write_calibration
     from tipforce.host.configuration.measurements import read_measurements
+    from tipforce.output_file import CALIBRATION, check_output
     from tipforce_tools.calibrate import fit_report
     from tipforce_tools.cli.one_finger_csv import check_one_node
 
+    if args.output:
+        check_output(args.output, CALIBRATION, [args.data])
     data = read_measurements(args.data, loads=True)
     check_one_node(args.data, data)
     if not len(data.line):

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import InputError
+from tipforce.output_file import CALIBRATION, check_output
 from tipforce_tools.calibrate import fit
 from tipforce_tools.cli import common
 
@@ -167,7 +168,7 @@ def _check(args: argparse.Namespace) -> None:
                               ("max-drift", args.max_drift, 1e6)):  # fmt: skip
         if not 0.0 < value <= most:
             raise InputError(f"--{flag} {value:g}: allowed is above 0, up to {most:g}")
-    if args.output and not Path(args.output).absolute().parent.is_dir():
-        raise InputError(f"-o {args.output}: the directory does not exist; create it first")
+    if args.output:
+        check_output(args.output, CALIBRATION)
     if args.angle_scatter is None:
         args.angle_scatter = AUTO_SCATTER_DEG if args.auto else HAND_SCATTER_DEG

@@ -1,13 +1,12 @@
-"""matplotlib set up for small, reproducible files, and the writing of figures."""
+"""matplotlib set up for small, reproducible files."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -34,15 +33,3 @@ def new_figure(width_inch: float, height_inch: float) -> Figure:
     from matplotlib.figure import Figure
 
     return Figure(figsize=(width_inch, height_inch))
-
-
-def save(figure: Figure, path: Path, **options: Any) -> None:
-    """Write the figure without a date. Raises InputError for an unknown suffix or a path that cannot be written."""
-    if path.suffix not in (".svg", ".png"):
-        raise InputError(f"figure {path}: allowed are the suffixes .svg and .png")
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-        metadata = {"Date": None} if path.suffix == ".svg" else {"Software": None}
-        figure.savefig(path, metadata=metadata, **options)
-    except OSError as error:
-        raise InputError(f"figure {path}: {error.strerror}") from error

@@ -47,6 +47,7 @@ from typing import Literal
 import msgspec
 
 from tipforce.errors import InputError
+from tipforce.output_file import LAYOUT, write_file
 from tipforce.sensor.structure.gauge_positions import Gauge, check_gauges
 from tipforce.sensor.structure.gauge_shift import GaugePosition
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
@@ -159,12 +160,8 @@ def write_layout(
     gauge_length_m: float | None = None,
     comment: str = "",
 ) -> None:
-    """Write layout_text() to a file. Raises InputError if it cannot be written."""
-    text = layout_text(geometry, gauges, gauge_length_m, comment)
-    try:
-        Path(path).write_text(text, encoding="utf-8")
-    except OSError as error:
-        raise InputError(f"layout {path}: {error.strerror}") from None
+    """Write layout_text() to a file. Raises InputError for an unusable path, WriteError if writing fails."""
+    write_file(path, layout_text(geometry, gauges, gauge_length_m, comment), LAYOUT)
 
 
 def _geometry(content: _File) -> Geometry:

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tipforce.errors import NoResponseError
+from tipforce.output_file import write_file
 from tipforce_tools.conformance.case import Case, CheckError, NotApplicableError, all_cases
 from tipforce_tools.conformance.dut import RESET_NODE, Dut
 from tipforce_tools.conformance.links import CORE_NODE_ID, CoreLink, core_eds, core_node
@@ -105,7 +106,7 @@ def record(path: str | Path) -> int:
         _result, link = run_in_process(case)
         steps = [[now_us, _plain(came), _plain(went)] for now_us, came, went in link.steps]
         lines.append(json.dumps({"case": case.name, "steps": steps}))
-    Path(path).write_text("\n".join(lines) + "\n", encoding="utf-8")
+    write_file(path, "\n".join(lines) + "\n")
     return len(lines) - 1
 
 

@@ -1,4 +1,4 @@
-"""Atomic output files: written under a temporary name, and renamed at the end."""
+"""A directory of output files, written under a temporary name and renamed at the end."""
 
 from __future__ import annotations
 
@@ -7,32 +7,6 @@ import shutil
 from pathlib import Path
 
 from tipforce.errors import InputError
-
-
-class NewFile:
-    """A file that gets its name when it is complete. Devices and pipes are written directly."""
-
-    def __init__(self, path: Path) -> None:
-        """Raises InputError for a path that cannot be written."""
-        self.path = path
-        self._direct = path.exists() and not path.is_file()
-        if path.is_dir():
-            raise InputError(f"--output {path}: is a directory; use {path}/ for one Parquet file per node")
-        self.partial = path if self._direct else path.with_name(f".{path.name}.{os.getpid()}.part")
-        try:
-            self.partial.open("ab").close()
-        except OSError as error:
-            raise InputError(f"--output {path}: {error.strerror}") from error
-
-    def keep(self) -> None:
-        """Rename the complete file; an existing file is replaced."""
-        if not self._direct:
-            self.partial.replace(self.path)
-
-    def drop(self) -> None:
-        """Remove what was written."""
-        if not self._direct:
-            self.partial.unlink(missing_ok=True)
 
 
 class NewDirectory:

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import mcap.writer
 
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce.output_file import MCAP, NewFile
 from tipforce_tools.decode import text_rows
-from tipforce_tools.decode.files import NewFile
 
 _TYPES = {"real": "number", "flag": "boolean", "integer": "integer", "word": "string"}
 
@@ -18,9 +19,9 @@ _TYPES = {"real": "number", "flag": "boolean", "integer": "integer", "word": "st
 class McapWriter:
     """Channels ``/tipforce/can0/node_5``, one message per sample, logged at its receive time."""
 
-    def __init__(self, path: Path, base: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
         """Raises InputError."""
-        self._file = NewFile(path)
+        self._file = NewFile(path, MCAP, inputs)
         self._base = base
         self._stream = self._file.partial.open("wb")
         self._writer = mcap.writer.Writer(self._stream)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -11,7 +12,8 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
-from tipforce_tools.decode.files import NewDirectory, NewFile
+from tipforce.output_file import PARQUET, NewFile
+from tipforce_tools.decode.files import NewDirectory
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
@@ -87,9 +89,9 @@ def _base_array(name: str, table: Table) -> Any:
 class FileWriter:
     """One Parquet file."""
 
-    def __init__(self, path: Path, base: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
         """Raises InputError."""
-        self._file = NewFile(path)
+        self._file = NewFile(path, PARQUET, inputs)
         self._shape = Shape(base)
         self._parts = _Parts(self._file.partial)
 

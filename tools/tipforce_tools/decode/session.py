@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from tipforce.errors import InputError
+from tipforce.errors import InputError, WriteError
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, StrictError
 from tipforce.host.decoding.recording import Recording, Told
@@ -160,13 +160,19 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
         _check_readable(told)
         return
     base = () if steps.rate_hz is not None else ("counter",)
-    writer = open_writer(args.output, kind, force=args.force, rate_base=base)
+    inputs = [name for name in choice.logs(args.logs) if name != "-"]
+    writer = open_writer(args.output, kind, force=args.force, rate_base=base, inputs=inputs)
     live = args.follow or args.output in {None, "-"}
     try:
         for table in tables if live else _looked_ahead(tables):
             writer.write(table)
         _check_readable(told)
         writer.close()
+    except OSError as error:
+        writer.abort()
+        if args.output in {None, "-"}:
+            raise
+        raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
     except BaseException:
         writer.abort()
         raise

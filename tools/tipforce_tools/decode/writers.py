@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
@@ -13,8 +13,8 @@ import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.decoding.sample_table import Column, Table
+from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, NewFile
 from tipforce_tools.decode import text_rows
-from tipforce_tools.decode.files import NewFile
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 
 FORMATS = ("text", "csv", "jsonl", "parquet", "mcap")
@@ -55,10 +55,17 @@ def format_of(output: str | None, wanted: str | None) -> str:
     return _SUFFIXES[suffix]
 
 
-def open_writer(output: str | None, kind: str, *, force: bool, rate_base: tuple[str, ...] = (COUNTER,)) -> Writer:
+def open_writer(
+    output: str | None,
+    kind: str,
+    *,
+    force: bool,
+    rate_base: tuple[str, ...] = (COUNTER,),
+    inputs: Sequence[str] = (),
+) -> Writer:
     """Return a writer. Raises InputError for a path that cannot be written, EnvironmentLackError for a missing library.
 
-    ``rate_base``: the columns after time and node that every table has.
+    ``rate_base``: the columns after time and node that every table has. ``inputs`` are refused as output.
     """
     if kind in _EXTRAS:
         library, extra = _EXTRAS[kind]
@@ -76,12 +83,14 @@ def open_writer(output: str | None, kind: str, *, force: bool, rate_base: tuple[
 
         if output.endswith("/") or Path(output).is_dir():
             return parquet.DirectoryWriter(Path(output.rstrip("/") or "/"), base, force=force)
-        return parquet.FileWriter(Path(output), base)
+        return parquet.FileWriter(Path(output), base, inputs)
     if kind == "mcap":
         from tipforce_tools.decode.mcap_file import McapWriter
 
-        return McapWriter(Path(output), base)
-    return CsvWriter(Path(output), base) if kind == "csv" else LinesWriter(Path(output), kind, base)
+        return McapWriter(Path(output), base, inputs)
+    if kind == "csv":
+        return CsvWriter(Path(output), base, inputs)
+    return LinesWriter(Path(output), kind, base, inputs)
 
 
 class Shape:
@@ -155,9 +164,9 @@ class StreamWriter:
 class LinesWriter:
     """JSON lines or text in a file."""
 
-    def __init__(self, path: Path, kind: str, base: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, kind: str, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
         """Raises InputError."""
-        self._file = NewFile(path)
+        self._file = NewFile(path, JSON_LINES if kind == "jsonl" else CONTACT_TEXT, inputs)
         self._stream = self._file.partial.open("wb")
         self._lines = StreamWriter(self._stream, kind, base)
 
@@ -179,9 +188,9 @@ class LinesWriter:
 class CsvWriter:
     """CSV in a file. For columns added later, earlier rows are written again with empty cells."""
 
-    def __init__(self, path: Path, base: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, base: tuple[str, ...], inputs: Iterable[str] = ()) -> None:
         """Raises InputError."""
-        self._file = NewFile(path)
+        self._file = NewFile(path, CSV, inputs)
         self._stream = self._file.partial.open("wb")
         self._shape = Shape(base)
         self._pieces: list[tuple[int, int]] = []  # (offset, number of columns) from there on

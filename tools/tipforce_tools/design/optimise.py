@@ -7,7 +7,6 @@ import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 from tipforce.errors import InputError
@@ -95,12 +94,13 @@ def _add_limits(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Search, print, write; return 0, or 1 if the frame does not confirm the best design."""
+    from tipforce.output_file import LAYOUT, check_output
     from tipforce_tools.cli.layout_file import write_layout
     from tipforce_tools.design.optimise_output import comment, print_outcome
 
     common.set_up_logging(args)
-    if args.output and not Path(args.output).parent.is_dir():
-        raise InputError(f"-o {args.output}: the folder {Path(args.output).parent} does not exist")
+    if args.output:
+        check_output(args.output, LAYOUT)
     if not 0.0 <= args.noise < math.inf:
         raise InputError(f"--noise {args.noise}: allowed is 0 or more")
     outcome = optimise(args, *_limits_and_loads(args))

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from tipforce.errors import InputError
+from tipforce.output_file import save_figure
 from tipforce.sensor.design.groove_errors import simulate_groove_errors
 from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS, CASES
 from tipforce.sensor.design.ranking import ranked_layouts
@@ -16,7 +18,7 @@ from tipforce.sensor.design.shift_study import condition_against_shift
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
-from tipforce_tools.cli.figures import new_figure, plotting, save
+from tipforce_tools.cli.figures import new_figure, plotting
 from tipforce_tools.design.section import Section
 
 if TYPE_CHECKING:
@@ -50,11 +52,15 @@ def draw(args: argparse.Namespace) -> Iterator[Path]:
         "fig9": [("grooves", groove_directions), ("figure-9", lambda: figure_9(args.noise, args.repeats, args.seed))],
         "off-axis": [("off-axis", off_axis)],
     }
+    try:
+        args.output.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise InputError(f"--output {args.output}: {error.strerror}") from error
     for name in makers if args.what == "all" else (args.what,):
         for stem, make in makers[name]:
             path = args.output / f"{stem}.{args.format}"
             with plotting(STYLE):
-                save(make(), path)
+                save_figure(make(), path)
             yield path
 
 
@@ -216,7 +222,7 @@ def draw_sweep(path: Path, section: Section) -> None:
             axes.set_ylabel(section.columns[key])
         panels[0].set_title(section.title)
         panels[1].set_xlabel(section.columns[name])
-        save(figure, path)
+        save_figure(figure, path)
 
 
 def _apparent(case: str, loads: np.ndarray, held: bool, placement: dict[str, float]) -> float:

@@ -42,9 +42,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Print the sweep, then draw it; return 0."""
+    from tipforce.output_file import check_output, figure_kind
     from tipforce_tools.cli.layout_file import read_layout
 
     common.set_up_logging(args)
+    if args.output is not None:
+        check_output(args.output, figure_kind(args.output), [args.layout])
     geometry, gauges = read_layout(args.layout)
     section = sweep_section(args, geometry, gauges)
     print_section(args, section)

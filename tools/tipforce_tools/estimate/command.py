@@ -8,7 +8,6 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from math import isnan
-from pathlib import Path
 from typing import TYPE_CHECKING, TextIO
 
 from tipforce.errors import InputError
@@ -61,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     if data.unloaded.any() and data.t_s is None:
         common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
     rows = estimates(calibration, data, args.saturation)
-    with _output(args.output) as stream:
+    with _output(args) as stream:
         _write(stream, _merged(rows, data), args.json)
     if data.bad:
         shown = "; ".join(str(row) for row in data.bad[:3]) + ("; ..." if len(data.bad) > 3 else "")
@@ -84,15 +83,18 @@ def _merged(rows: Iterator[tuple[int, list[float], str]], data: Measurements) ->
 
 
 @contextmanager
-def _output(path: str | None) -> Iterator[TextIO]:
-    if path is None or path == "-":
+def _output(args: argparse.Namespace) -> Iterator[TextIO]:
+    if args.output in {None, "-"}:
         yield sys.stdout
         return
-    try:
-        with Path(path).open("w", encoding="utf-8", newline="\n") as stream:
-            yield stream
-    except OSError as error:
-        raise InputError(f"--output {path}: {error.strerror}") from error
+    from tipforce.output_file import CSV, JSON_LINES, new_file
+
+    kind = JSON_LINES if args.json else CSV
+    with (
+        new_file(args.output, kind, (args.calibration, args.gauges)) as partial,
+        partial.open("w", encoding="utf-8", newline="\n") as stream,
+    ):
+        yield stream
 
 
 def _write(stream: TextIO, rows: Iterator[tuple[int, list[float], str]], as_json: bool) -> None:

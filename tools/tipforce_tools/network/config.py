@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, SdoAbortError
@@ -170,20 +169,25 @@ def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
 def _save(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.settings import changed_settings, settings_dcf, settings_toml
     from tipforce.host.network.finger import FingertipClient
+    from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
+    as_dcf = str(args.file).lower().endswith((".dcf", ".eds"))
+    kind = EDS if as_dcf else SETTINGS
+    if args.file != "-":
+        check_output(args.file, kind)
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
         simulated = FingertipClient(sdo).identity().simulated
         settings = _read(args, sdo)
     chosen = settings if args.all else changed_settings(settings, args.node, args.gauges)
-    if str(args.file).lower().endswith((".dcf", ".eds")):
+    if as_dcf:
         text = settings_dcf(chosen, args.node, args.gauges, simulated)
     else:
         text = settings_toml(chosen, args.node, args.gauges)
     if args.file == "-":
         print(text, end="")
         return 0
-    Path(args.file).write_text(text, encoding="utf-8", newline="")
+    write_file(args.file, text, kind)
     common.note(args, f"{args.file}: {len(chosen)} of {len(settings)} settings of node {common.shown_id(args.node)}")
     return 0
 

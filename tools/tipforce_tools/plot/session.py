@@ -12,6 +12,7 @@ from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
+from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
@@ -23,7 +24,6 @@ if TYPE_CHECKING:
 
     from tipforce.host.decoding.contact_columns import ContactColumns
 
-FORMATS = (".png", ".svg", ".pdf")
 MOST_FINGERS = 20
 STATUS, GAUGES = "status", "gauges"
 _DEFAULT = ("P", "phi", "theta", GAUGES, STATUS)
@@ -34,10 +34,10 @@ def plot(args: Namespace) -> int:
     path = None if args.output is None else Path(args.output)
     if path is None and not args.show:
         raise InputError("no output: add -o FILE.png, .svg or .pdf, or --show")
-    if path is not None and path.suffix.lower() not in FORMATS:
-        raise InputError(f"-o {path}: allowed are the suffixes {', '.join(FORMATS)}")
-    plt = figure.import_matplotlib(screen=args.show)
     names = choice.logs(args.logs)
+    if path is not None:
+        check_output(path, figure_kind(path, FIGURES), names)
+    plt = figure.import_matplotlib(screen=args.show)
     wanted = choice.names_of(args.signals) or _DEFAULT
     layouts, contact, computed = _layouts(args)
     reading = choice.reading(args, names, layouts, None)
@@ -100,13 +100,9 @@ def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int)
 def _write(args: Namespace, drawn: Figure, path: Path | None, plt: Any) -> None:
     try:
         if path is not None:
-            # No date, so that the same log gives the same file.
-            metadata = {".svg": {"Date": None}, ".pdf": {"CreationDate": None}}.get(path.suffix.lower())
-            drawn.savefig(path, dpi=args.dpi, metadata=metadata)
+            save_figure(drawn, path, FIGURES, dpi=args.dpi)
         if args.show:
             plt.show()
-    except OSError as error:
-        raise InputError(f"-o {path}: {error.strerror}") from None
     finally:
         plt.close(drawn)
 

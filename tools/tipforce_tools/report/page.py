@@ -8,7 +8,7 @@ from html import escape
 from importlib import resources
 from pathlib import Path
 
-from tipforce.errors import InputError
+from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_tools.cli.common import json_line
 from tipforce_tools.report import plots, text
 from tipforce_tools.report.run import Item, Judged, LeftOut, Report
@@ -17,18 +17,14 @@ from tipforce_tools.report.verdict import advice, verdict
 
 
 def write(report: Report, directory: Path) -> list[Path]:
-    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError if a file cannot be written."""
+    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError."""
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
     lines = "".join(json_line(one) + "\n" for one in records)
     found = []
     for name, content in (("index.html", html(report)), ("report.jsonl", lines)):
-        path = directory / name
-        try:
-            path.write_text(content, encoding="utf-8")
-        except OSError as error:
-            raise InputError(f"--output {path}: {error.strerror}") from None
-        found.append(path)
+        found.append(directory / name)
+        write_file(found[-1], content, HTML if name.endswith(".html") else JSON_LINES)
     for study in report.studies:
         found.append(directory / f"{study.key}.svg")
         plots.save(study, found[-1])

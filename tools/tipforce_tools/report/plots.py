@@ -9,6 +9,7 @@ from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tipforce.output_file import save_figure
 from tipforce_tools.cli import figures
 from tipforce_tools.report.study import Study
 
@@ -153,7 +154,7 @@ def svg(study: Study) -> str:
 def save(study: Study, path: Path) -> None:
     """Write the plot to a file, .svg or .png. Raises InputError if it cannot be written."""
     with plotting():
-        figures.save(figure(study), path, transparent=False, facecolor=PAPER)
+        save_figure(figure(study), path, transparent=False, facecolor=PAPER)
 
 
 def _inlined(text: str, key: str) -> str:

@@ -15,6 +15,7 @@ from tipforce.arrays import FloatArray
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, version_2_bytes
+from tipforce.output_file import CALIBRATION, write_file
 from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
@@ -280,7 +281,4 @@ def write_calibration(
     if fit is not None:
         record = msgspec.to_builtins(fit)
         document["fit"] = {name: value for name, value in record.items() if value is not None}
-    try:
-        Path(path).write_bytes(msgspec.toml.encode(document))
-    except OSError as error:
-        raise InputError(f"calibration {path}: {error.strerror}") from None
+    write_file(path, msgspec.toml.encode(document), CALIBRATION)

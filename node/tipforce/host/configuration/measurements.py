@@ -15,6 +15,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
 from tipforce.host.configuration.measurement_rows import MODES, Block, Columns, read_block, time_faults
+from tipforce.output_file import CSV, write_file
 
 MIN_GAUGES, MAX_GAUGES = 3, 8
 LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
@@ -95,7 +96,7 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
 
 
 def write_measurements(path: str | Path, measurements: Measurements) -> None:
-    """Write rows with full precision, so that they read back unchanged. Raises InputError if writing fails."""
+    """Write rows with full precision: they read back unchanged. Raises InputError for an unusable path, WriteError."""
     n = measurements.strain.shape[1]
     columns: dict[str, Sequence[object]] = {}
     if measurements.t_s is not None:
@@ -114,10 +115,7 @@ def write_measurements(path: str | Path, measurements: Measurements) -> None:
     if measurements.mode is not None:
         columns["mode"] = ["" if code < 0 else MODES[code] for code in measurements.mode]
     rows = (",".join(str(value) for value in row) for row in zip(*columns.values(), strict=True))
-    try:
-        Path(path).write_text("\n".join([",".join(columns), *rows, ""]), encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    write_file(path, "\n".join([",".join(columns), *rows, ""]), CSV)
 
 
 def _lines(path: str | Path) -> list[str]:
