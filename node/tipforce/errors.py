@@ -9,6 +9,10 @@ class InputError(TipforceError):
     """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
 
 
+class LogError(InputError):
+    """A log is damaged, is not a log, or holds nothing of a fingertip; the text says which."""
+
+
 class WriteError(TipforceError):
     """A file could not be written completely, for example on a full disk; an existing one is unchanged."""
 

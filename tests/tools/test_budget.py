@@ -120,8 +120,8 @@ def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, hea
     path = tmp_path / name
     assert main(["budget", "-o", str(path)]) == 0
     assert path.read_bytes().startswith(head)
-    assert main(["budget", "-o", str(path / name)]) == 2  # a file is no folder
-    assert f"figure {path / name}" in capsys.readouterr().err
+    assert main(["budget", "-o", str(tmp_path / "no" / name)]) == 2
+    assert "does not exist; create it first" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(
@@ -132,7 +132,7 @@ def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, hea
         (["--load", "0"], "--load 0.0: allowed is a positive number"),
         (["--phi", "10"], "--phi and --theta: one load needs both"),
         (["--phi", "1e9", "--theta", "0"], "--phi 1000000000.0"),
-        (["-o", "b.txt"], "--output b.txt"),
+        (["-o", "b.txt"], "figure b.txt: allowed are the suffixes .svg, .png"),
         (["--layout", "IV"], "layout 'IV'"),
         (["nothing.toml"], "calibration nothing.toml"),
         (["nothing.toml", "--uncalibrated"], "--uncalibrated"),

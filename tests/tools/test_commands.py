@@ -183,7 +183,7 @@ def test_sdo_exit_codes(tipforce: Tipforce) -> None:
     assert "node 9 (0x09), read of 0x1000:00: no response after 1 try of 0.01 s" in err
     code, _, err = tipforce("sdo", "read", 5, "0x3000", 0, "u8")
     assert code == 11
-    assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, Object does not exist\n"
+    assert err == "tipforce: node 5 (0x05), read of 0x3000:00: abort 0x06020000, object does not exist\n"
 
 
 def test_sdo_dump_is_all_that_can_be_read(tipforce: Tipforce, bench: tuple[Bus, str]) -> None:
@@ -355,7 +355,7 @@ def test_export_of_others(export: Tipforce) -> None:
     [
         ("eds --gauges 2", "2"),
         ("dbc --gauges 9", "9"),
-        ("eds -o absent/x.eds", "--output absent/x.eds: No such file or directory"),
+        ("eds -o absent/x.eds", "absent/x.eds: the directory absent does not exist; create it first"),
     ],
 )
 def test_export_that_cannot_be(export: Tipforce, words: str, message: str) -> None:

@@ -112,7 +112,7 @@ def test_what_is_wrong_is_said(tipforce: Tipforce, tmp_path: Path) -> None:
         (("apply", 5, path), "contact_unknown"),
         (("save", 5), "which FILE?"),
         (("show", 5, path), "takes no FILE"),
-        (("save", 5, tmp_path / "no" / "file.toml"), "No such file"),
+        (("save", 5, tmp_path / "no" / "file.toml"), "does not exist; create it first"),
     ):
         code, out, err = tipforce("config", *words)
         assert (code, out) == (2 if words[0] != "save" or len(words) == 2 else 1, "")

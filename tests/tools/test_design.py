@@ -290,7 +290,7 @@ def test_sweep_figure(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> Non
     assert path.read_bytes().startswith(b"\x89PNG")
     assert f"wrote {path}" in capsys.readouterr().err
     assert main(["design", "sweep", "r", "--steps", "5", "-o", str(tmp_path / "r.gif")]) == 2
-    assert ".svg and .png" in capsys.readouterr().err
+    assert "allowed are the suffixes .svg, .png" in capsys.readouterr().err
 
 
 @NEEDS_MATPLOTLIB

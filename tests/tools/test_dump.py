@@ -88,7 +88,7 @@ def test_decoded(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "P=unknown phi=unknown theta=unknown calibrated #4",
         "  vcan1  185   [8]  0A 00 14 00 1E 00 02 06  node 5 (0x05) Gauges  "
         "SG1=1.0 microstrain SG2=2.0 microstrain SG3=3.0 microstrain calibrated #6",
-        "  vcan0  080   [0] ",
+        "  vcan0  080   [0]                           SYNC",
     ]
 
 
@@ -107,7 +107,14 @@ def test_json(log: Path, capsys: pytest.CaptureFixture[str]) -> None:
         "counter": 3,
     }
     assert found[1]["values"] == {"P": None, "phi": None, "theta": None}
-    assert found[3] == {"t": 1700000000.25, "interface": "vcan0", "id": "080", "data": ""}
+    assert found[3] == {
+        "t": 1700000000.25,
+        "interface": "vcan0",
+        "id": "080",
+        "data": "",
+        "service": "SYNC",
+        "text": "SYNC",
+    }
     assert (found[4]["remote"], found[4]["length"], found[5]["error"]) == (True, 8, True)
     assert found[6]["id"] == "12345678"
 
@@ -252,7 +259,7 @@ def test_strict_stops_at_the_first_bad_line() -> None:
 def test_bytes_that_are_no_text() -> None:
     noise = bytes(range(256)) * 1000
     done = subprocess.run([*DUMP, "-"], input=noise, capture_output=True, timeout=60, check=False)
-    assert (done.returncode, done.stdout) == (2, b"")
+    assert (done.returncode, done.stdout) == (1, b"")
     assert b"no frames in it; is it a log?" in done.stderr
 
 

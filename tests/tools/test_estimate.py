@@ -192,7 +192,7 @@ def test_json_and_output_file(calibration: Path, tmp_path: Path, capsys: pytest.
     [
         ("SG1,SG2,SG3,SG4\n1,2,3,4\n", [], "4 gauges, the calibration"),
         ("SG1,SG2,SG3\n1,2,3\n", ["--saturation", "-5"], "--saturation -5: allowed is above 0"),
-        ("SG1,SG2,SG3\n1,2,3\n", ["-o", "/no/such/place/out.csv"], "--output /no/such/place/out.csv: No such file"),
+        ("SG1,SG2,SG3\n1,2,3\n", ["-o", "/no/such/place/out.csv"], "/no/such/place does not exist; create it first"),
         ("SG1,SG2\n1,2\n", [], "allowed are SG1 to SGn"),
     ],
 )

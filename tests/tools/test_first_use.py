@@ -85,7 +85,7 @@ def test_without_a_bus_it_says_how_to_name_one(
 def test_a_file_that_is_no_log_is_refused(not_a_log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / "out.csv"
     for words in ([], ["-o", str(out)], ["--summary"], ["--json"]):
-        assert main(["decode", str(not_a_log), *words]) == 2
+        assert main(["decode", str(not_a_log), *words]) == 1
         told = capsys.readouterr().err
         assert f"{not_a_log}: no frames in it; is it a log?" in told
         assert "line 1: 'these are'" in told
@@ -99,7 +99,7 @@ def test_a_file_that_is_no_log_is_refused_by_all(
     words: list[str], not_a_log: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     command, *flags = words
-    assert main([command, str(not_a_log), *flags, *(["-c", "no-log"] if command == "replay" else [])]) == 2
+    assert main([command, str(not_a_log), *flags, *(["-c", "no-log"] if command == "replay" else [])]) == 1
     out, err = capsys.readouterr()
     assert out == ""
     assert err.startswith(f"tipforce: {not_a_log}: no frames in it; is it a log? line 1: 'these are': ")

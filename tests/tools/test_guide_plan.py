@@ -148,7 +148,7 @@ def test_no_auto_with_real_gauges(capsys: pytest.CaptureFixture[str], tmp_path: 
         (["--max-std", "nan"], "--max-std nan: allowed is above 0"),
         (["--max-drift", "-1"], "--max-drift -1: allowed is above 0"),
         (["--plan", "a.toml", "--weights", "1"], "--plan and --weights: allowed is one of them"),
-        (["-o", "no/such/folder/a.toml"], "the directory does not exist; create it first"),
+        (["-o", "no/such/folder/a.toml"], "the directory no/such/folder does not exist; create it first"),
         (["--session", "no/such/folder/a.csv"], "the directory does not exist; create it first"),
         (["--layout", "IV"], "layout 'IV'"),
         (["--saturation", "-3"], "--saturation -3: allowed is above 0"),

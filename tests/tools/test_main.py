@@ -16,6 +16,7 @@ from tipforce.dictionary.table import SOFTWARE_VERSION
 from tipforce.errors import (
     EnvironmentLackError,
     InputError,
+    LogError,
     NoResponseError,
     RefusedError,
     SdoAbortError,
@@ -192,7 +193,7 @@ def test_each_error_has_its_exit_code(
 
 
 def test_every_error_class_is_mapped() -> None:
-    assert set(EXIT_CODES) == set(TipforceError.__subclasses__())
+    assert set(EXIT_CODES) == {LogError, *TipforceError.__subclasses__()}
 
 
 def wrapped(inner: BaseException) -> OSError:

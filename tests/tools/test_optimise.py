@@ -134,7 +134,7 @@ def test_gauges_too_long_for_the_paper_leave_out_its_glued_case(capsys: pytest.C
         ("--yield 500 --safety 0", "--safety 0.0: allowed is above 0"),
         ("--radius 16", "radius_m = 0.016"),
         ("--gauge-length 100", "no design found within the limits"),
-        ("-o absent/layout.toml", "-o absent/layout.toml: the folder absent does not exist"),
+        ("-o absent/layout.toml", "absent/layout.toml: the directory absent does not exist; create it first"),
     ],
 )
 def test_flags_that_are_wrong(words: str, message: str, capsys: pytest.CaptureFixture[str]) -> None:

@@ -384,11 +384,11 @@ def test_uncertainty_of_tpdo4_is_held(one: Path) -> None:
     ("words", "message"),
     [
         (["LOG"], "no output: add -o FILE.png, .svg or .pdf, or --show"),
-        (["LOG", "-o", "x.jpg"], "allowed are the suffixes .png, .svg, .pdf"),
+        (["LOG", "-o", "x.jpg"], "allowed are the suffixes .svg, .png, .pdf"),
         (["nothing.log", "-o", "x.png"], "no such file"),
         (["LOG", "-o", "x.png", "--signals", "Q"], "no message has the signal Q"),
         (["LOG", "-o", "x.png", "--nodes", "9"], "no PDO of a fingertip"),
-        (["LOG", "-o", "/no/such/folder/x.png"], "No such file or directory"),
+        (["LOG", "-o", "/no/such/folder/x.png"], "the directory /no/such/folder does not exist; create it first"),
         (["UNTIMED", "-o", "x.png"], "no timestamps"),
     ],
 )

@@ -226,7 +226,7 @@ def test_files_that_cannot_be_read_or_written(tmp_path: Path) -> None:
     (tmp_path / "cal.toml").write_bytes(b"\xff\xfe\x00")
     with pytest.raises(InputError, match=r"cal\.toml: "):
         read_calibration(tmp_path / "cal.toml")
-    with pytest.raises(InputError, match=r"calibration .*: No such file or directory"):
+    with pytest.raises(InputError, match="absent does not exist; create it first"):
         write_calibration(tmp_path / "absent" / "cal.toml", beam_calibration())
 
 

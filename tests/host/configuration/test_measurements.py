@@ -184,7 +184,7 @@ def test_written_rows_read_back(tmp_path: Path) -> None:
     assert again.bad == ()
     for name in ("strain", "P_newtons", "phi_rad", "theta_rad", "t_s", "temperature_degC", "weight", "mode", "line"):
         np.testing.assert_allclose(getattr(again, name), getattr(original, name), rtol=1e-14)
-    with pytest.raises(InputError, match="No such file"):
+    with pytest.raises(InputError, match="does not exist; create it first"):
         write_measurements(tmp_path / "no" / "out.csv", replace(original, P_newtons=None))
 
 

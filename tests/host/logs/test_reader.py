@@ -228,7 +228,7 @@ def test_junk_under_any_name_is_no_traceback(tmp_path: Path, suffix: str) -> Non
     random = np.random.default_rng(3)
     for junk in (b"", b"hello\n", bytes(1000), random.bytes(5000), b"1.0 1 285x Rx d 8 00\n1.1 x\n"):
         path.write_bytes(junk)
-        with suppress(InputError):
+        with suppress(InputError, EnvironmentLackError):  # asammdf may be missing
             assert len(read(path)[0]) == 0
 
 

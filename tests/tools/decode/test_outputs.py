@@ -99,13 +99,16 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert parts["channel"].to_pylist() == table["channel"].to_pylist()
 
 
-@pytest.mark.parametrize("name", ["out.csv", "out.jsonl", "out.parquet", "out.mcap", "out/"])
+BEFORE = {"out.csv": b"a,b\n", "out.jsonl": b"{}\n", "out.parquet": b"PAR1", "out.mcap": b"\x89MCAP"}
+
+
+@pytest.mark.parametrize("name", [*BEFORE, "out/"])
 def test_no_partial_output_stays(
     log: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = log.parent / name
     if not name.endswith("/"):
-        place.write_text("before")
+        place.write_bytes(BEFORE[name])
     opened = writers.open_writer
 
     def failing(*words: object, **options: object) -> writers.Writer:
@@ -125,7 +128,7 @@ def test_no_partial_output_stays(
     assert sorted(path.name for path in log.parent.iterdir()) == sorted(
         {"run.log", *([name] if name[-1] != "/" else [])}
     )
-    assert name.endswith("/") or place.read_text() == "before"
+    assert name.endswith("/") or place.read_bytes() == BEFORE[name]
 
 
 def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING
 from tipforce.errors import (
     EnvironmentLackError,
     InputError,
+    LogError,
     NoResponseError,
     RefusedError,
     SdoAbortError,
     TipforceError,
+    WriteError,
 )
 
 if TYPE_CHECKING:
@@ -55,11 +57,13 @@ COMMANDS = {
 }
 
 EXIT_CODES: dict[type[TipforceError], int] = {
+    LogError: 1,
     InputError: 2,
     NoResponseError: 5,
     EnvironmentLackError: 2,
     SdoAbortError: 11,
     RefusedError: 12,
+    WriteError: 1,
 }
 PERMISSION, INTERRUPTED = 9, 130
 EXIT_TEXTS = {

@@ -20,6 +20,7 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
+from tipforce_tools.decode.events import events_path, write_events
 from tipforce_tools.decode.progress import ProgressBar
 from tipforce_tools.decode.writers import format_of, open_writer
 
@@ -58,7 +59,7 @@ def decode(args: Namespace) -> int:
     if args.json and (args.output not in {None, "-"} or args.summary):
         common.print_json(summaries.record(summary, recording.told, args.output))
     elif args.summary:
-        print("\n".join(summaries.lines(summary, recording.told)))
+        print("\n".join([*summaries.lines(summary, recording.told), *summaries.event_lines(recording.told)]))
     return code
 
 
@@ -157,7 +158,7 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     if args.summary and args.output is None:
         for _ in tables:
             pass
-        _check_readable(told)
+        _check_readable(args, told)
         return
     base = () if steps.rate_hz is not None else ("counter",)
     inputs = [name for name in choice.logs(args.logs) if name != "-"]
@@ -166,8 +167,10 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     try:
         for table in tables if live else _looked_ahead(tables):
             writer.write(table)
-        _check_readable(told)
+        _check_readable(args, told)
         writer.close()
+        if args.output not in {None, "-"}:
+            write_events(args.output, told.events())
     except OSError as error:
         writer.abort()
         if args.output in {None, "-"}:
@@ -181,12 +184,17 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
         common.note(args, f"not in the CSV, because they appeared after its header: {', '.join(sorted(left_out))}")
 
 
-def _check_readable(told: Told) -> None:
-    """Raises InputError for a large input without a frame: it is not a log."""
-    if summaries.bad_lines(told) and not any(notes.frames for notes in told.notes):
-        from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame
+def _check_readable(args: Namespace, told: Told) -> None:
+    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out."""
+    from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 
-        raise no_frame(", ".join(notes.source for notes in told.notes), (TEXT, PACKED, MESSAGES, PCAP))
+    names = ", ".join(notes.source for notes in told.notes)
+    frames = sum(notes.frames for notes in told.notes)
+    if summaries.bad_lines(told) and not frames:
+        raise no_frame(names, (TEXT, PACKED, MESSAGES, PCAP))
+    narrowed = args.signals or args.calibration or choice.narrowing_flags(args)
+    if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
+        raise no_sample(names, frames, sum(notes.extended for notes in told.notes))
 
 
 def _looked_ahead(tables: Iterable[Table]) -> Iterator[Table]:
@@ -215,6 +223,8 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
         common.note(args, status_words.not_seen(node for _, node in told.unseen))
     if args.summary and not args.json:
         return
+    for line in summaries.event_lines(told):
+        common.note(args, line)
     if complete and not summary.samples:
         common.note(args, _nothing(args, told))
     for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
@@ -222,6 +232,8 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
     if complete and args.output not in {None, "-"} and not args.json:
         lost = sum(told.tally.lost().values())
         common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
+        if events := told.events():
+            common.note(args, f"{events_path(args.output)}: {counted(len(events), 'event')}")
 
 
 def _nothing(args: Namespace, told: Told) -> str:

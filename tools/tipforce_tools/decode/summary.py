@@ -27,6 +27,7 @@ _REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
     ("theta_unresolved", "theta_unresolved", True, frozenset({"theta"})),
     ("misses_tip", "misses_tip", True, frozenset({"theta"})),
 )
+_EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state"}
 _ORDER = (*(reason for reason, *_ in _REASONS), UNKNOWN)
 
 
@@ -179,6 +180,17 @@ def record(summary: Summary, told: Told, output: str | None) -> dict[str, Any]:
         "lost": sum(told.tally.lost().values()),
         "bad": bad_lines(told),
         "skipped": skipped(told),
+        "events": [
+            {
+                "t_s": event.t_ns / 1_000_000_000,
+                "channel": event.channel,
+                "node": event.node_id,
+                "event": event.kind,
+                "code": event.code,
+                "text": event.text,
+            }
+            for event in told.events()
+        ],
         "nodes": [node.record(told) for node in summary.nodes()],
     }
 
@@ -198,6 +210,17 @@ def lines(summary: Summary, told: Told) -> Iterator[str]:
         yield line
         for name, reasons in node.missing.items():
             yield f"  {name} missing: " + ", ".join(f"{count} {reason}" for reason, count in reasons.items())
+
+
+def event_lines(told: Told) -> Iterator[str]:
+    """Yield the events per node: EMCYs by their text, boot-ups and other changes of the NMT state."""
+    counts: dict[tuple[str, int], dict[str, int]] = {}
+    for event in told.events():
+        of_node = counts.setdefault((event.channel, event.node_id), {})
+        what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS[event.kind]
+        of_node[what] = of_node.get(what, 0) + 1
+    for (channel, node), found in sorted(counts.items()):
+        yield f"{channel} node {node} (0x{node:02X}): " + "; ".join(f"{count} {what}" for what, count in found.items())
 
 
 def lost_lines(told: Told) -> Iterator[str]:

@@ -5,7 +5,8 @@ import argparse
 from tipforce_tools.cli import common
 
 DESCRIPTION = """\
-Print frames byte for byte as candump does; with --decode, add the values in the PDOs of fingertips. Frames come from
+Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
+objects, heartbeats, LSS, and the values in the PDOs of fingertips. Frames come from
 buses, or from candump text: a log file, or stdin with -.
 """
 EPILOG = """\
@@ -16,7 +17,7 @@ CHANNEL[,FILTER...] as for candump, identifiers and masks in hexadecimal:
   j         a frame must pass all filters (default: one of them)
 Unlike candump, -c is the channel (not colour), and `tipforce log` records.
 At the end stderr reports frames left out (not with -q), and with -v the count of each message.
-exit codes: 0 ok, 1 a bad line with --strict, 2 usage, or no frames in the text
+exit codes: 0 ok, 1 a bad line with --strict, or no frames in the text, 2 usage
 With text, CHANNEL (or `any`) selects by the interface named in each line. Without -i and a python-can configuration,
 CHANNEL is a SocketCAN interface.
 
@@ -52,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-D", dest="stay", action="store_true", help="continue when an interface goes down")
     look.add_argument("-n", dest="count", type=common.count, metavar="COUNT", help="end after COUNT frames")
     look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
-    parser.add_argument("--decode", action="store_true", help="add the values in the PDOs of fingertips")
+    parser.add_argument("--decode", action="store_true", help="add the meaning of each frame")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     common.add_bus_arguments(parser)

@@ -2,12 +2,13 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any, Protocol
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal
 from tipforce.host.decoding.decoder import Key, Samples
+from tipforce.host.decoding.services import Service
 from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
@@ -23,7 +24,7 @@ Decoded = Mapping[Key, Samples]
 class Writer(Protocol):
     """Formats a block of frames and its decoded values, with line ends."""
 
-    def text(self, block: CandumpBlock, decoded: Decoded) -> str:
+    def text(self, block: CandumpBlock, decoded: Decoded, services: Iterable[Service] = ()) -> str:
         """Return the text of a block."""
 
 
@@ -34,7 +35,7 @@ class TextWriter:
         self._format = candump_format
         self._aligned = aligned
 
-    def text(self, block: CandumpBlock, decoded: Decoded) -> str:
+    def text(self, block: CandumpBlock, decoded: Decoded, services: Iterable[Service] = ()) -> str:
         """Return the text of a block."""
         lines = self._format.lines(block)
         lengths = block.frames["length"].tolist()
@@ -44,13 +45,17 @@ class TextWriter:
             for row, line, words in zip(rows, positions[samples.row].tolist(), _words(samples), strict=True):
                 gap = max(_HEX_WIDTH - 3 * lengths[row], 0) if self._aligned else 0
                 lines[line] += " " * (gap + 2) + words
+        for service in services:
+            gap = max(_HEX_WIDTH - 3 * lengths[service.row], 0) if self._aligned else 0
+            node = f"node {common.shown_id(service.node_id)} " if service.node_id else ""
+            lines[positions[service.row]] += " " * (gap + 2) + node + service.text
         return "\n".join(lines) + "\n" if lines else ""
 
 
 class JsonWriter:
     """One JSON object per frame."""
 
-    def text(self, block: CandumpBlock, decoded: Decoded) -> str:
+    def text(self, block: CandumpBlock, decoded: Decoded, services: Iterable[Service] = ()) -> str:
         """Return the text of a block."""
         frames = block.frames
         data = frames["data"].tobytes()
@@ -73,6 +78,9 @@ class JsonWriter:
             records.append(record)
         for samples in decoded.values():
             _add_values(records, samples)
+        for service in services:
+            node_id = {"node": service.node_id} if service.node_id else {}
+            records[service.row] |= {**node_id, "service": service.name, "text": service.text}
         for number, frame in enumerate(block.fd):
             record = {
                 "t": frame.t_ns / 1_000_000_000 if block.timed else None,

@@ -11,8 +11,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Key, Samples, lost_samples
+from tipforce.host.decoding.object_names import fingertip_names
+from tipforce.host.decoding.services import Services
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
@@ -44,12 +47,22 @@ class Tally:
             self._last[key] = counter[-1:].copy()
 
 
+def _decoder(gauges: int) -> Decoder:
+    """Return a decoder of all PDOs of fingertips, also of those that they receive."""
+    messages = (*tpdo_messages(gauges), *rpdo_messages())
+    given = [message for message in messages if message.cob_id_base]
+    return Decoder.of_messages(
+        {(node_id, one.name): (one.cob_id_base + node_id, one) for node_id in range(1, 128) for one in given}
+    )
+
+
 class Session:
     """Output and counters of a run."""
 
     def __init__(self, args: Namespace, targets: tuple[Target, ...]) -> None:
         self._args = args
-        self.decoder = Decoder(args.gauges) if args.decode or args.verbose else None
+        self.decoder = _decoder(args.gauges) if args.decode or args.verbose else None
+        self.services = Services(fingertip_names(args.gauges)) if args.decode else None
         self.tally = Tally()
         self._left = args.count
         self._needs_time = not args.json and (args.log or bool(args.timestamps))
@@ -71,7 +84,8 @@ class Session:
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
         for key, samples in decoded.items():
             self.tally.add(key, samples)
-        text = self._writer.text(block, decoded if self._args.decode else {})
+        services = () if self.services is None else self.services.describe(block.frames, block.interface)
+        text = self._writer.text(block, decoded if self._args.decode else {}, services)
         if text:
             sys.stdout.write(text)
             sys.stdout.flush()

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 from tipforce_tools.cli.listening import StopSignals, counted, open_targets
 from tipforce_tools.cli.main import INTERRUPTED
 from tipforce_tools.dump.targets import STDIN, Target, split_targets
@@ -50,9 +51,10 @@ def monitor(args: Namespace) -> int:
         loop = Loop(args.once, interval_s, show if screen or (args.json and args.once is None) else None)
         loop.run(watched, source, lambda: stop.stopped or pressed())
         if log is not None and source.ended and log.bad and not watched.frames:
-            from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame
-
             raise no_frame(str(log_name), (TEXT, PACKED, MESSAGES, PCAP), log.first_bad)
+        found = any(bus.nodes for bus in watched.views())
+        if log is not None and source.ended and watched.frames and not args.nodes and not found:
+            raise no_sample(str(log_name), watched.frames, log.extended)
         if not screen and not (args.json and args.once is None and loop.shown):
             _lines(args)(watched, source.now_ns())
     if log is not None:

@@ -14,6 +14,7 @@ from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import Table
 from tipforce.output_file import FIGURES, check_output, figure_kind, save_figure
 from tipforce_tools.cli import common
+from tipforce_tools.cli.empty_log import no_sample
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
 from tipforce_tools.plot import figure
@@ -46,7 +47,8 @@ def plot(args: Namespace) -> int:
     tables: Iterable[Table] = recording.tables_of_logs(names)
     for table in tables if contact is None else contact.tables(tables):
         fingers.add(table)
-    _check(args, fingers, names, frames=sum(notes.frames for notes in recording.told.notes))
+    told = recording.told.notes
+    _check(args, fingers, names, sum(notes.frames for notes in told), sum(notes.extended for notes in told))
     drawn = figure.draw(fingers, figure.Look(args.title, args.size, STATUS in wanted), plt)
     _write(args, drawn, path, plt)
     for notes in recording.told.notes:
@@ -85,11 +87,13 @@ def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) 
     return frozenset(found)
 
 
-def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int) -> None:
+def _check(args: Namespace, fingers: Fingers, names: Iterable[str], frames: int, extended: int) -> None:
     count = len(fingers.named())
     if not count:
         flags = choice.narrowing_flags(args)
-        why = f" (of {counted(frames, 'frame')}, with {flags})" if flags else ""
+        if not flags:
+            raise no_sample(", ".join(names), frames, extended)
+        why = f" (of {counted(frames, 'frame')}, with {flags})"
         raise InputError(f"{', '.join(names)}: no PDO of a fingertip{why}, so there is nothing to draw")
     if not fingers.timed:
         raise InputError(f"{', '.join(names)}: no timestamps, which a plot needs; candump -L writes them")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from tipforce.device.codes import RPDO_BASES, STANDARD_MASK, SYNC_COB_ID, TPDO_BASES
-from tipforce.errors import InputError, RefusedError
+from tipforce.errors import InputError, LogError, RefusedError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.network.bus_load import range_of_bits
 from tipforce_tools.view.fingers import Finger
@@ -34,7 +34,7 @@ class LogSource:
         watcher = Watcher(make_finger, gauges, fingers)
         limits = self._discover(path, watcher, start_s, end_s)
         if not watcher.fingers:
-            raise InputError(f"{path}: no PDO of a fingertip (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
+            raise LogError(f"{path}: no PDO of a fingertip (0x180, 0x280 or 0x380 + node-id, with 8 bytes)")
         capacity = LOG_BYTES // (2 * row_bytes(len(watcher.fingers), gauges))
         self.model = Model(watcher.fingers, gauges, live=False, capacity=self._rows(path, watcher, limits, capacity))
         self._read(path, watcher, limits)

@@ -15,6 +15,7 @@ from tipforce.host.decoding.health_rows import joins, with_services
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_rows import GAP_FRAMES
 from tipforce.host.decoding.sample_table import Table
+from tipforce.host.decoding.services import BusEvents
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine
@@ -89,6 +90,8 @@ class Notes:
     goes_on: bool = False
     first_bad_line: BadLine | None = None
     lines: int = 0
+    extended: int = 0
+    events: BusEvents = field(default_factory=BusEvents)
 
     def append(self, other: Notes) -> None:
         """Add the notes of the next part of the same log."""
@@ -97,6 +100,9 @@ class Notes:
             moved = line is not None and other.first_bad == str(line)
             self.first_bad = str(numbered_from(self.lines, line)) if moved and line is not None else other.first_bad
         self.frames += other.frames
+        self.extended += other.extended
+        for event in other.events.found:
+            self.events.append(event)
         self.lines += other.lines
         for mine, more in ((self.bad, other.bad), (self.skipped, other.skipped)):
             for reason, count in more.items():
@@ -145,7 +151,7 @@ class Source:
             name, strict=reading.strict, follow=reading.follow and name != "-", deltas=reading.deltas,
             part=(piece.start, piece.end),
         )  # fmt: skip
-        self.notes = Notes(name, goes_on=piece.start > 0)
+        self.notes = Notes(name, goes_on=piece.start > 0, events=BusEvents(reading.layouts.nodes))
 
     @property
     def channels(self) -> list[str]:
@@ -161,6 +167,7 @@ class Source:
                     if self._progress is not None:
                         self._progress(_position(log))
                     if len(frames):
+                        self.notes.events.add(frames, log.channels)
                         yield frames
             finally:
                 self._take_notes(log)
@@ -181,7 +188,7 @@ class Source:
         notes = self.notes
         notes.bad, notes.first_bad, notes.skipped = dict(log.bad), log.first_bad, dict(log.skipped)
         notes.channels, notes.timed = tuple(log.channels), log.timed
-        notes.first_bad_line, notes.lines = log.first_bad_line, log.lines
+        notes.first_bad_line, notes.lines, notes.extended = log.first_bad_line, log.lines, log.extended
 
     def _chosen(self, block: FrameArray) -> FrameArray:
         reading = self._reading

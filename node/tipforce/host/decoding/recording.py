@@ -26,6 +26,7 @@ from tipforce.host.decoding.log_part import (
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_rows import IntArray
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
+from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
@@ -79,6 +80,14 @@ class Told:
     notes: list[Notes]
     unseen: list[tuple[str, int]] = field(default_factory=list)
     """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
+
+    def events(self) -> list[BusEvent]:
+        """Return the EMCYs and the changes of NMT states of the whole recording, in order."""
+        joined = BusEvents()
+        for notes in self.notes:
+            for event in notes.events.found:
+                joined.append(event)
+        return joined.found
 
 
 class Recording:

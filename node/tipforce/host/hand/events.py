@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 
 from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL
-from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
+from tipforce.dictionary.service_texts import emcy_text, state_text
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 
@@ -59,7 +59,7 @@ class Supervisor:
     def state_name(self, node_id: int) -> str:
         """Return the NMT state as text."""
         state = self.states[node_id]
-        return "silent" if state == _UNKNOWN_STATE else NMT_STATES.get(state, f"state {state}")
+        return "silent" if state == _UNKNOWN_STATE else state_text(state)
 
     def add(self, frames: FrameArray, now_s: float) -> list[Event]:
         """Process received frames, FRAME (n,), and the time; return the events. Call it without frames too."""
@@ -119,8 +119,5 @@ def _emcy(node_id: int, data: bytes, now_s: float) -> Iterable[Event]:
     if node_id == 0 or len(data) != 8:  # 0x080 is the SYNC
         return
     code, register = struct.unpack_from("<HB", data)
-    text = EMCY_CODES.get(code, f"error 0x{code:04X}")
-    if code == 0:
-        yield Event(now_s, node_id, "emcy_reset", text)
-    else:
-        yield Event(now_s, node_id, "emcy", f"0x{code:04X} {text}, error register 0x{register:02X}", code)
+    kind: Kind = "emcy_reset" if code == 0 else "emcy"
+    yield Event(now_s, node_id, kind, emcy_text(code, register), code)

@@ -11,7 +11,7 @@ from typing import Any
 import can
 import numpy as np
 
-from tipforce.errors import InputError
+from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
 from tipforce.socketcan import raw_can_id
@@ -23,16 +23,25 @@ _PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
     """Yield blocks of at most BLOCK_MESSAGES frames. A truncated log is noted as bad.
 
-    Raises InputError for a file that is not of the format in its name.
+    Raises LogError for a file that is not of the format in its name, EnvironmentLackError for a missing package.
     """
     try:
         reader = _reader(path)
+    except NotImplementedError as error:  # python-can names the package
+        raise EnvironmentLackError(f"{path}: {error}; for .mf4: pip install asammdf") from error
     except Exception as error:  # readers raise various exceptions for a damaged file
-        raise InputError(f"{path}: can't be read as {path.suffix}: {error or type(error).__name__}") from error
+        raise LogError(
+            f"{path}: can't be read as {path.suffix}: {error or type(error).__name__}; the file is damaged or of "
+            "another format"
+        ) from error
     messages = iter(reader)
+    empty = True
     try:
         while packed := _packed(path, messages, notes):
+            empty = False
             yield np.frombuffer(bytearray(packed), dtype=FRAME)
+        if empty and not notes.bad and not notes.skipped:
+            notes.note_bad(UNREADABLE, f"{path}: no message in it, or damaged")
     finally:
         reader.stop()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
@@ -31,6 +31,8 @@ class LogNotes:
     first_bad: str | None = None
     skipped: dict[str, int] = field(default_factory=dict)
     timed: bool = True
+    extended: int = 0
+    """Frames with a 29-bit identifier, which CANopen does not use."""
 
     def skip(self, what: str, count: int = 1) -> None:
         """Count a frame without data for a decoder."""
@@ -55,7 +57,8 @@ class LogNotes:
         return len(self.channels) - 1
 
     def count_special(self, frames: FrameArray) -> None:
-        """Count the error and remote frames of a block."""
+        """Count the error and remote frames of a block, and those with 29-bit identifiers."""
+        self.extended += int(np.count_nonzero(frames["can_id"] & np.uint32(EXTENDED_FLAG)))
         special = frames["can_id"] & np.uint32(ERROR_FLAG | REMOTE_FLAG)
         if special.any():
             error: npt.NDArray[np.bool_] = special & np.uint32(ERROR_FLAG) != 0

@@ -10,11 +10,11 @@ from contextlib import suppress
 from typing import TYPE_CHECKING
 
 import can
-from canopen.sdo.exceptions import SdoAbortedError
 
 from tipforce.device import codes
 from tipforce.device.sdo_client import Transfer
 from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
+from tipforce.dictionary.service_texts import abort_text
 from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
 if TYPE_CHECKING:
@@ -143,8 +143,7 @@ class Exchange:
             self._attempts -= 1
             self._step(None)
             return
-        meaning = SdoAbortedError.CODES.get(code, "abort code without a standard meaning")
-        raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {meaning}", code)
+        raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
 
     def _no_response(self, transfer: Transfer) -> Exception:
         failed = self._channel.bus_failure()

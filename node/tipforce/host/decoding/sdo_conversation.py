@@ -1,0 +1,192 @@
+"""SDO transfers seen from outside: requests and responses of one node as text (CiA 301, 7.2.4)."""
+
+from __future__ import annotations
+
+import struct
+
+from tipforce.dictionary import types
+from tipforce.dictionary.names import Description
+from tipforce.dictionary.service_texts import abort_text
+from tipforce.errors import InputError
+from tipforce.host.decoding.object_names import Describe
+
+_SHOWN_BYTES = 32
+_MOST_BYTES = 1 << 20  # of a transfer that never ends
+
+
+class SdoConversation:
+    """The transfer with one node. Values of segmented and block transfers are shown when they are complete."""
+
+    def __init__(self, node_id: int, describe: Describe) -> None:
+        self._node_id = node_id
+        self._describe = describe
+        self._place = (0, 0)
+        self._data = bytearray()
+        self._block = ""
+        """"download" or "upload" while raw block segments follow."""
+        self._block_size = 0
+        self._segments = bytearray()
+        self._ended = False
+        """The last segment of the block transfer has passed."""
+
+    def request(self, data: bytes) -> str:
+        """Return the text of a client's frame."""
+        if self._block == "download" and data[0] != 0x80:
+            return self._block_segment(data)
+        command = data[0] >> 5
+        if data[0] == 0x80:
+            return self._abort(data, "client")
+        if command == 0:
+            return self._segment(data, "write")
+        if command == 1:
+            self._start(data)
+            return f"SDO write {self._name()}{self._initiated(data)}"
+        if command == 2:
+            self._start(data)
+            return f"SDO read {self._name()}"
+        if command == 3:
+            return f"SDO read {self._name()}: next segment"
+        if command == 6:
+            return self._block_download(data)
+        return self._block_upload(data) if command == 5 else f"SDO request {data.hex(' ').upper()}"
+
+    def response(self, data: bytes) -> str:
+        """Return the text of a server's frame."""
+        if self._block == "upload" and data[0] != 0x80:
+            return self._block_segment(data)
+        command = data[0] >> 5
+        if data[0] == 0x80:
+            return self._abort(data, "node")
+        if command == 2:
+            self._start(data)
+            return f"SDO {self._name()}{self._initiated(data)}"
+        if command == 3:
+            self._place = struct.unpack_from("<HB", data, 1)
+            return f"SDO written {self._name()}"
+        if command == 0:
+            return self._segment(data, "read")
+        if command == 1:
+            return f"SDO write {self._name()}: segment received"
+        if command == 5:
+            return self._block_download_response(data)
+        return self._block_upload_response(data) if command == 6 else f"SDO response {data.hex(' ').upper()}"
+
+    # --- expedited and segmented --------------------------------------------------------------------------------
+
+    def _start(self, data: bytes) -> None:
+        index, sub = struct.unpack_from("<HB", data, 1)
+        self._place = index, sub
+        self._data.clear()
+        self._block, self._ended = "", False
+
+    def _initiated(self, data: bytes) -> str:
+        if data[0] & 2:  # expedited
+            length = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+            return f" = {self._value(data[4 : 4 + length], exact=bool(data[0] & 1))}"
+        return f": {struct.unpack_from('<I', data, 4)[0]} bytes follow" if data[0] & 1 else ": segments follow"
+
+    def _segment(self, data: bytes, verb: str) -> str:
+        self._add(data[1 : 8 - (data[0] >> 1 & 7)])
+        if not data[0] & 1:
+            return f"SDO {verb} {self._name()}: segment, {len(self._data)} bytes so far"
+        return f"SDO {verb} {self._name()} = {self._value(bytes(self._data))}"
+
+    def _add(self, data: bytes) -> None:
+        if len(self._data) < _MOST_BYTES:
+            self._data += data
+
+    def _abort(self, data: bytes, side: str) -> str:
+        self._block = ""
+        index, sub, code = struct.unpack_from("<HBI", data, 1)
+        self._place = index, sub
+        return f"SDO abort by the {side} {self._name()}: 0x{code:08X}, {abort_text(code)}"
+
+    # --- block --------------------------------------------------------------------------------------------------
+
+    def _block_download(self, data: bytes) -> str:
+        if data[0] & 1:
+            unused = data[0] >> 2 & 7
+            content = bytes(self._data[: len(self._data) - unused] if unused else self._data)
+            return f"SDO block write {self._name()} = {self._value(content)}"
+        self._start(data)
+        size = f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""
+        return f"SDO block write {self._name()}{size}"
+
+    def _block_download_response(self, data: bytes) -> str:
+        kind = data[0] & 3
+        if kind == 1:
+            return f"SDO block written {self._name()}"
+        if kind == 0:
+            self._block_size = data[4]
+        else:
+            self._take_segments(data[1])
+            self._block_size = data[2]
+        self._block, self._segments = "download", bytearray()
+        if kind == 2 and self._ended:
+            self._block = ""
+            return f"SDO block write {self._name()}: segments received"
+        return f"SDO block write {self._name()}: ready for {self._block_size} segments"
+
+    def _block_upload(self, data: bytes) -> str:
+        kind = data[0] & 3
+        if kind == 0:
+            self._start(data)
+            self._block_size = data[4]
+            return f"SDO block read {self._name()}"
+        if kind == 1:
+            return f"SDO block read {self._name()}: end"
+        if kind == 2:
+            self._take_segments(data[1])
+            if self._ended:
+                self._block = ""
+                return f"SDO block read {self._name()}: segments received"
+            self._block_size = data[2]
+        self._block, self._segments = "upload", bytearray()
+        return f"SDO block read {self._name()}: {'start' if kind == 3 else 'segments received'}"
+
+    def _block_upload_response(self, data: bytes) -> str:
+        if data[0] & 1:
+            unused = data[0] >> 2 & 7
+            content = bytes(self._data[: len(self._data) - unused] if unused else self._data)
+            return f"SDO block read {self._name()} = {self._value(content)}"
+        size = f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""
+        return f"SDO block {self._name()}{size}"
+
+    def _block_segment(self, data: bytes) -> str:
+        number, ended = data[0] & 0x7F, bool(data[0] & 0x80)
+        self._ended = ended
+        self._segments += data[1:]
+        if ended or number >= self._block_size:
+            self._block = ""  # the receiver confirms now
+        return f"SDO block {self._name()}: segment {number}{', the last' if ended else ''}"
+
+    def _take_segments(self, confirmed: int) -> None:
+        self._add(bytes(self._segments[: 7 * confirmed]))
+        if 7 * confirmed < len(self._segments):
+            self._ended = False
+        self._segments = bytearray()
+
+    # --- text ---------------------------------------------------------------------------------------------------
+
+    def _found(self) -> Description | None:
+        return self._describe(self._node_id, *self._place)
+
+    def _name(self) -> str:
+        index, sub = self._place
+        found = self._found()
+        place = f"0x{index:04X}:{sub:02X}"
+        return place if found is None or found.dotted == place else f"{found.dotted} ({place})"
+
+    def _value(self, content: bytes, *, exact: bool = True) -> str:
+        found = self._found()
+        if found is not None:
+            size = types.data_type(found.letter).size
+            data = content[:size] if not exact and size is not None else content
+            try:
+                value = types.decode(found.letter, data)
+                if not isinstance(value, bytes):
+                    return f"{types.format_value(found.letter, value)} {found.unit}".rstrip()
+            except InputError:
+                pass
+        shown = content[:_SHOWN_BYTES].hex(" ").upper()
+        return shown if len(content) <= _SHOWN_BYTES else f"{shown} ... ({len(content)} bytes)"

@@ -1,0 +1,213 @@
+"""The CANopen services besides PDOs as text: NMT, SYNC, TIME, EMCY, SDO, heartbeat, LSS; frames in, records out.
+
+``tipforce dump`` prints them, live and from logs. ``BusEvents`` keeps the EMCYs and the changes of NMT states, for
+``tipforce decode``. Identifiers are those of the predefined connection set (CiA 301, 7.3.5).
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device import codes
+from tipforce.dictionary.dbc import NMT_COMMANDS
+from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, emcy_text, state_text
+from tipforce.host.decoding.object_names import Describe, fingertip_names
+from tipforce.host.decoding.sdo_conversation import SdoConversation
+from tipforce.host.frames.frame_array import FrameArray
+
+_DAY_MS, _EPOCH_DAYS = 86_400_000, 5113  # TIME counts from 1984-01-01
+_LSS_ERRORS = {0: "accepted", 1: "refused", 2: "failed"}
+
+
+class Service(NamedTuple):
+    """One frame of a service. ``row``: its place in the input; ``node_id`` 0: all nodes, or none."""
+
+    row: int
+    name: str
+    node_id: int
+    text: str
+
+
+class BusEvent(NamedTuple):
+    """An EMCY, or a change of an NMT state. ``kind``: "emcy", "emcy_reset", "boot_up" or "state"."""
+
+    t_ns: int
+    channel: str
+    node_id: int
+    kind: str
+    code: int
+    """EMCY error code, or NMT state."""
+    text: str
+
+
+class Services:
+    """Describe the frames of services. It follows SDO transfers from block to block."""
+
+    def __init__(self, describe: Describe | None = None) -> None:
+        self._describe = describe or fingertip_names()
+        self._conversations: dict[tuple[int, int], SdoConversation] = {}
+
+    def describe(self, frames: FrameArray, channel: npt.NDArray[np.integer[Any]] | None = None) -> Iterator[Service]:
+        """Yield the services among FRAME (n,), in order. PDOs, error frames and 29-bit frames are left out.
+
+        ``channel`` (n,): numbers of the buses, if they are not those in ``frames``.
+        """
+        can_id = frames["can_id"]
+        rows = np.flatnonzero(
+            (can_id < codes.TPDO_BASES[0])
+            | ((can_id >= codes.SDO_RESPONSE_BASE) & (can_id <= codes.STANDARD_MASK))
+            | (can_id & ~np.uint32(codes.NODE_ID_MASK) == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
+        )
+        chosen = frames[rows]
+        data, length = chosen["data"].tobytes(), chosen["length"].tolist()
+        buses = (frames["channel"] if channel is None else channel)[rows].tolist()
+        for k, (row, identifier) in enumerate(zip(rows.tolist(), chosen["can_id"].tolist(), strict=True)):
+            found = self._service(identifier, data[8 * k : 8 * k + length[k]], buses[k])
+            if found is not None:
+                yield Service(row, *found)
+
+    def _service(self, can_id: int, data: bytes, channel: int) -> tuple[str, int, str] | None:
+        node_id, function = can_id & codes.NODE_ID_MASK, can_id & codes.FUNCTION_MASK
+        if can_id & codes.REMOTE_FLAG:
+            return "heartbeat", node_id, "node guarding request"
+        if can_id == codes.NMT_COB_ID:
+            return _nmt(data)
+        if can_id == codes.SYNC_COB_ID:
+            return "SYNC", 0, f"SYNC {data[0]}" if data else "SYNC"
+        if can_id == codes.TIME_COB_ID:
+            return _time(data)
+        if can_id in (codes.LSS_REQUEST_COB_ID, codes.LSS_RESPONSE_COB_ID):
+            return _lss(can_id, data)
+        if not node_id:
+            return None
+        if function == codes.EMCY_BASE and len(data) == 8:
+            return "EMCY", node_id, f"EMCY {_emcy(data)}"
+        if function == codes.HEARTBEAT_BASE and len(data) == 1:
+            return "heartbeat", node_id, f"heartbeat {state_text(data[0] & codes.NODE_ID_MASK)}"
+        if function in (codes.SDO_REQUEST_BASE, codes.SDO_RESPONSE_BASE) and len(data) == 8:
+            conversation = self._conversations.setdefault(
+                (channel, node_id), SdoConversation(node_id, self._describe)
+            )  # fmt: skip
+            requested = function == codes.SDO_REQUEST_BASE
+            return "SDO", node_id, conversation.request(data) if requested else conversation.response(data)
+        return None
+
+
+class BusEvents:
+    """Collect EMCYs and changes of NMT states of ``node_ids`` (None: all); parts of a recording can be joined."""
+
+    def __init__(self, node_ids: Iterable[int] | None = None) -> None:
+        self._node_ids = None if node_ids is None else frozenset(node_ids)
+        self._states: dict[tuple[str, int], int] = {}
+        self.found: list[BusEvent] = []
+
+    def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
+        """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
+        functions = frames["can_id"] & ~np.uint32(codes.NODE_ID_MASK)
+        chosen = frames[(functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)]
+        data = chosen["data"].tobytes()
+        columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
+        for k, (t_ns, can_id, length, channel) in enumerate(zip(*columns, strict=True)):
+            node_id = can_id & codes.NODE_ID_MASK
+            if node_id and (self._node_ids is None or node_id in self._node_ids):
+                told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
+                if told is not None:
+                    self.append(BusEvent(t_ns, channels[channel], node_id, *told))
+
+    def append(self, event: BusEvent) -> None:
+        """Add an event, unless it repeats the state of its node."""
+        place = event.channel, event.node_id
+        if event.kind == "state" and self._states.get(place) == event.code:
+            return
+        if event.kind in ("state", "boot_up"):
+            self._states[place] = event.code
+        self.found.append(event)
+
+
+def _event(function: int, data: bytes) -> tuple[str, int, str] | None:
+    if function == codes.HEARTBEAT_BASE and len(data) == 1:
+        state = data[0] & codes.NODE_ID_MASK
+        return "boot_up" if state == codes.INITIALISING else "state", state, state_text(state)
+    if function == codes.EMCY_BASE and len(data) == 8:
+        code = int.from_bytes(data[:2], "little")
+        return "emcy" if code >> 8 else "emcy_reset", code, _emcy(data)
+    return None
+
+
+def _emcy(data: bytes) -> str:
+    code, register = struct.unpack_from("<HB", data)
+    more = f", data {data[3:].hex(' ').upper()}" if any(data[3:]) else ""
+    return emcy_text(code, register) + more
+
+
+def _nmt(data: bytes) -> tuple[str, int, str] | None:
+    if len(data) != 2:
+        return None
+    command = NMT_COMMANDS.get(data[0], f"command 0x{data[0]:02X}")
+    return "NMT", data[1], f"NMT {command}" if data[1] else f"NMT {command}, all nodes"
+
+
+def _time(data: bytes) -> tuple[str, int, str] | None:
+    if len(data) != 6:
+        return None
+    ms, days = struct.unpack("<IH", data)
+    moment = np.datetime64((days + _EPOCH_DAYS) * _DAY_MS + (ms & 0x0FFFFFFF), "ms")
+    return "TIME", 0, f"TIME {moment}"
+
+
+def _lss(can_id: int, data: bytes) -> tuple[str, int, str] | None:
+    if len(data) != 8:
+        return None
+    requested = can_id == codes.LSS_REQUEST_COB_ID
+    service = data[0]
+    if codes.LSS_SELECT_FIRST <= service < codes.LSS_SELECTED or service in range(
+        codes.LSS_IDENTIFY_FIRST, codes.LSS_IDENTIFY_LAST + 1
+    ):
+        return "LSS", 0, f"LSS {_lss_condition(service, int.from_bytes(data[1:5], 'little'))}"
+    return "LSS", 0, f"LSS {_lss_request(data) if requested else _lss_response(data)}"
+
+
+def _lss_condition(service: int, number: int) -> str:
+    """Return the text of a part of the identity that must match."""
+    if service <= codes.LSS_SELECT_LAST:
+        return f"select {LSS_PARTS[service - codes.LSS_SELECT_FIRST]} {number}"
+    k = service - codes.LSS_IDENTIFY_FIRST
+    part = LSS_PARTS[k] if k < 2 else f"{LSS_PARTS[k // 2 + 1]} {'up to' if k % 2 else 'from'}"
+    return f"identify {part} {number}"
+
+
+def _lss_request(data: bytes) -> str:
+    service = data[0]
+    what = _lss_service(service)
+    if service == codes.LSS_SWITCH_GLOBAL:
+        return f"{what} {'configuration' if data[1] else 'waiting'}"
+    if service == codes.LSS_FASTSCAN:
+        number = int.from_bytes(data[1:5], "little")
+        step = f"{LSS_PARTS[data[6] & 3]} 0x{number:08X}, bit {data[5]}"
+        return f"{what} {'start' if data[5] == codes.LSS_START_FASTSCAN else step}"
+    if service == codes.LSS_NODE_ID:
+        return f"{what} {data[1]}"
+    return f"{what} number {data[2]}" if service == codes.LSS_BIT_TIMING else what
+
+
+def _lss_response(data: bytes) -> str:
+    service = data[0]
+    what = _lss_service(service)
+    if codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
+        return f"{what} = {int.from_bytes(data[1:5], 'little')}"
+    if service == codes.LSS_INQUIRE_NODE_ID:
+        return f"{what} = {data[1]}"
+    if service in (codes.LSS_NODE_ID, codes.LSS_BIT_TIMING, codes.LSS_STORE):
+        return f"{what}: {_LSS_ERRORS.get(data[1], f'error {data[1]}')}"
+    return what
+
+
+def _lss_service(service: int) -> str:
+    if codes.LSS_INQUIRE_FIRST <= service < codes.LSS_INQUIRE_NODE_ID:
+        return f"inquire {LSS_PARTS[service - codes.LSS_INQUIRE_FIRST]}"
+    return LSS_SERVICES.get(service, f"service 0x{service:02X}")

@@ -1,0 +1,40 @@
+"""The events of a recording beside its samples: EMCYs and changes of NMT states, as CSV."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce.output_file import Kind, write_file
+
+if TYPE_CHECKING:
+    from tipforce.host.decoding.services import BusEvent
+
+COLUMNS = ("t_s", "channel", "node", "event", "code", "text")
+_KIND = Kind("a file of events of `tipforce decode`", rb"\A" + ",".join(COLUMNS).encode() + rb"\n")
+
+
+def events_path(output: str) -> Path:
+    """Return the file beside an output: run.events.csv for run.csv, DIR/events.csv for DIR/."""
+    path = Path(output)
+    return path / "events.csv" if path.is_dir() else path.with_name(f"{path.stem}.events.csv")
+
+
+def write_events(output: str, events: Sequence[BusEvent]) -> None:
+    """Write the events beside an output; without events only if an earlier file of events is there.
+
+    Raises InputError for a file of another kind, WriteError.
+    """
+    path = events_path(output)
+    if not events and not path.exists():
+        return
+    text = io.StringIO()
+    rows = csv.writer(text, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    for event in events:
+        t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
+        rows.writerow((t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text))
+    write_file(path, text.getvalue(), _KIND)
