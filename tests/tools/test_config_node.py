@@ -70,6 +70,8 @@ def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus,
     assert code == 0
     assert "0x1802:01  tpdo3.cob_id" in out
     assert "(default 1000)" in out
+    assert "0x40000385 (0x385, no RTR)   (default 0xC0000385 (0x385, off, no RTR))" in out
+    assert "0x91300720 (0x9130:07, 32 bits)" in out
     assert tipforce("config", "save", 5, saved, "-q")[0] == 0
     objects = tomllib.loads(saved.read_text())["objects"]
     assert objects["tpdo3.cob_id"] == "$NODEID+0x40000380"

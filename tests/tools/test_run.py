@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,6 +35,7 @@ def test_a_run_prints_a_table_and_judges(capsys: pytest.CaptureFixture[str]) -> 
     assert "RMS error" in out
     assert "no contact" in out
     assert "PASS: 50 of 50 expectations hold, 0 do not" in out
+    assert len(re.findall(r"^\W*ok .*\W1,2,3,4,5\W", out, re.MULTILINE)) == 10
     assert "2 s with 1000 SYNCs and 6006 frames" in err
 
 
@@ -56,13 +58,13 @@ def test_an_expectation_that_fails_is_exit_code_1(capsys: pytest.CaptureFixture[
     (tmp_path / "scene.toml").write_text(text)
     assert main(["run", str(tmp_path / "scene.toml")]) == 1
     out = capsys.readouterr().out
-    assert "FAILED     node 1, 0 s to 1 s: largest error of P at most 1e-06 N: 0.001 N" in out
+    assert re.search(r"FAILED\W+0 s to 1 s: largest error of P at most 1e-06 N\W+1\W+0\.001 N", out)
     assert "FAIL: 4 of 5" in out
 
 
 def test_a_shorter_run_judges_less(capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["run", str(SCENES / "static.toml"), "--duration", "0.1", "--seed", "4"]) == 0
-    assert "not judged node 1" in capsys.readouterr().out
+    assert capsys.readouterr().out.count("not judged") == 6  # five lines, and the last one
 
 
 def test_a_bad_scene_is_exit_code_2_without_a_traceback(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:

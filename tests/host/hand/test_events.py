@@ -47,7 +47,7 @@ def test_emcy() -> None:
         (5, "emcy_reset", 0),
     ]
     array = frame_array([(0, 0x085, bytes.fromhex("3412810000000000"))])
-    assert supervisor.add(array, 0.0)[0].text == "0x1234 error 0x1234, error register 0x81"
+    assert supervisor.add(array, 0.0)[0].text == "0x1234 generic error, error register 0x81"
 
 
 def test_what_is_not_for_it() -> None:

@@ -10,6 +10,7 @@ from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
 
 if TYPE_CHECKING:
+    from tipforce.dictionary.rows import Row
     from tipforce.dictionary.types import Value
     from tipforce.host.configuration.configuration_file import Configuration
     from tipforce.host.network.sdo import SdoChannel
@@ -106,7 +107,6 @@ def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> i
 
 
 def _show(args: argparse.Namespace) -> int:
-    from tipforce.dictionary import types
     from tipforce.host.configuration.settings import changed_settings, default_settings, setting_rows
 
     with common.open_connection(args) as connection:
@@ -117,7 +117,7 @@ def _show(args: argparse.Namespace) -> int:
     known, defaults = setting_rows(args.gauges), default_settings(args.node, args.gauges)
     shown = settings if args.all else changed_settings(settings, args.node, args.gauges)
     for place, value in sorted(shown.items()):
-        row, texts = known[place], [types.format_value(known[place].letter, v) for v in (value, defaults[place])]
+        row, texts = known[place], [_shown(known[place], v) for v in (value, defaults[place])]
         if args.json:
             common.print_json(
                 {"index": f"0x{row.index:04X}", "sub": row.sub, "name": row.dotted, "value": value,
@@ -158,12 +158,35 @@ def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
         if args.json:
             common.print_json({"index": f"0x{index:04X}", "sub": sub, "name": row.dotted, "value": value})
         else:
-            print(
-                f"0x{index:04X}:{sub:02X}  {row.dotted:32} {types.format_value(row.letter, value)} {row.unit}".rstrip()
-            )
+            print(f"0x{index:04X}:{sub:02X}  {row.dotted:32} {_shown(row, value)} {row.unit}".rstrip())
     node = f"node {common.shown_id(args.node)} is not a fingertip"
     common.note(args, f"{node}: {shown} communication settings (CiA 301), compared with nothing")
     return 0
+
+
+def _shown(row: Row, value: Value) -> str:
+    """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
+    from tipforce.dictionary import types
+    from tipforce.dictionary.signals import is_mapping
+
+    if row.slug.endswith("cob_id") and isinstance(value, int):
+        return cob_id_text(row.index, value)
+    if is_mapping(row.index) and row.sub and isinstance(value, int) and value:
+        return f"0x{value:08X} (0x{value >> 16:04X}:{value >> 8 & 0xFF:02X}, {value & 0xFF} bits)"
+    return types.format_value(row.letter, value)
+
+
+def cob_id_text(index: int, value: int) -> str:
+    """Return a COB-ID parameter in hexadecimal: its bits by name, and the identifier (CiA 301, 7.5.2)."""
+    from tipforce.device import codes, communication
+
+    high = {
+        communication.COB_ID_SYNC: ("", "produced"),
+        communication.COB_ID_TIME: ("consumed", "produced"),
+    }.get(index, ("off", "no RTR"))
+    bits = (codes.COB_ID_INVALID, high[0]), (codes.NO_RTR, high[1]), (1 << 29, "29 bits")
+    names = [name for bit, name in bits if value & bit and name]
+    return f"0x{value:08X} ({', '.join([f'0x{value & codes.STANDARD_MASK:03X}', *names])})"
 
 
 def _save(args: argparse.Namespace) -> int:

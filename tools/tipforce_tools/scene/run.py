@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
@@ -66,7 +66,7 @@ def run(args: argparse.Namespace) -> int:
         _print_json(outcome)
     else:
         common.print_table(args, _table(scene.title or args.scene, outcome))
-        _print_checks(outcome)
+        _print_checks(args, outcome)
     frames = sum(outcome.frames_by_id.values())
     common.note(
         args,
@@ -138,14 +138,31 @@ def _counts(found: dict[str, int]) -> str:
     return "\n".join(f"{count} {name}" for name, count in found.items()) or "-"
 
 
-def _print_checks(outcome: Outcome) -> None:
-    for check in outcome.checks:
-        print(f"{_verdict(check):10} node {check.node_id}, {check.expected}: {check.found}")
+def _print_checks(args: argparse.Namespace, outcome: Outcome) -> None:
+    if outcome.checks:
+        common.print_table(args, _checks_table(outcome.checks))
     held, failed, open_ = (sum(check.ok is verdict for check in outcome.checks) for verdict in (True, False, None))
     if outcome.checks:
         word = "FAIL" if failed else "PASS" if held else "NOT JUDGED"
         rest = f", {open_} not judged (the run was too short)" if open_ else ""
         print(f"{word}: {held} of {len(outcome.checks)} expectations hold, {failed} do not{rest}")
+
+
+def _checks_table(checks: Sequence[Check]) -> Table:
+    """Return a row for each expectation and verdict, with its nodes."""
+    from rich.table import Table
+
+    rows: dict[tuple[str, str], list[Check]] = {}
+    for check in checks:
+        rows.setdefault((check.expected, _verdict(check)), []).append(check)
+    table = Table(title="expectations of the scene", title_justify="left")
+    for heading in ("", "expected", "nodes", "found"):
+        table.add_column(heading, justify="left")
+    for (expected, verdict), alike in rows.items():
+        nodes = ",".join(str(check.node_id) for check in alike)
+        found = ", ".join(dict.fromkeys(check.found for check in alike))
+        table.add_row(verdict, expected, nodes, found, style="bold red" if verdict == "FAILED" else None)
+    return table
 
 
 def _verdict(check: Check) -> str:

@@ -170,8 +170,20 @@ class FingertipClient:
             ) from None  # fmt: skip
 
     def tare(self) -> None:
-        """Take the force of the latest sample as zero (6139h); SdoAbortError if there is no force."""
-        self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
+        """Take the force of the latest sample as zero (6139h).
+
+        Raises SdoAbortError if there is no force; the text says what to do.
+        """
+        try:
+            self.sdo.write(od.AUTOTARE[self.identity().gauges + 1], table.SIGNATURE_TARA)
+        except SdoAbortError as error:
+            if error.code != codes.DEVICE_STATE:
+                raise
+            if not self.sdo.read(od.CALIBRATION_ACTIVE_CRC):
+                step = f"the node is not calibrated: `tipforce calibrate apply CAL.toml --node {self.node_id}` first"
+            else:
+                step = f"it has no valid force now: `tipforce read {self.node_id}` gives the reason"
+            raise SdoAbortError(f"{error}; {step}", error.code) from None
 
     def clear_tare(self) -> None:
         """Clear the tare (2130h)."""
