@@ -28,7 +28,7 @@ def dictionary_names(dictionaries: Mapping[int, canopen.ObjectDictionary], other
         if dictionary is None:
             return otherwise(node_id, index, sub)
         variable = dictionary.get_variable(index, sub)
-        letter = None if variable is None else types.LETTER_OF_CODE.get(variable.data_type)
+        letter = None if variable is None else types.LETTER_OF_CODE.get(variable.data_type or 0)
         if variable is None or letter is None:
             return None
         return Description(variable.name, variable.qualname, variable.unit, letter, variable.access_type)
