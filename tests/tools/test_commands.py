@@ -74,6 +74,7 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
         "device": "simulated fingertip, 3 gauges",
         "serial": 1006,
         "calibration": "not calibrated",
+        "faults": "",
         "eds": "match",
     }
 

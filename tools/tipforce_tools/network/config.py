@@ -125,7 +125,8 @@ def _show(args: argparse.Namespace) -> int:
             )  # fmt: skip
         else:
             default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
-            print(f"0x{row.index:04X}:{row.sub:02X}  {row.dotted:32} {texts[0]} {row.unit}{default}".rstrip())
+            shown_value = f"{texts[0]} {row.unit}".rstrip()
+            print(f"0x{row.index:04X}:{row.sub:02X}  {row.dotted:32} {shown_value}{default}")
     common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
