@@ -68,7 +68,7 @@ EXIT_CODES: dict[type[TipforceError], int] = {
 PERMISSION, INTERRUPTED = 9, 130
 EXIT_TEXTS = {
     0: "ok",
-    1: "a check failed",
+    1: "a check or a write failed, or a log is damaged",
     2: "usage",
     5: "no response",
     PERMISSION: "permission",
