@@ -50,7 +50,8 @@ def test_rows_by_async_for() -> None:
     async def some(hand: tipforce.Hand) -> list[float]:
         found = []
         async for row in hand.rows():
-            found.append(row["thumb"].P_newtons)
+            if not np.isnan(row["thumb"].P_newtons):  # a busy machine may miss a SYNC
+                found.append(row["thumb"].P_newtons)
             if len(found) == 3:
                 break
         return found
