@@ -11,9 +11,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor.calibration.problem import Problem, Scatter
 from tipforce.sensor.calibration.regressors import direction_scatter, grooves
 from tipforce.sensor.calibration.simulation import Faults, Simulated, simulate, unseen_forces
-from tipforce.sensor.calibration.solve import Problem, Scatter, solve
+from tipforce.sensor.calibration.solve import solve
 from tipforce.sensor.calibration.statistics import left_inverse
 from tipforce.sensor.contact.force import force_vector
 

@@ -18,6 +18,7 @@ from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
 from tipforce.sensor.calibration.nonlinearity import nonlinearity
+from tipforce.sensor.calibration.problem import Problem, Solution, pick
 from tipforce.sensor.calibration.regressors import (
     OffsetBasis,
     bad_tares,
@@ -28,7 +29,7 @@ from tipforce.sensor.calibration.regressors import (
 )
 from tipforce.sensor.calibration.rejections import rejections
 from tipforce.sensor.calibration.result import Fit, LoadResidual, covariance_of_estimate, kronecker
-from tipforce.sensor.calibration.solve import Problem, Solution, pick, solve
+from tipforce.sensor.calibration.solve import solve
 from tipforce.sensor.calibration.start import corner, outlying, suspects
 from tipforce.sensor.calibration.statistics import Left, Scales, result
 from tipforce.sensor.calibration.temperature import (

@@ -8,7 +8,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.distributions import f_quantile, t_quantile
-from tipforce.sensor.calibration.solve import Extra, Problem, Solution, extra
+from tipforce.sensor.calibration.problem import Problem, Solution
+from tipforce.sensor.calibration.solve import Extra, extra
 from tipforce.sensor.contact.force import force_vector
 
 FALSE_ALARM = 0.005

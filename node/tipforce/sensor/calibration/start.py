@@ -8,7 +8,7 @@ import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.sensor.calibration.distributions import f_quantile
-from tipforce.sensor.calibration.solve import NOISE_FLOOR, Problem, Solution
+from tipforce.sensor.calibration.problem import NOISE_FLOOR, Problem, Solution
 
 FALSE_ALARM = 0.01
 """Chance that a fit without any outlier names one."""

@@ -9,9 +9,9 @@ import numpy as np
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.sensor.calibration.data import Model, Readings
 from tipforce.sensor.calibration.distributions import t_quantile
+from tipforce.sensor.calibration.problem import Problem, Solution
 from tipforce.sensor.calibration.regressors import OffsetBasis, reference_map
 from tipforce.sensor.calibration.result import Fit, LoadResidual
-from tipforce.sensor.calibration.solve import Problem, Solution
 from tipforce.sensor.structure.strain import condition_number, row_equilibrated_condition_number
 
 HOLD_OUT_CAP = 8.0

@@ -8,7 +8,8 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.sensor.calibration.distributions import t_quantile
-from tipforce.sensor.calibration.solve import Problem, Solution, extra
+from tipforce.sensor.calibration.problem import Problem, Solution
+from tipforce.sensor.calibration.solve import extra
 
 CHANCE = 0.005
 """That a gain which does not depend on temperature is corrected for it."""
