@@ -53,6 +53,9 @@ def test_each_reading_is_a_new_sample(bus: tipforce.SimulatedBus) -> None:
     steps = {(b.counter - a.counter) % 256 for a, b in itertools.pairwise(found)}
     assert 0 not in steps
     assert all(contact.ok for contact in found)
+    bus.inject_fault(5, "silent")  # a live finger may send between two calls
+    with pytest.raises(tipforce.NoNewSampleError):
+        list(itertools.islice(finger.samples(timeout_s=0.3), 1000))
     with pytest.raises(tipforce.NoNewSampleError, match=r"^finger 5: no new sample"):
         finger.read(timeout_s=0)
 
