@@ -12,7 +12,7 @@ import tipforce
 
 ROOT = Path(str(tipforce.__file__)).parent
 ON_NODE = sorted([*ROOT.glob("device/*.py"), *ROOT.glob("fingertip/*.py")])
-SCALAR = [ROOT / "dictionary/table.py", *sorted(ROOT.glob("sensor/contact/scalar*.py"))]
+SCALAR = [*sorted(ROOT.glob("dictionary/table*.py")), *sorted(ROOT.glob("sensor/contact/scalar*.py"))]
 NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 

@@ -26,6 +26,8 @@ ALLOWED = {
     "node/tipforce/device/bus_faults.py": (IDENTIFIER,),  # error classes of linux/can/error.h
     "node/tipforce/device/crc16.py": (COMMUNICATION, EMCY),  # remainders of a polynomial
     "node/tipforce/dictionary/table.py": (OWN_INDEX, IDENTIFIER, WIDE, EMCY),  # of IDENTIFIER: offsets, product options
+    "node/tipforce/dictionary/table_fingertip.py": (OWN_INDEX,),
+    "node/tipforce/dictionary/table_profile.py": (OWN_INDEX, IDENTIFIER),
     "node/tipforce/dictionary/objects.py": (COMMUNICATION, OWN_INDEX),  # generated
     "node/tipforce/dictionary/indices.py": (OWN_INDEX,),  # generated
 }

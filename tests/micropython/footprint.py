@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from micropython import engine
 from micropython.recording import STEPS_PER_CALL
 from micropython.talk import Talk
+from tipforce.dictionary import table
 
 ROUNDS = 1000
 
@@ -16,7 +17,7 @@ class Heap:
 
     code: int  # all modules imported
     node: int  # one node, n = 3, without its EDS, booted and calibrated; in addition to the code
-    peak: int  # code, node and the whole table at once: more than building needs at any moment
+    peak: int  # code, node and the table while it is walked: more than building needs at any moment
     after_some: int  # code and node after as many rounds of SYNC and SDO ...
     after_many: int  # ... and after twice as many
     garbage_per_sync: int  # what one SYNC with two TPDOs leaves for the collector
@@ -50,12 +51,17 @@ def heap(files: Mapping[str, bytes]) -> Heap:
         "on_node.microseconds(replay.device, (0x605, b'\\x40\\x00\\x10\\x00\\0\\0\\0\\0'), 5, 0)"
         for k in range(0, ROUNDS, STEPS_PER_CALL)
     ]
-    hold = "from tipforce.dictionary import table\nrows = table.objects(3, True)"
+    # As fingertip.dictionary builds: one object after the other. Garbage is collected between two calls.
+    walk = ["row = next(rows, None)", "most = max(most, on_node.heap())"] * len(table.objects(3, True))
+    build = [
+        "most, rows = 0, table.declared(3, True, table.CONVERTER_16)",
+        *walk, "print('heap', most)", "rows = row = None",
+    ]  # fmt: skip
     calls = [
         "import sys, gc", f"sys.path.append({engine.LIBRARY!r})", "print('heap', gc.mem_alloc())",
-        "import on_node", count,
+        "import on_node", "from tipforce.dictionary import table\ntable.objects()", count,
         *bring_up(talk), count,
-        hold, count, "rows = None",
+        *build,
         *rounds, count, *rounds, count,
         "before = on_node.heap()\n"
         f"on_node.microseconds(replay.device, (0x80, b''), 10, {now_us + 10**7})\n"

@@ -22,7 +22,7 @@ def build(
     """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out."""
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
-    for index, _code, _name, _slug, entries in table.objects(n, simulated, converter):
+    for index, _code, _name, _slug, entries in table.declared(n, simulated, converter):
         if index in (communication.STORED_EDS, communication.EDS_FORMAT) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
