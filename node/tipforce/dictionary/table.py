@@ -15,7 +15,7 @@ from tipforce.device import codes, communication
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
     from collections.abc import Iterator
-    from typing import TypeAlias
+    from typing import Any, TypeAlias
 
     Value: TypeAlias = int | float | str
     Limit: TypeAlias = int | float | None
@@ -216,3 +216,47 @@ def _with_sub0(row: "Object") -> "Object":
     highest = entries[-1][0] + entries[-1][1] - 1
     count: Run = (0, 1, "Highest sub-index supported", "count", U8, "const", 0, highest, None, None, "")
     return (index, code, name, slug, (count,) + entries)
+
+
+def var(
+    index: int,
+    name: str,
+    slug: str,
+    kind: str,
+    access: str,
+    flags: int = 0,
+    default: "Value" = 0,
+    low: "Limit" = None,
+    high: "Limit" = None,
+    unit: str = "",
+) -> "Object":
+    return (index, VAR, name, slug, ((0, 1, name, slug, kind, access, flags, default, low, high, unit),))
+
+
+def array(
+    index: int,
+    name: str,
+    slug: str,
+    count: int,
+    names: "str | tuple[str, ...]",
+    kind: str,
+    access: str,
+    flags: int = 0,
+    default: "Value | tuple[Value, ...]" = 0,
+    low: "Limit" = None,
+    high: "Limit" = None,
+    unit: str = "",
+) -> "Object":
+    run = (1, count, names, slug, kind, access, flags, default, low, high, unit)
+    return (index, ARRAY, name, slug, (run,))
+
+
+def record(index: int, name: str, slug: str, *entries: "tuple[Any, ...]") -> "Object":
+    """Entries as (sub, name, slug, type, access, flags, default, low, high, unit), the tail optional."""
+    filled: list[Run] = []
+    for entry in entries:
+        tail = (0, 0, None, None, "")[len(entry) - 5 :]
+        sub, label, part, kind, access = entry[:5]
+        flags, default, low, high, unit = tuple(entry[5:]) + tail
+        filled.append((sub, 1, label, slug + "." + part, kind, access, flags, default, low, high, unit))
+    return (index, RECORD, name, slug, tuple(filled))

@@ -16,9 +16,11 @@ from tipforce.dictionary.table import (
     U8,
     U16,
     U32,
+    array,
     mapped_bits,
+    record,
+    var,
 )
-from tipforce.dictionary.table_entries import array, record, var
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -14,8 +14,10 @@ from tipforce.dictionary.table import (
     U32,
     UNKNOWN_I16,
     UNKNOWN_U16,
+    array,
+    record,
+    var,
 )
-from tipforce.dictionary.table_entries import array, record, var
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from tipforce.dictionary.table import (
     U16,
     U32,
     VIEW,
+    array,
     channels,
 )
-from tipforce.dictionary.table_entries import array
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
