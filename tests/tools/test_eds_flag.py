@@ -64,3 +64,15 @@ def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytes
     ):  # fmt: skip
         assert main(["decode", str(tmp_path / "run.log"), *words]) == 2
         assert said in capsys.readouterr().err
+
+
+def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    sdo = "(1.040000) can0 605#40FF600000000000\n(1.041000) can0 585#43FF6000D0070000\n"
+    (tmp_path / "run.log").write_text(LOG + sdo)
+    assert main(["dump", str(tmp_path / "run.log"), "--decode", "--eds", f"5={eds}"]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert "TPDO1  Statusword=592 Modes_of_operation_display=0" in lines[1]
+    assert "RPDO1  Controlword=15 Modes_of_operation=1" in lines[2]
+    assert "TPDO2  Position_actual_value=1000 Velocity_actual_value=-2" in lines[3]
+    assert "Target velocity" in lines[5]
+    assert "2000" in lines[5]

@@ -3,6 +3,7 @@
 import argparse
 
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import add_eds_argument
 
 DESCRIPTION = """\
 Print frames byte for byte as candump does; with --decode, add what they mean: NMT, SYNC, EMCY, SDO with the names of
@@ -55,6 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     look.add_argument("-T", dest="timeout_ms", type=common.count, metavar="MS", help="end after MS without a frame")
     parser.add_argument("--decode", action="store_true", help="add the meaning of each frame")
     parser.add_argument("--gauges", type=int, choices=range(3, 9), default=3, metavar="N", help="3 (default) to 8")
+    add_eds_argument(parser)
     parser.add_argument("--strict", action="store_true", help="text: exit with 1 at the first bad line")
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)

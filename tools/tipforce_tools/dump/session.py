@@ -13,14 +13,16 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
+from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
 from tipforce.host.decoding.decoder import Decoder, Key, Samples, lost_samples
-from tipforce.host.decoding.object_names import fingertip_names
+from tipforce.host.decoding.object_names import eds_names, fingertip_names
 from tipforce.host.decoding.services import Services
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import eds_files
 from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 from tipforce_tools.dump.text_source import text_blocks
@@ -47,8 +49,10 @@ class Tally:
             self._last[key] = counter[-1:].copy()
 
 
-def _decoder(gauges: int) -> Decoder:
-    """Return a decoder of all PDOs of fingertips, also of those that they receive."""
+def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
+    """Return a decoder of all PDOs of fingertips, also of those that they receive; of ``eds`` alone where given."""
+    if eds:
+        return Layouts(eds=eds).decoder()
     messages = (*tpdo_messages(gauges), *rpdo_messages())
     given = [message for message in messages if message.cob_id_base]
     return Decoder.of_messages(
@@ -61,8 +65,10 @@ class Session:
 
     def __init__(self, args: Namespace, targets: tuple[Target, ...]) -> None:
         self._args = args
-        self.decoder = _decoder(args.gauges) if args.decode or args.verbose else None
-        self.services = Services(fingertip_names(args.gauges)) if args.decode else None
+        eds = eds_files(args.eds or ())
+        self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
+        names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
+        self.services = Services(names) if args.decode else None
         self.tally = Tally()
         self._left = args.count
         self._needs_time = not args.json and (args.log or bool(args.timestamps))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 
@@ -11,6 +12,9 @@ from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health_rows import SERVICES
 from tipforce.host.frames.frame_array import FRAME
+
+EdsFiles: TypeAlias = tuple[tuple[int, str], ...]
+"""Of devices of any manufacturer: (node-id, EDS or DCF)."""
 
 _SUFFIXES = ("_N", "_deg", "_ue", "_degC")
 COUNTER = "counter"
@@ -28,7 +32,7 @@ class Layouts:
     nodes: tuple[int, ...] | None = None
     dbc: str | None = None
     pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
-    eds: tuple[tuple[int, str], ...] = ()
+    eds: EdsFiles = ()
 
     def decoder(self, services: bool = False) -> Decoder:
         """Return a separate decoder for each bus. Raises InputError for incompatible layouts.

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from typing import TYPE_CHECKING, TypeAlias
 
 from tipforce.dictionary import types
@@ -32,5 +32,25 @@ def dictionary_names(dictionaries: Mapping[int, canopen.ObjectDictionary], other
         if variable is None or letter is None:
             return None
         return Description(variable.name, variable.qualname, variable.unit, letter, variable.access_type)
+
+    return found
+
+
+def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe:
+    """Return the names of nodes by their EDS or DCF, (node-id, file); ``otherwise`` for all other nodes.
+
+    Raises InputError for a file that is no EDS.
+    """
+    from tipforce.eds.reader import read_eds
+
+    known = {node_id: read_eds(path, node_id) for node_id, path in files}
+
+    def found(node_id: int, index: int, sub: int) -> Description | None:
+        if node_id not in known:
+            return otherwise(node_id, index, sub)
+        entry = known[node_id].entry(index, sub)
+        if entry is None:
+            return None
+        return Description(entry.name, entry.name, entry.unit, entry.letter, entry.access)
 
     return found
