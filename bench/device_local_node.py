@@ -58,7 +58,7 @@ class Finger:
 
     def set_values(self) -> None:
         """Latch a sample, compute what the PDOs carry, set each mapped variable."""
-        self._application.on_sync(loop.now_us())
+        self._application.on_sync(loop.now_us(), 0)
         od = self._application.device.od
         for pdo in self.pdos:
             for variable in pdo.map:

@@ -57,7 +57,7 @@ def test_values_are_those_of_the_sync() -> None:
 def test_application_latches_before_the_tpdo_is_packed() -> None:
     recorder = Recorder()
     talk = with_tpdo(recorder=recorder)
-    recorder.on_sync = lambda now_us: talk.device.od.values.update({0x200000: now_us})  # type: ignore[method-assign]
+    recorder.on_sync = lambda now_us, _number: talk.device.od.values.update({0x200000: now_us})  # type: ignore[method-assign]
     talk.say("+ 66\n> 080#\n< 185#42FEFF\n+ 1\n> 080#\n< 185#43FEFF")
 
 

@@ -38,7 +38,7 @@ class Recorder(Application):
         """Note it."""
         self.calls.append(f"reset {now_us}")
 
-    def on_sync(self, now_us: int) -> None:
+    def on_sync(self, now_us: int, _number: int) -> None:
         """Note it."""
         self.calls.append(f"sync {now_us}")
 

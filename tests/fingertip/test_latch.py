@@ -3,6 +3,7 @@
 import math
 import struct
 
+import numpy as np
 import pytest
 
 from fingertip.finger import (
@@ -218,3 +219,48 @@ def test_uncertainty_and_real32_values_may_be_mapped() -> None:
         assert (u_P, P) == (pytest.approx(0.01, rel=1e-4), pytest.approx(1.0, abs=1e-3))
     talk.step([(0x80, b"")])
     assert all(math.isnan(value) for value in struct.unpack("<ff", dict(talk.take())[0x385]))  # stale
+
+
+def test_slow_syncs_alone_latch_whatever_else_is_read_or_sent() -> None:
+    """SYNC at 2 Hz with the health PDO on: 31 samples, none lost; a self-latch between two SYNCs would count as one."""
+    talk = finger(load=PUSH)
+    talk.source.watch_us = 100_000
+    assert talk.put("I", 0x1803, 1, 0x40000485) == 0
+    counters = []
+    for _ in range(31):
+        for _ in range(5):
+            talk.advance(100_000)
+            talk.get("f", 0x6130, 7)
+        talk.take()
+        counters.append(talk.sync(after_us=0).counter)
+    assert np.diff(counters).tolist() == [1] * 30
+    before = talk.get("B", 0x2121)
+    talk.advance(1_499_999)  # three intervals after the last SYNC
+    assert talk.get("B", 0x2121) == before
+    talk.advance(1)
+    assert talk.get("B", 0x2121) == before + 1
+
+
+def test_numbered_sync_gives_its_number_to_the_sample() -> None:
+    talk = finger(load=PUSH)
+    assert talk.put("B", 0x1019, 0, 240) == 0
+    for number, after_us, stale in ((7, 1000, 0), (8, 10, STALE), (240, 1000, 0), (1, 1000, 0)):
+        talk.now_us += after_us
+        talk.step([(0x80, bytes((number,)))])
+        *_, status, counter = struct.unpack("<hhhBB", dict(talk.take())[0x285])
+        assert (counter, status & STALE) == (number, stale)
+    talk.advance(1_100_000)
+    talk.get("f", 0x6130, 7)
+    assert talk.get("B", 0x2121) == 0  # no SYNC's latch
+
+
+def test_tare_between_slow_syncs_uses_a_reading_of_its_own_time() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    talk.source.load = (2.0, *PUSH[1:])
+    talk.advance(400_000)
+    assert talk.put("H", 0x2130, 0, 1) == 0
+    assert talk.get("f", 0x6130, 7) == pytest.approx(1.0, abs=1e-3)  # the SYNC's latch, of before the tare
+    pdos = talk.sync(after_us=1)  # the converter has no further reading yet: that of the tare is new to this SYNC
+    assert not pdos.status & STALE
+    assert pdos.contact[0] == 0

@@ -42,8 +42,8 @@ class Application:
     def on_settings(self) -> None:
         """Handle a change of a PDO parameter or of the NMT state."""
 
-    def on_sync(self, now_us: int) -> None:
-        """Handle a SYNC: latch the values that the PDOs carry."""
+    def on_sync(self, now_us: int, number: int) -> None:
+        """Handle a SYNC: latch the values that the PDOs carry. ``number``: its counter, 0 for a SYNC without one."""
 
     def refresh(self, now_us: int) -> None:
         """Update the live values before a read outside a SYNC (SDO upload, event-driven PDO)."""

@@ -34,7 +34,7 @@ class SyncConsumer:
         device.emcy.cure(SYNC_LENGTH)
         self.last_us = device.now_us
         if device.application is not None:
-            device.application.on_sync(device.now_us)
+            device.application.on_sync(device.now_us, data[0] if data else 0)
         if device.nmt.state == codes.OPERATIONAL:
             device.rpdos.on_sync()
             device.tpdos.on_sync(data[0] if data else 0)

@@ -21,6 +21,8 @@ if TYPE_CHECKING:
     from .source import Reading, Source
 
 REFRESH_US = 100000  # without SYNC, a live value that is read is at most this old
+SYNC_ABSENT_US = 1000000  # after this time, or three SYNC intervals, without a SYNC the node latches by itself
+LONGEST_INTERVAL_US = 10000000  # a longer time between two SYNCs is a pause
 NO_DATA_US = 100000  # a front end silent for so long has failed (2124h bit 8)
 FROZEN_READINGS = 32  # equal readings in a row that noise of a count or more cannot explain (2124h bit 9)
 
@@ -53,7 +55,10 @@ class Fingertip(Application):
         self._read_us = 0
         self._equal = [0] * n
         self.frozen = 0  # bit k: the reading of gauge k + 1 stands still
-        self._synced_us = -REFRESH_US
+        self._latches_by_sync_until_us = 0  # until this time only SYNCs latch
+        self._synced_us = -LONGEST_INTERVAL_US
+        self._waiting_faults = 0
+        self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
         self.sample = Sample(None, self.channels.scaling, None)
         self.interrupts = Interrupts(device, n, self.channels.exact)
         self.reports = Reports(device)
@@ -87,6 +92,7 @@ class Fingertip(Application):
         self.channels.one_filter()
         self.device.od.values[indices.COMMAND << 8] = 0
         self._tare = NO_TARE
+        self._waiting = None
         self._read_us = now_us
         self._equal = [0] * self.n
         self.frozen = 0
@@ -116,14 +122,20 @@ class Fingertip(Application):
             self.filtering = Filtering(self, kind, constant, self.device.now_us)
         self.on_settings()
 
-    def on_sync(self, now_us: int) -> None:
-        """Latch a sample for the PDOs of this SYNC."""
+    def on_sync(self, now_us: int, number: int) -> None:
+        """Latch a sample for the PDOs of this SYNC; ``number`` becomes its counter (2121h)."""
+        interval_us = now_us - self._synced_us
+        if interval_us > LONGEST_INTERVAL_US:
+            interval_us = 0
         self._synced_us = now_us
-        self._latch(now_us)
+        self._latches_by_sync_until_us = now_us + max(SYNC_ABSENT_US, 3 * interval_us)
+        self._latch(now_us, number)
 
     def refresh(self, now_us: int) -> None:
-        """A live value is read with no SYNC about: latch a sample if the last one is old."""
-        if now_us - self.sample.latched_us >= REFRESH_US and (self._news(now_us) or self.sample.stale):
+        """A live value is read: latch a sample if the last one is old and no SYNCs come."""
+        if now_us < self._latches_by_sync_until_us or now_us - self.sample.latched_us < REFRESH_US:
+            return
+        if self._news(now_us) or self.sample.stale:
             self._latch(now_us)
 
     def _news(self, now_us: int) -> bool:
@@ -147,7 +159,9 @@ class Fingertip(Application):
         else:
             new = self._news(now_us)
             self.due_us = filtering.due_us
-        if new and now_us - self._synced_us >= REFRESH_US and self._watching():
+        if now_us < self._latches_by_sync_until_us:
+            return
+        if new and self._watching():
             self._latch(now_us)
         elif self.source.watch_us and now_us - self.sample.latched_us >= self.source.watch_us:
             seen = self.source.look(now_us)
@@ -156,14 +170,35 @@ class Fingertip(Application):
             if seen is not None and seen | own != self.sample.seen | own:
                 self._latch(now_us)
 
-    def _latch(self, now_us: int) -> None:
-        """Take the newest reading; without a new one the last sample stands, marked stale, its counter repeated."""
+    def _latch(self, now_us: int, number: int = 0) -> None:
+        """Take the newest reading; without a new one the last sample stands, marked stale.
+
+        With 1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts
+        samples, and a stale one repeats it.
+        """
+        before = self.sample
+        sample = self._sampled(now_us)
+        if self.device.od.integer(communication.SYNC_OVERFLOW):
+            self._counter = number
+        elif not sample.stale:
+            self._counter = (self._counter + 1) & 0xFF
+        sample.counter = self._counter
+        self._waiting = None
+        self.sample = sample
+        self.reports.sampled(sample, before.faults)
+        if self.interrupts.watching:
+            self.interrupts.check()
+
+    def _sampled(self, now_us: int) -> Sample:
+        """Return the sample that a latch would take now."""
         filtered = None
         if self.filtering is None:
             reading = self.source.read(now_us)
-            stale = reading is None
             # What the last reading showed stands until a new one says otherwise.
             faults = self.sample.faults if reading is None else self.watch(reading, self.sample.reading, now_us)
+            if reading is None and self._waiting is not None:
+                reading, faults = self._waiting, self._waiting_faults
+            stale = reading is None
             if stale:
                 reading = self.sample.reading
         else:
@@ -174,17 +209,23 @@ class Fingertip(Application):
         if stale:
             no_data = 1 << table.FAULT_NO_DATA
             faults = faults & ~no_data | (no_data if self._silent(now_us) else 0) | self.source.faults
-        else:
-            self._counter = (self._counter + 1) & 0xFF
-        was_present = self.sample.present()
-        before = self.sample
-        self.sample = Sample(
-            reading, self.channels.scaling, self.calibration.active, self._tare, was_present, faults, stale,
-            self._counter, now_us, self.frozen, filtered, self.ends, before.overloaded,
+        return Sample(
+            reading, self.channels.scaling, self.calibration.active, self._tare, self.sample.present(), faults, stale,
+            0, now_us, self.frozen, filtered, self.ends, self.sample.overloaded,
         )  # fmt: skip
-        self.reports.sampled(self.sample, before.faults)
-        if self.interrupts.watching:
-            self.interrupts.check()
+
+    def _newest(self) -> Sample:
+        """Return a sample younger than REFRESH_US for tare and zero; one that a SYNC latched stays the last latch."""
+        now_us = self.device.now_us
+        self.refresh(now_us)
+        if now_us - self.sample.latched_us < REFRESH_US or now_us >= self._latches_by_sync_until_us:
+            return self.sample
+        sample = self._sampled(now_us)
+        if self.filtering is not None:
+            self.filtering.fresh = not sample.stale
+        elif not sample.stale:
+            self._waiting, self._waiting_faults = sample.reading, sample.faults
+        return sample
 
     def _silent(self, now_us: int) -> bool:
         """The front end has given nothing for longer than a sample period can explain."""
@@ -219,8 +260,7 @@ class Fingertip(Application):
 
     def tare(self) -> int:
         """Take the present force as zero; refused while the force is unknown."""
-        self.refresh(self.device.now_us)
-        last = self.sample
+        last = self._newest()
         # The same reading once more, without tare and with what holds now: a tare that follows another, a zero or a
         # commit within one sample must not count anything twice.
         scaling, active = self.channels.scaling, self.calibration.active
@@ -241,8 +281,7 @@ class Fingertip(Application):
 
     def zero(self, gauges: "range | list[int]") -> int:
         """Make gauges (from 0) read zero now, by x124h; refused while contact is present or cannot be ruled out."""
-        self.refresh(self.device.now_us)
-        sample = self.sample
+        sample = self._newest()
         if sample.status() & scalar.CONTACT_PRESENT or sample.unknown() & scalar.UNKNOWN_GAUGES:
             return codes.DEVICE_STATE
         if sample.reading is None or any(sample.overloads):
