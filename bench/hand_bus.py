@@ -11,7 +11,7 @@ import os
 import select
 import socket
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from multiprocessing.connection import Connection as Pipe
 from multiprocessing.context import SpawnProcess
 from typing import Any
@@ -28,7 +28,6 @@ from tipforce.running.loop import Frame
 from tipforce.socketcan import CAN_FRAME
 
 Address = tuple[str, int]
-_SYNC_FRAME = CAN_FRAME.pack(SYNC_COB_ID, 0, b"")
 _spawn = multiprocessing.get_context("spawn")
 
 
@@ -84,19 +83,26 @@ def run_fingers(count: int, receiver: Address, services: Address, pipe: Pipe, re
         pipe.send(time.process_time())
 
 
-def run_sync(period_s: float, receiver: Address, fingers: Address, pipe: Pipe, realtime: bool) -> None:
+def run_sync(
+    period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, pipe: Pipe, realtime: bool
+) -> None:
     """A process: the SYNC, until the pipe says stop; then how many were left out, and CPU time."""
     _hurry(realtime)
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
 
-        def send() -> None:
-            one.sendto(_SYNC_FRAME, receiver)
-            one.sendto(_SYNC_FRAME, fingers)
+        def send(number: bytes) -> None:
+            _send_sync(one, number, receiver, fingers)
 
-        producer = ThreadSync(send, period_s)
+        producer = ThreadSync(send, period_s, data)
         pipe.recv()
         producer.stop()
         pipe.send((producer.skipped, time.process_time()))
+
+
+def _send_sync(one: socket.socket, number: bytes, *addresses: Address) -> None:
+    frame = CAN_FRAME.pack(SYNC_COB_ID, len(number), number)
+    for address in addresses:
+        one.sendto(frame, address)
 
 
 def _asked_to_stop(pipe: Pipe) -> Callable[[], bool]:
@@ -154,8 +160,10 @@ class Child:
 class ChildSync:
     """A SyncProducer in a process of its own."""
 
-    def __init__(self, period_s: float, receiver: Address, fingers: Address, realtime: bool) -> None:
-        self._child: Child | None = Child(run_sync, period_s, receiver, fingers, realtime=realtime)
+    def __init__(
+        self, period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, realtime: bool
+    ) -> None:
+        self._child: Child | None = Child(run_sync, period_s, data, receiver, fingers, realtime=realtime)
         self.skipped, self.cpu_s = 0, 0.0
 
     def stop(self) -> None:
@@ -192,17 +200,16 @@ class LoopbackLink:
         """See Link."""
         return self._receiver.receive(timeout_s)
 
-    def start_sync(self, period_s: float) -> SyncProducer:
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
         """See Link."""
         if self._sync == "thread":
-            self.producer = ThreadSync(self._send_sync, period_s)
+            self.producer = ThreadSync(self._send_sync, period_s, data)
         else:
-            self.producer = ChildSync(period_s, self._receiver_address, self._fingers_address, self._realtime)
+            self.producer = ChildSync(period_s, data, self._receiver_address, self._fingers_address, self._realtime)
         return self.producer
 
-    def _send_sync(self) -> None:
-        self._sync_socket.sendto(_SYNC_FRAME, self._receiver_address)
-        self._sync_socket.sendto(_SYNC_FRAME, self._fingers_address)
+    def _send_sync(self, number: bytes) -> None:
+        _send_sync(self._sync_socket, number, self._receiver_address, self._fingers_address)
 
     @property
     def dropped(self) -> int:

@@ -24,6 +24,7 @@ from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Supervisor
 from tipforce.host.hand.rows import Rows
+from tipforce.host.hand.sync_numbers import LARGEST
 from tipforce.host.network.faulty_bus import Babbler, Faults, Injector
 
 PERIOD_S, PARTS = 0.01, 4  # a SYNC every 10 ms; between two of them the host looks four times
@@ -94,11 +95,9 @@ class Soak:
     def _tick(self, now_s: float) -> None:
         self._trouble(now_s)
         off = now_s < self._bus_off_until_s
-        if off:
-            self._collector.drop()
         received: list[tuple[float, int, bytes]] = []
         if not off:
-            received.append((now_s, SYNC_COB_ID, b""))
+            received.append((now_s, SYNC_COB_ID, bytes((self._row % LARGEST + 1,))))
             self._truth[self._row] = {}
             self._truth.pop(self._row - 50, None)
         for finger in self.fingers:
@@ -126,7 +125,7 @@ class Soak:
         while (frame := injector.take(now_s)) is not None:
             can_id, data = frame
             answered = struct.unpack("<I", data)[0] if can_id == SYNC_COB_ID else -1
-            found = finger.step(late_s, [(can_id, b"" if answered >= 0 else data)])
+            found = finger.step(late_s, [(can_id, bytes((answered % LARGEST + 1,)) if answered >= 0 else data)])
             self._send(finger, found, now_s, off, answered)
             late_s += self._busy_gap_s
         self._send(finger, finger.step(late_s, []), now_s, off, -1)
@@ -151,9 +150,7 @@ class Soak:
             self._check(rows, now_s)
         for event in self._supervisor.add(frames, now_s):
             self.outcome.counts[event.kind] += 1
-            if event.kind == "boot_up":
-                self._collector.forget(event.node_id)
-            elif event.kind == "heartbeat_lost":  # two that the bus lost are trouble, too
+            if event.kind == "heartbeat_lost":  # two that the bus lost are trouble, too
                 self._trouble_s = now_s
         # As the Hand does: until it is seen to run, because the command may be lost, too.
         self._starts |= {n for n, state in self._supervisor.states.items() if state == _PRE_OPERATIONAL}

@@ -11,12 +11,15 @@ from pathlib import Path
 import can
 import numpy as np
 
+from tipforce.device import communication
+from tipforce.device.codes import NMT_COB_ID
 from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.sync_numbers import LARGEST
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce.running.store import FileStore
@@ -79,6 +82,8 @@ class Finger:
         """Give it frames and the time."""
         if self._off_until_s >= 0.0:
             return []
+        if any(can_id == NMT_COB_ID for can_id, _ in frames):  # the hand numbers the SYNC before it starts a finger
+            self._device.od.values[communication.SYNC_OVERFLOW << 8] = LARGEST
         P = 2.0 + 1.5 * math.sin(now_s + self.node_id)
         self.source.load = (P, 40.0 * math.sin(0.7 * now_s), 30.0)
         sent, _due_us = self._device.step(round((now_s - self._booted_s) * 1e6), frames)

@@ -54,7 +54,7 @@ def hand_of(*devices: Device) -> Iterator[tuple[Bus, FaultyBus]]:
 def up(connection: Bus, hand: HandFile) -> tuple[list[FingerReport], list[Event]]:
     """Bring up and keep the events."""
     events: list[Event] = []
-    return bring_up(connection, hand, events.append), events
+    return bring_up(connection, hand, events.append)[0], events
 
 
 def test_five_unconfigured_nodes_are_up_within_three_seconds(tmp_path: Path) -> None:

@@ -16,7 +16,8 @@ from tipforce.host.hand.rows import Rows
 
 def block(first: int, count: int = 1) -> Rows:
     """Rows numbered from ``first``."""
-    return Rows(first, np.arange(first, first + count), np.zeros((count, 1), dtype=np.int64), {})
+    reason = np.zeros((count, 1), dtype=np.uint8)
+    return Rows(first, np.arange(first, first + count), reason[:, 0] > 0, reason.astype(np.int64), reason, {})
 
 
 def test_two_consumers_get_all_from_when_they_asked() -> None:

@@ -45,7 +45,7 @@ def test_the_thread_sends_as_many_as_it_should() -> None:
     enough = threading.Event()
     sent = []
 
-    def send() -> None:
+    def send(_data: bytes) -> None:
         sent.append(0)
         if len(sent) == 20:
             enough.set()
@@ -60,7 +60,7 @@ def test_the_thread_sends_as_many_as_it_should() -> None:
 
 
 def test_a_bus_that_refuses_ends_it_with_the_reason() -> None:
-    def refuse() -> None:
+    def refuse(_data: bytes) -> None:
         raise EnvironmentLackError("no bus")
 
     sync = ThreadSync(refuse, 0.001)
@@ -72,7 +72,7 @@ def test_a_slow_bus_loses_syncs_and_says_so() -> None:
     calls = threading.Semaphore(0)
     waits = threading.Event()
 
-    def slow() -> None:
+    def slow(_data: bytes) -> None:
         calls.release()
         waits.wait(0.05)
 

@@ -7,7 +7,7 @@ import pytest
 from bench.soak import Soak
 from bench.soak_fingers import stored_fingers
 
-from tipforce.host.hand.counters import CounterCheck
+from tipforce.host.hand.collector import Collector
 from tipforce.host.network.faulty_bus import Faults
 
 
@@ -27,12 +27,16 @@ def test_without_faults_nothing_is_missing() -> None:
     assert soak.outcome.breaks == []
 
 
-def test_an_answer_that_is_not_doubted_is_found_out(monkeypatch: pytest.MonkeyPatch) -> None:
-    def trusting(_: CounterCheck, now: np.ndarray, *_others: object) -> tuple[np.ndarray, np.ndarray]:
-        return now < -1, now < -1
+def test_a_value_in_another_row_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
+    take = Collector._take
+
+    def by_order(
+        self: Collector, slot: np.ndarray, words: np.ndarray, last: np.ndarray, number: np.ndarray, doubted: np.ndarray
+    ) -> None:
+        take(self, slot, words, last, number * 0, doubted)
 
     faults = Faults(drop=0.05, delay=0.2, delay_s=0.025)
     fingers = stored_fingers(3, 7)
     assert Soak(fingers, seed=7, faults=faults).run(20.0).breaks == []
-    monkeypatch.setattr(CounterCheck, "_row", trusting)
+    monkeypatch.setattr(Collector, "_take", by_order)
     assert Soak(stored_fingers(3, 7), seed=7, faults=faults).run(20.0).breaks

@@ -17,8 +17,9 @@ from tools.view.support import fingers
 def rows(columns: dict[str, np.ndarray], missing: np.ndarray | None = None) -> Rows:
     shape = next(iter(columns.values())).shape
     flags = {name: np.ones(shape, dtype=bool) for name in ("contact", "calibrated")}
-    counter = np.zeros(shape, dtype=np.int64) if missing is None else np.where(missing, -1, 0)
-    return Rows(0, np.arange(shape[0], dtype=np.int64), counter, flags | columns)
+    reason = np.zeros(shape, dtype=np.uint8) if missing is None else missing.astype(np.uint8)
+    t_ns = np.arange(shape[0], dtype=np.int64)
+    return Rows(0, t_ns, t_ns > 0, np.where(reason, -1, 0), reason, flags | columns)
 
 
 @pytest.mark.parametrize("pull", [False, True])

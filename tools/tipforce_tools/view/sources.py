@@ -6,7 +6,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from tipforce.errors import EnvironmentLackError, RefusedError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
-from tipforce.host.hand.rows import Rows
+from tipforce.host.hand.rows import Rows, joined
 from tipforce.host.live.receiver import InterfaceDownError, Receiver
 from tipforce.host.network.bus_load import LoadMeter
 from tipforce_tools.view.blocks import block_of_rows
@@ -83,6 +83,8 @@ class HandSource:
         if waiting:
             rows = joined(waiting)
             self.model.add(block_of_rows(rows, self.model.fingers, self.model.gauges), arrived_s)
+        if self._hand.error is not None:
+            self.model.error = f"reception has ended: {self._hand.error}"
         found, counters = self._hand.statistics(), self.model.counters
         tally = found.tally
         counters.rows = tally.rows
@@ -95,7 +97,7 @@ class HandSource:
 
     def tare(self, node_id: int) -> str:
         """See Source."""
-        return tare(self._hand.connection, node_id)
+        return self._hand.tare(node_id)
 
     def close(self) -> None:
         """See Source."""
@@ -180,27 +182,6 @@ class ListenSource:
         self._stopped.set()
         self._thread.join()
         self._receiver.close()
-
-
-def joined(rows: Sequence[Rows]) -> Rows:
-    """Return blocks of rows as one."""
-    if len(rows) == 1:
-        return rows[0]
-    columns = {name: np.concatenate([one.columns[name] for one in rows]) for name in rows[0].columns}
-    return Rows(
-        rows[0].first, np.concatenate([one.sync_ns for one in rows]), np.concatenate([one.counter for one in rows]),
-        columns,
-    )  # fmt: skip
-
-
-def tare(connection: Any, node_id: int) -> str:
-    """Tare a node and return a message with its tare. Raises NoResponseError and SdoAbortError."""
-    from tipforce.host.network.finger import FingertipClient
-
-    client = FingertipClient(connection.sdo(node_id))
-    client.tare()
-    f1, f2, f3 = client.tare_state().force_newtons
-    return f"tare: F1 {f1:+.3f} N, F2 {f2:+.3f} N, F3 {f3:+.3f} N are subtracted"
 
 
 _NO_FRAMES: FrameArray = np.zeros(0, dtype=FRAME)

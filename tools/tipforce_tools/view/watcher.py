@@ -67,9 +67,6 @@ class Watcher:
         if self._collector is None:
             return [], events
         rows = self._collector.add(self._paced(frames), now_s)
-        for event in events:
-            if event.kind == "boot_up":
-                self._collector.forget(event.node_id)
         if len(frames):
             self._take_health(frames)
         if not len(rows):

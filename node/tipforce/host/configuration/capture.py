@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
+from tipforce.sensor.contact import scalar
 
 RESOLUTION_MICROSTRAIN = 0.1
 """One step of 7130h: the resolution of every reading by PDO."""
@@ -115,7 +117,7 @@ class GaugeReader:
         self.period_s = max(period_s, self._sdo.read(od.SAMPLE_PERIOD_US[1]) * 1e-6)
         self._decoder = Decoder(gauges, (node_id,))
         self._can_id = self._gauge_pdo()
-        if not self._can_id and not self._plain_sync():
+        if not self._can_id and not self._takes_sync():
             self.period_s = max(self.period_s, _UNSYNCED_S)
         self._started = False
 
@@ -128,7 +130,7 @@ class GaugeReader:
         """Return the identifier of TPDO1 if it is sent on each SYNC with all gauges, status and counter; else 0."""
         word = self._sdo.read(od.TPDO1_COB_ID)
         can_id = word & STANDARD_MASK
-        on_sync = self._sdo.read(od.TPDO1_TRANSMISSION_TYPE) == 1 and self._plain_sync()
+        on_sync = self._sdo.read(od.TPDO1_TRANSMISSION_TYPE) == 1 and self._takes_sync()
         if word >> 31 or not can_id or not on_sync:
             return 0
         words = [self._sdo.read(od.TPDO1_MAPPING[k + 1]) for k in range(self._sdo.read(od.TPDO1_MAPPED))]
@@ -143,13 +145,11 @@ class GaugeReader:
             return 0
         return can_id
 
-    def _plain_sync(self) -> bool:
-        """Return whether the node consumes the SYNC that Bus sends."""
-        try:
-            overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
-        except SdoAbortError:
-            overflow = 0
-        return self._sdo.read(od.SYNC_COB_ID) & STANDARD_MASK == SYNC_COB_ID and not overflow
+    def _takes_sync(self) -> bool:
+        """Return whether the node consumes the SYNC that Bus sends; number it where the node asks for that (1019h)."""
+        with suppress(SdoAbortError):
+            self._connection.sync_overflow = self._sdo.read(od.SYNC_COUNTER_OVERFLOW)
+        return self._sdo.read(od.SYNC_COB_ID) & STANDARD_MASK == SYNC_COB_ID
 
     def start(self) -> None:
         """Start the node by NMT if it is not OPERATIONAL, as after a power cycle, so that it sends PDOs."""
@@ -185,12 +185,12 @@ class GaugeReader:
         return self._judged(_joined(blocks), samples, silent)
 
     def moves(self) -> bool:
-        """Return whether the sample counter (2121h) increments."""
+        """Return whether the sample counter (2121h) increments, and not only by the number of the SYNC."""
         before = self._sdo.read(od.COUNTER)
         for _ in range(_TRIES):
             self._connection.sync()
             time.sleep(max(self.period_s, 0.01))
-            if self._sdo.read(od.COUNTER) != before:
+            if self._sdo.read(od.COUNTER) != before and not self._sdo.read(od.STATUS) & scalar.STALE:
                 return True
         return False
 

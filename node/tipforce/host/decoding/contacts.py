@@ -72,6 +72,8 @@ class Contact:
     """Gauge strain, one value per gauge; empty where the finger does not send it."""
     name: str = ""
     """Name of the finger in its hand file."""
+    missing: str = ""
+    """Why there is no sample, where ``status`` is NO_ANSWER for another reason than that none came."""
 
     @property
     def present(self) -> bool:
@@ -81,6 +83,8 @@ class Contact:
     @property
     def reason(self) -> str:
         """Why a value is unknown or doubtful, in words; "" where P, phi and theta are known and nothing is flagged."""
+        if self.missing:
+            return self.missing
         status, force_known = int(self.status), not math.isnan(self.P_newtons)
         found = status_words.why_no_force(status & ~scalar.SATURATED if force_known else status)
         if found:
@@ -136,10 +140,10 @@ class Contacts:
         return found
 
 
-def no_answer(node_id: int, t_s: float, name: str = "") -> Contact:
-    """The contact of a finger that did not answer."""
+def no_answer(node_id: int, t_s: float, name: str = "", missing: str = "") -> Contact:
+    """The contact of a finger that did not answer, or whose answer is not shown; ``missing`` says why."""
     unknown = (_NAN,) * 6
-    return Contact(node_id, t_s, -1, *unknown, Status.NO_ANSWER, name=name)
+    return Contact(node_id, t_s, -1, *unknown, Status.NO_ANSWER, name=name, missing=missing)
 
 
 def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:

@@ -6,10 +6,13 @@ Fingers are brought up in parallel; one that fails does not block the others. It
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+
+import numpy as np
 
 from tipforce.device import codes, communication
 from tipforce.device.codes import INITIALISING
@@ -19,6 +22,7 @@ from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceE
 from tipforce.host.configuration.configuration_file import Configuration, apply_configuration, verify_configuration
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
+from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
@@ -27,6 +31,8 @@ from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 FIND_S = 0.25  # for the responses of all nodes to one request each
+_IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
+NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8
 _READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
@@ -42,6 +48,8 @@ class FingerReport:
     failed: str = ""
     error: str = ""
     done: list[str] = field(default_factory=list)
+    note: str = ""
+    """What the user must know of a finger that is up: it is not calibrated."""
     seconds: float = 0.0
 
     @property
@@ -50,23 +58,30 @@ class FingerReport:
         return not self.failed
 
     def __str__(self) -> str:
-        return f"{self.plan.label}: " + ("up" if self.ok else f"failed at {self.failed}: {self.error}")
+        up = f"up, {self.note}" if self.note else "up"
+        return f"{self.plan.label}: " + (up if self.ok else f"failed at {self.failed}: {self.error}")
 
 
-def bring_up(connection: Bus, hand: HandFile, on_event: OnEvent = lambda _event: None) -> list[FingerReport]:
-    """Bring all fingers up; return a report for each, in file order. Raises InputError for an invalid file."""
+def bring_up(
+    connection: Bus, hand: HandFile, on_event: OnEvent = lambda _event: None
+) -> tuple[list[FingerReport], set[int]]:
+    """Bring all fingers up; return a report for each, in file order, and the node-ids of all nodes on the bus.
+
+    Raises InputError for an invalid file.
+    """
     plans = {finger.node_id: wanted_settings(hand, finger) for finger in hand.finger}
     for finger in hand.finger:
         connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop
     reports = [FingerReport(finger) for finger in hand.finger]
-    absent = _find(connection, reports, on_event)
+    answers = count_nodes(connection)
+    absent = _find(reports, answers, on_event)
     if absent:
         assign(connection, absent, hand.hand.store, on_event)
     _side_by_side(
         [report for report in reports if report.ok],
         lambda report: set_up(connection, hand, report, plans[report.plan.node_id], on_event),
     )
-    return reports
+    return reports, set(answers)
 
 
 def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
@@ -74,11 +89,18 @@ def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
     wanted = dict(hand.configuration(finger))
     gauges = finger.gauges
     for number, message in enumerate(tpdo_messages(gauges), start=1):
-        if message.name in ("Gauges", "Contact", "Force") and (communication.TPDO + number - 1, 1) not in wanted:
-            off = 0 if message.name in hand.messages else codes.COB_ID_INVALID
-            cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | off
-            wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
-            wanted |= _one(f"tpdo{number}.transmission_type", 1, gauges)
+        if not message.cob_id_base or (communication.TPDO + number - 1, 1) in wanted:
+            continue
+        used = message.name in hand.messages or message.name == "Health"
+        cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | (0 if used else codes.COB_ID_INVALID)
+        wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
+        wanted |= _one(f"tpdo{number}.transmission_type", message.transmission_type, gauges)
+        if used:
+            wanted |= _one(f"tpdo{number}.mapped", len(message.mapping), gauges)
+            for sub, (index, of, bits) in enumerate(message.mapping, start=1):
+                wanted |= _one(f"tpdo{number}.mapping:{sub}", index << 16 | of << 8 | bits, gauges)
+            if message.event_timer_ms:
+                wanted |= _one(f"tpdo{number}.event_timer_ms", message.event_timer_ms, gauges)
     wanted |= _one("heartbeat.producer_ms", hand.hand.heartbeat_ms, gauges)
     return dict(sorted(wanted.items()))
 
@@ -88,7 +110,14 @@ def _one(name: str, value: int, gauges: int) -> Configuration:
     return {(entry.index, entry.sub): (entry, value)}
 
 
-def set_up(connection: Bus, hand: HandFile, report: FingerReport, wanted: Configuration, on_event: OnEvent) -> None:
+def set_up(
+    connection: Bus,
+    hand: HandFile,
+    report: FingerReport,
+    wanted: Configuration,
+    on_event: OnEvent,
+    before_start: Callable[[FingertipClient], None] = lambda _client: None,
+) -> None:
     """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
     client = FingertipClient(connection.sdo(plan.node_id))
@@ -96,8 +125,8 @@ def set_up(connection: Bus, hand: HandFile, report: FingerReport, wanted: Config
         ("identity", "found", lambda: _identity(client, plan)),
         ("configure", "configured", lambda: _configure(client.sdo, wanted)),
         ("verify", "verified", lambda: _verify(client.sdo, wanted)),
-        ("calibrate", "calibrated", lambda: _calibrate(client, hand, plan)),
-        ("start", "started", lambda: _start(connection, hand, client)),
+        ("calibrate", "calibrated", lambda: _calibrate(client, hand, report)),
+        ("start", "started", lambda: _start(connection, hand, client, before_start)),
     )
     for step, kind, act in steps:
         text = _attempt(report, step, act, on_event)
@@ -155,23 +184,25 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
     return None
 
 
-def _find(connection: Bus, reports: Sequence[FingerReport], on_event: OnEvent) -> list[FingerReport]:
-    """Request 1000h from every node-id at once; return those without response. Two responses: a duplicate node-id."""
-    started_s = time.monotonic()
-    answers = dict.fromkeys((report.plan.node_id for report in reports), 0)
+def count_nodes(connection: Bus) -> Counter[int]:
+    """Request 1000h from every node-id; return the number of responses by node-id. Two: a duplicate node-id."""
     connection.buffer.clear()
-    for node_id in answers:
+    for node_id in range(1, codes.NODE_ID_MASK + 1):
         connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
+        if not node_id % _IN_A_ROW:
+            time.sleep(_GAP_S)
     # The full time, even if each has responded: a second node with the same id needs its time too.
-    for frame in connection.buffer.take(lambda _can_id: False, started_s + FIND_S):
-        node_id = int(frame["can_id"]) - codes.SDO_RESPONSE_BASE
-        if node_id in answers:
-            answers[node_id] += 1
+    frames = connection.buffer.take(lambda _can_id: False, time.monotonic() + FIND_S)
+    answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
+    return Counter(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
+
+
+def _find(reports: Sequence[FingerReport], answers: Counter[int], on_event: OnEvent) -> list[FingerReport]:
+    """Return the fingers without response."""
     for report in reports:
-        count = answers[report.plan.node_id]
-        report.seconds += time.monotonic() - started_s
-        if count:
-            _attempt(report, "find", partial(_one_answer, count), on_event)
+        report.seconds += FIND_S
+        if answers[report.plan.node_id]:
+            _attempt(report, "find", partial(_one_answer, answers[report.plan.node_id]), on_event)
     return [report for report in reports if not answers[report.plan.node_id]]
 
 
@@ -205,7 +236,8 @@ def _identity(client: FingertipClient, plan: FingerPlan) -> str:
 
 
 def _configure(sdo: SdoChannel, wanted: Configuration) -> str:
-    apply_configuration(sdo, wanted)
+    if verify_configuration(sdo, wanted):
+        apply_configuration(sdo, wanted)
     return f"{len(wanted)} settings"
 
 
@@ -220,21 +252,28 @@ def _verify(sdo: SdoChannel, wanted: Configuration) -> str:
     return ""
 
 
-def _calibrate(client: FingertipClient, hand: HandFile, plan: FingerPlan) -> str:
+def _calibrate(client: FingertipClient, hand: HandFile, report: FingerReport) -> str:
     """Compare by CRC-32: an equal calibration is kept, any other is replaced; a node without one gets one."""
+    plan = report.plan
     calibration = hand.calibration(plan)
     active = client.sdo.read(objects.CALIBRATION_ACTIVE_CRC)
     if calibration is None:
-        return f"its own calibration, CRC-32 0x{active:08X}" if active else "not calibrated: P, phi, theta are unknown"
+        report.note = "" if active else NOT_CALIBRATED
+        return report.note or f"its own calibration, CRC-32 0x{active:08X}"
     if active == calibration.crc32() and not client.verify_calibration(calibration):
         return f"{plan.calibration}: CRC-32 0x{active:08X} is already active"
     client.apply_calibration(calibration, store=hand.hand.store)
     return f"{plan.calibration}: CRC-32 0x{calibration.crc32():08X} applied"
 
 
-def _start(connection: Bus, hand: HandFile, client: FingertipClient) -> str:
+def _start(
+    connection: Bus, hand: HandFile, client: FingertipClient, before_start: Callable[[FingertipClient], None]
+) -> str:
     if hand.hand.store:
+        overflow = set_overflow(client.sdo, 0)  # the numbering of SYNCs is never stored
         client.store()
+        set_overflow(client.sdo, overflow)
+    before_start(client)
     command_and_wait(connection, "start", [client.node_id], max(1.0, 5e-3 * hand.hand.heartbeat_ms))
     return "operational"
 

@@ -1,49 +1,65 @@
-"""Collect frames into coherent rows: one row for each SYNC, with every finger's answer to it.
+"""Collect frames into rows: one row for each SYNC, with every finger's answer to it.
 
-A row starts with a received SYNC. It is emitted as soon as it is complete, or after a waiting time; an answer that
-arrives after the next SYNC is still assigned to its own row by its sample counter (lateness.py). All PDOs of a finger
-in one row must have the same counter, because a node packs them from one sample; otherwise the row is mixed and the
-finger counts as missing.
-
-The counter counts samples, not SYNCs. An answer is doubtful if its counter repeats the previous row without the stale
-bit, or lags behind the rows: it may be old and is discarded (counters.py).
+A SYNC with a counter is numbered, and each answer carries the number in 2121h: it is assigned to its row by
+arithmetic, whenever it arrives, up to half the numbers late. Without numbers an answer is assumed to be that to the
+last SYNC before it. A finger that was missing may still send the answer to the SYNC before; so its next row stays open
+until the next SYNC, and two different answers in it are both discarded.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import SYNC_COB_ID
-from tipforce.dictionary.signals import tpdo_messages
+from tipforce.device.codes import HEARTBEAT_BASE, STANDARD_MASK, SYNC_COB_ID
+from tipforce.dictionary import indices
+from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.hand.counters import CounterCheck
-from tipforce.host.hand.lateness import Answers, BoolArray, IntArray, babbled, seat
-from tipforce.host.hand.rows import Rows, Tally
-from tipforce.host.hand.sync_gaps import SyncGaps
+from tipforce.host.decoding.columns import columns_of
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.hand.rows import CHANGED, DOUBTFUL, MIXED, NO_ANSWER, PRESENT, Rows, Tally, joined
+from tipforce.host.hand.sync_numbers import LARGEST, RESTARTED, SyncNumbers
 
 COUNTER = "counter"
-DISTRUSTED_ROWS = 4
+AHEAD = LARGEST // 2
+"""An answer may precede its SYNC's place by so many numbers: the SYNCs between were not received."""
+
+_RING = 512  # rows: the open ones, those of one part, AHEAD of the last one, and emitted ones for late answers
+_PART_SYNCS = 100
+_EMPTY, _LIVE, _DOUBTFUL, _EARLY, _CHANGED = range(5)  # states of an answer
+_REASON = np.array([NO_ANSWER, PRESENT, DOUBTFUL, NO_ANSWER, CHANGED], dtype=np.uint8)  # by state
+_WORD = np.dtype("<u8")
+IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class _OpenRow:
+    t_ns: int
+    opened_s: float
+    number: int
+    received: bool = True
 
 
 class Collector:
     """Collect rows of ``messages`` (PDO names) of the fingers ``node_ids``.
 
-    A row that is incomplete ``wait_s`` after its SYNC was received is emitted incomplete. Later rows do not wait for a
-    missing finger, except until the next SYNC, before it responds again. ``own_sync``: the host sends the SYNC.
-    Raises InputError for no finger, a repeated one, or a message without status and counter.
+    A row that is incomplete ``wait_s`` after its SYNC was received is emitted incomplete. ``own_sync``: the host sends
+    the SYNC. Raises InputError for no finger, a repeated one, or a message without status and counter.
     """
 
     def __init__(
         self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
-        wait_s: float = 0.02, own_sync: bool = False, decoder: Decoder | None = None,
+        wait_s: float = 0.02, own_sync: bool = False,
     ) -> None:  # fmt: skip
-        known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base and m.name != "Health"}
+        known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base}
+        health = known.pop("Health")
         unknown = [name for name in messages if name not in known]
         if unknown or not messages:
             raise InputError(f"PDO {', '.join(unknown) or 'none'}: allowed in a row are {', '.join(known)}")
@@ -51,209 +67,307 @@ class Collector:
             raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.node_ids = tuple(node_ids)
         self.tally = Tally(self.node_ids)
-        self._messages = {name: number for number, name in enumerate(dict.fromkeys(messages))}
-        self._decoder = decoder or Decoder(gauges, node_ids)
-        self._kinds = {s.name: bool if s.bits == 1 else float for name in self._messages for s in known[name].signals}
-        self._signals = frozenset(self._kinds)
-        del self._kinds[COUNTER]
-        self._finger = np.full(128, -1, dtype=np.int64)  # by node-id
-        self._finger[list(node_ids)] = np.arange(len(node_ids))
+        self._messages = [known[name] for name in dict.fromkeys(messages)]
         self._wait_s = wait_s
-        self._open: FrameArray = np.zeros(0, dtype=FRAME)  # the SYNCs of open rows, and the answers since the first
-        self._opened_s: list[float] = []  # receive time of each
-        self._gaps: list[int] = []  # and the number of SYNCs missing before it
-        self._given = False  # the only open row was emitted; further answers to it are late
-        self._sync_gaps = SyncGaps(own_sync)
-        self._counters = CounterCheck(len(node_ids))
-        self._answered = np.zeros(len(node_ids), dtype=np.bool_)  # in the last emitted row
-        self._silent: BoolArray = np.ones(len(node_ids), dtype=np.bool_)  # no answer in it, certain or not
-        self._distrust = np.zeros(len(node_ids), dtype=np.int64)  # rows in which its answers are discarded
+        self._numbers = SyncNumbers(own_sync)
+        self._slots(health)
+        shape = len(self._messages), len(self.node_ids), _RING
+        self._words = np.zeros(shape, dtype=_WORD)
+        self._state = np.zeros(shape, dtype=np.uint8)
+        self._early: dict[int, tuple[int, int]] = {}  # by place: its row, and the last row when it arrived
+        self._open: deque[_OpenRow] = deque()
+        self._first = 0  # the first open row
+        self._epoch = 0  # the first row of this count
+        self._old: tuple[int, int, int] | None = None  # of the count before: last number, modulus, first row after it
+        self._absent: set[int] = set()  # fingers for which no row waits
+        self._unsettled = np.ones(len(node_ids), dtype=np.bool_)  # missing in the last row; matters without numbers
+        self._last_counter = np.full(len(node_ids), -1, dtype=np.int64)
+        self._verified: dict[int, int] = {}  # by finger: 2126h for which the hand knows what its values mean
+        self._noticed: dict[int, int] = {}  # the last one that was reported as a change
+        self._doubted = np.zeros(len(node_ids), dtype=np.bool_)
+        self._requests: deque[Callable[[], None]] = deque()  # of other threads
+        self.changes: list[int] = []
+        """Node-ids of fingers whose configuration counter (2126h) changed; the caller empties it."""
 
-    def drop(self) -> None:
-        """Note that frames were lost before or among the next ones."""
-        self._sync_gaps.drop()
+    def _slots(self, health: Message) -> None:
+        """By identifier: the finger's place in a row, its health PDO or heartbeat; lengths; where the counter is."""
+        fingers = len(self.node_ids)
+        self._slot = np.full(STANDARD_MASK + 2, -1, dtype=np.int64)
+        self._length = np.zeros(STANDARD_MASK + 2, dtype=np.uint8)
+        self._service = fingers * len(self._messages)
+        self._counter_shift = np.zeros(self._service, dtype=_WORD)
+        for number, message in enumerate(self._messages):
+            bits = {signal.name: signal.start_bit for signal in message.signals}
+            for k, node_id in enumerate(self.node_ids):
+                self._slot[message.cob_id_base + node_id] = number * fingers + k
+                self._length[message.cob_id_base + node_id] = message.length_bytes
+                self._counter_shift[number * fingers + k] = bits[COUNTER]
+        for k, node_id in enumerate(self.node_ids):
+            self._slot[health.cob_id_base + node_id] = self._slot[HEARTBEAT_BASE + node_id] = self._service + k
+            self._length[HEARTBEAT_BASE + node_id] = 1
+            self._length[health.cob_id_base + node_id] = health.length_bytes
+        change = next(signal for signal in health.signals if signal.index == indices.CONFIGURATION_COUNTER)
+        self._change_byte = change.start_bit // 8
+        self._slot[SYNC_COB_ID] = self._service + fingers
 
-    def forget(self, node_id: int) -> None:
-        """Restart the counter of a finger that booted; ignore other node-ids."""
-        if self._finger[node_id] >= 0:
-            self._counters.forget(int(self._finger[node_id]))
+    def verify(self, node_id: int, counter: int) -> None:
+        """Show the values of a finger only while its 2126h is ``counter``. For any thread."""
+        k = self.node_ids.index(node_id)
+
+        def apply() -> None:
+            self._verified[k], self._doubted[k] = counter, False
+
+        self._requests.append(apply)
+
+    def expect(self, node_id: int, present: bool) -> None:
+        """Wait for a finger in each row, or not: one that is not operational. For any thread."""
+        change = self._absent.discard if present else self._absent.add
+        self._requests.append(partial(change, self.node_ids.index(node_id)))
+
+    def last_number(self) -> int:
+        """Return the number of the last SYNC, 0 for one without."""
+        return self._numbers.number
+
+    def restart(self, before: int) -> None:
+        """End the open rows; the next SYNC has the number after ``before``, far from those of the open rows."""
+        self._numbers.number = before
+        self._epoch, self._old = self._last + 1, None
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
 
         ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
         """
-        window = _joined(self._open, frames)
-        syncs = np.flatnonzero(window["can_id"] == SYNC_COB_ID)
-        if not len(syncs):  # no SYNC has started a row yet
-            return self._nothing()
-        window, syncs = window[syncs[0] :], syncs - syncs[0]
-        new = window["t_ns"][syncs[len(self._opened_s) :]].tolist()
-        self._opened_s += [now_s] * len(new)
-        self._gaps += [self._sync_gaps.add(t_ns) for t_ns in new]
-        if new:
-            self._sync_gaps.end_batch()
-        first = int(self._given)
-        if len(syncs) - first == 1 and self._too_few(len(window) - int(syncs[-1]), now_s):
-            self._open = window
-            return self._nothing()
-        answers = self._answers(window, syncs, first) if len(window) > len(syncs) else []
-        last = self._ready(answers, first, len(syncs), now_s)
-        rows = self._rows(answers, window[syncs], first, last)
-        self._keep(window, syncs, answers, last)
-        return rows
+        while self._requests:
+            self._requests.popleft()()
+        can_id = np.minimum(frames["can_id"], STANDARD_MASK + 1)
+        slot = self._slot[can_id]
+        slot[frames["length"] < self._length[can_id]] = -1
+        syncs = np.flatnonzero(slot == self._service + len(self.node_ids))
+        if len(syncs) <= _PART_SYNCS:
+            return self._part(frames, slot, syncs, now_s)
+        found, ends = [], [*syncs[_PART_SYNCS::_PART_SYNCS].tolist(), len(frames)]
+        for start, end in zip([0, *ends[:-1]], ends, strict=True):
+            part = syncs[(syncs >= start) & (syncs < end)] - start
+            found.append(self._part(frames[start:end], slot[start:end], part, now_s))
+        return joined([rows for rows in found if len(rows)] or found[:1])
 
-    def _too_few(self, frames: int, now_s: float) -> bool:
-        """Return whether the open frames cannot make a complete row, and no time-out is due."""
-        enough = 1 + len(self._messages) * len(self.node_ids)
-        return frames < enough and now_s - self._opened_s[-1] < self._wait_s
+    def _part(self, frames: FrameArray, slot: IntArray, syncs: npt.NDArray[np.intp], now_s: float) -> Rows:
+        last, number = [self._last], [self._numbers.number]
+        for frame in frames[syncs]:
+            numbered = frame["length"] == 1
+            self._sync(int(frame["data"][0]) if numbered else 0, int(frame["t_ns"]), now_s)
+            last.append(self._last)
+            number.append(self._numbers.number)
+        answers = np.flatnonzero((slot >= 0) & (slot < self._service))
+        services = np.flatnonzero((slot >= self._service) & (slot < self._service + len(self.node_ids)))
+        from_here = self._watch(frames, slot, services, len(frames)) if len(services) else None
+        if len(answers):
+            before = np.searchsorted(syncs, answers)
+            words = frames["data"].view(_WORD)[:, 0][answers]
+            doubted = self._doubted[slot[answers] % len(self.node_ids)]
+            if from_here is not None:
+                doubted = answers >= from_here[slot[answers] % len(self.node_ids)]
+            self._take(slot[answers], words, np.array(last)[before], np.array(number)[before], doubted)
+        return self._rows(self._ready(now_s))
 
-    def _nothing(self) -> Rows:
-        """No row."""
-        counter = np.zeros((0, len(self.node_ids)), dtype=np.int64)
-        columns = {name: np.zeros(counter.shape, dtype=kind) for name, kind in self._kinds.items()}
-        return Rows(self.tally.rows, np.zeros(0, dtype=np.int64), counter, columns)
+    @property
+    def _last(self) -> int:
+        """The row of the last SYNC."""
+        return self._first + len(self._open) - 1
 
-    def _answers(self, window: FrameArray, syncs: npt.NDArray[np.intp], first: int) -> list[Answers]:
-        """Return the fingers' answers, each assigned to its row as far as that is known."""
-        found = []
-        expected = self._counters.expected()
-        expected = np.where(expected < 0, -1, (expected - first) % 256)  # the emitted row is the previous one
-        regular = np.array(self._gaps) == 0
-        regular[:first] = True
-        for said in self._decoder.decode_together(window, self._signals):
-            if said.name not in self._messages:
+    # --- SYNCs ------------------------------------------------------------------------------------------------------
+
+    def _sync(self, number: int, t_ns: int, now_s: float) -> None:
+        """Start the row of a received SYNC, and those of SYNCs between it and the last one."""
+        old = self._numbers.number, self._numbers.modulus
+        before_ns = self._numbers.last_ns
+        steps = self._numbers.step(number, t_ns)
+        number = self._numbers.number
+        last = self._last
+        if steps == RESTARTED:
+            self._epoch = last + 1
+            self._old = (*old, last + 1) if old[0] else None
+            self._early.clear()
+            self._clear(last + 1, last + 1 + AHEAD)
+            steps = 1
+        for k in range(1, steps):
+            missed_ns = before_ns + (t_ns - before_ns) * k // steps
+            missed = (number - steps + k - 1) % self._numbers.modulus + 1
+            self._open.append(_OpenRow(missed_ns, now_s, missed, False))
+        self.tally.unreceived += steps - 1
+        self._open.append(_OpenRow(t_ns, now_s, number))
+        self._clear(last + 1 + AHEAD, self._last + 1 + AHEAD)
+        if self._early:
+            self._settle_early(last)
+
+    def _clear(self, first: int, end: int) -> None:
+        self._state[:, :, np.arange(first, end) % _RING] = _EMPTY
+
+    def _settle_early(self, before: int) -> None:
+        """Answers ahead of their SYNC: right if the SYNC was not received and they came in its place, else doubtful."""
+        for place, (row, last) in list(self._early.items()):
+            if row <= self._last:
+                received = self._open[row - self._first].received
+                self._state.ravel()[place] = _LIVE if not received and last == before else _DOUBTFUL
+                del self._early[place]
+
+    # --- answers ----------------------------------------------------------------------------------------------------
+
+    def _watch(self, frames: FrameArray, slot: IntArray, services: npt.NDArray[np.intp], end: int) -> IntArray:
+        """Return (k,) the frame from which on a finger's values are doubtful: another 2126h, a boot-up."""
+        found = np.where(self._doubted, 0, end)
+        for at in services.tolist():
+            k = int(slot[at]) - self._service
+            data, heartbeat = frames["data"][at], frames["can_id"][at] >= HEARTBEAT_BASE
+            counter = int(data[self._change_byte])
+            if k not in self._verified or (data[0] if heartbeat else counter == self._verified[k]):
                 continue
-            row = np.searchsorted(syncs, said.row, side="right") - 1
-            answers = Answers(
-                self._messages[said.name], self._finger[said.node_id], row, said.row,
-                said.columns[COUNTER].astype(np.int64), said.columns, *np.zeros((3, len(row)), dtype=np.bool_),
-            )  # fmt: skip
-            in_time = window["t_ns"][said.row] - window["t_ns"][syncs[row]] < self._sync_gaps.horizon_ns
-            seat(answers, expected, in_time, regular)
-            found.append(answers)
+            if not self._doubted[k]:
+                self._doubted[k], found[k] = True, at
+            if not heartbeat and counter != self._noticed.get(k):
+                self._noticed[k] = counter
+                self.changes.append(self.node_ids[k])
         return found
 
-    def _ready(self, answers: list[Answers], first: int, count: int, now_s: float) -> int:
-        """Return how many of ``count`` open rows can be emitted, in order."""
-        shape = len(self._messages), count, len(self.node_ids)
-        there: BoolArray = np.zeros(shape, dtype=np.bool_)
-        silent = self._silent.copy()
-        for said in answers:
-            sure = ~said.waiting & (said.row >= first)
-            there[said.message, said.row[sure], said.finger[sure]] = True
-            silent[said.finger[said.waiting]] = False  # it responds again, and still has to catch up
-        whole: BoolArray = np.logical_and.reduce(there)
-        # Answers arrive in order: if a later one is present, the missing one is lost, and the row does not wait.
-        passed = np.logical_and.reduce(np.logical_or.accumulate(there[:, ::-1], axis=1)[:, ::-1])
-        spared = passed | silent
-        spared[-1] = whole[-1]  # until the next SYNC there is time even for silent fingers
-        timed_out = now_s - np.array(self._opened_s) >= self._wait_s
-        ready = np.logical_and.reduce(spared, axis=1) | timed_out
-        ready[:first] = True
-        last = count if ready.all() else int(ready.argmin())
-        if last > first:
-            self._silent = np.logical_not(there[:, last - 1].any(axis=0))
-        return last
+    def _take(
+        self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray, doubted: BoolArray
+    ) -> None:
+        """Store answers (n,) received after the SYNC of row ``last`` with ``number`` (0: none)."""
+        row, fits = last, last >= 0
+        counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
+        numbered = number > 0
+        if numbered.any():
+            modulus = self._numbers.modulus
+            behind = (number - counter) % modulus
+            row = np.where(numbered, last - behind, last)
+            row[numbered & (behind >= max(self._numbers.window, 1))] += modulus
+            fits = fits & (~numbered | (counter > 0) & (counter <= modulus))
+            if self._old is not None:
+                fits &= ~(numbered & self._ambiguous(counter, last))
+            self._count(self.tally.delayed, slot[numbered & fits & (row < last) & (row >= self._first)])
+        self._count(self.tally.doubtful, slot[~fits & (last >= 0)])
+        late = fits & (row < max(self._first, self._epoch))
+        place = slot * _RING + row % _RING
+        if late.any():
+            again = (self._state.ravel()[place] == _LIVE) & (self._words.ravel()[place] == words)
+            self._count(self.tally.late, slot[late & ~again])
+            self._unsettled[slot[late & ~again] % len(self.node_ids)] = True
+        fits &= ~late
+        state = np.where(doubted, _CHANGED, _LIVE).astype(np.uint8)
+        if fits.all():
+            self._put(place, words, state, row, last)
+        elif fits.any():
+            self._put(place[fits], words[fits], state[fits], row[fits], last[fits])
 
-    def _keep(self, window: FrameArray, syncs: npt.NDArray[np.intp], answers: list[Answers], last: int) -> None:
-        """Keep the open rows and their answers, or only the last SYNC."""
-        self._given = last == len(syncs)
-        last = min(last, len(syncs) - 1)
-        keep = np.zeros(len(window), dtype=np.bool_)
-        keep[syncs[last:]] = True
-        if not self._given:
-            for said in answers:
-                keep[said.frame[said.row >= last]] = True
-        self._open = window[keep]
-        del self._opened_s[:last], self._gaps[:last]
+    def _ambiguous(self, counter: IntArray, last: IntArray) -> BoolArray:
+        """Return (n,) whether a counter may still be a late answer of the count before."""
+        assert self._old is not None
+        number, modulus, epoch = self._old
+        if self._last - epoch > LARGEST:
+            self._old = None
+        return np.asarray(epoch - 1 - (number - counter) % modulus > last - AHEAD)
 
-    def _rows(self, answers: list[Answers], syncs: FrameArray, first: int, last: int) -> Rows:
-        """Return rows ``first`` to ``last``; answers to earlier ones are late."""
-        shape = last - first, len(self.node_ids)
-        counters = np.full((len(self._messages), *shape), -1, dtype=np.int64)
-        unsure, proved = np.zeros((2, *shape), dtype=np.bool_)
-        columns: dict[str, npt.NDArray[Any]] = {
-            name: np.full(shape, np.nan) if kind is float else np.zeros(shape, dtype=np.bool_)
-            for name, kind in self._kinds.items()
-        }
-        for said in answers:
-            now = (said.row >= first) & (said.row < last)
-            row, finger = said.row[now] - first, said.finger[now]
-            proved[row, finger] |= said.proved[now]
-            counters[said.message, row, finger] = said.counter[now]  # of two answers in a row the second one is kept
-            for signal, values in said.columns.items():
-                if signal != COUNTER:
-                    columns[signal][row, finger] = values[now]
-            self._count(said, now, first)
-            self._spoke_again(said, first)
-            unsure |= babbled(said, first, shape)
-        gaps = np.maximum(np.array(self._gaps[first:last], dtype=np.int64), 0)
-        sync_ns = syncs["t_ns"][first:last].astype(np.int64)
-        counter = self._judged(counters, columns["stale"], unsure, proved, gaps, sync_ns)
-        missing = counter < 0
+    def _put(
+        self, place: IntArray, words: npt.NDArray[Any], state: npt.NDArray[np.uint8], row: IntArray, last: IntArray
+    ) -> None:
+        all_words, states = self._words.ravel(), self._state.ravel()
+        order = np.arange(len(place), dtype=_WORD)
+        before = all_words[place]
+        all_words[place] = order
+        once = all_words[place] == order  # False: a later one of these has the same place
+        all_words[place] = before
+        if once.all() and not states[place].any() and (row <= last).all():
+            all_words[place], states[place] = words, state
+            return
+        rows = zip(place.tolist(), words.tolist(), state.tolist(), row.tolist(), last.tolist(), strict=True)
+        for at, word, new, of, after in rows:
+            if not states[at]:
+                all_words[at], states[at] = word, new
+                if of > after:
+                    states[at], self._early[at] = _EARLY, (of, after)
+            elif all_words[at] != word:
+                states[at] = _DOUBTFUL
+                self._early.pop(at, None)
+                self._count(self.tally.doubtful, np.array([at // _RING]))
+
+    def _count(self, tally: IntArray, slot: IntArray) -> None:
+        if len(slot):
+            tally += np.bincount(slot % len(self.node_ids), minlength=len(self.node_ids))
+
+    # --- rows -------------------------------------------------------------------------------------------------------
+
+    def _ready(self, now_s: float) -> int:
+        """Return how many open rows can be emitted, in order."""
+        count = len(self._open)
+        if not count:
+            return 0
+        state = self._state[:, :, np.arange(self._first, self._first + count) % _RING]
+        there: BoolArray = state != _EMPTY
+        if self._absent:
+            there[:, list(self._absent)] = True
+        # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not
+        # wait. Rows older than the window cannot receive an answer.
+        passed = np.logical_or.accumulate(there[:, :, ::-1], axis=2)[:, :, ::-1]
+        ready: BoolArray = np.logical_and.reduce(passed, axis=(0, 1))
+        ready[: max(self._epoch - self._first, 0)] = True
+        ready[: max(count - self._numbers.window, 0)] = True
+        if not self._numbers.number:
+            ready[:-1] = True
+            settled = (state[:, :, -2] == _LIVE).all() if count > 1 else not self._unsettled.any()
+            ready[-1] &= bool(settled)
+        if not ready.all():
+            late = int(ready.argmin())
+            for k in range(late, count):
+                if now_s - self._open[k].opened_s < self._wait_s:
+                    break
+                ready[k] = True
+        return count if ready.all() else int(ready.argmin())
+
+    def _rows(self, count: int) -> Rows:
+        """Return the first ``count`` open rows, and close them."""
+        rows = [self._open.popleft() for _ in range(count)]
+        at = np.arange(self._first, self._first + count) % _RING
+        self._first += count
+        state = self._state[:, :, at].transpose(0, 2, 1)  # (messages, m, k)
+        words = self._words[:, :, at].transpose(0, 2, 1)
+        numbered = np.array([row.number > 0 for row in rows], dtype=np.bool_)
+        columns: dict[str, npt.NDArray[Any]] = {}
+        reason = _REASON[state].max(axis=0) if count else np.zeros(state.shape[1:], dtype=np.uint8)
+        counter = np.zeros(0, dtype=np.int64)
+        for number, message in enumerate(self._messages):
+            found = columns_of(words[number].ravel(), message.signals)
+            own = found.pop(COUNTER).astype(np.int64).reshape(reason.shape)
+            counter = own if not number else counter
+            reason = np.where((own != counter) & (reason == PRESENT), np.uint8(MIXED), reason)
+            columns |= {name: values.reshape(reason.shape) for name, values in found.items()}
+        if count and not numbered.all():
+            reason = self._repeats(reason, counter, columns["stale"], numbered)
+        missing = reason != PRESENT
         if missing.any():
-            for column in columns.values():
-                column[missing] = np.nan if column.dtype.kind == "f" else False
-        rows = Rows(self.tally.rows, sync_ns, counter, columns)
-        self.tally.rows += len(rows)
-        self.tally.missing += missing.sum(axis=0)
-        return rows
+            counter[missing] = -1
+            for name, column in columns.items():
+                columns[name] = np.where(missing, np.nan if column.dtype.kind == "f" else False, column)
+        if count:
+            self._unsettled = missing[-1]
+            self._last_counter = counter[-1]
+        self._tally(reason, columns["stale"])
+        sync_ns = np.array([row.t_ns for row in rows], dtype=np.int64)
+        return Rows(self._first - count, sync_ns, numbered, counter, reason, columns)
 
-    def _count(self, said: Answers, now: BoolArray, first: int) -> None:
-        """Count late answers, and those assigned to their own row."""
-        fingers = len(self.node_ids)
-        place = np.unique(said.row[now] * fingers + said.finger[now])
-        late = np.bincount(said.finger[now | (said.row < first)], minlength=fingers)
-        self.tally.late += late - np.bincount(place % fingers, minlength=fingers)
-        self.tally.delayed += np.bincount(said.finger[now & said.moved], minlength=fingers)
+    def _repeats(
+        self, reason: npt.NDArray[np.uint8], counter: IntArray, stale: BoolArray, numbered: BoolArray
+    ) -> npt.NDArray[np.uint8]:
+        """Without numbers: a counter that stands still and is not marked stale is that of a duplicate."""
+        before = np.concatenate((self._last_counter[np.newaxis], counter[:-1]))
+        again = (counter == before) & ~stale & (reason == PRESENT) & ~numbered[:, np.newaxis]
+        self._count(self.tally.doubtful, np.nonzero(again)[1])
+        return np.where(again, np.uint8(DOUBTFUL), reason)
 
-    def _spoke_again(self, said: Answers, first: int) -> None:
-        """Discard the answers of a finger that sends a second answer to one SYNC for some rows.
-
-        Except with the counter that is due next: that answers a SYNC that did not reach the host.
-        """
-        due = self._counters.expected()
-        again = (said.row < first) & self._answered[said.finger] & (said.counter != due[said.finger])
-        self._distrust[said.finger[again]] = DISTRUSTED_ROWS
-
-    def _judged(
-        self, counters: IntArray, stale: BoolArray, unsure: BoolArray, proved: BoolArray, gaps: IntArray,
-        sync_ns: IntArray,
-    ) -> IntArray:  # fmt: skip
-        """Return the counters of the rows (m, k) from those of each message, (messages, m, k): -1 if discarded."""
+    def _tally(self, reason: npt.NDArray[np.uint8], stale: BoolArray) -> None:
         tally = self.tally
-        counter: IntArray = counters[0].copy()
-        one_sample = np.equal(counters, counter).all(axis=0)
-        tally.mixed += (~one_sample & (counters >= 0).all(axis=0)).sum(axis=0)
-        counter[~one_sample] = -1
-        unsure &= counter >= 0
-        unsure |= self._distrusted(counter >= 0, unsure)
-        if len(counter):
-            self._answered = counter[-1] >= 0
-        counter[unsure] = -1
-        repeated, doubtful = self._counters.check(counter, stale, proved, gaps, sync_ns)
-        counter[doubtful] = -1
-        tally.repeated += repeated.sum(axis=0)
-        tally.doubtful += (doubtful | unsure).sum(axis=0)
-        return counter
-
-    def _distrusted(self, here: BoolArray, unsure: BoolArray) -> BoolArray:
-        """Return the answers (m, k) of fingers that recently sent several answers to one SYNC.
-
-        A babbler's frame may precede the node's own, and its counter may match by chance.
-        """
-        distrusted = np.zeros(here.shape, dtype=np.bool_)
-        if self._distrust.any() or unsure.any():
-            for number in range(len(here)):
-                distrusted[number] = (self._distrust > 0) & here[number]
-                self._distrust = np.where(unsure[number], DISTRUSTED_ROWS, np.maximum(self._distrust - 1, 0))
-        return distrusted
-
-
-def _joined(one: FrameArray, other: FrameArray) -> FrameArray:
-    """Return both, in order; for a few frames ten times as fast as concatenate, which checks every field's name."""
-    both: FrameArray = np.empty(len(one) + len(other), dtype=FRAME)
-    both[: len(one)] = one
-    both[len(one) :] = other
-    return both
+        tally.rows += len(reason)
+        tally.missing += (reason != PRESENT).sum(axis=0)
+        tally.mixed += (reason == MIXED).sum(axis=0)
+        tally.changed += (reason == CHANGED).sum(axis=0)
+        tally.repeated += stale.sum(axis=0)

@@ -7,9 +7,12 @@ import threading
 import time
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
+from typing import TypeVar
 
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.rows import Rows
+
+T = TypeVar("T")
 
 MAX_ROWS, MAX_EVENTS = 100_000, 10_000
 _STEP_S = 0.2  # interval at which a waiting consumer checks whether the hand has stopped
@@ -53,7 +56,13 @@ class Delivery:
         self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
         self._past_overrun = 0
         self._closed = False
+        self._failed: list[Callable[..., None]] = []
         self._error: BaseException | None = None
+
+    @property
+    def error(self) -> BaseException | None:
+        """The error that ended the delivery."""
+        return self._error
 
     @property
     def overrun(self) -> int:
@@ -64,7 +73,7 @@ class Delivery:
     def put(self, rows: Rows) -> None:
         """Deliver a block of rows."""
         for callback in self.row_callbacks:
-            callback(rows)
+            self._call(callback, rows)
         with self._changed:
             for one in self._subscriptions:
                 one.put(rows)
@@ -78,7 +87,19 @@ class Delivery:
         with self._changed:
             self._events.append(event)
         for callback in self.event_callbacks:
-            callback(event)
+            self._call(callback, event)
+
+    def _call(self, callback: Callable[[T], None], argument: T) -> None:
+        """Call a callback; one that raises is reported once, and called again: reception goes on."""
+        try:
+            callback(argument)
+        except Exception as error:
+            if callback in self._failed:
+                return
+            self._failed.append(callback)
+            name = getattr(callback, "__qualname__", repr(callback))
+            text = f"{name} raised {type(error).__name__}: {error}; further errors of it are not reported"
+            self.event(Event(time.monotonic(), 0, "callback_failed", text))
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""

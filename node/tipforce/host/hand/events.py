@@ -20,7 +20,7 @@ from tipforce.host.frames.frame_array import FrameArray
 Kind = Literal[
     "found", "assigned", "configured", "calibrated", "verified", "started", "failed",
     "boot_up", "heartbeat_lost", "heartbeat_back", "state", "emcy", "emcy_reset", "bus_down", "bus_up",
-    "babbling", "babbling_end",
+    "babbling", "babbling_end", "changed", "accepted", "restored", "refused", "callback_failed",
 ]  # fmt: skip
 
 UNSET_TIMEOUT_S = 2.5

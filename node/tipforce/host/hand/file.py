@@ -8,6 +8,8 @@ channel = "can0"
 sync_hz = 500
 pdos = ["contact"]
 heartbeat_ms = 100
+numbered_sync = "auto"       # true, false; "auto": where every node on the bus can take the numbers
+foreign_changes = "refuse"   # "accept", "restore": a change of a finger that another master made
 wait_ms = 50                 # a row waits this long for a late finger
 config = "finger.toml"       # settings of all fingers (tipforce config save)
 
@@ -21,9 +23,10 @@ layout = "I"
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import msgspec
 
@@ -36,6 +39,7 @@ from tipforce.toml_table import convert, read_table
 
 MAX_FINGERS = 32
 HIGHEST_SYNC_HZ = 10_000.0
+MOST_SYNCS_LATE = 120  # half the numbers of a SYNC: an answer later than that could be one to the next count
 _LAYOUTS = ("I", "II", "III")
 
 
@@ -62,8 +66,12 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
     sync_hz: float = 100.0
     pdos: tuple[str, ...] = ("contact",)
     heartbeat_ms: int = 100
+    numbered_sync: bool | Literal["auto"] = "auto"
+    """SYNCs carry numbers; "auto": if every other node on the bus takes them (1019h over 1)."""
+    foreign_changes: Literal["refuse", "accept", "restore"] = "refuse"
+    """Change of a finger by another master: its values stay unknown, are taken as they are, or are written back."""
     wait_ms: int | None = None
-    """How long a row waits for a late finger; None: 50, but at least two periods."""
+    """How long a row waits for a late finger; None: 50, but at least two periods, and under 120."""
     config: str = ""
     store: bool = False
     """Store the settings on the nodes."""
@@ -73,7 +81,8 @@ class HandPlan(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
         """``wait_ms`` in seconds, with its default."""
         if self.wait_ms is not None:
             return self.wait_ms * 1e-3
-        return max(0.05, 2.0 / self.sync_hz if self.sync_hz else 0.0)
+        period_s = 1.0 / self.sync_hz if self.sync_hz else 0.0
+        return min(max(0.05, 2.0 * period_s), (MOST_SYNCS_LATE - 1) * period_s or math.inf)
 
 
 class _Content(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=True):
@@ -169,8 +178,14 @@ def _check_plan(plan: HandPlan) -> None:
         raise InputError(f"[hand] sync_hz = {plan.sync_hz:g}: allowed are 0 (another sends it) to {HIGHEST_SYNC_HZ:g}")
     if not 10 <= plan.heartbeat_ms <= 65535:
         raise InputError(f"[hand] heartbeat_ms = {plan.heartbeat_ms}: allowed are 10 to 65535")
-    if plan.wait_ms is not None and not 1 <= plan.wait_ms <= 1000:
-        raise InputError(f"[hand] wait_ms = {plan.wait_ms}: allowed are 1 to 1000")
+    if plan.wait_ms is not None:
+        most_ms = math.ceil(1000 * MOST_SYNCS_LATE / plan.sync_hz) - 1 if plan.sync_hz else 1000
+        most_ms = max(1, min(1000, most_ms))
+        if not 1 <= plan.wait_ms <= most_ms:
+            reason = "" if most_ms == 1000 else f" (under {MOST_SYNCS_LATE} SYNCs)"
+            raise InputError(f"[hand] wait_ms = {plan.wait_ms}: allowed are 1 to {most_ms}{reason}")
+    if plan.numbered_sync is True and not plan.sync_hz:
+        raise InputError("[hand] numbered_sync = true with sync_hz = 0: the other device numbers its SYNC or not")
     allowed = [m.name.lower() for m in tpdo_messages(3) if m.name != "Health"]
     unknown = [pdo for pdo in plan.pdos if pdo.lower() not in allowed]
     if unknown or not plan.pdos:

@@ -14,6 +14,7 @@ import math
 import threading
 import time
 from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -22,6 +23,7 @@ from typing import Any
 
 import numpy as np
 
+from tipforce.device import emcy
 from tipforce.device.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
@@ -35,10 +37,12 @@ from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, rea
 from tipforce.host.hand.hand_row import HandRows
 from tipforce.host.hand.jitter import Jitter, JitterFigures
 from tipforce.host.hand.link import Link, SharedLink, open_link
-from tipforce.host.hand.recovery import LOST, Mender
+from tipforce.host.hand.numbering import SYNC_PAUSE_NUMBERS, wanted_overflow
+from tipforce.host.hand.recovery import LOST, Recovery
+from tipforce.host.hand.recovery_queue import RecoveryQueue
 from tipforce.host.hand.rows import Rows, Tally
-from tipforce.host.hand.supervision import Keeper
-from tipforce.host.hand.sync_producer import SyncProducer
+from tipforce.host.hand.sync_numbers import LARGEST
+from tipforce.host.hand.sync_producer import SyncProducer, sync_data
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 
@@ -46,6 +50,7 @@ HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
 _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
+_RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
@@ -78,15 +83,17 @@ class Hand:
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
         self._load = LoadMeter(int(file.bus.get("bitrate", DEFAULT_BIT_RATE)))
         self._delivery = Delivery()
-        self._mender = Mender(file, lambda: self._link.connection, self._supervisor, self._delivery.event)
-        self._keeper = Keeper(self._mend)
+        self._recovery = Recovery(
+            file, lambda: self._link.connection, self._supervisor, self._collector, self._delivery.event
+        )
+        self._queue = RecoveryQueue(self._recover)
+        self._nodes: set[int] | None = None  # all on the bus, by the bring-up
         self._sync: SyncProducer | None = None
         self._thread: threading.Thread | None = None
         self._stopped = threading.Event()
         self._probe_s = 0.0
         self._heard_s = 0.0  # all frames up to this time were read
         self._dropped = 0  # on links that were lost
-        self._seen_dropped = 0
 
     @classmethod
     def open(
@@ -139,12 +146,14 @@ class Hand:
 
     def bring_up(self) -> list[FingerReport]:
         """Find, number, configure, verify, calibrate and start every finger; return a report for each."""
-        return bring_up(self._link.connection, self.file, self._delivery.event)
+        reports, self._nodes = bring_up(self._link.connection, self.file, self._delivery.event)
+        return reports
 
     def start(self) -> None:
         """Start to receive, to send SYNCs (unless sync_hz is 0), and to monitor."""
         if self._thread is not None:
             raise InputError("the hand is already started")
+        self._prepare()
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
@@ -189,12 +198,30 @@ class Hand:
 
     def state(self, node_id: int) -> str:
         """Return the NMT state of a finger as text; "silent" for one whose heartbeat is lost."""
-        return self._supervisor.state_name(node_id)
+        return "unknown: reception has ended" if self.error is not None else self._supervisor.state_name(node_id)
 
     def settled(self) -> bool:
-        """Return whether every finger is operational and no recovery is active."""
+        """Return whether frames are received, every finger is operational and no recovery is active."""
         states = self._supervisor.states.values()
-        return all(state == OPERATIONAL for state in states) and not self._keeper.waiting()
+        well = self.error is None and all(state == OPERATIONAL for state in states)
+        return well and not self._queue.waiting()
+
+    @property
+    def error(self) -> BaseException | None:
+        """The error that ended the reception of frames; None while they are received."""
+        return self._delivery.error
+
+    def tare(self, finger: str | int) -> str:
+        """Take the present force of a finger (its name or node-id) as zero; return its tare as text.
+
+        A tare by another master, or by ``connection``, is a change that ``foreign_changes`` decides on. Raises
+        InputError for an unknown finger, NoResponseError, and SdoAbortError if the finger has no force now.
+        """
+        for plan in self.file.finger:
+            if finger in (plan.node_id, plan.name):
+                return self._recovery.tare(plan.node_id)
+        known = ", ".join(plan.label for plan in self.file.finger)
+        raise InputError(f"finger {finger!r}: the hand has {known}")
 
     def statistics(self) -> Statistics:
         """Return the counts so far."""
@@ -209,14 +236,13 @@ class Hand:
         self._stop_sync()
         if self._thread is not None:
             self._thread.join()
-        self._keeper.close()
+        self._queue.close()
         self._delivery.close()
         if self._thread is not None:
-            for node_id in self.node_ids:
-                try:
+            with suppress(TipforceError):  # a bus that failed
+                for node_id in self.node_ids:
                     self._link.connection.nmt("preop", node_id)
-                except TipforceError:
-                    break
+                self._each(self._recovery.restore)
         self._thread = None
 
     def close(self) -> None:
@@ -233,6 +259,24 @@ class Hand:
     ) -> None:
         self.close()
 
+    def _prepare(self) -> None:
+        """While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean."""
+        self._recovery.overflow = wanted_overflow(self._link, self.file, self._nodes)
+        self._each(self._recovery.prepare)
+
+    def _each(self, act: Callable[[int], None]) -> None:
+        """Do something with every finger that responds, in parallel; a failure is an event."""
+
+        def attempt(node_id: int) -> None:
+            try:
+                act(node_id)
+            except TipforceError as error:
+                self._delivery.event(Event(time.monotonic(), node_id, "failed", str(error)))
+
+        present = [n for n in self.node_ids if self._link.connection.heartbeats.state(n) is not None]
+        with ThreadPoolExecutor(len(self.node_ids), thread_name_prefix="hand") as pool:
+            list(pool.map(attempt, present))
+
     def _begin(self) -> None:
         """Discard frames of the bring-up; the present state of each finger is known from the connection."""
         for _ in range(_MOST_OLD_BATCHES):
@@ -243,7 +287,7 @@ class Hand:
             if state is not None:
                 self._supervisor.know(node_id, state, time.monotonic())
                 if state != OPERATIONAL:
-                    self._keeper.need([node_id])
+                    self._queue.need([node_id])
 
     # --- the receiving thread -----------------------------------------------------------------------------------
 
@@ -261,9 +305,6 @@ class Hand:
     def _step(self, timeout_s: float) -> None:
         frames = self._link.receive(timeout_s)
         now_s = time.monotonic()
-        if self._link.dropped != self._seen_dropped:
-            self._seen_dropped = self._link.dropped
-            self._collector.drop()
         self._load.add(frames, now_s)
         rows = self._collector.add(frames, now_s)
         if len(rows):
@@ -272,14 +313,34 @@ class Hand:
         self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
         for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
             self._delivery.event(event)
-            if event.kind == "boot_up":
-                self._collector.forget(event.node_id)
-            if event.kind in ("boot_up", "heartbeat_back"):
-                self._keeper.need([event.node_id])
-            elif event.kind == "heartbeat_lost":
-                self._keeper.drop(event.node_id)
-        self._keeper.tick()
+            self._react(event)
+        while self._collector.changes:
+            self._changed(self._collector.changes.pop(0))
+        self._queue.tick()
         self._probe(now_s)
+
+    def _react(self, event: Event) -> None:
+        """Request the recovery that an event calls for."""
+        node_id = event.node_id
+        if event.kind == "boot_up":
+            self._recovery.booted(node_id)
+            self._queue.need([node_id])
+        elif event.kind == "heartbeat_lost":
+            self._recovery.silent(node_id)
+            self._queue.drop(node_id)
+        elif event.kind == "state":
+            self._collector.expect(node_id, event.code == OPERATIONAL)
+            if event.code != OPERATIONAL:
+                self._queue.need([node_id])
+        elif event.kind == "heartbeat_back" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
+            self._queue.need([node_id])
+
+    def _changed(self, node_id: int) -> None:
+        """Verify a finger whose 2126h changed; it is an event where the hand did not change it itself."""
+        if node_id in self._recovery.meaning:
+            text = "its configuration was changed by another master: its values are unknown until they are verified"
+            self._delivery.event(Event(time.monotonic(), node_id, "changed", text))
+        self._queue.need([node_id])
 
     def _probe(self, now_s: float) -> None:
         """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""
@@ -287,14 +348,20 @@ class Hand:
             return
         self._probe_s = now_s + _LOST_PROBE_S
         if any(state < 0 for state in self._supervisor.states.values()):
-            self._keeper.need([LOST])
+            self._queue.need([LOST])
 
     # --- SYNC -----------------------------------------------------------------------------------------------------
 
     def _start_sync(self) -> None:
         self._jitter.skip()
         if self.file.hand.sync_hz and not self._stopped.is_set():
-            self._sync = self._link.start_sync(1.0 / self.file.hand.sync_hz)
+            first = 0
+            if self._recovery.overflow:
+                # Numbers that no answer from before the pause has.
+                before = (self._collector.last_number() + SYNC_PAUSE_NUMBERS) % LARGEST
+                self._collector.restart(before or LARGEST)
+                first = before + 1
+            self._sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, sync_data(first))
 
     def _stop_sync(self) -> None:
         if self._sync is not None:
@@ -314,12 +381,13 @@ class Hand:
         self._link.close()
         # The open row ends here: frames after the recovery of the bus do not belong to its SYNC.
         rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
-        self._collector.drop()
+        for node_id in self.node_ids:
+            self._recovery.silent(node_id)
         if len(rows):
             self._delivery.put(rows)
         while not self._stopped.wait(REOPEN_S):
             try:
-                self._link, self._seen_dropped = open_link(self.file.bus), 0
+                self._link = open_link(self.file.bus)
             except EnvironmentLackError:
                 continue
             break
@@ -328,5 +396,5 @@ class Hand:
         self._delivery.event(Event(time.monotonic(), 0, "bus_up", "open again"))
         self._start_sync()
 
-    def _mend(self, node_id: int) -> bool:
-        return self._stopped.is_set() or self._mender.mend(node_id)
+    def _recover(self, node_id: int) -> bool:
+        return self._stopped.is_set() or self._recovery.recover(node_id)

@@ -11,7 +11,7 @@ import numpy as np
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, no_answer, status_of, uncertainties
 from tipforce.host.hand.delivery import Delivery
-from tipforce.host.hand.rows import Rows
+from tipforce.host.hand.rows import NO_ANSWER, REASONS, Rows
 
 
 class HandRow(Mapping[str, Contact]):
@@ -20,11 +20,13 @@ class HandRow(Mapping[str, Contact]):
     A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
-    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact]) -> None:
+    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
         self.number = number
         """Number of the row since the start of the hand."""
         self.t_s = t_s
         """Time of the SYNC, seconds of the epoch."""
+        self.pairing = pairing
+        """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
         self.contacts = tuple(contacts)
         """In the order of the hand file."""
         self._by_name = {contact.name: contact for contact in contacts}
@@ -103,12 +105,13 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
             row = []
             for k, (node_id, name) in enumerate(zip(self._node_ids, self._names, strict=True)):
                 if rows.missing[m, k]:
-                    row.append(no_answer(node_id, t_ns * 1e-9, name))
+                    why = int(rows.reason[m, k])
+                    row.append(no_answer(node_id, t_ns * 1e-9, name, "" if why == NO_ANSWER else REASONS[why]))
                     continue
                 (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
                 flags, microstrain = Status(int(status[m, k])), tuple(strain[m, k].tolist())
                 counter = int(rows.counter[m, k])
                 contact = Contact(node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain)
                 row.append(replace(contact, name=name))
-            found.append(HandRow(rows.first + m, t_ns * 1e-9, row))
+            found.append(HandRow(rows.first + m, t_ns * 1e-9, row, "numbered" if rows.numbered[m] else "assumed"))
         return found

@@ -7,7 +7,7 @@ interfaces one python-can bus does both, and own SYNCs are inserted among the re
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from typing import Any, Protocol
 
@@ -37,8 +37,8 @@ class Link(Protocol):
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
 
-    def start_sync(self, period_s: float) -> SyncProducer:
-        """Send SYNCs from now on."""
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
+        """Send SYNCs with ``data`` in turn from now on."""
 
     @property
     def dropped(self) -> int:
@@ -67,9 +67,9 @@ class SocketLink:
         """See Link."""
         return self._receiver.receive(timeout_s)
 
-    def start_sync(self, period_s: float) -> SyncProducer:
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
         """See Link."""
-        return kernel_sync(self._bus, period_s)
+        return kernel_sync(self._bus, period_s, data)
 
     @property
     def dropped(self) -> int:
@@ -99,14 +99,14 @@ class BusLink:
             raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
         return self._frames.take_some(time.monotonic() + timeout_s)
 
-    def start_sync(self, period_s: float) -> SyncProducer:
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
         """See Link."""
-        return ThreadSync(self._sync, period_s)
+        return ThreadSync(self._sync, period_s, data)
 
-    def _sync(self) -> None:
+    def _sync(self, data: bytes) -> None:
         # First into the stream, then onto the bus: no answer can precede its SYNC.
-        self._frames.put((time.time_ns(), SYNC_COB_ID, b""))
-        self.connection.sync()
+        self._frames.put((time.time_ns(), SYNC_COB_ID, data))
+        self.connection.send(SYNC_COB_ID, data)
 
     @property
     def dropped(self) -> int:

@@ -1,51 +1,166 @@
-"""Recover a finger that booted, responds again, or lost its node-id: set it up as in the hand file."""
+"""Recover a finger that booted, stopped, or lost its node-id; verify one that another master changed."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Callable
 
-from tipforce.device.codes import OPERATIONAL
+from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
-from tipforce.errors import TipforceError
+from tipforce.errors import RefusedError, TipforceError
 from tipforce.host.configuration.configuration_file import verify_configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
-from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.collector import Collector
+from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
+from tipforce.host.hand.meaning import (
+    Meaning,
+    acceptable,
+    differences,
+    in_words,
+    read_meaning,
+    set_overflow,
+    write_back,
+)
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.nmt import command_and_wait
 
 LOST = 0
 """Node-id that represents all nodes without one."""
 
 
-class Mender:
-    """Recover fingers for a Keeper, which calls ``mend``. ``connection`` returns the present one."""
+class Recovery:
+    """Set fingers up as in the hand file. ``connection`` returns the present one.
+
+    ``overflow`` is the value of 1019h that the SYNC asks for; None: it is left as it is. ``meaning`` holds what the
+    values of each finger are known to mean; while 2126h is another one the collector does not show them.
+    """
 
     def __init__(
-        self,
-        file: HandFile,
-        connection: Callable[[], Bus],
-        supervisor: Supervisor,
-        tell: Callable[[Event], None],
-    ) -> None:
-        self._file, self._connection, self._supervisor, self._tell = file, connection, supervisor, tell
+        self, file: HandFile, connection: Callable[[], Bus], supervisor: Supervisor, collector: Collector,
+        on_event: Callable[[Event], None],
+    ) -> None:  # fmt: skip
+        self._file, self._connection, self._supervisor, self._on_event = file, connection, supervisor, on_event
+        self._collector = collector
         self._wanted = {finger.node_id: wanted_settings(file, finger) for finger in file.finger}
         self._plans = {finger.node_id: finger for finger in file.finger}
+        self._overflow_before: dict[int, int] = {}
+        self._silent: set[int] = set()
+        self.overflow: int | None = None
+        self.meaning: dict[int, Meaning] = {}
 
-    def mend(self, node_id: int) -> bool:
+    def recover(self, node_id: int) -> bool:
         """Set one finger up as in the file, or those without a node-id; return True when nothing is left to do."""
         try:
-            return self._find_lost() if node_id == LOST else self._mend_finger(node_id)
+            return self._find_lost() if node_id == LOST else self._recover_finger(node_id)
         except TipforceError as error:
-            self._tell(Event(time.monotonic(), node_id, "failed", str(error)))
+            self._say(node_id, "failed", str(error))
             return False
 
-    def _mend_finger(self, node_id: int) -> bool:
-        if self._supervisor.states[node_id] == OPERATIONAL and self._as_wanted(node_id):
+    def prepare(self, node_id: int) -> None:
+        """Number the SYNC of a finger that is up, and learn what its values mean. Raises as SdoChannel."""
+        self._number(FingertipClient(self._connection().sdo(node_id)))
+        self._learn(node_id)
+
+    def restore(self, node_id: int) -> None:
+        """Set 1019h as it was before the hand. Raises as SdoChannel."""
+        if node_id in self._overflow_before:
+            set_overflow(self._connection().sdo(node_id), self._overflow_before[node_id])
+
+    def tare(self, node_id: int) -> str:
+        """Tare a finger by the hand itself; return the tare as text. Raises as SdoChannel."""
+        client = FingertipClient(self._connection().sdo(node_id))
+        before = self.meaning.pop(node_id, None)  # what changes now is not another's doing
+        try:
+            client.tare()
+            F1, F2, F3 = client.tare_state().force_newtons
+        finally:
+            if before is not None:
+                self._learn(node_id)
+        return f"tare: F1 {F1:+.3f} N, F2 {F2:+.3f} N, F3 {F3:+.3f} N are subtracted"
+
+    def booted(self, node_id: int) -> None:
+        """Note that a finger booted: what its values mean is known again when it has been set up."""
+        self.meaning.pop(node_id, None)
+
+    def silent(self, node_id: int) -> None:
+        """Note that a finger or the bus was silent: it may have booted meanwhile."""
+        self._silent.add(node_id)
+        self._collector.expect(node_id, False)
+
+    def _say(self, node_id: int, kind: Kind, text: str) -> None:
+        self._on_event(Event(time.monotonic(), node_id, kind, text))
+
+    def _recover_finger(self, node_id: int) -> bool:
+        connection, state = self._connection(), self._supervisor.states[node_id]
+        if state == STOPPED:
+            connection.nmt("preop", node_id)  # no SDO in STOPPED
+        if node_id in self.meaning and not self._has_booted(node_id):
+            self._number(FingertipClient(connection.sdo(node_id)))
+            if state != OPERATIONAL:
+                command_and_wait(connection, "start", [node_id], max(1.0, 5e-3 * self._file.hand.heartbeat_ms))
+                self._say(node_id, "started", f"was {self._supervisor.state_name(node_id)}")
+            return self._verify(node_id)
+        if state == OPERATIONAL and self._as_wanted(node_id):
+            self.prepare(node_id)
             return True
         report = FingerReport(self._plans[node_id])
-        set_up(self._connection(), self._file, report, self._wanted[node_id], self._tell)
+        set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
+        if report.ok:
+            self._learn(node_id)
         return report.ok or self._supervisor.states[node_id] < 0
+
+    def _has_booted(self, node_id: int) -> bool:
+        """Return whether a finger that was silent lost its boot-up message too: its 2126h began again."""
+        if node_id not in self._silent:
+            return False
+        booted = self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER) < self.meaning[node_id].counter
+        self._silent.discard(node_id)
+        return booted
+
+    def _number(self, client: FingertipClient) -> None:
+        if self.overflow is not None:
+            before = set_overflow(client.sdo, self.overflow)
+            self._overflow_before.setdefault(client.node_id, before)
+
+    def _learn(self, node_id: int) -> None:
+        """Read what the values of a finger mean, and show them."""
+        found = read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges)
+        self._show(node_id, found)
+
+    def _show(self, node_id: int, meaning: Meaning) -> None:
+        self.meaning[node_id] = meaning
+        self._collector.verify(node_id, meaning.counter)
+        self._collector.expect(node_id, True)
+
+    def _verify(self, node_id: int) -> bool:
+        """Compare what the values of a finger mean with what the hand knows, and decide by ``foreign_changes``."""
+        sdo, known = self._connection().sdo(node_id), self.meaning[node_id]
+        found = read_meaning(sdo, self._plans[node_id].gauges)
+        keys, policy = differences(known, found), self._file.hand.foreign_changes
+        text = in_words(known, found, keys)
+        if not keys:
+            if found.counter != known.counter:
+                self._say(node_id, "accepted", "read again: all is as before")
+            self._show(node_id, found)
+        elif policy == "accept" and acceptable(keys):
+            self._say(node_id, "accepted", f"by another master: {text}")
+            self._show(node_id, found)
+        elif policy == "restore":
+            try:
+                write_back(FingertipClient(sdo), known, found, self._file.calibration(self._plans[node_id]))
+                self._learn(node_id)
+                self._say(node_id, "restored", f"another master had changed {text}")
+            except RefusedError as error:
+                self._refuse(node_id, f"{text}; {error}")
+        else:
+            self._refuse(node_id, text)
+        return True
+
+    def _refuse(self, node_id: int, text: str) -> None:
+        self._collector.expect(node_id, False)
+        self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
 
     def _as_wanted(self, node_id: int) -> bool:
         """Return whether a finger has its settings: one that returns operational may never have rebooted."""
@@ -62,5 +177,5 @@ class Mender:
         if somebody:
             lost = [n for n, state in self._supervisor.states.items() if state < 0]
             reports = [FingerReport(self._plans[n]) for n in lost]
-            assign(self._connection(), reports, self._file.hand.store, self._tell)
+            assign(self._connection(), reports, self._file.hand.store, self._on_event)
         return True

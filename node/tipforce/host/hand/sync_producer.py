@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import threading
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from contextlib import suppress
+from itertools import cycle
 from typing import Protocol
 
 import can
 
 from tipforce.device.codes import SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
+from tipforce.host.hand.sync_numbers import LARGEST
 
 
 class SyncProducer(Protocol):
@@ -21,11 +23,16 @@ class SyncProducer(Protocol):
         """Stop sending."""
 
 
-def kernel_sync(bus: can.BusABC, period_s: float) -> SyncProducer:
-    """Send SYNCs by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError if the kernel rejects it."""
-    message = can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=b"")
+def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
+    """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
+    return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
+
+
+def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> SyncProducer:
+    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError."""
+    messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=one) for one in data]
     try:
-        return KernelSync(bus.send_periodic(message, period_s))
+        return KernelSync(bus.send_periodic(messages, period_s))
     except (can.CanError, OSError) as error:
         raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
 
@@ -43,10 +50,10 @@ class KernelSync:
 
 
 class ThreadSync:
-    """Send SYNCs from a thread at fixed times: a late one does not delay the following ones."""
+    """Send SYNCs with ``data`` in turn from a thread at fixed times: a late one does not delay the following ones."""
 
-    def __init__(self, send: Callable[[], None], period_s: float) -> None:
-        self._send, self._period_s = send, period_s
+    def __init__(self, send: Callable[[bytes], None], period_s: float, data: Sequence[bytes] = (b"",)) -> None:
+        self._send, self._period_s, self._data = send, period_s, cycle(data)
         self._stopped = threading.Event()
         self.error: Exception | None = None
         """The error that ended it."""
@@ -65,7 +72,7 @@ class ThreadSync:
         due_s = time.monotonic()
         while not self._stopped.is_set():
             try:
-                self._send()
+                self._send(next(self._data))
             except EnvironmentLackError as error:
                 self.error = error
                 return

@@ -61,6 +61,9 @@ class Bus:
         self._lock = threading.Lock()
         self._foreign_sync_s: tuple[float, float] = (-math.inf, 0.0)
         self._own_sync_s = -math.inf
+        self._sync_number = 0
+        self.sync_overflow = 0
+        """1019h of the nodes: over 1, own SYNCs carry a number. A hand that was killed may have left it."""
         self.buffer = FrameBuffer()
         self.heartbeats = Heartbeats()
         self._listeners: list[Any] = [self.buffer, self.heartbeats]
@@ -150,9 +153,10 @@ class Bus:
         self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command], node_id)))
 
     def sync(self) -> None:
-        """Send one SYNC."""
+        """Send one SYNC, with its number where ``sync_overflow`` asks for one."""
         self._own_sync_s = time.monotonic()
-        self.send(codes.SYNC_COB_ID, b"")
+        self._sync_number = self._sync_number % self.sync_overflow + 1 if self.sync_overflow > 1 else 0
+        self.send(codes.SYNC_COB_ID, bytes((self._sync_number,)) if self._sync_number else b"")
 
     def sync_due_s(self, period_s: float) -> float:
         """Return the next due time of an own SYNC (monotonic), one every ``period_s``; inf: another node sends it.

@@ -15,8 +15,9 @@ import numpy as np
 
 from tipforce.device import codes
 from tipforce.device.codes import OPERATIONAL, STOPPED
+from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
-from tipforce.errors import InputError, NoNewSampleError
+from tipforce.errors import InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import columns_of
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
@@ -198,7 +199,10 @@ class ContactStream(Iterator[Contact], AsyncIterator[Contact]):
 
 def open_reader(connection: Bus, node_id: int, calibration: Calibration | None) -> ContactReader:
     """Return a reader of a node whose PDOs are read over SDO. Raises as SdoChannel does, and InputError."""
-    layout = node_layout(connection.sdo(node_id))
+    sdo = connection.sdo(node_id)
+    layout = node_layout(sdo)
+    with suppress(SdoAbortError):
+        connection.sync_overflow = sdo.read(objects.SYNC_COUNTER_OVERFLOW)
     pdos = {can_id: message for can_id, message in layout_decoder([layout]).messages().values() if can_id}
     return ContactReader(connection, node_id, layout.gauges, pdos, calibration)
 

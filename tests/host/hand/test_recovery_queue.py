@@ -1,4 +1,4 @@
-"""The keeper: mends until it is done, once at a time for each finger, and again when asked meanwhile."""
+"""The recovery queue: it repeats until it is done, once at a time for each finger, and again when asked meanwhile."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ import time
 
 import pytest
 
-from tipforce.host.hand import supervision as module
-from tipforce.host.hand.supervision import Keeper
+from tipforce.host.hand import recovery_queue as module
+from tipforce.host.hand.recovery_queue import RecoveryQueue
 
 
-def wait_until_idle(keeper: Keeper) -> None:
+def wait_until_idle(queue: RecoveryQueue) -> None:
     """Tick as the hand's thread does."""
     deadline_s = time.monotonic() + 10
-    while keeper.waiting():
+    while queue.waiting():
         assert time.monotonic() < deadline_s
-        keeper.tick()
+        queue.tick()
         time.sleep(0.001)
 
 
@@ -24,14 +24,14 @@ def test_it_tries_until_it_is_mended(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RETRY_S", 0.005)
     tries: list[int] = []
 
-    def mend(node_id: int) -> bool:
+    def recover(node_id: int) -> bool:
         tries.append(node_id)
         return tries.count(node_id) == 3
 
-    keeper = Keeper(mend)
-    keeper.need([5, 6])
-    wait_until_idle(keeper)
-    keeper.close()
+    queue = RecoveryQueue(recover)
+    queue.need([5, 6])
+    wait_until_idle(queue)
+    queue.close()
     assert sorted(tries) == [5, 5, 5, 6, 6, 6]
 
 
@@ -39,7 +39,7 @@ def test_a_need_while_mending_is_met_afterwards() -> None:
     begun, go_on = threading.Semaphore(0), threading.Event()
     running, most = [0], [0]
 
-    def mend(_node_id: int) -> bool:
+    def recover(_node_id: int) -> bool:
         running[0] += 1
         most[0] = max(most[0], running[0])
         begun.release()
@@ -47,24 +47,24 @@ def test_a_need_while_mending_is_met_afterwards() -> None:
         running[0] -= 1
         return True
 
-    keeper = Keeper(mend)
-    keeper.need([5])
+    queue = RecoveryQueue(recover)
+    queue.need([5])
     assert begun.acquire(timeout=10)
-    keeper.need([5])
+    queue.need([5])
     go_on.set()
-    wait_until_idle(keeper)
+    wait_until_idle(queue)
     assert begun.acquire(timeout=10)
     assert most == [1]
-    keeper.close()
+    queue.close()
 
 
 def test_a_finger_that_is_gone_is_not_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(module, "RETRY_S", 1000.0)
-    keeper = Keeper(lambda _node_id: False)
-    keeper.need([5])
-    while keeper._busy:
+    queue = RecoveryQueue(lambda _node_id: False)
+    queue.need([5])
+    while queue._busy:
         time.sleep(0.001)
-    assert keeper.waiting()
-    keeper.drop(5)
-    assert not keeper.waiting()
-    keeper.close()
+    assert queue.waiting()
+    queue.drop(5)
+    assert not queue.waiting()
+    queue.close()

@@ -1,4 +1,4 @@
-"""Keep fingers configured: set up one that reboots or returns, automatically."""
+"""Run the recoveries of fingers in parallel, and repeat those that fail."""
 
 from __future__ import annotations
 
@@ -11,15 +11,15 @@ RETRY_S = 0.5
 _SIDE_BY_SIDE = 8
 
 
-class Keeper:
-    """Run ``mend(node_id)`` for fingers that need recovery, in parallel; retry after RETRY_S until it returns True.
+class RecoveryQueue:
+    """Run ``recover(node_id)`` for fingers that need recovery, in parallel; retry after RETRY_S until it returns True.
 
     A finger that needs another recovery during one gets it immediately afterwards.
     """
 
-    def __init__(self, mend: Callable[[int], bool]) -> None:
-        self._mend = mend
-        self._pool = ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="keeper")
+    def __init__(self, recover: Callable[[int], bool]) -> None:
+        self._recover = recover
+        self._pool = ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="recovery")
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._due_s: dict[int, float] = {}
@@ -59,11 +59,11 @@ class Keeper:
         self._pool.shutdown(wait=True, cancel_futures=True)
 
     def _run(self, node_id: int) -> None:
-        mended = False
+        recovered = False
         try:
-            mended = self._mend(node_id)
+            recovered = self._recover(node_id)
         finally:
             with self._lock:
                 self._busy.discard(node_id)
-                if not mended:
+                if not recovered:
                     self._due_s.setdefault(node_id, time.monotonic() + RETRY_S)
