@@ -27,6 +27,7 @@ from tipforce.host.decoding.contacts import status_of
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce_tools.monitor.window import Periods, Window
 
@@ -110,6 +111,7 @@ class BusMonitor:
         self._decoder = Decoder(gauges, sorted(self._watched))
         self._counters = SampleCounters()
         self._health = Health()
+        self._modulus = SyncModulus()
         self._nodes: dict[int, _Node] = {}
         self._traffic = Window(columns=3)
         self._sync = Window()
@@ -122,11 +124,12 @@ class BusMonitor:
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
-        found = self._decoder.decode(frames)
-        self._counters.add(found)
-        for (node_id, name), samples in found.items():
-            self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
-        self._health.take(frames, found.values())
+        for part in self._modulus.parts(frames):
+            found = self._decoder.decode(part)
+            self._counters.add(found, self._modulus.modulus)
+            for (node_id, name), samples in found.items():
+                self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
+            self._health.take(part, found.values())
         for node_id in self._health.nodes:
             if node_id in self._nodes:
                 faults, _ = self._health.now(node_id)

@@ -205,23 +205,27 @@ class Decoder:
         return self._plans[wanted]
 
 
-def unwrap_counter(counter: npt.ArrayLike) -> npt.NDArray[np.int64]:
-    """Return the 8-bit sample counter (k,) without wraps: (k,), from its first value."""
-    values = np.asarray(counter, dtype=np.uint8)
+def unwrap_counter(counter: npt.ArrayLike, modulus: int = 256) -> npt.NDArray[np.int64]:
+    """Return the sample counter (k,) without wraps: (k,), from its first value. ``modulus``: see ``lost_samples``."""
+    values = np.asarray(counter, dtype=np.int64)
     if not len(values):
         return np.zeros(0, dtype=np.int64)
-    steps = np.diff(values)  # modulo 256, like the counter
+    steps = np.diff(values) % modulus
     return np.concatenate(([0], np.cumsum(steps, dtype=np.int64))) + int(values[0])
 
 
-def lost_samples(counter: npt.ArrayLike) -> int:
-    """Return the number of samples missing from the 8-bit counter (k,) of a PDO that is sent on every SYNC.
+def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
+    """Return the number of samples missing from the counter (k,) of a PDO that is sent on every SYNC.
+
+    ``modulus``: 256 where it counts samples; where SYNCs carry numbers their largest (1019h), after which they go on
+    from 1 (``SyncModulus`` finds it in a log), and 0 is no SYNC's latch.
 
     A repeated value is a SYNC without a new sample (status bit stale), not a loss. An 8-bit counter cannot show 255 or
     256 samples lost in a row (255 look like a repeat, with the stale bit clear; only the receive times differ); and a
     frame out of order counts as a loss of 254.
     """
-    steps = np.diff(np.asarray(counter, dtype=np.uint8)).astype(np.int64)
+    values = np.asarray(counter, dtype=np.int64)
+    steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
     return int(np.maximum(steps - 1, 0).sum())
 
 

@@ -118,11 +118,15 @@ def numbered_from(lines: int, bad: BadLine) -> BadLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Edge:
-    """Frames at an end of a part. ``whole``: at its start, if there are no further frames."""
+    """Frames at an end of a part. ``whole``: at its start, if there are no further frames.
+
+    ``moduli``: of their counters, by index of the channel (SyncModulus).
+    """
 
     frames: FrameArray
     channels: tuple[str, ...]
     whole: bool = False
+    moduli: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -241,19 +245,21 @@ def part_items(
     begun, complete = (np.zeros(0, dtype=FRAME), True) if first else _beginning(blocks, merger, source)
     tail = begun[:0]
     if not complete:
-        yield Edge(begun, tuple(source.channels), whole=True)
+        yield _edge(begun, source, merger, whole=True)
     else:
         head, rest = merger.head(begun)
         if not first:
-            yield Edge(head, tuple(source.channels))
+            yield _edge(head, source, merger)
         for block in _chain(rest, blocks):
             merger.channels = source.channels
             merger.timed = source.log.timed
-            table = merger.add(block)
-            if table is not None:
-                yield table
+            yield from merger.tables(block)
         tail = merger.held
-    yield End(Edge(tail, tuple(source.channels)), merger.tally, source.notes)
+    yield End(_edge(tail, source, merger), merger.tally, source.notes)
+
+
+def _edge(frames: FrameArray, source: Source, merger: SampleMerger, *, whole: bool = False) -> Edge:
+    return Edge(frames, tuple(source.channels), whole, tuple(merger.sync.of.items()))
 
 
 def _beginning(blocks: Iterator[FrameArray], merger: SampleMerger, source: Source) -> tuple[FrameArray, bool]:
@@ -261,6 +267,7 @@ def _beginning(blocks: Iterator[FrameArray], merger: SampleMerger, source: Sourc
     found, count = [np.zeros(0, dtype=FRAME)], 0
     for block in blocks:
         merger.channels = source.channels
+        merger.sync.look(block)
         found.append(merger.decodable(block))
         count += len(found[-1])
         if count > _HEAD_FRAMES:

@@ -27,6 +27,7 @@ from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_rows import IntArray
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.decoding.services import BusEvent, BusEvents
+from tipforce.host.decoding.sync_modulus import SAMPLES
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 
@@ -35,7 +36,7 @@ class Counters:
     """Unwrap the counters of consecutive tables."""
 
     def __init__(self) -> None:
-        self._last: dict[int, int] = {}
+        self._last: dict[int, tuple[int, int]] = {}  # by key: unwrapped, and as sent
 
     def unwrapped(self, table: Table) -> Table:
         """Return the table with each node's counter continued from its first value.
@@ -45,29 +46,36 @@ class Counters:
         """
         raw = table.counter
         counter = raw.copy()
+        moduli = dict(table.moduli)
         order = np.argsort(table.key, kind="stable")
         key = table.key[order]
         for rows in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1) if len(key) else []:
-            counter[rows] = self._of_node(int(table.key[rows[0]]), raw[rows], table.cyclic[rows])
+            of = int(table.key[rows[0]])
+            modulus = moduli.get(table.channels[of >> NODE_BITS], SAMPLES) if moduli else SAMPLES
+            counter[rows] = self._of_node(of, raw[rows], table.cyclic[rows], modulus)
         return replace(table, counter=counter)
 
-    def _of_node(self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_]) -> npt.NDArray[np.int64]:
+    def _of_node(
+        self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_], modulus: int
+    ) -> npt.NDArray[np.int64]:
         last = self._last.get(key)
         steady = raw[cyclic]
         found = raw.copy()
         counts = np.zeros(0, dtype=np.int64)
         if len(steady):
-            seed = steady[:0] if last is None else np.array([last & 0xFF])
-            counts = unwrap_counter(np.concatenate((seed, steady)))
-            counts += 0 if last is None else last - (last & 0xFF)
+            seed = steady[:0] if last is None else np.array([last[1]])
+            counts = unwrap_counter(np.concatenate((seed, steady)), modulus)
+            counts += 0 if last is None else last[0] - last[1]
             counts = counts[len(seed) :]
             found[cyclic] = counts
-            self._last[key] = int(counts[-1])
+            self._last[key] = int(counts[-1]), int(steady[-1])
         if len(steady) < len(raw):
             event: IntArray = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
             before = np.cumsum(cyclic)[event]
-            known = np.concatenate(([-1 if last is None else last], counts))[before]
-            nearest = known + ((raw[event] - known + 128) & 0xFF) - 128
+            known = np.concatenate(([-1 if last is None else last[0]], counts))[before]
+            sent = np.concatenate(([0 if last is None else last[1]], steady))[before]
+            half = modulus // 2
+            nearest = known + (raw[event] - sent + half) % modulus - half
             found[event] = np.where(known < 0, raw[event], nearest)
         return found
 
@@ -119,6 +127,7 @@ class Recording:
                     yield from self._finished(self._renamed(item))
                 elif isinstance(item, End):
                     self._take_counts(item)
+                    self._take_moduli(item.tail)
                     yield from self._add(self._numbered(item.tail.frames, item.tail.channels), item.notes.timed)
                 else:
                     yield from self._join(item)
@@ -135,10 +144,15 @@ class Recording:
             raise StrictError(f"{before.source}: {numbered_from(before.lines, error.bad)}") from None
 
     def _join(self, edge: Edge) -> Iterator[Table]:
+        self._take_moduli(edge)
         frames = self._numbered(edge.frames, edge.channels)
         yield from self._add(frames, self._merger.timed)
         if not edge.whole:
             yield from self._flush()
+
+    def _take_moduli(self, edge: Edge) -> None:
+        numbers = self._numbers(list(edge.channels))
+        self._merger.sync.of |= {int(numbers[channel]): modulus for channel, modulus in edge.moduli}
 
     def _flush(self) -> Iterator[Table]:
         table = self._merger.finish()
@@ -168,8 +182,7 @@ class Recording:
 
     def _add(self, frames: FrameArray, timed: bool) -> Iterator[Table]:
         self._merger.timed = timed
-        table = self._merger.add(frames)
-        if table is not None:
+        for table in self._merger.tables(frames):
             yield from self._finished(table)
 
     def _numbers(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.decoder import Key, Samples, lost_samples, unwrap_counter
+from tipforce.host.decoding.sync_modulus import SAMPLES
 
 COUNTER = "counter"
 _LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to this type a PDO follows SYNC
@@ -23,28 +24,33 @@ class SampleCounters:
     def __init__(self) -> None:
         self.frames: dict[Key, int] = {}
         self.lost: dict[Key, int] = {}
+        self._modulus = SAMPLES
         self._last: dict[Key, tuple[npt.NDArray[np.uint8], int]] = {}
 
-    def add(self, found: Mapping[Key, Samples]) -> None:
-        """Count the decoded samples of a block of frames."""
+    def add(self, found: Mapping[Key, Samples], modulus: int = SAMPLES) -> None:
+        """Count the decoded samples of a block of frames; ``modulus`` of their counters: see ``SyncModulus``."""
         for key, samples in found.items():
-            self.unwrapped(key, samples)
+            self.unwrapped(key, samples, modulus)
 
-    def unwrapped(self, key: Key, samples: Samples) -> npt.NDArray[np.int64] | None:
+    def unwrapped(self, key: Key, samples: Samples, modulus: int = SAMPLES) -> npt.NDArray[np.int64] | None:
         """Count the samples of one message, and return their unwrapped counter: (k,), or None.
 
-        It continues from the previous block, and starts with the very first value.
+        It continues from the previous block, and starts with the very first value. Where the modulus is another one
+        than before, nothing is counted as lost in between.
         """
+        if modulus != self._modulus:
+            self._modulus = modulus
+            self._last.clear()
         self.frames[key] = self.frames.get(key, 0) + len(samples.row)
         counter = samples.columns.get(COUNTER)
         if counter is None or not len(counter):
             return None
         last, count = self._last.get(key, (counter[:1], int(counter[0])))
         joined = np.concatenate((last, counter))
-        unwrapped = unwrap_counter(joined)[1:] + (count - int(last[0]))
+        unwrapped = unwrap_counter(joined, modulus)[1:] + (count - int(last[0]))
         self._last[key] = counter[-1:].copy(), int(unwrapped[-1])
         if 1 <= samples.message.transmission_type <= _LAST_CYCLIC_TYPE:
-            self.lost[key] = self.lost.get(key, 0) + lost_samples(joined)
+            self.lost[key] = self.lost.get(key, 0) + lost_samples(joined, modulus)
         return unwrapped
 
     def lost_by_node(self) -> dict[int, int]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,7 @@ from tipforce.host.decoding.sample_table import (
     in_order,
     missing_of,
 )
+from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
@@ -52,7 +53,17 @@ class SampleMerger:
         self._count = 0
         self.channels = channels
         self.timed = True
+        self.sync = SyncModulus()
         self.tally = Tally()
+
+    def tables(self, frames: FrameArray) -> Iterator[Table]:
+        """Yield the samples that are complete now, apart where SYNCs begin to carry numbers or end to."""
+        start = 0
+        for end in [*self.sync.cuts(frames), len(frames)]:
+            rest = self.finish() if start else None
+            self.sync.look(frames[start:end])
+            yield from (table for table in (rest, self.add(frames[start:end])) if table is not None)
+            start = end
 
     def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
         """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
@@ -140,13 +151,16 @@ class SampleMerger:
             if index[-1] >= end:
                 kept = _inside(sorted_out.start[index] < end)
                 index = index[kept]
-            self.tally.add(self.channels[channel], samples, kept, _is_cyclic(samples))
+            self.tally.add(
+                self.channels[channel], samples, kept, _is_cyclic(samples), self.sync.of.get(channel, SAMPLES)
+            )
             by_message.setdefault(samples.message.name, []).append((row_of_frame[index], samples, kept))
         values, absent = self._values(by_message, len(first))
         shown = in_order((self._columns[name] for name in values), self._signals)
         return Table(
             arrived.t_ns[first], arrived.key[first], arrived.counter[first].astype(np.int64), arrived.cyclic[first],
             shown, {c.name: values[c.name] for c in shown}, absent, tuple(self.channels), self.timed,
+            tuple((self.channels[channel], modulus) for channel, modulus in self.sync.of.items()),
         )  # fmt: skip
 
     def _values(

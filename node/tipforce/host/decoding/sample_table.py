@@ -65,6 +65,8 @@ class Table:
     absent: dict[str, BoolArray] = field(default_factory=dict)
     channels: tuple[str, ...] = ()
     timed: bool = True
+    moduli: tuple[tuple[str, int], ...] = ()
+    """Of the counters, by channel; 256 for one that it lacks."""
 
     def __len__(self) -> int:
         return len(self.t_ns)

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.decoder import Samples, lost_samples
+from tipforce.host.decoding.sync_modulus import SAMPLES
 
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""
@@ -21,27 +22,33 @@ class MessageCount:
     lost: int | None = None
     first: int | None = None
     last: int | None = None
+    moduli: tuple[int, int] = (SAMPLES, SAMPLES)
+    """Of the first and of the last counter."""
 
-    def add(self, frames: int, counter: npt.NDArray[np.uint8] | None) -> None:
-        """Count frames with their counters; None if their counter cannot show losses."""
+    def add(self, frames: int, counter: npt.NDArray[np.uint8] | None, modulus: int) -> None:
+        """Count frames with their counters, of ``modulus``; None if their counter cannot show losses."""
         self.frames += frames
         if counter is None or not len(counter):
             return
-        inside = 0 if (np.diff(counter) == 1).all() else lost_samples(counter)
-        between = 0 if self.last is None else lost_samples([self.last, int(counter[0])])
-        self.lost = (self.lost or 0) + inside + between
-        self.first = int(counter[0]) if self.first is None else self.first
-        self.last = int(counter[-1])
+        inside = 0 if (np.diff(counter) == 1).all() else lost_samples(counter, modulus)
+        self._join(int(counter[0]), int(counter[-1]), inside, (modulus, modulus))
 
     def append(self, other: MessageCount) -> None:
         """Add the count of the next part."""
         self.frames += other.frames
         if other.first is None:
             return
-        between = 0 if self.last is None else lost_samples([self.last, other.first])
-        self.lost = (self.lost or 0) + (other.lost or 0) + between
-        self.first = other.first if self.first is None else self.first
-        self.last = other.last
+        assert other.last is not None
+        self._join(other.first, other.last, other.lost or 0, other.moduli)
+
+    def _join(self, first: int, last: int, lost: int, moduli: tuple[int, int]) -> None:
+        """Add counters from ``first`` to ``last``; where the modulus is another one the count begins again."""
+        if self.last is not None and self.moduli[1] == moduli[0]:
+            lost += lost_samples([self.last, first], moduli[0])
+        self.lost = (self.lost or 0) + lost
+        self.moduli = (moduli[0] if self.first is None else self.moduli[0]), moduli[1]
+        self.first = first if self.first is None else self.first
+        self.last = last
 
 
 @dataclass(slots=True)
@@ -51,12 +58,14 @@ class Tally:
     messages: dict[Place, MessageCount] = field(default_factory=dict)
     short: dict[Place, int] = field(default_factory=dict)
 
-    def add(self, channel: str, samples: Samples, kept: npt.NDArray[np.bool_] | slice, cyclic: bool) -> None:
+    def add(
+        self, channel: str, samples: Samples, kept: npt.NDArray[np.bool_] | slice, cyclic: bool, modulus: int
+    ) -> None:
         """Count the ``kept`` of some samples."""
         place = channel, samples.node_id, samples.message.name
         count = self.messages.setdefault(place, MessageCount())
         rows = samples.row[kept]
-        count.add(len(rows), samples.columns["counter"][kept] if cyclic else None)
+        count.add(len(rows), samples.columns["counter"][kept] if cyclic else None, modulus)
 
     def append(self, other: Tally) -> None:
         """Add the counts of the next part."""

@@ -1,0 +1,99 @@
+"""Lost samples where SYNCs carry numbers: from the log alone, also where the numbering begins in the middle of it."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import tipforce
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.log_part import Piece, Reading, part_items
+from tipforce.host.decoding.recording import Recording
+from tipforce.host.decoding.sample_counter import SampleCounters
+from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
+from tipforce.host.frames.frame_array import FrameArray, frame_array
+
+Sent = tuple[int, bytes]
+
+
+def cycles(numbers: list[int], lost: frozenset[int] = frozenset(), numbered: bool = True) -> list[Sent]:
+    """SYNCs and the contact PDO of node 5 that follows each, except the ``lost`` ones (counted from 0)."""
+    frames: list[Sent] = []
+    for k, number in enumerate(numbers):
+        frames.append((0x80, bytes((number,)) if numbered else b""))
+        if k not in lost:
+            frames.append((0x285, struct.pack("<hhhBB", 1000, 4500, 3000, 3, number % 256)))
+    return frames
+
+
+def count(first: int, samples: int, modulus: int) -> list[int]:
+    return [(first - 1 + k) % modulus + 1 for k in range(samples)]
+
+
+CASES = {
+    "2,400 numbered": (cycles(count(1, 2400, 240)), 0),
+    "three lost": (cycles(count(200, 400, 240), frozenset({39, 41, 300})), 3),
+    "another producer, 100": (cycles(count(1, 350, 100), frozenset({99})), 1),
+    "without numbers": (cycles(list(range(600)), frozenset({256}), numbered=False), 1),
+    "numbered in the middle": (cycles(list(range(300)), numbered=False) + cycles(count(1, 600, 240)), 0),
+    "numbered at first": (cycles(count(9, 500, 240)) + cycles(list(range(77, 400)), numbered=False), 0),
+}
+
+
+def framed(sent: list[Sent]) -> FrameArray:
+    return frame_array([(1_000_000 * k, can_id, data) for k, (can_id, data) in enumerate(sent)])
+
+
+def log_file(folder: Path, sent: list[Sent]) -> Path:
+    path = folder / "run.log"
+    lines = [f"({1e-3 * k:.6f}) can0 {can_id:03X}#{data.hex().upper()}\n" for k, (can_id, data) in enumerate(sent)]
+    path.write_text("".join(lines))
+    return path
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_a_log_says_how_many_were_lost(tmp_path: Path, name: str) -> None:
+    sent, lost = CASES[name]
+    assert tipforce.read_log(log_file(tmp_path, sent)).lost == {5: lost}
+
+
+@pytest.mark.parametrize("name", CASES)
+@pytest.mark.parametrize("size", [7, 100, 10_000])
+def test_blocks_of_any_size(name: str, size: int) -> None:
+    sent, lost = CASES[name]
+    frames, counters, modulus, decoder = framed(sent), SampleCounters(), SyncModulus(), Decoder(3, (5,))
+    for start in range(0, len(frames), size):
+        for part in modulus.parts(frames[start : start + size]):
+            counters.add(decoder.decode(part), modulus.modulus)
+    assert counters.lost_by_node() == {5: lost}
+
+
+def test_a_log_in_parts_counts_as_the_whole(tmp_path: Path) -> None:
+    sent = cycles(count(100, 1000, 240), frozenset({500}))
+    path = log_file(tmp_path, sent)
+    middle = path.read_text().index("\n", path.stat().st_size // 2) + 1
+    reading = Reading(Layouts())
+    pieces = [Piece(str(path), 0, middle), Piece(str(path), middle, path.stat().st_size)]
+    recording = Recording(reading)
+    parts = [part_items(piece, reading, first=k == 0) for k, piece in enumerate(pieces)]
+    tables = list(recording.tables_of_parts(parts))
+    counter = np.concatenate([table.counter for table in tables])
+    assert sorted(counter.tolist()) == [100 + k for k in range(1000) if k != 500]
+    assert sum(recording.told.tally.lost().values()) == 1
+
+
+def test_modulus() -> None:
+    modulus = SyncModulus()
+    assert modulus.modulus == SAMPLES
+    modulus.look(framed(cycles([7, 8])))
+    assert modulus.modulus == 240
+    modulus.look(framed(cycles([9, 10, 1])))
+    assert modulus.modulus == 10
+    modulus.look(framed(cycles([11, 12])))  # it was a restart
+    assert modulus.modulus == 240
+    assert len(list(modulus.parts(framed(cycles([1], numbered=False))))) == 2
+    assert modulus.modulus == SAMPLES
