@@ -57,7 +57,6 @@ def test_a_node_that_was_operational_stays_so() -> None:
         (od.TPDO1_COB_ID, NO_PDO),
         (od.TPDO1_TRANSMISSION_TYPE, 2),
         (od.TPDO1_MAPPED, 3),
-        (od.SYNC_COUNTER_OVERFLOW, 10),
     ],
     ids=lambda x: str(x).partition(" ")[0] if not isinstance(x, int) else "",
 )
@@ -75,6 +74,21 @@ def test_by_sdo_where_tpdo1_does_not_serve(entry: Entry[int], value: int) -> Non
         assert capture.count == 3
         np.testing.assert_allclose(capture.mean, EXPECTED, atol=RESOLUTION_MICROSTRAIN)
         reader.stop()
+
+
+@pytest.mark.parametrize("by_pdo", [True, False])
+def test_a_node_that_a_killed_hand_left_numbered(by_pdo: bool) -> None:
+    with connected(finger()) as (connection, _):
+        connection.sdo(5).write(od.SYNC_COUNTER_OVERFLOW, 240)
+        if not by_pdo:
+            connection.sdo(5).write(od.TPDO1_COB_ID, NO_PDO)
+        apply_load(connection, 5, *LOAD)
+        reader = GaugeReader(connection, 5, 3, period_s=0.001)
+        assert reader.moves()
+        np.testing.assert_allclose(reader.capture(5).mean, EXPECTED, atol=RESOLUTION_MICROSTRAIN)
+        reader.stop()
+        assert connection.finger(5).read().P_newtons != 0.0
+        assert connection.sdo(5).read(od.STATUS) & 8 == 0
 
 
 def test_more_gauges_than_a_pdo_holds() -> None:
