@@ -58,6 +58,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.decode_check
 	$(PYTHON) -m bench.live
 	$(PYTHON) -m bench.hand
+	$(PYTHON) -m bench.row_model --sequences 10000
 	$(PYTHON) -m bench.view
 	$(PYTHON) -m bench.soak
 	$(PYTHON) -m bench.endurance

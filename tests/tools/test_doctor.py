@@ -145,3 +145,7 @@ def test_faults_that_are_heard_are_named() -> None:
         row["data"] = np.frombuffer(struct.pack("<HBHHx", code, 0x21, detail, 0), dtype=np.uint8)
     found = [check.finding for check in heard(frames)]
     assert found == ["node 5: overload", "EMCY from 7"]
+    frames["data"][1, :2] = 0x40, 0x82
+    (check,) = [check for check in heard(frames) if check.state == "fail"]
+    assert "7 reject the SYNC (EMCY 8240h)" in check.finding
+    assert "0x1019" in check.next_step

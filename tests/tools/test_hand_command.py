@@ -77,12 +77,30 @@ def test_up_reports_each_finger(hand: tuple[Fingers, Path], capsys: pytest.Captu
 def test_run_prints_rows_and_counts(hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]) -> None:
     assert main(["hand", "run", str(hand[1]), "--seconds", "0.5", "--json"]) == 0
     out, err = capsys.readouterr()
-    rows = [json.loads(line) for line in out.splitlines()]
+    lines = [json.loads(line) for line in out.splitlines()]
+    rows = [line for line in lines if "row" in line]
     assert len(rows) >= 5
+    assert rows[-1]["pairing"] == "numbered"
     assert rows[-1]["1"]["P"] == pytest.approx(2.0, abs=5e-3)
-    assert rows[-1]["2"]["calibrated"] is True
+    assert (rows[-1]["2"]["name"], rows[-1]["2"]["calibrated"]) == ("index", True)
+    assert {"calibrated", "started"} <= {line["event"] for line in lines if "event" in line}
     assert "SYNC period" in err
     assert "thumb (1): missing" in err
     assert main(["hand", "run", str(hand[1]), "--seconds", "0.3", "-q"]) == 0
     assert "thumb: P " in capsys.readouterr().out
     assert main(["hand", "run", str(hand[1]), "--seconds", "-1"]) == 2
+
+
+def test_an_uncalibrated_finger_is_named_and_its_rows_say_why(
+    hand: tuple[Fingers, Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = hand[1]
+    path.write_text(path.read_text().replace('calibration = "cal.toml"', "", 1))
+    assert main(["hand", "up", str(path)]) == 0
+    assert "thumb (1): up, not calibrated: P, phi and theta are unknown" in capsys.readouterr().out
+    assert main(["hand", "run", str(path), "--seconds", "0.3", "--json"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines() if line.startswith('{"row"')]
+    assert rows[-1]["1"]["P"] is None
+    assert rows[-1]["1"]["reason"].startswith("not calibrated")
+    assert main(["hand", "run", str(path), "--seconds", "0.3"]) == 0
+    assert "thumb: not calibrated" in capsys.readouterr().out

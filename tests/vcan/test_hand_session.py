@@ -19,11 +19,12 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.events import Event
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.rows import Rows
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix
-from vcan.pressed import NEWTONS_PER_S, force_newtons, run_node
+from vcan.pressed import NEWTONS_PER_S, change_as_another_master, force_newtons, run_node
 from vcan.support import HEARTBEAT, WAIT_S, Launch, RawBus, is_boot_up, wait_until
 from vcan.support import _context as context
 
@@ -33,6 +34,7 @@ SYNC_HZ = 25
 # A hand file that says nothing of it has 100 ms, and an emulated processor of which nobody else wants a share carries
 # that, too. Where others do, all nodes stand still together for more than the 250 ms after which they would be lost.
 HEARTBEAT_MS = 200
+BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
 LATE = ("heartbeat_lost", "heartbeat_back")
 RECOVERED_MS = 2000
 NOT_OF_THIS_SYNC_NEWTONS = 0.5 * NEWTONS_PER_S / SYNC_HZ  # an answer to the SYNC before is off by twice as much
@@ -59,10 +61,12 @@ class Session:
         self.path = folder / "hand.toml"
         self.path.write_text(
             f'[bus]\ninterface = "socketcan"\nchannel = "{CHANNEL}"\n'
-            f"[hand]\nsync_hz = {SYNC_HZ}\nheartbeat_ms = {HEARTBEAT_MS}\n{fingers}"
+            f'[hand]\nsync_hz = {SYNC_HZ}\nheartbeat_ms = {HEARTBEAT_MS}\nforeign_changes = "restore"\n{fingers}'
         )
         self.hand = Hand.from_file(self.path)
         self.hand.on_rows(self.rows.append)
+        self.events: list[tuple[int, Event]] = []
+        self.hand.on_event(lambda event: self.events.append((time.time_ns(), event)))
 
     def switch_on(self, node_id: int) -> None:
         """Power: no store, so it knows its node-id and nothing else. Returns when it has booted."""
@@ -76,6 +80,22 @@ class Session:
         process = self.nodes.pop(node_id)
         process.kill()
         process.join()
+
+    def by_another_master(self, node_id: int, what: str) -> int:
+        """Let another process change a finger; return the time (ns since 1970) before it did."""
+        when = context.Value("d", 0.0)
+        process = context.Process(target=change_as_another_master, args=(CHANNEL, node_id, what, when), daemon=True)
+        process.start()
+        process.join(WAIT_S)
+        assert process.exitcode == 0, what
+        return int(when.value)
+
+    def syncs_until(self, kind: str, node_id: int, since_ns: int) -> int:
+        """SYNCs from a time to an event: a clock that stands still where the emulated processor does."""
+        until_ns = min(
+            t_ns for t_ns, event in self.events if (event.kind, event.node_id) == (kind, node_id) and t_ns > since_ns
+        )
+        return sum(int(((rows.sync_ns > since_ns) & (rows.sync_ns < until_ns)).sum()) for rows in list(self.rows))
 
     def close(self) -> None:
         """All off."""
@@ -237,6 +257,33 @@ def test_babbler(session: Session, can_id: int) -> None:
     assert told()[0] == "babbling"
 
 
+@pytest.mark.parametrize("what", ["tare", "offset", "calibration", "mapping"])
+def test_change_by_another_master_is_noticed_and_undone(session: Session, what: str) -> None:
+    """Its values are checked as in every test: not one in a row is of what they meant meanwhile."""
+    changed_ns = session.by_another_master(3, what)
+    seen: list[tuple[str, int]] = []
+    wait_until(lambda: ("restored", 3) in seen, f"undone: {seen}", lambda: seen.extend(session.kinds()))
+    assert session.syncs_until("changed", 3, changed_ns) <= SYNC_HZ
+    session.recovered(what)
+    assert of_others(seen, 3) == []
+
+
+@pytest.mark.parametrize("what", ["bus-off", "preop"])
+def test_finger_that_leaves_operational_is_started_again(session: Session, what: str) -> None:
+    changed_ns = time.time_ns()
+    if what == "preop":
+        changed_ns = session.by_another_master(3, what)
+    else:
+        with RawBus(CHANNEL) as bus:
+            bus.send(*BUS_OFF)
+    seen: list[tuple[str, int]] = []
+    wait_until(lambda: ("started", 3) in seen, f"started: {seen}", lambda: seen.extend(session.kinds()))
+    assert session.syncs_until("state", 3, changed_ns) <= SYNC_HZ
+    assert session.syncs_until("started", 3, changed_ns) <= 2 * SYNC_HZ
+    session.recovered(what)
+    assert (("emcy", 3) in seen) == (what == "bus-off")
+
+
 def test_hand_up_by_command(session: Session, launch: Launch) -> None:
     """On a hand that runs already: everything is as the file says."""
     command = launch("hand", "up", str(session.path))
@@ -244,4 +291,5 @@ def test_hand_up_by_command(session: Session, launch: Launch) -> None:
     assert command.stdout.splitlines() == [f"finger {n}: up" for n in NODE_IDS]
     session.recovered("hand up beside us")
     kinds = [one for one in session.kinds() if one[0] not in LATE]
-    assert sorted(set(kinds)) == [("state", n) for n in NODE_IDS]  # stopped and started, and nothing mended
+    # Stopped by the command and started by either; nothing was set up again.
+    assert set(kinds) <= {(kind, n) for n in NODE_IDS for kind in ("state", "started")}

@@ -100,3 +100,24 @@ def test_callbacks_and_events() -> None:
     happened = Event(1.0, 5, "emcy", "text")
     delivery.event(happened)
     assert (rows, events, delivery.take_events(), delivery.take_events()) == ([3], [happened], [happened], [])
+
+
+def test_a_callback_that_raises_is_reported_once_and_the_others_are_called() -> None:
+    delivery, seen = Delivery(), []
+
+    def broken(rows: Rows) -> None:
+        raise ValueError(f"row {rows.first}")
+
+    def broken_too(event: Event) -> None:
+        raise KeyError(event.kind)
+
+    delivery.row_callbacks += [broken, lambda rows: seen.append(rows.first)]
+    delivery.event_callbacks.append(broken_too)
+    for k in range(3):
+        delivery.put(block(k))
+    assert seen == [0, 1, 2]
+    events = delivery.take_events()
+    assert [event.kind for event in events] == ["callback_failed"] * 2
+    assert any("broken raised ValueError: row 0" in event.text for event in events)
+    delivery.event(Event(0.0, 0, "bus_up", ""))
+    assert [event.kind for event in delivery.take_events()] == ["bus_up"]

@@ -86,6 +86,9 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
 
 def heard(frames: FrameArray) -> Iterator[Check]:
     """Yield what frames, FRAME (n,), say: error frames, nodes, and their faults in words."""
+    import numpy as np
+
+    from tipforce.device.emcy import SYNC_LENGTH
     from tipforce.host.decoding import status_words
     from tipforce.host.decoding.decoder import Decoder
     from tipforce.host.decoding.health import Health
@@ -104,6 +107,13 @@ def heard(frames: FrameArray) -> Iterator[Check]:
         yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` identifies them")
     for node, words in sorted(faults.items()):
         yield Check("nodes", "note", f"node {node}: {', '.join(words)}", "`tipforce sdo read` of 2124h")
-    others = sorted(emergencies - {*faults})
+    emcy = frames[np.isin(frames["can_id"], [EMCY_BASE + node for node in emergencies])]
+    code = emcy["data"][:, 0].astype(np.int64) | emcy["data"][:, 1].astype(np.int64) << 8
+    numbered = {int(can_id) - EMCY_BASE for can_id in emcy["can_id"][code == SYNC_LENGTH]}
+    if numbered:
+        finding = f"{', '.join(map(str, sorted(numbered)))} reject the SYNC (EMCY 8240h): it does not fit their 1019h"
+        step = f"after a killed hand: `tipforce sdo write {min(numbered)} 0x1019 0 u8 0`, or reset the node"
+        yield Check("nodes", "fail", finding, step)
+    others = sorted(emergencies - {*faults} - numbered)
     if others:
         yield Check("nodes", "note", f"EMCY from {', '.join(map(str, others))}", "`tipforce scan`, object 1003h")

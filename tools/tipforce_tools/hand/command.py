@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from tipforce.host.hand.events import Event
     from tipforce.host.hand.file import HandFile
     from tipforce.host.hand.hand import Hand, Statistics
+    from tipforce.host.hand.hand_row import HandRow
     from tipforce.host.hand.rows import Rows
 
 EXAMPLE = """
@@ -28,7 +29,9 @@ EXAMPLE = """
   sync_hz = 500              # 0: another device sends the SYNC
   pdos = ["contact"]         # any of gauges, contact, force
   heartbeat_ms = 100
-  wait_ms = 50               # time that a row waits for a late finger
+  numbered_sync = "auto"     # true, false; "auto": if every node on the bus takes the numbers
+  foreign_changes = "refuse" # "accept", "restore": a change of a finger by another master
+  wait_ms = 50               # time that a row waits for a late finger, under 120 SYNCs
   config = "finger.toml"     # settings of all fingers, from tipforce config save
   store = false              # true: store the configuration in the nodes
 
@@ -145,7 +148,8 @@ def _say_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_
         if args.json and args.action == "up":
             common.print_json(
                 {"node_id": report.plan.node_id, "name": report.plan.name, "ok": report.ok, "done": report.done,
-                 "failed": report.failed or None, "error": report.error or None, "seconds": report.seconds}
+                 "failed": report.failed or None, "error": report.error or None, "note": report.note or None,
+                 "seconds": report.seconds}
             )  # fmt: skip
         else:
             print(report, file=sys.stdout if args.action == "up" else sys.stderr)
@@ -154,47 +158,63 @@ def _say_reports(args: argparse.Namespace, reports: list[FingerReport], elapsed_
 
 
 def _say_event(args: argparse.Namespace, hand: Hand, event: Event) -> None:
-    if event.kind in ("found", "configured", "calibrated", "verified", "started", "state") and not args.verbose:
-        return
-    names = {finger.node_id: finger.label for finger in hand.file.finger}
-    common.note(args, f"{names.get(event.node_id, 'bus')}: {event.kind.replace('_', ' ')}: {event.text}")
+    """Print an event at once, also into a pipe: on stdout as a line of the JSON stream, else on stderr."""
+    labels = {finger.node_id: (finger.name, finger.label) for finger in hand.file.finger}
+    name, label = labels.get(event.node_id, ("", "bus"))
+    if args.json and args.action == "run":
+        common.print_json(
+            {"event": event.kind, "t_s": time.time() - time.monotonic() + event.t_s, "node_id": event.node_id,
+             "name": name, "text": event.text}
+        )  # fmt: skip
+        sys.stdout.flush()
+    elif args.verbose or event.kind not in ("found", "configured", "calibrated", "verified", "started", "state"):
+        common.note(args, f"{label}: {event.kind.replace('_', ' ')}: {event.text}")
+        sys.stderr.flush()
 
 
 def _rows(args: argparse.Namespace, hand: Hand) -> None:
+    from tipforce.host.hand.hand_row import rows_one_by_one
+
     hand.start()
     deadline_s = None if args.seconds is None else time.monotonic() + args.seconds
     shown_s = 0.0
+    names = [finger.name for finger in hand.file.finger]
     for rows in hand.blocks(args.seconds):
-        if args.json:
-            for row in range(len(rows)):
-                common.print_json(_record(hand, rows, row))
-        elif time.monotonic() - shown_s >= 1.0:
-            shown_s = time.monotonic()
-            print(_line(hand, rows), flush=True)
+        now = time.monotonic() - shown_s >= 1.0
+        if not args.json and not now:
+            continue
+        shown_s = time.monotonic() if now else shown_s
+        found = rows_one_by_one(rows, hand.node_ids, names)
+        for row, contacts in enumerate(found) if args.json else ():
+            common.print_json(_record(rows, row, contacts))
+        if not args.json:
+            print(_line(hand, found[-1]), flush=True)
         if deadline_s is not None and time.monotonic() >= deadline_s:
             break
 
 
-def _record(hand: Hand, rows: Rows, row: int) -> dict[str, object]:
-    record: dict[str, object] = {"row": rows.first + row, "t_s": float(rows.sync_ns[row]) / 1e9}
-    for k, node_id in enumerate(hand.node_ids):
-        values = {name: column[row, k].item() for name, column in rows.columns.items()}
-        record[str(node_id)] = None if rows.missing[row, k] else values
+def _record(rows: Rows, row: int, contacts: HandRow) -> dict[str, object]:
+    """Return a row: of each finger its name, its columns (none if it is missing), and why one is unknown."""
+    record: dict[str, object] = {"row": contacts.number, "t_s": contacts.t_s, "pairing": contacts.pairing}
+    for k, contact in enumerate(contacts.contacts):
+        columns = {} if rows.missing[row, k] else {name: column[row, k].item() for name, column in rows.columns.items()}
+        record[str(contact.node_id)] = {"name": contact.name, **columns, "reason": contact.reason}
     return record
 
 
-def _line(hand: Hand, rows: Rows) -> str:
-    """Return the last row as text: P of each finger, or the reason for its absence."""
+def _line(hand: Hand, row: HandRow) -> str:
+    """Return a row as text: P, phi and theta of each finger, and the reason where one is unknown."""
+    from tipforce.host.decoding.contacts import Status
+
     parts = []
-    for k, finger in enumerate(hand.file.finger):
-        name = finger.name or str(finger.node_id)
-        if rows.missing[-1, k]:
-            parts.append(f"{name}: no response ({hand.state(finger.node_id)})")
-            continue
-        known = [(s, u) for s, u in (("P", "N"), ("phi", "deg"), ("theta", "deg")) if s in rows.columns]
-        values = [(s, rows.columns[s][-1, k], u) for s, u in known]
-        told = [f"{s} {value:.2f} {u}" for s, value, u in values if math.isfinite(value)]
-        parts.append(f"{name}: " + (" ".join(told) or "unknown"))
+    for contact in row.contacts:
+        values = ("P", contact.P_newtons, "N"), ("phi", contact.phi_deg, "deg"), ("theta", contact.theta_deg, "deg")
+        told = [f"{name} {value:.2f} {unit}" for name, value, unit in values if math.isfinite(value)]
+        reason = contact.reason
+        if Status.NO_ANSWER in contact.status and not contact.missing:
+            reason += f" ({hand.state(contact.node_id)})"
+        told += [f"({reason})"] if reason and told else [reason] if reason else []
+        parts.append(f"{contact.name}: " + " ".join(told))
     return " | ".join(parts)
 
 
@@ -207,6 +227,6 @@ def _say_statistics(args: argparse.Namespace, hand: Hand, found: Statistics) -> 
         f"bus load at the end {100 * found.load[0]:.0f} to {100 * found.load[1]:.0f} %",
     )
     for k, finger in enumerate(hand.file.finger):
-        names = ("missing", "delayed", "late", "mixed", "doubtful", "repeated")
+        names = ("missing", "delayed", "late", "mixed", "doubtful", "changed", "repeated")
         counts = ", ".join(f"{name} {int(getattr(tally, name)[k])}" for name in names)
         common.note(args, f"  {finger.label}: {counts}")

@@ -17,7 +17,9 @@ import numpy as np
 from tipforce.device import codes, communication
 from tipforce.device.codes import INITIALISING
 from tipforce.dictionary import names, objects, table
+from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.signals import tpdo_messages
+from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.configuration_file import Configuration, apply_configuration, verify_configuration
 from tipforce.host.hand.events import Event, Kind
@@ -121,10 +123,11 @@ def set_up(
     """Run the steps from identity to start on a node with its node-id; also after a reboot. Errors go to the report."""
     plan, started_s = report.plan, time.monotonic()
     client = FingertipClient(connection.sdo(plan.node_id))
+    written: Configuration = {}
     steps: tuple[tuple[str, Kind, Callable[[], str]], ...] = (
         ("identity", "found", lambda: _identity(client, plan)),
-        ("configure", "configured", lambda: _configure(client.sdo, wanted)),
-        ("verify", "verified", lambda: _verify(client.sdo, wanted)),
+        ("configure", "configured", lambda: _configure(client.sdo, wanted, written)),
+        ("verify", "verified", lambda: _verify(client.sdo, written)),
         ("calibrate", "calibrated", lambda: _calibrate(client, hand, report)),
         ("start", "started", lambda: _start(connection, hand, client, before_start)),
     )
@@ -235,10 +238,20 @@ def _identity(client: FingertipClient, plan: FingerPlan) -> str:
     return f"{'simulated ' if identity.simulated else ''}fingertip, serial {identity.serial}"
 
 
-def _configure(sdo: SdoChannel, wanted: Configuration) -> str:
-    if verify_configuration(sdo, wanted):
-        apply_configuration(sdo, wanted)
+def _configure(sdo: SdoChannel, wanted: Configuration, written: Configuration) -> str:
+    """Write what differs, into ``written`` too; a mapping as a whole."""
+    differing = {key: one for key, one in wanted.items() if not _is_equal(sdo, *one)}
+    mappings = {
+        index for index, _ in differing if communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING
+    }
+    written |= {key: one for key, one in wanted.items() if key in differing or key[0] in mappings}
+    if written:
+        apply_configuration(sdo, written)
     return f"{len(wanted)} settings"
+
+
+def _is_equal(sdo: SdoChannel, entry: Entry[Value], value: Value) -> bool:
+    return entry.access != "wo" and sdo.upload(entry.index, entry.sub) == entry.encode(value)
 
 
 def _verify(sdo: SdoChannel, wanted: Configuration) -> str:

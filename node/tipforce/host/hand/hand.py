@@ -51,6 +51,7 @@ REOPEN_S = 0.1
 _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
+_CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
@@ -300,6 +301,8 @@ class Hand:
                     self._lost(error)
         except BaseException as error:
             self._delivery.fail(error)
+            text = f"reception has ended: {type(error).__name__}: {error}"
+            self._delivery.event(Event(time.monotonic(), 0, "failed", text))
             raise
 
     def _step(self, timeout_s: float) -> None:
@@ -340,7 +343,7 @@ class Hand:
         if node_id in self._recovery.meaning:
             text = "its configuration was changed by another master: its values are unknown until they are verified"
             self._delivery.event(Event(time.monotonic(), node_id, "changed", text))
-        self._queue.need([node_id])
+        self._queue.need([node_id], _CHANGE_SETTLES_S)
 
     def _probe(self, now_s: float) -> None:
         """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""

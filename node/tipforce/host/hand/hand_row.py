@@ -63,7 +63,7 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
     ) -> None:
         self._delivery, self._timeout_s = delivery, timeout_s
         self._node_ids, self._calibrations = tuple(node_ids), tuple(calibrations)
-        self._names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
+        self._names = tuple(names)
         self._waiting: deque[HandRow] = deque()
         self._blocks: Iterator[Rows] | None = delivery.rows(timeout_s)
         self._blocks_async: AsyncIterator[Rows] | None = None
@@ -73,7 +73,7 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
         while not self._waiting:
             if self._blocks is None:
                 raise TypeError("these rows are iterated by async for")
-            self._waiting += self._rows_of(next(self._blocks))
+            self._waiting += self._one_by_one(next(self._blocks))
         return self._waiting.popleft()
 
     def __aiter__(self) -> HandRows:
@@ -84,34 +84,43 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
         """Return the next row; the event loop runs meanwhile."""
         assert self._blocks_async is not None
         while not self._waiting:
-            self._waiting += self._rows_of(await anext(self._blocks_async))
+            self._waiting += self._one_by_one(await anext(self._blocks_async))
         return self._waiting.popleft()
 
-    def _rows_of(self, rows: Rows) -> list[HandRow]:
-        found = []
-        status = status_of(rows.columns, rows.counter.shape) | np.where(rows.missing, np.uint16(Status.NO_ANSWER), 0)
-        gauges = [name for name in rows.columns if name[:2] == "SG" and name[2:].isdigit()]
-        strain = np.stack([rows.columns[name] for name in gauges], axis=-1) if gauges else np.zeros((*status.shape, 0))
-        columns = [{name: values[:, k] for name, values in rows.columns.items()} for k in range(len(self._names))]
-        values = np.stack(
-            [
-                contact_values(columns[k], strain[:, k] * 1e-6, status[:, k].astype(np.uint16), calibration)
-                for k, calibration in enumerate(self._calibrations)
-            ],
-            axis=1,
-        )
-        u = uncertainties(values, self._calibrations)
-        for m, t_ns in enumerate(rows.sync_ns.tolist()):
-            row = []
-            for k, (node_id, name) in enumerate(zip(self._node_ids, self._names, strict=True)):
-                if rows.missing[m, k]:
-                    why = int(rows.reason[m, k])
-                    row.append(no_answer(node_id, t_ns * 1e-9, name, "" if why == NO_ANSWER else REASONS[why]))
-                    continue
-                (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
-                flags, microstrain = Status(int(status[m, k])), tuple(strain[m, k].tolist())
-                counter = int(rows.counter[m, k])
-                contact = Contact(node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain)
-                row.append(replace(contact, name=name))
-            found.append(HandRow(rows.first + m, t_ns * 1e-9, row, "numbered" if rows.numbered[m] else "assumed"))
-        return found
+    def _one_by_one(self, rows: Rows) -> list[HandRow]:
+        return rows_one_by_one(rows, self._node_ids, self._names, self._calibrations)
+
+
+def rows_one_by_one(
+    rows: Rows, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
+) -> list[HandRow]:
+    """Return each row of a block; ``names`` and ``calibrations``, for the uncertainties, as ``node_ids``."""
+    names = [name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)]
+    calibrations = calibrations or [None] * len(names)
+    found = []
+    status = status_of(rows.columns, rows.counter.shape) | np.where(rows.missing, np.uint16(Status.NO_ANSWER), 0)
+    gauges = [name for name in rows.columns if name[:2] == "SG" and name[2:].isdigit()]
+    strain = np.stack([rows.columns[name] for name in gauges], axis=-1) if gauges else np.zeros((*status.shape, 0))
+    columns = [{name: values[:, k] for name, values in rows.columns.items()} for k in range(len(names))]
+    values = np.stack(
+        [
+            contact_values(columns[k], strain[:, k] * 1e-6, status[:, k].astype(np.uint16), calibration)
+            for k, calibration in enumerate(calibrations)
+        ],
+        axis=1,
+    )
+    u = uncertainties(values, calibrations)
+    for m, t_ns in enumerate(rows.sync_ns.tolist()):
+        row = []
+        for k, (node_id, name) in enumerate(zip(node_ids, names, strict=True)):
+            if rows.missing[m, k]:
+                why = int(rows.reason[m, k])
+                row.append(no_answer(node_id, t_ns * 1e-9, name, "" if why == NO_ANSWER else REASONS[why]))
+                continue
+            (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
+            flags, microstrain = Status(int(status[m, k])), tuple(strain[m, k].tolist())
+            counter = int(rows.counter[m, k])
+            contact = Contact(node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain)
+            row.append(replace(contact, name=name))
+        found.append(HandRow(rows.first + m, t_ns * 1e-9, row, "numbered" if rows.numbered[m] else "assumed"))
+    return found

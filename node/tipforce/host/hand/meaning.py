@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 
-from tipforce.device import communication
+from tipforce.device import codes, communication
 from tipforce.dictionary import indices, names, objects, types
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.rows import rows
@@ -19,10 +19,10 @@ from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 
 _SETTINGS = (
-    indices.OPERATING_MODE, indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD,
-    indices.SCALING_2_PROCESS, indices.PROCESS_OFFSET, indices.SPAN_START, indices.SPAN_END, indices.FILTER_TYPE,
-    indices.FILTER_CONSTANT,
+    indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD, indices.SCALING_2_PROCESS,
+    indices.PROCESS_OFFSET, indices.FILTER_TYPE, indices.FILTER_CONSTANT,
 )  # fmt: skip
+IN_WORDS = "calibration, tare, offsets, scaling, filter and PDOs"
 _CALIBRATION = (objects.CALIBRATION_ACTIVE_CRC.index, objects.CALIBRATION_ACTIVE_CRC.sub)
 _TARE = (objects.TARE_F1, objects.TARE_F2, objects.TARE_F3)
 _TRIES = 5
@@ -36,18 +36,23 @@ class Meaning:
     values: Configuration
 
 
-def read_meaning(sdo: SdoChannel, gauges: int) -> Meaning:
+def read_meaning(sdo: SdoChannel, gauges: int, known: Configuration | None = None) -> Meaning:
     """Read calibration CRC, tare, settings of the channels, PDOs and 1019h. Raises NoResponseError, SdoAbortError.
 
-    Raises RefusedError for a finger that is changed again and again meanwhile.
+    ``known``: values that were compared just before and are not read. Raises RefusedError for a finger that is changed
+    again and again meanwhile.
     """
     entries = _entries(gauges)
     for _ in range(_TRIES):
         counter = sdo.read(objects.CONFIGURATION_COUNTER)
-        values: Configuration = {}
+        values: Configuration = {key: one for key, one in (known or {}).items() if key in entries}
         for (index, sub), entry in entries.items():
-            beyond = _is_mapping(index) and sub > int(values[index, 0][1] if sub else 0)
-            if not beyond:
+            if (index, sub) in values:
+                continue
+            parameters = index - communication.MAPPING
+            if _is_mapping(index) and int(values[parameters, 1][1]) & codes.COB_ID_INVALID:
+                continue  # not sent
+            if not _is_mapping(index) or sub <= int(values[index, 0][1] if sub else 0):
                 values[index, sub] = entry, sdo.read(entry)
         if sdo.read(objects.CONFIGURATION_COUNTER) == counter:
             return Meaning(counter, values)

@@ -7,13 +7,15 @@ from collections.abc import Callable
 
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
+from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.errors import RefusedError, TipforceError
-from tipforce.host.configuration.configuration_file import verify_configuration
+from tipforce.host.configuration.configuration_file import Configuration, verify_configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.meaning import (
+    IN_WORDS,
     Meaning,
     acceptable,
     differences,
@@ -94,21 +96,23 @@ class Recovery:
 
     def _recover_finger(self, node_id: int) -> bool:
         connection, state = self._connection(), self._supervisor.states[node_id]
+        if node_id in self.meaning and not self._has_booted(node_id):
+            if state == OPERATIONAL:
+                self._number(FingertipClient(connection.sdo(node_id)))
+                return self._verify(node_id)
+            # Its health PDO, which it sends at the start, says whether something was changed.
+            command_and_wait(connection, "start", [node_id], max(1.0, 5e-3 * self._file.hand.heartbeat_ms))
+            self._say(node_id, "started", f"was {NMT_STATES.get(state, 'silent')}")
+            return True
         if state == STOPPED:
             connection.nmt("preop", node_id)  # no SDO in STOPPED
-        if node_id in self.meaning and not self._has_booted(node_id):
-            self._number(FingertipClient(connection.sdo(node_id)))
-            if state != OPERATIONAL:
-                command_and_wait(connection, "start", [node_id], max(1.0, 5e-3 * self._file.hand.heartbeat_ms))
-                self._say(node_id, "started", f"was {self._supervisor.state_name(node_id)}")
-            return self._verify(node_id)
         if state == OPERATIONAL and self._as_wanted(node_id):
             self.prepare(node_id)
             return True
         report = FingerReport(self._plans[node_id])
         set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
         if report.ok:
-            self._learn(node_id)
+            self._learn(node_id, self._wanted[node_id])
         return report.ok or self._supervisor.states[node_id] < 0
 
     def _has_booted(self, node_id: int) -> bool:
@@ -124,9 +128,9 @@ class Recovery:
             before = set_overflow(client.sdo, self.overflow)
             self._overflow_before.setdefault(client.node_id, before)
 
-    def _learn(self, node_id: int) -> None:
+    def _learn(self, node_id: int, known: Configuration | None = None) -> None:
         """Read what the values of a finger mean, and show them."""
-        found = read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges)
+        found = read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, known)
         self._show(node_id, found)
 
     def _show(self, node_id: int, meaning: Meaning) -> None:
@@ -137,12 +141,14 @@ class Recovery:
     def _verify(self, node_id: int) -> bool:
         """Compare what the values of a finger mean with what the hand knows, and decide by ``foreign_changes``."""
         sdo, known = self._connection().sdo(node_id), self.meaning[node_id]
+        if sdo.read(objects.CONFIGURATION_COUNTER) == known.counter:
+            self._show(node_id, known)
+            return True
         found = read_meaning(sdo, self._plans[node_id].gauges)
         keys, policy = differences(known, found), self._file.hand.foreign_changes
         text = in_words(known, found, keys)
         if not keys:
-            if found.counter != known.counter:
-                self._say(node_id, "accepted", "read again: all is as before")
+            self._say(node_id, "accepted", f"read again: {IN_WORDS} are as before")
             self._show(node_id, found)
         elif policy == "accept" and acceptable(keys):
             self._say(node_id, "accepted", f"by another master: {text}")

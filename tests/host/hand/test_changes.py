@@ -1,0 +1,191 @@
+"""What another master does to a hand: tare, offsets, PDOs, NMT; what the hand shows meanwhile, and what it does."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Iterator
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import beam_calibration, new_channel
+from host.hand.test_hand import Fingers, kinds, latest, until
+from tipforce.device.codes import OPERATIONAL
+from tipforce.dictionary import objects as od
+from tipforce.errors import InputError
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
+from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.rows import REASONS, Rows
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.finger import FingertipClient
+
+
+class Watched:
+    """A running hand of fingers 1 and 2, its events and rows, and another master on its bus."""
+
+    def __init__(self, hand: Hand, master: Bus) -> None:
+        self.hand, self.master = hand, master
+        self.events: list[Event] = []
+        self.rows: list[Rows] = []
+        hand.on_event(self.events.append)
+        hand.on_rows(self.rows.append)
+
+    def told(self, *wanted: str) -> str:
+        """Wait for an event of finger 2 of one of these kinds; return its text."""
+        until(lambda: any(e.kind in wanted and e.node_id == 2 for e in self.events), f"{wanted}: {self.events}")
+        return next(e.text for e in self.events if e.kind in wanted and e.node_id == 2)
+
+    def kinds(self) -> list[str]:
+        return [event.kind for event in self.events if event.node_id == 2]
+
+    def shown(self) -> list[float]:
+        """Every P of finger 2 so far."""
+        return [value for rows in list(self.rows) for value in rows.columns["P"][:, 1].tolist() if not np.isnan(value)]
+
+
+@contextlib.contextmanager
+def watched(folder: Path, policy: str = "refuse", numbered: bool = True) -> Iterator[tuple[Watched, Fingers]]:
+    fingers = Fingers(new_channel(), folder)
+    write_calibration(folder / "cal.toml", beam_calibration())
+    file = HandFile(
+        finger=tuple(FingerPlan(node_id=n, serial=n, calibration="cal.toml") for n in (1, 2)),
+        hand=HandPlan(sync_hz=100, heartbeat_ms=50, foreign_changes=policy, numbered_sync=numbered),  # type: ignore[arg-type]
+        bus={"interface": "virtual", "channel": fingers.channel}, folder=str(folder),
+    )  # fmt: skip
+    with contextlib.ExitStack() as stack:
+        stack.callback(fingers.close)
+        for n in (1, 2):
+            fingers.switch_on(n, n)
+        hand = stack.enter_context(Hand(file))
+        assert [str(report) for report in hand.bring_up()] == ["finger 1: up", "finger 2: up"]
+        hand.start()
+        master = stack.enter_context(Bus(can.Bus(interface="virtual", channel=fingers.channel)))
+        found = Watched(hand, master)
+        latest(hand, 2)
+        yield found, fingers
+
+
+def tare(master: Bus) -> None:
+    FingertipClient(master.sdo(2)).tare()
+
+
+def offset(master: Bus) -> None:
+    master.sdo(2).write(od.PROCESS_OFFSET[2], 50.0)
+
+
+def remap(master: Bus) -> None:
+    sdo = master.sdo(2)
+    sdo.write(od.TPDO2_COB_ID, 0xC0000282)
+    sdo.write(od.TPDO2_MAPPED, 0)
+    sdo.write(od.TPDO2_MAPPING[1], 0x71300810)
+    sdo.write(od.TPDO2_MAPPING[2], 0x71300710)
+    sdo.write(od.TPDO2_MAPPED, 5)
+    sdo.write(od.TPDO2_COB_ID, 0x40000282)
+
+
+def replaced(master: Bus) -> None:
+    FingertipClient(master.sdo(2)).apply_calibration(beam_calibration("I", C=2.0 * beam_calibration().C), store=False)
+
+
+CHANGES = [(tare, "tare.F"), (offset, "0.0 -> 50.0"), (remap, "tpdo2.mapping:1"), (replaced, "calibration.active_crc")]
+
+
+@pytest.mark.parametrize(("change", "text"), CHANGES)
+def test_a_foreign_change_is_refused(tmp_path: Path, change: Callable[[Bus], None], text: str) -> None:
+    with watched(tmp_path) as (seen, _):
+        change(seen.master)
+        assert text in seen.told("refused")
+        assert seen.kinds()[0] == "changed"
+        assert set(np.round(seen.shown(), 1)) == {3.0}  # never what it means now
+        rows = next(seen.hand.blocks(5.0))
+        assert np.isnan(rows.columns["P"][:, 1]).all()
+        row = next(seen.hand.rows(5.0))
+        assert row["finger 2"].reason == REASONS[4]
+        assert row["finger 1"].P_newtons == pytest.approx(2.0, abs=5e-3)
+
+
+@pytest.mark.parametrize(("change", "text"), CHANGES)
+def test_a_foreign_change_is_undone(tmp_path: Path, change: Callable[[Bus], None], text: str) -> None:
+    with watched(tmp_path, "restore") as (seen, _):
+        change(seen.master)
+        assert text in seen.told("restored")
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+        assert set(np.round(seen.shown(), 1)) == {3.0}
+
+
+def test_a_foreign_tare_is_accepted_and_another_mapping_is_not(tmp_path: Path) -> None:
+    with watched(tmp_path, "accept") as (seen, _):
+        tare(seen.master)
+        assert "tare.F" in seen.told("accepted")
+        until(lambda: latest(seen.hand, 2)[1] < 0.1, "the tare should be shown")
+        remap(seen.master)
+        assert "tpdo2.mapping:1" in seen.told("refused")
+        assert set(np.round(seen.shown(), 1)) == {3.0, 0.0}
+
+
+def test_what_is_undone_by_the_other_is_shown_again(tmp_path: Path) -> None:
+    with watched(tmp_path) as (seen, _):
+        tare(seen.master)
+        seen.told("refused")
+        FingertipClient(seen.master.sdo(2)).clear_tare()
+        assert "as before" in seen.told("accepted")
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+
+
+def test_the_hands_own_tare_is_no_foreign_change(tmp_path: Path) -> None:
+    with watched(tmp_path) as (seen, _):
+        assert seen.hand.tare(2).startswith("tare: F1 ")
+        until(lambda: latest(seen.hand, 2)[1] < 0.1, "the tare should be shown")
+        assert "changed" not in seen.kinds()
+        with pytest.raises(InputError, match="the hand has finger 1"):
+            seen.hand.tare("ring")
+
+
+@pytest.mark.parametrize("command", ["preop", "stop"])
+def test_a_finger_that_another_stops_is_started_again(tmp_path: Path, command: str) -> None:
+    with watched(tmp_path) as (seen, _):
+        seen.master.nmt(command, 2)
+        assert "pre-operational" in seen.told("started") or "stopped" in seen.told("started")
+        until(lambda: seen.hand.state(2) == "operational" and seen.hand.settled(), "it should be operational")
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+        assert "changed" not in seen.kinds()
+
+
+def test_1019h_is_restored_and_set_again_after_a_reboot(tmp_path: Path) -> None:
+    with watched(tmp_path) as (seen, fingers):
+        overflow = seen.master.sdo(2)
+        assert overflow.read(od.SYNC_COUNTER_OVERFLOW) == 240
+        seen.master.nmt("reset-node", 2)
+        seen.told("boot_up")
+        until(seen.hand.settled, "it should be set up")
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+        assert overflow.read(od.SYNC_COUNTER_OVERFLOW) == 240
+        seen.hand.stop()
+        assert overflow.read(od.SYNC_COUNTER_OVERFLOW) == 0
+        assert fingers.devices[1].nmt.state != OPERATIONAL
+
+
+def test_without_numbers_the_rows_say_so(tmp_path: Path) -> None:
+    with watched(tmp_path, numbered=False) as (seen, _):
+        assert seen.master.sdo(2).read(od.SYNC_COUNTER_OVERFLOW) == 0
+        assert next(seen.hand.rows(5.0)).pairing == "assumed"
+
+
+def test_a_dead_receiver_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with watched(tmp_path) as (seen, _):
+        monkeypatch.setattr("threading.excepthook", lambda _args: None)
+
+        def broken(_timeout_s: float) -> None:
+            raise ZeroDivisionError("receiver")
+
+        monkeypatch.setattr(seen.hand._link, "receive", broken)
+        until(lambda: seen.hand.error is not None, "it should be noticed")
+        assert not seen.hand.settled()
+        assert seen.hand.state(1) == "unknown: reception has ended"
+        until(lambda: any(e.kind == "failed" for e in seen.events), "it should be an event")
+        assert "ended: ZeroDivisionError" in next(e.text for e in seen.events if e.kind == "failed")
+        assert kinds(seen.hand, 0)
