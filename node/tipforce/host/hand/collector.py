@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -86,6 +86,7 @@ class Collector:
         self._noticed: dict[int, int] = {}  # the last one that was reported as a change
         self._doubted = np.zeros(len(node_ids), dtype=np.bool_)
         self._requests: deque[Callable[[], None]] = deque()  # of other threads
+        self._nothing: Rows | None = None
         self.changes: list[int] = []
         """Node-ids of fingers whose configuration counter (2126h) changed; the caller empties it."""
 
@@ -169,7 +170,12 @@ class Collector:
             if from_here is not None:
                 doubted = answers >= from_here[slot[answers] % len(self.node_ids)]
             self._take(slot[answers], words, np.array(last)[before], np.array(number)[before], doubted)
-        return self._rows(self._ready(now_s))
+        count = self._ready(now_s)
+        if count:
+            return self._rows(count)
+        if self._nothing is None:  # most calls: no row is complete
+            self._nothing = self._rows(0)
+        return replace(self._nothing, first=self._first)
 
     @property
     def _last(self) -> int:
