@@ -58,8 +58,9 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
         elif what == "offset":
             sdo.write(objects.PROCESS_OFFSET[2], 50.0)
         elif what == "calibration":
-            strange = replace(client.calibration(), C=1.5 * client.calibration().C)
-            client.apply_calibration(strange, store=False)
+            calibration = client.calibration()
+            assert calibration is not None
+            client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False)
         elif what == "mapping":
             cob_id = sdo.read(objects.TPDO2_COB_ID)
             sdo.write(objects.TPDO2_COB_ID, cob_id | codes.COB_ID_INVALID)

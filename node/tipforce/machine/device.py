@@ -185,7 +185,7 @@ class _Bridge(Application):
             self._device[key] = value
         self._device.application.on_reset()
 
-    def on_sync(self, now_us: int) -> None:
+    def on_sync(self, now_us: int, _number: int) -> None:
         self._advance(now_us)
         self._device.application.on_sync()
 
