@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 
+from tipforce.device import communication
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
@@ -159,13 +160,14 @@ class Recovery:
                 self._learn(node_id)
                 self._say(node_id, "restored", f"another master had changed {text}")
             except RefusedError as error:
-                self._refuse(node_id, f"{text}; {error}")
+                self._refuse(node_id, f"{text}; {error}", keys)
         else:
-            self._refuse(node_id, text)
+            self._refuse(node_id, text, keys)
         return True
 
-    def _refuse(self, node_id: int, text: str) -> None:
-        self._collector.expect(node_id, False)
+    def _refuse(self, node_id: int, text: str, keys: Iterable[tuple[int, int]]) -> None:
+        if any(communication.TPDO <= index <= communication.LAST_TPDO for index, _ in keys):
+            self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
 
     def _as_wanted(self, node_id: int) -> bool:
