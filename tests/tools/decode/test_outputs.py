@@ -198,7 +198,8 @@ def test_text_for_people(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> 
     log = write_log(tmp_path / "a.log", [f"(1700000000.00000{k}) can0 {frame}" for k, frame in enumerate(frames)])
     assert decode(log) == 0
     assert capsys.readouterr().out.splitlines() == [
-        "(1700000000.000000)  node   5 (0x05)  P   4.398 N  phi   90.01 deg  theta   45.06 deg  #3  contact calibrated",
+        "(1700000000.000000)  node   5 (0x05)  P   4.398 N  phi   90.01 deg  theta   45.06 deg  #3  "
+        "contact, calibrated",
         "(1700000000.000001)  node   5 (0x05)  P unknown    phi unknown      theta unknown      #4  calibrated",
         "(1700000000.000002)  node  15 (0x0F)  P   1.000 N  phi unknown      theta unknown      #4  contact",
     ]

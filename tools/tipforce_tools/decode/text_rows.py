@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from tipforce.host.decoding import status_words
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce_tools.decode import cells
 
@@ -121,10 +122,13 @@ def people_rows(table: Table, base: Sequence[str]) -> bytes:
             counter, without = base_cells(piece, COUNTER)
             counter = np.pad(counter, ((0, 0), (1, 0)), constant_values=ord("#"))
             parts += [b"  ", cells.instead(counter, without, b"-"), b" "]
+        said = np.zeros(len(piece), dtype=np.bool_)
         for column in piece.columns:
             if column.kind == "flag":
                 is_set = piece.values[column.name] == 1
-                parts.append(cells.chosen(is_set, f" {column.signal}".encode()))
+                words = status_words.BY_NAME.get(column.signal, column.signal).encode()
+                parts += [cells.chosen(is_set & said, b", " + words), cells.chosen(is_set & ~said, b" " + words)]
+                said |= is_set
         parts.append(b"\n")
         text += cells.rows_text(parts, len(piece))
     return text
