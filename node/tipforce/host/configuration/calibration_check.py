@@ -61,7 +61,24 @@ def check(calibration: Calibration) -> None:
         correlation = S / deviation / deviation[:, np.newaxis]
     if not np.isfinite(correlation).all() or np.linalg.eigvalsh(correlation)[0] < -1e-9:
         raise InputError("calibration covariance: not positive semi-definite; no correlation may be over 1")
+    if calibration.parameter_covariance is not None:
+        _check_parameters(calibration.parameter_covariance)
     _check_validity(calibration)
+
+
+def _check_parameters(blocks: FloatArray) -> None:
+    """A covariance here makes covariance_of_estimate() one for every load: no load needs a check of its own."""
+    from tipforce.sensor.calibration.rounding import DIGITS
+
+    side = blocks.shape[0] * blocks.shape[1]
+    matrix = blocks.reshape(side, side)
+    variance = np.diagonal(matrix)
+    scale = np.where(variance > 0.0, variance, np.abs(matrix).max(initial=0.0) or 1.0)  # 0: an offset not fitted
+    correlation = matrix / np.sqrt(scale) / np.sqrt(scale)[:, np.newaxis]
+    # A file's numbers are rounded to a place of the largest one.
+    rounding = side * 10.0 ** (1 - DIGITS) * float(np.abs(matrix).max(initial=0.0) / scale.min())
+    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] < -1e-9 - rounding:
+        raise InputError("calibration parameter covariance: not positive semi-definite; no correlation may be over 1")
 
 
 def _check_matrix(C: FloatArray) -> None:

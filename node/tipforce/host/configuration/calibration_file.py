@@ -147,12 +147,15 @@ def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
             f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{crc:08X}; "
             "the file was changed: restore it, or take out the crc32 line to accept the change"
         )
+    fit = read_fit(path) if with_fit else None
     try:
         found.check()
+        if fit is not None:
+            found = replace(found, parameter_covariance=fit.parameter_covariance())
+            found.check()
     except InputError as error:
         raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
-    fit = read_fit(path) if with_fit else None
-    return found if fit is None else replace(found, parameter_covariance=fit.parameter_covariance())
+    return found
 
 
 def _is_version_1(content: _Table) -> bool:

@@ -157,6 +157,7 @@ def covariance_of_estimate(
     kernel = np.einsum("ak,kilj,bl->ijab", matrix, blocks, matrix).reshape(16, 9)
     products = (G[..., :, np.newaxis] * G[..., np.newaxis, :]).reshape(*F.shape[:-1], 16)
     Q = (products @ kernel).reshape(*F.shape[:-1], 3, 3)
+    # Positive semi-definite for every F where the blocks are, which a calibration checks once: no check of loads here.
     covariance: FloatArray = matrix @ Sigma @ matrix.T + 0.5 * (Q + np.swapaxes(Q, -1, -2))
     return covariance
 
