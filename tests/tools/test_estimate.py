@@ -118,6 +118,36 @@ def test_tares_take_drift_off_by_time(calibration: Path, capsys: pytest.CaptureF
     assert rows[1]["P_N"] != "1"
 
 
+def test_a_gauge_that_stands_still_is_frozen(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """By the node's rule: 32 repetitions, of a gauge whose noise is at least the resolution of the table."""
+    rng = np.random.default_rng(14)
+    V = 1e6 * (A @ force_vector(2.0, np.radians(30.0), np.radians(50.0)) + OFFSET)
+    readings = np.round(V + rng.normal(size=(200, 3)), 1)
+    readings[50:82, 0] = readings[49, 0] + 7.0  # 32 equal readings: 31 repetitions
+    readings[100:133, 1] = readings[99, 1] + 7.0
+    text = "SG1,SG2,SG3\n" + "\n".join(",".join(map(str, row)) for row in readings.tolist())
+    rows, _ = estimated(calibration, text, capsys)
+    frozen = [k for k, row in enumerate(rows) if row["status"] == "frozen"]
+    assert frozen == list(range(100, 133))
+    assert {rows[k]["P_N"] for k in frozen} == {""}
+    coarse = np.round(readings / 50.0) * 50.0  # a resolution above the noise repeats readings by itself
+    text = "SG1,SG2,SG3\n" + "\n".join(",".join(map(str, row)) for row in coarse.tolist())
+    rows, _ = estimated(calibration, text, capsys)
+    assert "frozen" not in {row["status"] for row in rows}
+
+
+def test_a_parameter_covariance_that_is_none_is_refused(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    indefinite = np.eye(12)
+    indefinite[0, 5] = indefinite[5, 0] = 1.1
+    calibration.write_text(
+        calibration.read_text() + f"\n[fit]\nparameter_covariance_microstrain2 = {indefinite.tolist()}\n"
+    )
+    table = calibration.with_name("gauges.csv")
+    table.write_text("SG1,SG2,SG3\n1,2,3\n")
+    assert main(["estimate", str(calibration), str(table)]) == 2
+    assert "parameter covariance: not positive semi-definite; no correlation may be over 1" in capsys.readouterr().err
+
+
 def test_status_words_and_what_they_make_unknown(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
     missing = A @ np.array([1.0, 1.5, 0.0]) + OFFSET
     texts = [

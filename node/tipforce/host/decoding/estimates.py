@@ -15,6 +15,7 @@ from tipforce.host.configuration.measurement_rows import MODES
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged, status_words
 from tipforce.host.decoding.contacts import Contacts, Status
+from tipforce.host.decoding.frozen import frozen_gauges
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
 from tipforce.sensor.contact import estimate as model
@@ -23,7 +24,7 @@ from tipforce.sensor.contact.first_order import first_order_holds
 
 CHUNK = 50_000
 
-BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT = 1 << 8, 1 << 9, 1 << 10, 1 << 11
+BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT, FROZEN = 1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 16
 """Beside the bits of the status byte and bits 12 to 15 of 2124h, in one integer per row."""
 _WORDS = {
     scalar.CONTACT_PRESENT: "no_contact",  # said where the bit is clear
@@ -38,10 +39,11 @@ _WORDS = {
 _UNKNOWN_WORDS = {
     TARE: "tare",
     SATURATED: "saturated",
+    FROZEN: "frozen",
     status_words.OVERLOAD: "overload",
     status_words.CONTRADICTION: "contradiction",  # where no gauge could be left out
 }
-_NO_VALUE = TARE | SATURATED | status_words.OVERLOAD | status_words.CONTRADICTION
+_NO_VALUE = TARE | SATURATED | FROZEN | status_words.OVERLOAD | status_words.CONTRADICTION
 
 
 class Tares(NamedTuple):
@@ -97,8 +99,10 @@ def estimates(
     """
     limit = None if saturation_microstrain is None else saturation_microstrain * 1e-6
     tares, before, words = tares_of(data, calibration), Before(), dict[int, str]()
+    still = frozen_gauges(calibration, data.strain, _weight(data))
     for start in range(0, len(data.line), CHUNK):
-        found = estimated(calibration, data, slice(start, start + CHUNK), tares, limit, before)
+        rows = slice(start, start + CHUNK)
+        found = estimated(calibration, data, rows, tares, limit, before, frozen=still[rows])
         before = following(found, before)
         lines = data.line[start : start + CHUNK].tolist()
         for line, values, status in zip(lines, found.values.tolist(), found.status.tolist(), strict=True):
@@ -109,7 +113,7 @@ def estimates(
 
 def following(found: Estimates, before: Before) -> Before:
     """What the last sample leaves for the next; rows without a force leave contact as it was."""
-    sensed = found.status[(found.status & (TARE | SATURATED | status_words.CONTRADICTION | status_words.OVERLOAD)) == 0]
+    sensed = found.status[(found.status & _NO_VALUE) == 0]
     present = bool(sensed[-1] & scalar.CONTACT_PRESENT) if sensed.size else before.present
     overloaded = bool(found.status[-1] & status_words.OVERLOAD) if found.status.size else before.overloaded
     return Before(present, overloaded)
@@ -127,8 +131,8 @@ def estimate(
 
     microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``temperature_degC``: (k,) or one number,
     NaN or None where it is not known. ``lost``: (k,), bits of gauges that something else says have failed.
-    ``was_present``: contact before the first. A reading that is not finite makes all unknown. Raises InputError for
-    other shapes.
+    ``was_present``: contact before the first. A reading that is not finite makes all unknown; a gauge that stands
+    still for longer than its noise allows counts as lost. Raises InputError for other shapes.
     """
     strain = np.asarray(microstrain, dtype=np.float64) * 1e-6
     if strain.ndim == 1:
@@ -140,13 +144,15 @@ def estimate(
     if temperature_degC is not None:
         temperature = np.broadcast_to(np.asarray(temperature_degC, dtype=np.float64), len(strain))
     data = Measurements(np.arange(len(strain)), strain, None, None, None, None, temperature, None, None, (), ())
-    found = estimated(calibration, data, slice(None), None, None, Before(was_present), lost)
+    still = frozen_gauges(calibration, data.strain, _weight(data))
+    found = estimated(calibration, data, slice(None), None, None, Before(was_present), lost, still)
     status = (found.status & 0xE0FF | Status.CALIBRATED).astype(np.uint16)
     for bits, flag in (
         (BEYOND_FIRST_ORDER, Status.BEYOND_FIRST_ORDER),
         (status_words.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
         (SATURATED | LEFT_OUT | status_words.OVERLOAD, Status.SATURATED),
         (LEFT_OUT, Status.LEFT_OUT),
+        (FROZEN, Status.FAULT),
     ):
         status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
     P, phi, theta, u_P, u_phi, u_theta = found.values.T
@@ -161,21 +167,23 @@ def estimated(
     limit: float | None,
     before: Before,
     lost: IntArray | None = None,
+    frozen: IntArray | None = None,
 ) -> Estimates:
     """Estimates of some rows that follow each other; ``before``: what the sample before the first of them left.
 
     limit: the converter's, strain, beside the calibration's own (2113h); None: that alone. lost: (rows,), bits of
-    gauges that something else says have failed.
+    gauges that something else says have failed; frozen: those that stand still.
     """
     strain = data.strain[rows]
     temperature = None if data.temperature_degC is None else data.temperature_degC[rows]
     at_limit = _at_limit(calibration, strain, limit)
     missing = at_limit if lost is None else at_limit | lost
+    still = np.zeros_like(missing) if frozen is None else frozen
     judge = judged.Judge(calibration)
     offset, tare_noise = _offsets(calibration, data, rows, tares)
     factor = 1.0 / _weight(data)[rows] + tare_noise
     V = judge.compensated(strain, temperature) - offset
-    found = judge.judge(V, temperature, missing, before.overloaded, factor)
+    found = judge.judge(V, temperature, missing | still, before.overloaded, factor)
     F, covariance = found.F_newtons, found.covariance
     if calibration.parameter_covariance is not None:
         covariance = covariance + _of_calibration(calibration, found, tares is not None)
@@ -184,7 +192,7 @@ def estimated(
         mode = data.mode[rows]
         pull = np.where(mode < 0, pull, mode == MODES.index("pull"))
     contact, u = _both_senses(F, covariance, pull)
-    status = _judged_status(found, data.unloaded[rows], missing)
+    status = _judged_status(found, data.unloaded[rows], missing, still)
     counts = (status & _NO_VALUE) == 0
     limits = model.Limits(
         calibration.contact_on_newtons,
@@ -217,14 +225,15 @@ def _at_limit(calibration: Calibration, strain: FloatArray, limit: float | None)
     return bits
 
 
-def _judged_status(found: judged.Judged, unloaded: BoolArray, missing: IntArray) -> IntArray:
+def _judged_status(found: judged.Judged, unloaded: BoolArray, missing: IntArray, still: IntArray) -> IntArray:
     """The bits that are known before any contact is."""
     known = np.isfinite(found.F_newtons).all(axis=1)
     contradict = (found.faults & status_words.CONTRADICTION) != 0
     status = found.faults & (status_words.BEYOND_CALIBRATED | status_words.TEMPERATURE | status_words.OVERLOAD)
     status |= np.where(contradict & ~known, status_words.CONTRADICTION, 0)
     status |= np.where(known & ((found.faults & judged.GAUGES) != 0), LEFT_OUT, 0)
-    status |= np.where(~known & ~contradict & (missing != 0), SATURATED, 0)
+    lost = ~known & ~contradict
+    status |= np.where(lost & (missing != 0), SATURATED, np.where(lost & (still != 0), FROZEN, 0))
     marked: IntArray = np.where(unloaded, TARE, status)
     return marked
 

@@ -78,14 +78,9 @@ CANNOT_TELL: dict[tuple[str, int], str] = {
 }
 """(fault, gauges) -> why the data cannot always tell."""
 _NOT_IN_PDO = "bits 13 to 15 are in 2124h, not in the contact PDO"
-_NO_STATUS = "a table of strain has no status: readings that repeat are not judged"
 NOT_TOLD: dict[tuple[str, str], str] = {
     ("warm", NODE): _NOT_IN_PDO,
     ("overload", NODE): _NOT_IN_PDO,
-    ("stuck", ESTIMATE): _NO_STATUS,
-    ("stuck", BARE): _NO_STATUS,
-    ("silent", ESTIMATE): _NO_STATUS,
-    ("silent", BARE): _NO_STATUS,
     ("warm", BARE): "no temperature is given, so none is judged",
 }
 """(fault, method) -> what the method is not told."""
