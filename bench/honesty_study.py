@@ -21,7 +21,7 @@ from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.simulation import true_matrix
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.contact.redundancy import parity
-from tipforce.sensor.contact.scalar_parity import DOUBT, LEAST_SHARE
+from tipforce.sensor.contact.scalar_parity import LEAST_SHARE
 from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce_tools.calibrate import fit as fit_command
 
@@ -45,6 +45,8 @@ AFTER = ("clean", "drift", "stuck", "open", "rail", "gain", "overload", "warm, c
 """Faults of readings, on a calibration that is good."""
 IN_CALIBRATION = ("warm, coefficients known", "nonlinear", "SI units")
 OF_ONE_GAUGE = ("drift", "stuck", "gain")
+SPEAKS = 3.5
+"""Chi-square (1.9 sigma): residuals that a fault explains less of do not speak for it."""
 INVISIBLE = " of an invisible gauge"
 """Cells of their own: the product counts such a gauge as one whose fault no residual shows (LEAST_SHARE)."""
 
@@ -79,7 +81,7 @@ class Cell:
     shares: dict[str, float] = field(default_factory=dict)
     """Of the faulty gauges' own noise, the least that showed in the residuals of a finger."""
     passes_5u: float = 0.0
-    """Sum over the rows: the chance that a fault that moves P by five u(P) passes without a doubt."""
+    """Sum over the rows: the chance that the residuals do not speak for a fault that moves P by five u(P)."""
     passes_2u: float = 0.0
     error2: float = 0.0
     u2: float = 0.0
@@ -284,7 +286,7 @@ def _tell(cell: Cell, calibration: Calibration, gauge: int, F: FloatArray) -> No
     # A fault of u(P) shows by so many standard deviations of the residuals.
     shown = np.sqrt(visible) * u / np.abs(along @ C[:, gauge])
     for size, attribute in ((5.0, "passes_5u"), (FACTOR_95, "passes_2u")):
-        passes = sum(_NORMAL.cdf(DOUBT**0.5 - size * one) for one in shown.tolist())
+        passes = sum(_NORMAL.cdf(SPEAKS**0.5 - size * one) for one in shown.tolist())
         setattr(cell, attribute, passes)
 
 

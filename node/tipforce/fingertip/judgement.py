@@ -10,7 +10,7 @@ from tipforce.sensor.contact import scalar
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from .active_calibration import Active, Check, Covariance, Solver
+    from .active_calibration import Active, Check, Covariance
 
 RELEASE = 0.95  # of the overload force: an overload ends below
 UNSTATED_KELVIN = 10.0  # standard uncertainty of a temperature that neither 2122h nor 2112h:3 and 4 tell
@@ -26,7 +26,7 @@ class Judgement:
     """
 
     __slots__ = (
-        "_active", "_doubts", "_extra", "_kelvin", "_lost", "_strains", "bits", "force", "left_out", "solver",
+        "_active", "_extra", "_faults", "_kelvin", "_lost", "_strains", "bits", "force", "left_out", "solver",
     )  # fmt: skip
 
     def __init__(
@@ -41,7 +41,7 @@ class Judgement:
             self.bits = _TEMPERATURE
         self._strains = strains(active, microstrains, known_kelvin)
         self._lost = lost
-        self._doubts: "tuple[float, float, float] | None" = None
+        self._faults: "list[tuple[float, float]]" = []
         self._extra: "list[float] | None" = None
         self.solver = active.solver(lost)
         if self.solver is None:
@@ -62,7 +62,7 @@ class Judgement:
             self._extra = [(model * s) * (model * s) for s in self._strains]
         bits, faults = _judged(check, self._strains, self._extra)
         if bits < 0:
-            self._doubts = _doubt(active, self.solver, faults)
+            self._faults = faults
             return
         self.bits |= _CONTRADICTION
         # One bit alone; of four gauges the three that would be left cannot be checked.
@@ -76,7 +76,7 @@ class Judgement:
         self.solver = solver
         if solver is not None:
             self.left_out = gauge
-            self._doubts = _doubt(active, solver, faults)
+            self._faults = faults
 
     def _judge_force(self, overloaded: bool, known_kelvin: float) -> None:
         active, solver = self._active, self.solver
@@ -110,8 +110,12 @@ class Judgement:
             if active.per_kelvin is not None:
                 moved = [m + _dot(row, active.per_kelvin) for m, row in zip(moved, matrix)]  # noqa: B905
             found = _with(found, self._kelvin * moved[0], self._kelvin * moved[1], self._kelvin * moved[2])
-        if self._doubts is not None:
-            found = _with(found, self._doubts[0], self._doubts[1], self._doubts[2])
+        if self._faults:
+            from tipforce.sensor.contact import scalar_parity  # a node with three gauges does without
+
+            k11, k12, k13, k22, k23, k33 = found
+            d11, d12, d13, d22, d23, d33 = scalar_parity.doubt(matrix, active.noise, self._faults)
+            found = k11 + d11, k12 + d12, k13 + d13, k22 + d22, k23 + d23, k33 + d33
         return found
 
 
@@ -157,14 +161,6 @@ def _judged(check: "Check", V: "list[float]", extra: "list[float] | None") -> "t
     W, shown, alarm, exclusion = check
     _chi_square, bits, faults = scalar_parity.judge(W, shown, V, extra, alarm, exclusion)
     return bits, faults
-
-
-def _doubt(
-    active: "Active", solver: "Solver | None", faults: "list[tuple[float, float]]"
-) -> "tuple[float, float, float] | None":
-    from tipforce.sensor.contact import scalar_parity
-
-    return scalar_parity.doubt(solver[0], active.noise, faults) if solver is not None and faults else None
 
 
 def _with(cov: "Covariance", f1: float, f2: float, f3: float) -> "Covariance":

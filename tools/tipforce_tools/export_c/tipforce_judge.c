@@ -10,9 +10,8 @@ typedef TIPFORCE_REAL real;
 #define SMALLEST_PIVOT 1e-13
 #define SMALLEST_VARIANCE 1e-6
 #define CONDITION_LIMIT 1e4
-#define DOUBT ((real)3.5)
+#define NO_FAULT 16.0
 #define LEAST_SHARE ((real)0.1)
-#define TIE ((real)(1 + 1e-3))
 #define RELEASE ((real)0.95)
 #define UNSTATED_KELVIN 10.0
 
@@ -404,23 +403,26 @@ static void add(real cov[6], const real f[3])
     cov[3] += f[1] * f[1], cov[4] += f[1] * f[2], cov[5] += f[2] * f[2];
 }
 
+/* The fault of each gauge that shows, weighed by its probability: odds of NO_FAULT to 1 before the sample. */
 static void add_doubt(const tipforce_record *r, tipforce_verdict *v, const real explained[N], const real visible[N])
 {
-    real worst = 0, found[3] = {0, 0, 0};
+    double most = 0.0, likelihood[N], total;
     for (int k = 0; k < N; k++) {
-        if (explained[k] > DOUBT && visible[k] * (real)r->noise[place(k, k)] >= LEAST_SHARE) {
-            real size = (real)sqrt((double)(explained[k] / visible[k])), f[3], moved = 0;
-            for (int i = 0; i < 3; i++) {
-                f[i] = size * v->C[i][k];
-                moved += f[i] * f[i];
-            }
-            if (moved > TIE * worst) {
-                worst = moved;
-                memcpy(found, f, sizeof found);
-            }
+        likelihood[k] = visible[k] * (real)r->noise[place(k, k)] >= LEAST_SHARE ? 1.0 : 0.0;
+        most = likelihood[k] > 0.0 ? fmax(most, (double)explained[k]) : most;
+    }
+    total = NO_FAULT * exp(-0.5 * most);
+    for (int k = 0; k < N; k++) {
+        likelihood[k] *= exp(0.5 * fmin((double)explained[k] - most, 0.0));
+        total += likelihood[k];
+    }
+    for (int k = 0; k < N; k++) {
+        if (likelihood[k] > 0.0) {
+            real size = (real)sqrt(likelihood[k] / total * (double)explained[k] / (double)visible[k]);
+            real f[3] = {size * v->C[0][k], size * v->C[1][k], size * v->C[2][k]};
+            add(v->cov, f);
         }
     }
-    add(v->cov, found);
 }
 
 static bool compensated(const tipforce_record *r)

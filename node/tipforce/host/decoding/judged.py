@@ -65,7 +65,7 @@ class _Work(NamedTuple):
     extra: FloatArray  # (m, n), strain^2 beside the noise
     factor: FloatArray  # (m,), of the noise's variance
     left: IntArray  # (m,), bits of the gauges left out
-    doubts: FloatArray  # (m, 3), newtons
+    doubts: FloatArray  # (m, 3, 3), N^2
     known: BoolArray  # (m,), the force
     faults: IntArray  # (m,)
 
@@ -112,7 +112,7 @@ class Judge:
         faults = np.where(outside, TEMPERATURE, 0).astype(np.int64)
         extra = np.square(self._calibration.model_uncertainty * V)
         known = np.zeros(m, dtype=np.bool_)
-        work = _Work(V, extra, factor, lost.astype(np.int64), np.zeros((m, 3)), known, faults)
+        work = _Work(V, extra, factor, lost.astype(np.int64), np.zeros((m, 3, 3)), known, faults)
         for mask in np.unique(lost).tolist():
             rows = np.flatnonzero(lost == mask)
             known[rows] = self._solver(mask) is not None
@@ -240,7 +240,7 @@ class Judge:
     ) -> FloatArray:
         """What model, temperature and a possible fault add to the covariance of F, (m, 3, 3)."""
         one = self._calibration
-        found = doubts[:, :, np.newaxis] * doubts[:, np.newaxis, :]
+        found = doubts
         if one.model_uncertainty > 0.0:
             model = np.full(len(F), one.model_uncertainty)
             beyond = (faults & BEYOND_CALIBRATED) != 0
@@ -295,17 +295,15 @@ def _faults(W: FloatArray, shown: BoolArray, V: FloatArray, extra: FloatArray, f
 
 
 def _doubt(matrix: FloatArray, variance: FloatArray, found: _Faults, rows: BoolArray, factor: FloatArray) -> FloatArray:
-    """scalar_parity.doubt() for m samples: (m, 3), newtons."""
+    """scalar_parity.doubt() for m samples: (m, 3, 3), N^2."""
     explained, visible = found.explained[rows], found.visible[rows]
-    open_ = (explained > scalar_parity.DOUBT) & (
-        visible * variance * factor[:, np.newaxis] >= scalar_parity.LEAST_SHARE
-    )
-    squared = np.divide(explained, visible, out=np.zeros_like(visible), where=open_)
-    moved = squared * np.square(matrix).sum(axis=0)
-    worst = (scalar_parity.TIE * moved >= moved.max(axis=1, keepdims=True)).argmax(axis=1)
-    size = np.sqrt(np.take_along_axis(squared, worst[:, np.newaxis], axis=1)[:, 0])
-    found_newtons: FloatArray = size[:, np.newaxis] * matrix[:, worst].T
-    return found_newtons
+    shown = visible * variance * factor[:, np.newaxis] >= scalar_parity.LEAST_SHARE
+    most = np.where(shown, explained, 0.0).max(axis=1, keepdims=True)
+    likelihood = np.exp(0.5 * np.where(shown, explained - most, -np.inf))
+    total = scalar_parity.NO_FAULT * np.exp(-0.5 * most) + likelihood.sum(axis=1, keepdims=True)
+    squared = np.divide(likelihood / total * explained, visible, out=np.zeros_like(visible), where=shown)
+    added: FloatArray = (matrix * squared[:, np.newaxis, :]) @ matrix.T
+    return added
 
 
 def _square(upper: tuple[float, float, float, float, float, float]) -> FloatArray:

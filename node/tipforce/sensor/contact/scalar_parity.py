@@ -7,7 +7,7 @@ extra_k w_k w_k; chi-square p M^-1 p is that of the weighted residuals of redund
 fault f of gauge k adds f w_k to p, w_k being column k of W.
 """
 
-from math import sqrt
+from math import exp, sqrt
 
 from .scalar_redundancy import SMALLEST_VARIANCE, square, structure_matrix
 
@@ -17,13 +17,11 @@ if TYPE_CHECKING:
 
     Directions = list[list[float]]
 
-DOUBT = 3.5
-"""Chi-square by which a gauge explains a sample before its possible fault adds to the uncertainty (1.9 sigma)."""
+NO_FAULT = 16.0
+"""Odds, before a sample, that no gauge is at fault to those that a certain one is."""
 LEAST_SHARE = 0.1
 """Of a gauge's own variance: a gauge that shows less in the residuals counts as invisible. Its noise there would pass
 for a fault that moves F by more than three times what all its noise does."""
-TIE = 1.0 + 1e-3
-"""Of two gauges whose faults move F alike the first counts, whatever rounding (of single precision, too) says."""
 
 
 def directions(C: "list[list[float]]", noise: "list[float]", kept: "list[int]") -> "Directions | None":
@@ -116,26 +114,31 @@ def doubt(
     C: "list[list[float]]",
     noise: "list[float]",
     faults: "list[tuple[float, float]]",
-) -> "tuple[float, float, float]":
-    """Return the change of F (N) by the fault, below the limit, that the residuals of a sample speak for.
+) -> "tuple[float, float, float, float, float, float]":
+    """Return what a fault below the limit adds to the covariance of F: upper triangle, N^2.
 
-    Of the gauges that explain more than DOUBT, the one whose best-fitting fault moves F most; zeros where none does.
-    faults: of ``judge``. Times itself it is what a possible fault adds to the covariance of F.
+    The sum over the gauges of the square of what the best-fitting fault of each does to F, weighed by the probability
+    of that fault (Bayes: odds of NO_FAULT to 1 before the sample, likelihood exp(explained / 2)). faults: of ``judge``.
     """
     n = len(faults)
-    worst, found = 0.0, (0.0, 0.0, 0.0)
-    place = 0
+    shown: list[int] = []
+    place, most = 0, 0.0
     for k in range(n):
-        variance = noise[place]
-        place += n - k
         explained, visible = faults[k]
-        if explained > DOUBT and visible * variance >= LEAST_SHARE:
-            size = sqrt(explained / visible)
-            f1, f2, f3 = size * C[0][k], size * C[1][k], size * C[2][k]
-            moved = f1 * f1 + f2 * f2 + f3 * f3
-            if moved > TIE * worst:
-                worst, found = moved, (f1, f2, f3)
-    return found
+        if visible * noise[place] >= LEAST_SHARE:
+            shown.append(k)
+            most = max(most, explained)
+        place += n - k
+    # Likelihoods relative to the largest: a limit far above any chi-square leaves nothing that overflows.
+    total = NO_FAULT * exp(-0.5 * most) + sum([exp(0.5 * (faults[k][0] - most)) for k in shown])
+    k11 = k12 = k13 = k22 = k23 = k33 = 0.0
+    for k in shown:
+        explained, visible = faults[k]
+        squared = exp(0.5 * (explained - most)) / total * explained / visible
+        f1, f2, f3 = C[0][k], C[1][k], C[2][k]
+        k11, k12, k13 = k11 + squared * f1 * f1, k12 + squared * f1 * f2, k13 + squared * f1 * f3
+        k22, k23, k33 = k22 + squared * f2 * f2, k23 + squared * f2 * f3, k33 + squared * f3 * f3
+    return k11, k12, k13, k22, k23, k33
 
 
 def _root(W: "Directions", extra: "Sequence[float]") -> "list[list[float]]":
