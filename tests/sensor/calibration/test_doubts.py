@@ -158,9 +158,9 @@ def test_ok_means_ok_for_five_gauges(monkeypatch: pytest.MonkeyPatch) -> None:
     found = {cell.fault: cell for cell in cells(5, Rig(), ("clean", "drift", "gain"), 4)}
     clean, drift, gain = (found[name] for name in ("clean", "drift", "gain"))
     assert (clean.wrong, drift.wrong) == (0, 0)
-    # K_H hardly shows: a tenth more of it passes where the force is small, and the verdict knows how often.
-    assert verdict(gain).startswith("cannot tell: a fault of 5 u(P) passes in ")
-    assert gain.wrong <= 1
+    # A tenth more of a gauge passes where the force is small: what it may do there is in the uncertainty.
+    assert verdict(gain) == "good"
+    assert 0.2 < gain.ok_share < 0.8
     assert clean.ok_share > 0.99
     assert clean.u_over_error < 1.2
     assert 0.0 < drift.ok_share < 0.3
