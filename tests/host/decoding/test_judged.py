@@ -17,8 +17,10 @@ from tipforce.fingertip.sample import Sample
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged
+from tipforce.host.decoding.contact_columns import ContactColumns
 from tipforce.host.decoding.contacts import Status
 from tipforce.host.decoding.estimates import Before, estimate, estimated, following
+from tipforce.host.decoding.sample_table import Table, computed
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
 
@@ -111,6 +113,38 @@ def test_public_estimate_says_the_same(n: int) -> None:
     assert np.isnan(found.P_newtons[found.has(Status.CONTRADICTION | Status.OVERLOAD)]).all()
     with pytest.raises(InputError, match="microstrain has the shape"):
         estimate(calibration, np.ones((4, n + 1)))
+
+
+@pytest.mark.parametrize("n", [3, 5, 8])
+def test_decode_says_the_same(n: int) -> None:
+    """The columns of `decode --calibration`, from gauges and temperature alone, in full precision."""
+    calibration, samples = recorded(n)
+    microstrain, temperature = strains(samples)
+    k = len(samples)
+    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(n)]
+    values = {column.name: microstrain[:, gauge] for gauge, column in enumerate(columns)}
+    # Before a log tells a temperature it is unknown, later the last one holds: unknown again is not in a log.
+    told = ~np.isnan(temperature)
+    columns.append(computed("temperature", ""))
+    values["temperature"] = temperature
+    table = Table(
+        np.arange(k) * 1_000_000, np.full(k, 5, np.uint16), np.arange(k), np.ones(k, np.bool_), tuple(columns), values
+    )
+    (found,) = ContactColumns({None: calibration}, None).tables([table])
+    unresolved = np.array([s.faults >> 12 & 1 == 1 and s.solver is None for s in samples])
+    for name, node in (
+        ("beyond_calibrated", [s.faults >> 13 & 1 for s in samples]),
+        ("temperature_outside", [s.faults >> 14 & 1 for s in samples]),
+        ("overload", [s.faults >> 15 & 1 for s in samples]),
+        ("contradiction", unresolved),
+        ("gauge_left_out", [s.spared for s in samples]),
+    ):
+        np.testing.assert_array_equal(found.values[name][told], np.array(node, dtype=np.int8)[told], name)
+    hidden = np.array([bool(s.unknown() & scalar.UNKNOWN_FORCE) for s in samples])
+    np.testing.assert_array_equal(np.isnan(found.values["P_N"])[told], hidden[told])
+    shown = np.flatnonzero(told & ~hidden)
+    P = [samples[row].contact()[0] for row in shown]
+    np.testing.assert_allclose(found.values["P_N"][shown], P, rtol=1e-12)
 
 
 def test_rows_in_parts_are_rows_at_once() -> None:
