@@ -148,6 +148,37 @@ def test_a_parameter_covariance_that_is_none_is_refused(calibration: Path, capsy
     assert "parameter covariance: not positive semi-definite; no correlation may be over 1" in capsys.readouterr().err
 
 
+def test_a_tare_ages(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """u(P) grows with the time to the nearest tare, or without one since the first row, by the stated rate."""
+    load = microstrain(2.0, 30.0, 50.0)
+    tared = f"t_s,mode,SG1,SG2,SG3\n0,tare,20,-30,5\n1,,{load}\n90,,{load}\n100,tare,20,-30,5\n300,,{load}\n"
+    bare = f"t_s,SG1,SG2,SG3\n5,{load}\n6,{load}\n205,{load}\n"
+
+    def u_P(text: str) -> FloatArray:
+        rows, _ = estimated(calibration, text, capsys)
+        return np.array([float(row["u_P_N"]) for row in rows if row["status"] != "tare"])
+
+    before = [u_P(text) for text in (tared, bare)]
+    content = calibration.read_text()
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = 0.1\nserial =", 1))
+    after = [u_P(text) for text in (tared, bare)]
+    one_microstrain = before[1][0]  # the noise of each gauge is 1 microstrain
+    for old, new, ages in zip(before, after, ([1, 10, 200], [0, 1, 200]), strict=True):
+        added = np.sqrt(np.maximum(new**2 - old**2, 0.0))
+        np.testing.assert_allclose(added, 0.1 * np.array(ages) * one_microstrain, rtol=1e-4, atol=1e-6)
+    read = Calibration.read(calibration)
+    assert read.tare_drift_strain_per_s == pytest.approx(1e-7)
+    read.write(calibration)
+    assert Calibration.read(calibration).tare_drift_strain_per_s == pytest.approx(1e-7)
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = -1.0\nserial =", 1))
+    table = calibration.with_name("gauges.csv")
+    assert main(["estimate", str(calibration), str(table)]) == 2
+    assert "tare_drift: -1 microstrain/s, allowed is 0" in capsys.readouterr().err
+    calibration.write_text(content.replace("serial =", "tare_drift_microstrain_per_s = 0.1\nserial =", 1))
+    _, err = estimated(calibration, f"SG1,SG2,SG3\n{load}\n", capsys)
+    assert "no t_s: the tare's age is unknown" in err
+
+
 def test_status_words_and_what_they_make_unknown(calibration: Path, capsys: pytest.CaptureFixture[str]) -> None:
     missing = A @ np.array([1.0, 1.5, 0.0]) + OFFSET
     texts = [

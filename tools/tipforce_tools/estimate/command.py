@@ -59,6 +59,8 @@ def run(args: argparse.Namespace) -> int:
         common.note(args, f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
     if data.unloaded.any() and data.t_s is None:
         common.note(args, f"{args.gauges}: no t_s: offsets are interpolated between tares by row")
+    if calibration.tare_drift_strain_per_s and data.t_s is None:
+        common.note(args, f"{args.gauges}: no t_s: the tare's age is unknown, and its drift not in the uncertainties")
     rows = estimates(calibration, data, args.saturation)
     with _output(args) as stream:
         _write(stream, _merged(rows, data), args.json)

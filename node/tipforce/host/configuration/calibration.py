@@ -67,6 +67,9 @@ class Calibration:
     """Relative change of the gauges' response per kelvin (2115h): F = C V / (1 + this (T - reference))."""
     redundancy_limit: float = 0.0
     """Limit of the redundancy check, chi-square of n - 3 degrees of freedom (2116h). 0: off."""
+    tare_drift_strain_per_s: float = 0.0
+    """Standard deviation of the rate at which each gauge's offset drifts after a tare. 0: not stated. A node does not
+    hold it: the uncertainty that the host computes grows with the age of the tare, the node's own does not."""
     parameter_covariance: FloatArray | None = None
     """Covariance of the fitted strain per newton and offset, (n, 4, n, 4), strain^2: what the calibration itself
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""

@@ -63,6 +63,9 @@ def check(calibration: Calibration) -> None:
         raise InputError("calibration covariance: not positive semi-definite; no correlation may be over 1")
     if calibration.parameter_covariance is not None:
         _check_parameters(calibration.parameter_covariance)
+    drift = calibration.tare_drift_strain_per_s
+    if not 0.0 <= drift < np.inf:
+        raise InputError(f"calibration tare_drift: {1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above")
     _check_validity(calibration)
 
 

@@ -45,6 +45,8 @@ class _Table(msgspec.Struct, forbid_unknown_fields=True):
     offset_temperature_microstrain_per_K: list[float] | None = None
     gain_temperature_per_K: float | None = None
     redundancy_limit: float | None = None
+    tare_drift_microstrain_per_s: float = 0.0
+    """For the host alone: not in the node's record, so the crc32 does not cover it."""
     crc32: str | None = None
 
 
@@ -225,6 +227,7 @@ def _validity(content: _Table, path: str | Path, n: int) -> dict[str, Any]:
     """The fields of version 2; what is absent is not known."""
     stated = {name: getattr(content, name) for name in _SCALARS}
     found: dict[str, Any] = {name: 0.0 if value is None else value for name, value in stated.items()}
+    found["tare_drift_strain_per_s"] = content.tare_drift_microstrain_per_s * 1e-6
     for key, name in _PER_GAUGE.items():
         values = getattr(content, key)
         if values is not None and len(values) != n:
@@ -277,6 +280,8 @@ def write_calibration(
     }
     content |= {name: getattr(calibration, name) for name in _SCALARS}
     content |= {key: (getattr(calibration, name) * 1e6).tolist() for key, name in _PER_GAUGE.items()}
+    if calibration.tare_drift_strain_per_s:
+        content["tare_drift_microstrain_per_s"] = calibration.tare_drift_strain_per_s * 1e6
     content["crc32"] = f"0x{calibration.crc32():08X}"
     if calibration.date:
         content["date"] = _date(path, calibration.date)

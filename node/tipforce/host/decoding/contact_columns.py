@@ -66,6 +66,7 @@ class ContactColumns:
         self._calibrations = calibrations
         self._asked = asked
         self._before: dict[int, estimate_rows.Before] = {}
+        self._first_ns: dict[int, int] = {}
         self._temperature_degC: dict[int, float] = {}
 
     def tables(self, tables: Iterable[Table]) -> Iterator[Table]:
@@ -114,7 +115,10 @@ class ContactColumns:
             return
         data = Measurements(table.t_ns[rows], strain, None, None, None, None, temperature, None, None, (), ())
         before = self._before.get(key, estimate_rows.Before())
-        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, lost | judged.at_end(1e6 * strain))
+        lost = lost | judged.at_end(1e6 * strain)
+        first_ns = self._first_ns.setdefault(key, int(table.t_ns[rows[0]]))  # a log does not say when the node tared
+        age_s = np.asarray(table.t_ns[rows] - first_ns, dtype=np.float64) * 1e-9
+        found = estimate_rows.estimated(tip, data, slice(None), None, None, before, lost, age_s=age_s)
         for number, column in enumerate(VALUES):
             values[column.name][rows] = found.values[:, number]
         for name, bit in FLAGS.items():

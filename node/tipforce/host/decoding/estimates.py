@@ -16,6 +16,7 @@ from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged, status_words
 from tipforce.host.decoding.contacts import Contacts, Status
 from tipforce.host.decoding.frozen import frozen_gauges
+from tipforce.host.decoding.tare_age import ages_s, covariance_of_age
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
 from tipforce.sensor.contact import estimate as model
@@ -100,9 +101,11 @@ def estimates(
     limit = None if saturation_microstrain is None else saturation_microstrain * 1e-6
     tares, before, words = tares_of(data, calibration), Before(), dict[int, str]()
     still = frozen_gauges(calibration, data.strain, _weight(data))
+    age_s = None if data.t_s is None else ages_s(data.t_s, None if tares is None else tares.at)
     for start in range(0, len(data.line), CHUNK):
         rows = slice(start, start + CHUNK)
-        found = estimated(calibration, data, rows, tares, limit, before, frozen=still[rows])
+        age = None if age_s is None else age_s[rows]
+        found = estimated(calibration, data, rows, tares, limit, before, frozen=still[rows], age_s=age)
         before = following(found, before)
         lines = data.line[start : start + CHUNK].tolist()
         for line, values, status in zip(lines, found.values.tolist(), found.status.tolist(), strict=True):
@@ -168,11 +171,13 @@ def estimated(
     before: Before,
     lost: IntArray | None = None,
     frozen: IntArray | None = None,
+    age_s: FloatArray | None = None,
 ) -> Estimates:
     """Estimates of some rows that follow each other; ``before``: what the sample before the first of them left.
 
     limit: the converter's, strain, beside the calibration's own (2113h); None: that alone. lost: (rows,), bits of
-    gauges that something else says have failed; frozen: those that stand still.
+    gauges that something else says have failed; frozen: those that stand still;
+    age_s: (rows,), of the tare.
     """
     strain = data.strain[rows]
     temperature = None if data.temperature_degC is None else data.temperature_degC[rows]
@@ -187,6 +192,8 @@ def estimated(
     F, covariance = found.F_newtons, found.covariance
     if calibration.parameter_covariance is not None:
         covariance = covariance + _of_calibration(calibration, found, tares is not None)
+    if age_s is not None and calibration.tare_drift_strain_per_s > 0.0:
+        covariance = covariance + covariance_of_age(calibration, found.matrix, age_s)
     pull = np.full(len(V), calibration.pull)
     if data.mode is not None:
         mode = data.mode[rows]
