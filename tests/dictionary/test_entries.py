@@ -19,12 +19,12 @@ CONSTANTS: dict[str, Any] = {k: v for k, v in vars(od).items() if isinstance(v, 
 
 
 def test_every_dotted_name_has_its_constant_and_no_more() -> None:
-    slugs = {row.slug for row in rows(3, True).values() if row.slug}
+    slugs = {row.slug for row in rows(3, True, True).values() if row.slug}
     assert set(CONSTANTS) == {constant_name(slug) for slug in slugs}
 
 
 def test_constants_agree_with_the_table() -> None:
-    for row in rows(3, True).values():
+    for row in rows(3, True, True).values():
         if not row.slug:
             continue
         constant = CONSTANTS[constant_name(row.slug)]
@@ -89,6 +89,6 @@ def test_frozen_and_copied() -> None:
 
 
 def test_every_constant_has_the_python_type_of_its_letter() -> None:
-    for row in rows(3, True).values():
+    for row in rows(3, True, True).values():
         value = b"" if row.letter == "D" else row.default
         assert isinstance(value, types.data_type(row.letter).python), row.dotted

@@ -43,7 +43,7 @@ def test_nothing_heavy_is_imported() -> None:
 @pytest.mark.parametrize("n", [3, 8])
 def test_reference_names_everything(n: int) -> None:
     text = reference_markdown(n)
-    for found in objects(n, True):
+    for found in objects(n, True, programs=True):
         assert f"| {found.index:04X}h |" in text
         for row in found.rows:
             shown = f"`{row.slug}:" if row.many else f"`{row.slug}`"

@@ -30,7 +30,7 @@ def on_node_files() -> tuple[Path, ...]:
     """
     code = (
         "import sys, tipforce.fingertip.node, tipforce.fingertip.filters, tipforce.fingertip.judgement; "
-        "import tipforce.sensor.contact.scalar_parity; "
+        "import tipforce.sensor.contact.scalar_parity, tipforce.device.program; "
         "import tipforce.dictionary.table; tipforce.dictionary.table.objects(); "
         "import tipforce.sources.simulated, tipforce.sources.front_end; "
         "print(*[m.__file__ for n, m in sys.modules.items() if 'tipforce' in n])"

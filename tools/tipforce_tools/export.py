@@ -53,6 +53,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
     parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
+    parser.add_argument(
+        "--programs", action="store_true", help="eds: add 1F50h to 1F57h of firmware with program slots"
+    )
     common.add_output_arguments(parser)
 
 
@@ -86,7 +89,7 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
     if args.format == "xdd":
         return _xdd(args, converter)
     if args.format == "eds":
-        text = eds_text(args.gauges, args.simulated, converter)
+        text = eds_text(args.gauges, args.simulated, converter, args.programs)
     elif args.node_id is None:
         raise InputError("--node-id: a DCF belongs to one node; add it, for example --node-id 5")
     else:

@@ -8,6 +8,8 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
+    from .sdo_server import Sink
+
     Value = int | float | str | bytes
     Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
 
@@ -78,12 +80,13 @@ class ObjectDictionary:
 
     A service that owns an object registers hooks for its index: ``readers[index](sub)`` returns the value in place
     of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
-    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``dummies`` are the types that
-    an RPDO may map as placeholders (7.4.7.1). ``watch(index, sub)`` returns
-    the key of the value that a write changes if that matters, else 0; ``changed()`` is called after such a change.
+    stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
+    returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
+    an RPDO may map as placeholders (7.4.7.1). ``watch(index, sub)`` returns the key of the value that a write changes
+    if that matters, else 0; ``changed()`` is called after such a change.
     """
 
-    __slots__ = ("_entries", "changed", "dummies", "node_id", "readers", "sizes", "values", "watch", "writers")
+    __slots__ = ("_entries", "changed", "dummies", "node_id", "readers", "sinks", "sizes", "values", "watch", "writers")
 
     def __init__(self, node_id: int) -> None:
         self.node_id = node_id
@@ -93,6 +96,7 @@ class ObjectDictionary:
         self.writers: "dict[int, Callable[[int, Value], int]]" = {}
         self.sizes: "dict[int, int]" = {}
         self.dummies = DUMMIES
+        self.sinks: "dict[int, Callable[[int, int | None], Sink | int]]" = {}
         self.watch: "Callable[[int, int], int]" = _nothing
         self.changed: "Callable[[], None] | None" = None
 

@@ -16,16 +16,22 @@ _WITH_CRC = 4
 
 
 class BlockDownload:
-    """Block download. Segments out of order are discarded; the response to a block states the last one in order."""
+    """Block download. Segments out of order are discarded; the response to a block states the last one in order.
 
-    __slots__ = ("_buffer", "_ending", "_expected", "_limit", "_patience", "_server", "_size", "_with_crc")
+    The sink gets the segments of a block before the response: a sink that is slow loses no segments.
+    """
+
+    __slots__ = (
+        "_buffer", "_crc", "_ending", "_expected", "_length", "_limit", "_patience", "_server", "_size", "_with_crc",
+    )  # fmt: skip
 
     def __init__(self, server: "SdoServer", size: "int | None", limit: int, with_crc: bool) -> None:
         self._server = server
         self._size = size
         self._limit = limit if size is None else size
         self._with_crc = with_crc
-        self._buffer = bytearray()
+        self._buffer = bytearray()  # what the sink has not: the segments of this block, or the last ones
+        self._length = self._crc = 0  # of what the sink has
         self._expected = 1
         self._ending = False
         self._patience = True
@@ -63,7 +69,7 @@ class BlockDownload:
             self._buffer += data[1:]
             self._ending = bool(last)
             # The last segment may contain up to 7 unused bytes; their number is known only at the end.
-            if len(self._buffer) - (7 if last else 0) > self._limit:
+            if self._length + len(self._buffer) - (7 if last else 0) > self._limit:
                 self._server.abort(codes.TOO_LONG)
                 return
         if last or number == MAX_BLOCK:
@@ -73,20 +79,35 @@ class BlockDownload:
 
     def _acknowledge(self) -> None:
         received, self._expected = self._expected - 1, 1
+        if not self._ending:
+            part, self._buffer = bytes(self._buffer), bytearray()
+            self._count(part)
+            sink = self._server.sink
+            assert sink is not None
+            abort = sink.write(part) if part else 0
+            if abort:
+                self._server.abort(abort)
+                return
         self._server.answer(bytes((0xA2, received, MAX_BLOCK)))
+
+    def _count(self, part: bytes) -> None:
+        self._length += len(part)
+        if self._with_crc:
+            self._crc = crc16(part, self._crc)
 
     def _end(self, data: bytes) -> None:
         if data[0] & 0xE3 != 0xC1:
             self._server.abort(codes.UNKNOWN_COMMAND)
             return
         unused = data[0] >> 2 & 7
-        content = bytes(self._buffer[: len(self._buffer) - unused])
-        if self._with_crc and crc16(content) != data[1] | data[2] << 8:
+        part = bytes(self._buffer[: len(self._buffer) - unused])
+        self._count(part)
+        if self._with_crc and self._crc != data[1] | data[2] << 8:
             self._server.abort(codes.BLOCK_CRC)
-        elif self._size is not None and len(content) != self._size:
-            self._server.abort(codes.TOO_LONG if len(content) > self._size else codes.TOO_SHORT)
+        elif self._size is not None and self._length != self._size:
+            self._server.abort(codes.TOO_LONG if self._length > self._size else codes.TOO_SHORT)
         else:
-            self._server.finish(content, b"\xa1")
+            self._server.end(part, b"\xa1")
 
 
 class BlockUpload:

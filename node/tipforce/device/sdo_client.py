@@ -6,7 +6,7 @@ from . import codes
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Generator
+    from collections.abc import Callable, Generator
 
     Conversation = Generator[bool, "bytes | None", None]
     Exchange = Generator[bool, "bytes | None", bytes]
@@ -201,13 +201,29 @@ class Upload(Transfer):
 
 
 class Download(Transfer):
-    """Expedited (1 to 4 bytes) or segmented download: write an object."""
+    """Expedited (1 to 4 bytes) or segmented download: write an object.
 
-    __slots__ = ("_content",)
+    ``progress`` receives the number of bytes that the server has acknowledged.
+    """
 
-    def __init__(self, index: int, sub: int, timeout_us: int, deadline_us: int, content: bytes) -> None:
+    __slots__ = ("_content", "_progress")
+
+    def __init__(
+        self,
+        index: int,
+        sub: int,
+        timeout_us: int,
+        deadline_us: int,
+        content: bytes,
+        progress: "Callable[[int], None] | None" = None,
+    ) -> None:
         super().__init__(index, sub, timeout_us, deadline_us)
         self._content = content
+        self._progress = progress
+
+    def _arrived(self, length: int) -> None:
+        if self._progress is not None:
+            self._progress(min(length, len(self._content)))
 
     def _converse(self) -> "Conversation":
         content = self._content
@@ -220,4 +236,5 @@ class Download(Transfer):
             part = content[start : start + 7]
             command = toggle | (7 - len(part)) << 1 | (start + 7 >= len(content))
             yield from self._segment(bytes((command,)) + part, _DOWNLOAD_SEGMENT, toggle)
+            self._arrived(start + 7)
             toggle ^= 0x10

@@ -102,6 +102,7 @@ class BlockDownload(Download):
             if empty_blocks == _MOST_EMPTY_BLOCKS:
                 raise TransferError(codes.BLOCK_SEQUENCE, f"no segment of {_MOST_EMPTY_BLOCKS} blocks was acknowledged")
             offset, block_size = offset + 7 * response[1], response[2]
+            self._arrived(offset)
         crc = crc16(content) if first[0] & _WITH_CRC else 0
         self._send(bytes((0xC1 | (offset - len(content)) << 2, crc & 0xFF, crc >> 8)))
         yield from self._response(0xA1)

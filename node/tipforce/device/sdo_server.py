@@ -7,7 +7,23 @@ from .sdo_block import MAX_BLOCK, BlockDownload, BlockUpload
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from typing import Protocol
+
     from .node import Device
+    from .object_dictionary import ObjectDictionary
+
+    class Sink(Protocol):
+        """Where the content of a segmented or block download goes, in parts and in order."""
+
+        def write(self, part: bytes) -> int:
+            """Take the next bytes; return 0 or an abort code."""
+
+        def end(self) -> int:
+            """All bytes have arrived, with the right CRC and length: return 0 or an abort code."""
+
+        def cancel(self) -> None:
+            """The transfer has ended early."""
+
 
 TIMEOUT_US = 1000000  # a client that is silent for this time loses its transfer
 # Client command specifiers.
@@ -16,24 +32,50 @@ _IDLE = 0
 MAX_DOWNLOAD_BYTES = 4096  # bounds memory for objects that state no length
 
 
+class Collected:
+    """The sink of an ordinary object: the value is written when it is complete."""
+
+    __slots__ = ("_content", "_index", "_od", "_sub")
+
+    def __init__(self, od: "ObjectDictionary", index: int, sub: int) -> None:
+        self._od, self._index, self._sub = od, index, sub
+        self._content = bytearray()
+
+    def write(self, part: bytes) -> int:
+        """Take the next bytes."""
+        self._content += part
+        return 0
+
+    def end(self) -> int:
+        """Write the value; return 0, or the abort code if the object rejects it."""
+        return self._od.download(self._index, self._sub, bytes(self._content))
+
+    def cancel(self) -> None:
+        """Do nothing: nothing has been written."""
+
+
 class SdoServer:
     """Default SDO server: receives frames of 8 bytes on 0x600 + node-id, responds on 0x580 + node-id."""
 
     __slots__ = (
         "_block", "_buffer", "_device", "_index", "_offset", "_size", "_sub", "_toggle", "_transfer", "due_us",
-        "max_download_bytes",
+        "max_download_bytes", "sink",
     )  # fmt: skip
 
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.max_download_bytes = MAX_DOWNLOAD_BYTES
+        self.sink: "Sink | None" = None
         self.reset()
 
     def reset(self) -> None:
         """Discard any transfer."""
         self._transfer = _IDLE
         self._block: "BlockDownload | BlockUpload | None" = None
-        self._buffer: "bytes | bytearray" = b""
+        self._buffer = b""
+        sink, self.sink = self.sink, None
+        if sink is not None:
+            sink.cancel()
         self._index = self._sub = self._offset = self._toggle = 0
         self._size: "int | None" = None
         self.due_us = codes.NEVER_US
@@ -108,9 +150,17 @@ class SdoServer:
         self.reset()
         self.answer(head + struct.pack("<I", code))
 
-    def finish(self, data: bytes, confirmation: bytes) -> None:
-        """Write the complete data; confirm it, or abort if the object rejects it."""
-        abort = self._device.od.download(self._index, self._sub, data)
+    def end(self, part: bytes, confirmation: bytes) -> None:
+        """Write the last part of a download and end it; confirm it, or abort if the object rejects the content."""
+        sink = self.sink
+        assert sink is not None
+        abort = sink.write(part)
+        if not abort:
+            self.sink = None
+            abort = sink.end()
+        self._finish(abort, confirmation)
+
+    def _finish(self, abort: int, confirmation: bytes) -> None:
         if abort:
             self.abort(abort)
         else:
@@ -165,7 +215,7 @@ class SdoServer:
             return
         # Bit 0: the data contains the size; without it the size is known only at the end.
         if self._may_download(struct.unpack("<I", data[4:])[0] if command & 1 else None):
-            self._transfer, self._buffer = _DOWNLOAD, bytearray()
+            self._transfer = _DOWNLOAD
             self.answer(self.head(0x60))
 
     def _block_download_initiate(self, data: bytes) -> None:
@@ -176,9 +226,18 @@ class SdoServer:
     def _may_download(self, size: "int | None") -> bool:
         """Return whether ``size`` bytes (None: unknown) may be written; if not, abort at once."""
         self._size = size
-        abort = self._device.od.writable(self._index, self._sub, size)
-        if not abort and size is not None and size > self._limit():
-            abort = codes.TOO_LONG
+        od, index, sub = self._device.od, self._index, self._sub
+        abort = od.writable(index, sub, size)
+        if not abort and index in od.sinks:
+            sink = od.sinks[index](sub, size)
+            if isinstance(sink, int):
+                abort = sink
+            else:
+                self.sink = sink
+        elif not abort:
+            self.sink = Collected(od, index, sub)
+            if size is not None and size > self._limit():
+                abort = codes.TOO_LONG
         if abort:
             self.abort(abort)
         return not abort
@@ -190,23 +249,32 @@ class SdoServer:
         elif not self._device.od.writable(self._index, self._sub, None):
             # No size given: the object's own length decides, up to four bytes.
             length = min(4, self._device.od.expected_size(self._index, self._sub) or 4)
-        self.finish(data[4 : 4 + length], self.head(0x60))
+        self._finish(self._device.od.download(self._index, self._sub, data[4 : 4 + length]), self.head(0x60))
 
     def _download_segment(self, data: bytes) -> None:
         if data[0] >> 4 & 1 != self._toggle:
             self.abort(codes.TOGGLE)
             return
-        self._buffer += data[1 : 8 - (data[0] >> 1 & 7)]
+        part = data[1 : 8 - (data[0] >> 1 & 7)]
+        self._offset += len(part)
         confirmation = bytes((0x20 | self._toggle << 4,))
         self._toggle ^= 1
-        if len(self._buffer) > (self._limit() if self._size is None else self._size):
+        if self._offset > (self._limit() if self._size is None else self._size):
             self.abort(codes.TOO_LONG)
         elif not data[0] & 1:
-            self.answer(confirmation)
-        elif self._size is not None and len(self._buffer) < self._size:
+            self._write(part, confirmation)
+        elif self._size is not None and self._offset < self._size:
             self.abort(codes.TOO_SHORT)
         else:
-            self.finish(bytes(self._buffer), confirmation)
+            self.end(part, confirmation)
+
+    def _write(self, part: bytes, confirmation: bytes) -> None:
+        assert self.sink is not None
+        abort = self.sink.write(part)
+        if abort:
+            self.abort(abort)
+        else:
+            self.answer(confirmation)
 
     def _limit(self) -> int:
         return self._device.od.expected_size(self._index, self._sub) or self.max_download_bytes

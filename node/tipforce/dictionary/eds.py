@@ -37,9 +37,14 @@ def _kind(n: int, simulated: bool, bits: int) -> str:
     return f"tipforce-{n}" + (f"-{bits}bit" if bits > 16 else "") + ("-simulated" if simulated else "")
 
 
-def eds_text(n: int = 3, simulated: bool = False, converter: Converter = table.CONVERTER_16) -> str:
-    """The EDS of a node with ``n`` gauges. Raises InputError for an ``n`` outside 3..8."""
-    found = objects(n, simulated, converter)
+def eds_text(
+    n: int = 3, simulated: bool = False, converter: Converter = table.CONVERTER_16, programs: bool = False
+) -> str:
+    """The EDS of a node with ``n`` gauges; ``programs``: with program slots.
+
+    Raises InputError for an ``n`` outside 3..8.
+    """
+    found = objects(n, simulated, converter, programs)
     lines = _file_info(n, simulated, "eds", converter) + _device_info(n, simulated, converter)
     lines += _dummy_usage() + _comments(n)
     return _text(lines + _object_lists(found) + _sections(found, None))

@@ -74,7 +74,7 @@ class Array(Generic[T]):
 
     def subs(self, n: int = 3) -> range:
         """The sub-indices that a node with ``n`` gauges has. Raises InputError for an ``n`` outside 3..8."""
-        for found in objects(n, True):
+        for found in objects(n, True, programs=True):
             if found.index == self.index:
                 own = [row.sub for row in found.rows if row.many and row.slug == self.name]
                 return range(own[0], own[-1] + 1)

@@ -30,11 +30,11 @@ class Description:
 
 
 def resolve(text: str, n: int = 3) -> Entry[types.Value]:
-    """The entry that ``text`` names on a node with ``n`` gauges, simulated or not.
+    """The entry that ``text`` names on a node with ``n`` gauges, simulated or not, with program slots or without.
 
     Raises InputError with the nearest names, or with the sub-indices that there are.
     """
-    found = rows(n, True)
+    found = rows(n, True, True)
     wanted = text.strip()
     match = _NUMERIC.fullmatch(wanted)
     row = _numeric(match, found, n) if match else _named(wanted, found, n)
@@ -43,13 +43,13 @@ def resolve(text: str, n: int = 3) -> Entry[types.Value]:
 
 def describe(index: int, sub: int, n: int = 3) -> Description | None:
     """What the dictionary of ``n`` gauges says of an entry, None where it has no such entry."""
-    row = rows(n, True).get((index, sub))
+    row = rows(n, True, True).get((index, sub))
     return None if row is None else Description(row.name, row.dotted, row.unit, row.letter, row.access)
 
 
 def all_names(n: int = 3) -> tuple[str, ...]:
     """Every dotted name of a node with ``n`` gauges, by index: for completion."""
-    return tuple(row.dotted for row in rows(n, True).values() if row.slug)
+    return tuple(row.dotted for row in rows(n, True, True).values() if row.slug)
 
 
 def _numeric(match: re.Match[str], found: dict[tuple[int, int], Row], n: int) -> Row:

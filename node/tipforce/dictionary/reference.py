@@ -17,7 +17,8 @@ _INTRODUCTION = """\
 
 Generated from `node/tipforce/dictionary/table.py` by `make generate`: change that, not this file.
 
-For a node with {n} gauges; 2200h and 2201h are there on a simulated node only. A dotted name and its
+For a node with {n} gauges; 2200h and 2201h are there on a simulated node only, 1F50h, 1F51h, 1F56h and 1F57h on
+firmware with program slots only. A dotted name and its
 sub-index (`calibration.matrix:3`) works wherever an index does. Sub-indices and sizes are decimal. PDO says
 into which direction an entry may be mapped (T or R); *staged* entries form the calibration record, in this
 order; a *state* is never stored. The numbers 6xxxh, 7xxxh and 9xxxh of the profile area are one value as
@@ -32,7 +33,7 @@ _HEAD = (
 
 def reference_markdown(n: int = 3) -> str:
     """The reference for ``n`` gauges, with the objects of a simulated node. Raises InputError outside 3..8."""
-    found = objects(n, True)
+    found = objects(n, True, programs=True)
     parts = [_INTRODUCTION.format(n=n), _channels(n)]
     for title, first, last in _AREAS:
         lines = [line for o in found if first <= o.index <= last for line in _object(o)]

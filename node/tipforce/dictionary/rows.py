@@ -64,10 +64,12 @@ def gauges_of(product: int) -> int:
 
 
 @lru_cache(maxsize=32)
-def objects(n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16) -> tuple[Object, ...]:
+def objects(
+    n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16, programs: bool = False
+) -> tuple[Object, ...]:
     """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""
     try:
-        declared = table.objects(n, simulated, converter)
+        declared = table.objects(n, simulated, converter, programs)
     except ValueError as error:
         raise InputError(str(error)) from None
     return tuple(
@@ -77,9 +79,9 @@ def objects(n: int = 3, simulated: bool = False, converter: table.Converter = ta
 
 
 @lru_cache(maxsize=32)
-def rows(n: int = 3, simulated: bool = False) -> dict[tuple[int, int], Row]:
+def rows(n: int = 3, simulated: bool = False, programs: bool = False) -> dict[tuple[int, int], Row]:
     """Every entry by (index, sub), in order. Raises InputError for an ``n`` outside 3..8."""
-    return {(row.index, row.sub): row for found in objects(n, simulated) for row in found.rows}
+    return {(row.index, row.sub): row for found in objects(n, simulated, programs=programs) for row in found.rows}
 
 
 def _unfold(index: int, code: int, run: Run) -> list[Row]:

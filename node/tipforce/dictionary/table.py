@@ -151,19 +151,22 @@ def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16)
     return PRODUCT | options | n
 
 
-def objects(n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16) -> "tuple[Object, ...]":
+def objects(
+    n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16, programs: bool = False
+) -> "tuple[Object, ...]":
     """Every object of a node with ``n`` gauges, ordered by index.
 
     ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code. ``converter`` is (bits, counts per
     microstrain): its counts give the default of 6122h; a third element, (counts at 0, counts at 1000 microstrain) for
     each gauge, gives those of 6120h and 6122h where they differ. With more than 16 bits INTEGER16 cannot hold
-    counts, so 7100h, 7120h and 7122h are left out, and bit 9 of the product code is set.
+    counts, so 7100h, 7120h and 7122h are left out, and bit 9 of the product code is set. ``programs`` adds the
+    objects of firmware with two program slots.
     Raises ValueError for an ``n`` outside 3..8.
     """
-    return tuple(sorted(declared(n, simulated, converter)))
+    return tuple(sorted(declared(n, simulated, converter, programs)))
 
 
-def declared(n: int, simulated: bool, converter: "Converter") -> "Iterator[Object]":
+def declared(n: int, simulated: bool, converter: "Converter", programs: bool = False) -> "Iterator[Object]":
     """The same one by one, in no order: a microcontroller has no heap for all of them at once."""
     if not MIN_GAUGES <= n <= MAX_GAUGES:
         raise ValueError("number of gauges: %r, allowed %d to %d" % (n, MIN_GAUGES, MAX_GAUGES))
@@ -181,6 +184,7 @@ def declared(n: int, simulated: bool, converter: "Converter") -> "Iterator[Objec
     for area in (
         table_fingertip.calibration(n),
         table_fingertip.live(),
+        table_communication.programs() if programs else (),
         table_fingertip.simulation(n) if simulated else (),
         table_profile.profile(n, converter),
     ):

@@ -154,3 +154,19 @@ def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object
             ),
         ),
     )
+
+
+def programs() -> "tuple[Object, ...]":
+    """CiA 302-3; the values of 1F51h and 1F57h are in ``tipforce.device.program``."""
+    return (
+        array(communication.PROGRAM_DATA, "Program data", "program.data", 1, "Program number %d", DOMAIN, "wo"),
+        array(
+            communication.PROGRAM_CONTROL, "Program control", "program.control", 1, "Program number %d",
+            U8, "rw", NOT_STORED, 1, 0, 3,
+        ),
+        array(
+            communication.PROGRAM_IDENTIFICATION, "Program software identification", "program.identification", 1,
+            "Program number %d", U32, "ro",
+        ),
+        array(communication.FLASH_STATUS, "Flash status", "program.flash_status", 1, "Program number %d", U32, "ro"),
+    )

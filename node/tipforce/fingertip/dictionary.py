@@ -18,11 +18,15 @@ def build(
     serial: int = 0,
     eds: bytes = b"",
     converter: "Converter" = table.CONVERTER_16,
+    programs: bool = False,
 ) -> ObjectDictionary:
-    """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out."""
+    """The dictionary of a node with ``n`` gauges at its defaults. ``eds`` is what 1021h gives; empty leaves it out.
+
+    ``programs`` adds the objects of program slots.
+    """
     od = ObjectDictionary(node_id)
     shared: "dict[Entry, Entry]" = {}  # equal entries are one tuple: a microcontroller has no room for all of them
-    for index, _code, _name, _slug, entries in table.declared(n, simulated, converter):
+    for index, _code, _name, _slug, entries in table.declared(n, simulated, converter, programs):
         if index in (communication.STORED_EDS, communication.EDS_FORMAT) and not eds:
             continue
         for first, count, _label, _part, kind, access, flags, default, low, high, _unit in entries:
