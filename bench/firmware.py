@@ -17,7 +17,7 @@ from typing import Any
 from bench import printed
 
 ROUNDS, REPEATS = 500, 7
-MODULES = "app", "can_port", "can_mcp2515", "flash", "nau7802", "source"  # of this board; the others have the rest
+MODULES = "app", "can_port", "can_mcp2515", "nau7802", "source"  # of this board; the others have the rest
 BUILD = """
 node = Firmware(5, Gauges(drivers, 1024.0), port, FlashStore(slots), 1, Clock(clock.ticks, clock.diff))
 node.poll()
@@ -45,7 +45,7 @@ def around(count, step_us, sync):
 IMPORT = """
 from firmware.app import Clock, Firmware
 from firmware.can_mcp2515 import Mcp2515
-from firmware.flash import FlashStore
+from tipforce_loader.flash import FlashStore
 from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
 import tipforce.fingertip.node
@@ -56,12 +56,14 @@ DRIVERS = "drivers = [Nau7802(nau) for nau in naus]\nport = Mcp2515(bus, bus.cs,
 def files(optimisation: int = 3) -> dict[str, bytes]:
     """The node's files and the firmware's, compiled, by their place on the board."""
     import firmware
+    import tipforce_loader
     from micropython import engine
 
     found = dict(engine.compiled(optimisation))
-    for path in sorted(Path(str(firmware.__file__)).parent.glob("*.py")):
-        if path.stem not in ("main", "main_mcp2515", "__init__"):  # these stay sources
-            found[f"{engine.LIBRARY}/firmware/{path.stem}.mpy"] = engine.compile_file(path, optimisation)
+    for folder in (Path(str(package.__file__)).parent for package in (firmware, tipforce_loader)):
+        for path in sorted(folder.glob("*.py")):
+            if path.stem not in ("main", "main_mcp2515", "__init__", "build"):  # sources, or not on the board
+                found[f"{engine.LIBRARY}/{folder.name}/{path.stem}.mpy"] = engine.compile_file(path, optimisation)
     return found
 
 
@@ -97,12 +99,14 @@ def table(found: dict[str, Any]) -> str:
     """For people."""
     sizes, heap, times = found["sizes"], found["heap"], found["microseconds"]
     of_firmware = {name: size for name, size in sizes.items() if name.startswith("firmware/")}
-    core = sum(sizes.values()) - sum(of_firmware.values())
+    of_loader = {name: size for name, size in sizes.items() if name.startswith("tipforce_loader/")}
+    core = sum(sizes.values()) - sum(of_firmware.values()) - sum(of_loader.values())
     used = sum(of_firmware[f"firmware/{name}.mpy"] for name in MODULES)
     return "\n".join([
         "bytes of .mpy, -O3",
-        *(f"  {name:28}{size:8}" for name, size in of_firmware.items()),
-        f"  {'of these on this board':28}{used:8}",
+        *(f"  {name:28}{size:8}" for name, size in (of_firmware | of_loader).items()),
+        f"  {'drivers of this board':28}{used:8}",
+        f"  {'the loader':28}{sum(of_loader.values()):8}",
         f"  {'the node itself (tipforce/)':28}{core:8}",
         "bytes of heap, loaded from files",
         f"  {'all modules imported':28}{heap['code']:8}",

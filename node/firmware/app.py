@@ -9,11 +9,14 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    from tipforce_loader.flash import FlashStore
+    from tipforce_loader.programs import Programs
+
     from .can_port import CanPort
-    from .flash import FlashStore
     from .source import Gauges
 
 LONGEST_WAIT_US = 100000
+HEALTHY_US, TRIAL_US = 5000000, 60000000  # of a program on trial: it is confirmed, or given up
 POLL_US = 500  # the longest sleep: the interval at which gauges and receive buffers are polled
 
 
@@ -40,10 +43,18 @@ class Firmware:
     """A fingertip node with its gauges, its controller and its flash. ``poll`` once, or ``run`` until power-off."""
 
     def __init__(
-        self, node_id: int, gauges: "Gauges", port: "CanPort", store: "FlashStore", serial: int, clock: Clock
+        self,
+        node_id: int,
+        gauges: "Gauges",
+        port: "CanPort",
+        store: "FlashStore",
+        serial: int,
+        clock: Clock,
+        programs: "Programs | None" = None,
+        restart: "Callable[[], None]" = lambda: None,
     ) -> None:
         self.gauges, self.port, self._clock = gauges, port, clock
-        self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load)
+        self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load, programs=programs)
         # The bit rate stored by LSS applies from power-on (CiA 305); without one, that of the board.
         self.device.lss.bit_rate = port.bit_rate
         self.device.lss.restore(self.device.storage.read_blob(lss.GROUP))
@@ -51,19 +62,25 @@ class Firmware:
             port.set_bit_rate(self.device.lss.bit_rate)
         self._mute_until_us = -1
         self._bit_rate_at_us, self._bit_rate = -1, 0
+        self._programs, self._restart, self._restart_at_us = programs, restart, -1
+        self._began_us, self._heard = clock.now(), False
 
     def poll(self) -> int:
         """Run the loop once; return the microseconds until the node is due."""
         now_us = self._clock.now()
         self._switch(now_us)
         self.gauges.poll(now_us)
-        sent, due_us = self.device.step(now_us, self.port.receive())
+        frames = self.port.receive()
+        sent, due_us = self.device.step(now_us, frames)
         if now_us >= self._mute_until_us:
             for can_id, data in sent:
                 self.port.send(can_id, data)
         for what, value, delay_ms in self.device.requests:
             self._request(what, value, delay_ms, now_us)
         self.device.requests.clear()
+        if self._programs is not None:
+            self._heard = self._heard or bool(frames)
+            self._judge(self._programs, now_us)
         return max(0, min(due_us - now_us, LONGEST_WAIT_US))
 
     def run(self, sleep_us: "Callable[[int], None] | None" = None, feed: "Callable[[], None]" = lambda: None) -> None:
@@ -82,6 +99,18 @@ class Firmware:
             # CiA 305, 6.4.4: no node sends during the delay before the switch and the delay after it.
             self._bit_rate, self._bit_rate_at_us = value, now_us + 1000 * delay_ms
             self._mute_until_us = now_us + 2000 * delay_ms
+        elif what == "restart":
+            self._restart_at_us = now_us + 1000 * delay_ms
+
+    def _judge(self, programs: "Programs", now_us: int) -> None:
+        """Confirm a program on trial that has run for a while and received a frame; give up one that receives none."""
+        if 0 <= self._restart_at_us <= now_us:
+            self._restart()
+        elif programs.on_trial:
+            if self._heard and now_us - self._began_us >= HEALTHY_US:
+                programs.confirm()
+            elif now_us - self._began_us >= TRIAL_US:
+                self._restart()
 
     def _switch(self, now_us: int) -> None:
         if self._bit_rate and now_us >= self._bit_rate_at_us:

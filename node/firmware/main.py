@@ -1,6 +1,7 @@
-"""Main program for a microcontroller with a CAN controller: copy to the board as :main.py."""
+"""Main program for a microcontroller with a CAN controller: ``board.MAIN`` names it."""
 
-from firmware import board, start
+from firmware import start
+from tipforce_loader import board
 
 try:
     from machine import CAN

@@ -1,8 +1,9 @@
 """Start a node from the settings in board.py: the common part of both main programs."""
 
-from . import board
+from tipforce_loader import board, boot
+from tipforce_loader.flash import FileSlots, FlashStore
+
 from .app import Clock, Firmware
-from .flash import FileSlots, FlashStore
 from .source import Gauges
 
 TYPE_CHECKING = False
@@ -13,7 +14,8 @@ if TYPE_CHECKING:
 def node(port: "CanPort") -> Firmware:
     """Return the node on this board with this controller."""
     gauges = Gauges(board.chips(), board.COUNTS_PER_MICROSTRAIN)  # type: ignore[no-untyped-call]
-    return Firmware(board.NODE_ID, gauges, port, FlashStore(FileSlots(board.FOLDER)), board.serial(), Clock())
+    store = FlashStore(FileSlots(board.FOLDER))
+    return Firmware(board.NODE_ID, gauges, port, store, board.serial(), Clock(), boot.programs, board.restart)
 
 
 def run(port: "CanPort") -> None:

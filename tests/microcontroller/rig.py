@@ -12,11 +12,11 @@ from firmware.app import Clock, Firmware
 from firmware.can_machine import MachineCan
 from firmware.can_mcp2515 import Mcp2515
 from firmware.can_pyb import PybCan
-from firmware.flash import FlashStore
 from firmware.hx711 import Hx711
 from firmware.nau7802 import Nau7802
 from firmware.source import Gauges
 from microcontroller import fake_controllers, fakes
+from tipforce_loader.flash import FlashStore
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:

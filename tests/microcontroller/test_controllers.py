@@ -9,10 +9,10 @@ from firmware.can_machine import MachineCan
 from firmware.can_mcp2515 import Mcp2515, bit_timing
 from firmware.can_port import QUEUE
 from firmware.can_pyb import PybCan
-from firmware.flash import FlashStore
 from firmware.source import Gauges
 from microcontroller import fake_controllers, fakes, rig
 from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
+from tipforce_loader.flash import FlashStore
 
 KINDS = ["mcp2515", "machine", "pyb"]
 ERROR = 0x20000000

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware.flash import BlockSlots, FileSlots, FlashStore
 from microcontroller.fakes import MemorySlots
+from tipforce_loader.flash import BlockSlots, FileSlots, FlashStore
 
 BLOCK = 64
 

@@ -5,11 +5,12 @@ from pathlib import Path
 import pytest
 
 import firmware
+import tipforce_loader
 from microcontroller import talk
 from micropython import engine, scripts
 from micropython.recording import Recording
 
-FOLDER = Path(str(firmware.__file__)).parent
+FOLDER, LOADER = Path(str(firmware.__file__)).parent, Path(str(tipforce_loader.__file__)).parent
 HERE = Path(__file__).parent
 # Every converter and every controller; all conversations but the two that need a simulated front end or a stored EDS.
 PAIRS = {
@@ -20,8 +21,9 @@ PAIRS = {
 
 
 def firmware_files() -> dict[str, bytes]:
-    """The firmware folder and the fakes, by their place on MicroPython."""
-    found = {f"{engine.LIBRARY}/firmware/{path.name}": path.read_bytes() for path in sorted(FOLDER.glob("*.py"))}
+    """The firmware, the loader and the fakes, by their place on MicroPython."""
+    own = [path for folder in (FOLDER, LOADER) for path in sorted(folder.glob("*.py")) if path.name != "build.py"]
+    found = {f"{engine.LIBRARY}/{path.parent.name}/{path.name}": path.read_bytes() for path in own}
     names = "fakes.py", "fake_controllers.py", "rig.py"
     found |= {f"{engine.LIBRARY}/microcontroller/{name}": (HERE / name).read_bytes() for name in names}
     return found

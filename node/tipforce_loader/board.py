@@ -17,16 +17,29 @@ COUNTS_PER_MICROSTRAIN = 1073.741824
 FOLDER = "/tip"  # for the two slots
 WATCHDOG_MS = 2000  # 0: none
 
+MAIN = "firmware.main"  # firmware.main_mcp2515 with that controller
+# Programs over the bus (1F50h): 1 to 64 secret bytes that the host does not send. Empty: none, and no such objects.
+PROGRAM_KEY = b""
+PROGRAM_FOLDER = "/program"  # for the two slots
+PRODUCT, VERSION = 0x54500000, "0.1.0"  # 1018h:2 without gauges and options; version of the program copied to the board
+
 
 def chips():  # type: ignore[no-untyped-def]
     """Return the converters, in the order of the gauges."""
     from machine import I2C, Pin
 
-    from .nau7802 import Nau7802
+    from firmware.nau7802 import Nau7802
 
     first = I2C(0, scl=Pin(22), sda=Pin(21), freq=400000)
     second = I2C(1, scl=Pin(19), sda=Pin(18), freq=400000)
     return [Nau7802(first, channels=2), Nau7802(second)]
+
+
+def restart() -> None:
+    """Restart the microcontroller."""
+    import machine
+
+    machine.reset()
 
 
 def serial() -> int:

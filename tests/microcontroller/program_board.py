@@ -1,0 +1,202 @@
+"""A board with two program slots whose flash loses power after a number of bytes, and its node."""
+
+from __future__ import annotations
+
+import contextlib
+import io
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
+
+import can
+
+from tipforce.device.node import Device
+from tipforce.device.sdo_client import Download, Transfer
+from tipforce.device.sdo_client_block import BlockDownload
+from tipforce.dictionary import objects as od
+from tipforce.dictionary import table
+from tipforce.fingertip.node import fingertip_node
+from tipforce.running import loop
+from tipforce.running.loop import Port
+from tipforce.running.ports import PythonCanPort
+from tipforce.sources.simulated import SimulatedSource
+from tipforce_loader import build
+from tipforce_loader.flash import FlashStore
+from tipforce_loader.programs import Programs
+
+Fault = Callable[[int, bytes], bytes]
+"""(number of the frame, its data) -> the data that arrives."""
+
+
+def unchanged(_number: int, data: bytes) -> bytes:
+    return data
+
+
+KEY = b"a key of the bench"
+NODE_ID = 5
+INSTALLED_VERSION = "0.1.0"
+
+
+class PowerOffError(Exception):
+    pass
+
+
+class Flash:
+    """Two slots for programs and two for the record. Power goes after ``left`` bytes; opening erases."""
+
+    size = 1 << 17
+
+    def __init__(self) -> None:
+        self.programs = [bytearray(), bytearray()]
+        self.records = [b"", b""]
+        self.left = 1 << 60
+        self.written = 0
+
+    def _spend(self, data: bytes) -> bytes:
+        part = data[: self.left]
+        self.left -= len(part)
+        self.written += len(part)
+        return part
+
+    def open(self, slot: int, mode: str) -> Any:
+        if mode == "rb":
+            return io.BytesIO(bytes(self.programs[slot]))
+        if not self._spend(b"\xff"):
+            raise PowerOffError
+        self.programs[slot] = bytearray()
+        return Writer(self, slot)
+
+    def read(self, slot: int) -> bytes:
+        return self.records[slot]
+
+    def write(self, slot: int, data: bytes) -> None:
+        self.records[slot] = self._spend(data)
+        if self.records[slot] != data:
+            raise PowerOffError
+
+
+class Writer:
+    def __init__(self, flash: Flash, slot: int) -> None:
+        self._flash, self._slot = flash, slot
+
+    def write(self, data: bytes) -> None:
+        part = self._flash._spend(data)
+        self._flash.programs[self._slot] += part
+        if len(part) < len(data):
+            raise PowerOffError
+
+    def close(self) -> None:
+        pass
+
+
+class Board:
+    """The node of a board; ``power_on`` starts what the loader chooses."""
+
+    def __init__(self, flash: Flash | None = None) -> None:
+        self.flash = flash or Flash()
+        self.now_us = 0
+        self.healthy = True
+        self.power_on()
+
+    def power_on(self) -> None:
+        store = FlashStore(self.flash)
+        self.programs = Programs(self.flash, store, KEY, table.PRODUCT, INSTALLED_VERSION)
+        self.slot = self.programs.choose()
+        self.device: Device = fingertip_node(NODE_ID, SimulatedSource([[0.0] * 3] * 3), programs=self.programs)
+        self.device.step(self.now_us)
+
+    def exchange(self, transfer: Transfer, fault: Fault = unchanged) -> Transfer:
+        """Lead a transfer to its end; ``fault`` changes the requests on their way. Time-outs pass at once."""
+        requests, due_us = transfer.step(self.now_us)
+        number = 0
+        while not transfer.ended:
+            responses: list[bytes] = []
+            for request in requests:
+                sent, _due_us = self.device.step(self.now_us, [(0x600 + NODE_ID, fault(number, request))])
+                number += 1
+                responses += [data for can_id, data in sent if can_id == 0x580 + NODE_ID]
+            requests = []
+            for response in responses:
+                more, due_us = transfer.step(self.now_us, response)
+                requests += more
+            if not requests and not transfer.ended:
+                self.now_us = max(due_us, self.now_us)
+                sent, _due_us = self.device.step(self.now_us)
+                late = [data for can_id, data in sent if can_id == 0x580 + NODE_ID]
+                for late_response in [*late, None]:
+                    more, due_us = transfer.step(self.now_us, late_response)
+                    requests += more
+        # What the client sends at its end: an abort.
+        for request in requests:
+            self.device.step(self.now_us, [(0x600 + NODE_ID, request)])
+        return transfer
+
+    def download(self, image: bytes, fault: Fault = unchanged) -> Transfer:
+        entry = od.PROGRAM_DATA[1]
+        forever_us = self.now_us + (1 << 50)
+        return self.exchange(BlockDownload(entry.index, entry.sub, 500000, forever_us, image), fault)
+
+    def control(self, command: int) -> int | None:
+        """Write 1F51h:1; return the abort code, None if it was accepted."""
+        entry = od.PROGRAM_CONTROL[1]
+        forever_us = self.now_us + (1 << 50)
+        return self.exchange(Download(entry.index, entry.sub, 500000, forever_us, bytes((command,)))).abort_code
+
+
+def image(
+    version: tuple[int, int, int] = (0, 2, 0),
+    size: int = 3000,
+    product: int = table.PRODUCT,
+    key: bytes = KEY,
+) -> bytes:
+    """A signed image with one file of ``size`` bytes."""
+    content = bytes((k * 37 + version[1]) & 0xFF for k in range(size))
+    return build.image(version, product, {"tipforce/device/node.mpy": content}, key)
+
+
+class _Port:
+    """The port of a board: a restart builds its node again, a frame during a trial confirms a healthy program."""
+
+    def __init__(self, board: Board, devices: list[Device], port: Port) -> None:
+        self._board, self._devices, self._port = board, devices, port
+
+    def receive(self, timeout_s: float) -> tuple[int, bytes] | None:
+        frame = self._port.receive(timeout_s)
+        programs = self._board.programs
+        if frame is not None and programs.on_trial:
+            if self._board.healthy:
+                programs.confirm()
+            else:
+                self.request("restart", 0, 0)
+        return frame
+
+    def send(self, frames: Iterable[tuple[int, bytes]]) -> None:
+        self._port.send(frames)
+
+    def request(self, what: str, _value: int, _delay_ms: int) -> None:
+        if what == "restart":
+            self._board.power_on()
+            self._devices[0] = self._board.device
+
+
+@contextlib.contextmanager
+def running(board: Board, bus: can.BusABC) -> Iterator[None]:
+    """A thread that runs the node of a board on ``bus``; an exception in it fails the test."""
+    stopped = threading.Event()
+    failures: list[BaseException] = []
+    devices = [board.device]
+
+    def work() -> None:
+        try:
+            loop.run(devices, _Port(board, devices, PythonCanPort(bus)), stopped.is_set)
+        except BaseException as error:
+            failures.append(error)
+
+    thread = threading.Thread(target=work, name="board")
+    thread.start()
+    try:
+        yield
+    finally:
+        stopped.set()
+        thread.join()
+    assert not failures, failures

@@ -1,0 +1,203 @@
+"""Program slots: an update is the old or the new program, whatever happens on the way."""
+
+import hashlib
+import hmac
+import io
+import random
+
+import pytest
+
+from microcontroller.program_board import INSTALLED_VERSION, KEY, Board, Flash, PowerOffError, image
+from tipforce.device import codes, program
+from tipforce.dictionary import table
+from tipforce_loader import build
+from tipforce_loader import image as loader_image
+from tipforce_loader.programs import INSTALLED
+
+POWER_CUTS, CORRUPTED = 200, 50
+OLD, NEW = image((0, 2, 0)), image((0, 3, 0))
+
+
+def version_of(content: bytes) -> tuple[str, int]:
+    header = loader_image.Header(content)
+    return header.version_text(), header.crc
+
+
+def update(board: Board, content: bytes) -> None:
+    """Download, start, restart, confirm."""
+    transfer = board.download(content)
+    assert transfer.abort_code is None
+    assert transfer.failure is None
+    assert board.control(program.START) is None
+    assert ("restart", 0, program.RESTART_DELAY_MS) in board.device.requests
+    board.power_on()
+    board.programs.confirm()
+
+
+@pytest.fixture(scope="module")
+def with_old() -> tuple[list[bytes], list[bytes]]:
+    """The flash of a board that runs OLD."""
+    board = Board()
+    update(board, OLD)
+    return [bytes(slot) for slot in board.flash.programs], list(board.flash.records)
+
+
+def restored(content: tuple[list[bytes], list[bytes]]) -> Flash:
+    flash = Flash()
+    flash.programs = [bytearray(slot) for slot in content[0]]
+    flash.records = list(content[1])
+    return flash
+
+
+def running(board: Board) -> tuple[str, int]:
+    return board.programs.version, board.programs.crc
+
+
+def test_updates_take_turns_and_survive_a_power_cycle() -> None:
+    board = Board()
+    assert (board.slot, board.programs.version, board.programs.crc) == (INSTALLED, INSTALLED_VERSION, 0)
+    for slot, content in ((0, OLD), (1, NEW), (0, OLD)):
+        update(board, content)
+        board.power_on()
+        assert board.slot == slot
+        assert running(board) == version_of(content)
+        assert board.programs.reason == 0
+        assert board.device.od.get(0x100A) == version_of(content)[0]
+
+
+def test_200_power_cuts(with_old: tuple[list[bytes], list[bytes]]) -> None:
+    whole = restored(with_old)
+    update(Board(whole), NEW)
+    random_cut = random.Random(17)
+    seen = set()
+    for number in range(POWER_CUTS):
+        flash = restored(with_old)
+        # The last cuts are in the records, where the program changes.
+        flash.left = random_cut.randrange(whole.written) if number % 4 else whole.written - 1 - number // 4
+        with pytest.raises(PowerOffError):
+            update(Board(flash), NEW)
+        flash.left = 1 << 60
+        board = Board(flash)
+        assert running(board) in (version_of(OLD), version_of(NEW)), number
+        if board.programs.locked:
+            board.power_on()  # not confirmed
+            assert running(board) == version_of(OLD), number
+            assert board.programs.reason == loader_image.UNHEALTHY
+        seen.add(running(board))
+        before = running(board)
+        board.power_on()
+        assert running(board) == before, number
+        update(board, NEW)
+        assert running(board) == version_of(NEW), number
+    assert version_of(OLD) in seen
+
+
+def test_50_corrupted_transfers(with_old: tuple[list[bytes], list[bytes]]) -> None:
+    """One bit of one frame is wrong: the node refuses, or its client does; the next transfer succeeds."""
+    chance = random.Random(50)
+    refused = 0
+    for _ in range(CORRUPTED):
+        board = Board(restored(with_old))
+        frames = len(NEW) // 7 + 3
+        wrong, bit = chance.randrange(frames), chance.randrange(64)
+
+        def fault(number: int, data: bytes, wrong: int = wrong, bit: int = bit) -> bytes:
+            if number != wrong:
+                return data
+            changed = bytearray(data)
+            changed[bit // 8] ^= 1 << bit % 8
+            return bytes(changed)
+
+        transfer = board.download(NEW, fault)
+        accepted = transfer.abort_code is None and transfer.failure is None
+        if accepted:  # a segment with a wrong number was repeated
+            assert board.programs.ready
+        else:
+            refused += 1
+            assert not board.programs.ready
+            assert board.control(program.START) is None  # nothing to start: the running program goes on
+            assert board.device.requests == [("reset-node", 0, 0)] or not board.device.requests
+        board.power_on()
+        assert running(board) == version_of(OLD)
+        update(board, NEW)
+        assert running(board) == version_of(NEW)
+    assert refused > CORRUPTED // 2
+
+
+@pytest.mark.parametrize(
+    ("content", "abort", "reason", "error"),
+    [
+        (image(key=b"another key"), codes.NOT_TRANSFERRED, loader_image.WRONG_SIGNATURE, 63),
+        (image(product=0x12340003), codes.INVALID_VALUE, loader_image.OTHER_PRODUCT, 2),
+        (b"\x7fELF" + NEW[4:], codes.INVALID_VALUE, loader_image.NOT_AN_IMAGE, 2),
+        (NEW[:-1], codes.INVALID_VALUE, loader_image.DAMAGED, 3),
+        (NEW + b"\0", codes.INVALID_VALUE, loader_image.DAMAGED, 3),
+        (NEW[:-1] + b"?", codes.INVALID_VALUE, loader_image.DAMAGED, 3),
+        (NEW[:40], codes.INVALID_VALUE, loader_image.NOT_AN_IMAGE, 2),
+        (bytes(Flash.size + 1), codes.OUT_OF_MEMORY, loader_image.TOO_LARGE, 6),
+    ],
+)
+def test_a_refused_image_says_why(content: bytes, abort: int, reason: int, error: int) -> None:
+    board = Board()
+    assert board.download(content).abort_code == abort
+    status = board.device.od.get(0x1F57, 1)
+    assert status == reason << 16 | error << 1
+    board.power_on()
+    assert board.slot == INSTALLED
+
+
+def test_an_unhealthy_program_runs_once(with_old: tuple[list[bytes], list[bytes]]) -> None:
+    board = Board(restored(with_old))
+    board.download(NEW)
+    board.control(program.START)
+    board.power_on()
+    assert running(board) == version_of(NEW)
+    assert int(board.device.od.get(0x1F57, 1)) & program.IN_PROGRESS
+    # The slot of the old program is needed until the new one is confirmed.
+    assert board.download(OLD).abort_code == codes.DEVICE_STATE
+    assert board.control(program.CLEAR) == codes.DEVICE_STATE
+    board.power_on()
+    assert running(board) == version_of(OLD)
+    assert board.device.od.get(0x1F57, 1) == loader_image.UNHEALTHY << 16 | 63 << 1
+
+
+def test_a_damaged_program_leaves_the_installed_one(with_old: tuple[list[bytes], list[bytes]]) -> None:
+    flash = restored(with_old)
+    flash.programs[0][2000] ^= 1
+    board = Board(flash)
+    assert (board.slot, board.programs.reason) == (INSTALLED, loader_image.DAMAGED)
+    update(board, NEW)
+    assert running(board) == version_of(NEW)
+
+
+def test_control() -> None:
+    board = Board()
+    assert board.device.od.get(0x1F51, 1) == program.RUNNING
+    assert board.control(program.STOP) is None
+    assert board.device.od.get(0x1F51, 1) == program.STOPPED
+    assert board.control(program.CLEAR) is None
+    assert board.control(program.START) is None
+    assert board.device.od.get(0x1F51, 1) == program.RUNNING
+    assert board.control(4) == codes.TOO_HIGH
+    board.download(NEW)
+    assert board.control(program.CLEAR) is None
+    board.device.requests.clear()
+    assert board.control(program.START) is None
+    assert not board.device.requests
+    board.control(program.RESET)
+    assert board.device.requests == [("restart", 0, program.RESTART_DELAY_MS)]
+    board.device.step(board.now_us, [(0, b"\1\5")])
+    assert board.download(NEW).abort_code == codes.DEVICE_STATE
+    assert board.control(program.STOP) == codes.DEVICE_STATE
+
+
+def test_the_signature_is_the_hmac_of_the_standard_library() -> None:
+    content = build.image((1, 2, 3), table.PRODUCT, {"a.mpy": b"a", "b/c.mpy": b""}, KEY)
+    assert content[20:52] == hmac.new(KEY, content[:20] + content[52:], hashlib.sha256).digest()
+    found = {path: content[at : at + size] for path, at, size in loader_image.files(io.BytesIO(content))}
+    assert found == {"a.mpy": b"a", "b/c.mpy": b""}
+    for key in (b"", bytes(65)):
+        with pytest.raises(ValueError, match="allowed 1 to 64"):
+            loader_image.Hmac(key)
+    with pytest.raises(ValueError, match="allowed are 0 to 255"):
+        build.image((1, 256, 0), table.PRODUCT, {}, KEY)
