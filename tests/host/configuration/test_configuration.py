@@ -50,7 +50,7 @@ class Recorder(SdoChannel):
         size = types.data_type(rows(8, True)[index, sub].letter).size or 0
         return (found[-1] if found else 3).to_bytes(size, "little")
 
-    def download(self, index: int, sub: int, data: bytes) -> None:
+    def download(self, index: int, sub: int, data: bytes, **_options: object) -> None:
         self.writes.append((index, sub, int.from_bytes(data, "little")))
 
 

@@ -174,16 +174,18 @@ def note(args: argparse.Namespace, text: str) -> None:
 
 
 @contextmanager
-def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps."""
+def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callable[..., None]]:
+    """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
+    or with the number of steps since the last call.
+    """
     if args.quiet or not sys.stderr.isatty():
-        yield lambda: None
+        yield lambda _steps=1: None
         return
     from rich.progress import Progress
 
     with Progress(transient=True, console=console(args, stderr=True)) as bar:
         task = bar.add_task(what, total=total)
-        yield lambda: bar.advance(task)
+        yield lambda steps=1: bar.advance(task, steps)
 
 
 def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:

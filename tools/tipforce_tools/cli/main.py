@@ -34,6 +34,10 @@ COMMANDS = {
     "hand": ("tipforce_tools.hand.command", "commission and run a hand defined in a TOML file"),
     "nmt": ("tipforce_tools.network.nmt", "start, stop or reset nodes, and wait for their heartbeats"),
     "lss": ("tipforce_tools.network.lss", "find unconfigured nodes and assign node-ids (CiA 305)"),
+    "firmware": (
+        "tipforce_tools.network.firmware",
+        "install a program on nodes with program slots, or show its version",
+    ),
     "config": ("tipforce_tools.network.config", "show, apply, compare or save the settings of a node (TOML or DCF)"),
     "calibrate": ("tipforce_tools.calibrate.command", "fit a calibration, write it to a node, verify it"),
     "tare": ("tipforce_tools.network.tare", "set the present force as zero, show the tare, or clear it"),

@@ -157,9 +157,21 @@ class SdoChannel:
         """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
         return self._wait(*self._upload(index, sub, long))
 
-    def download(self, index: int, sub: int, data: bytes) -> None:
-        """Write bytes to an entry (an SDO download)."""
-        self._wait(*self._download(index, sub, data))
+    def download(
+        self,
+        index: int,
+        sub: int,
+        data: bytes,
+        *,
+        progress: Callable[[int], None] | None = None,
+        deadline_s: float = 0.0,
+    ) -> None:
+        """Write bytes to an entry (an SDO download).
+
+        ``progress`` receives the number of bytes that the node has acknowledged, in the thread that receives frames;
+        ``deadline_s`` is the time for a transfer that takes longer than that of the channel.
+        """
+        self._wait(*self._download(index, sub, data, progress), deadline_s)
 
     async def upload_async(self, index: int, sub: int, long: bool = False) -> bytes:
         """Upload for asyncio."""
@@ -206,22 +218,24 @@ class SdoChannel:
 
         return f"read of 0x{index:04X}:{sub:02X}", attempt
 
-    def _download(self, index: int, sub: int, data: bytes) -> tuple[str, Callable[[int, int, int], Transfer]]:
+    def _download(
+        self, index: int, sub: int, data: bytes, progress: Callable[[int], None] | None = None
+    ) -> tuple[str, Callable[[int, int, int], Transfer]]:
         def attempt(number: int, timeout_us: int, deadline_us: int) -> Transfer:
             long = len(data) > SWITCH_BYTES
             kind = BlockDownload if long and self.has_blocks and number == 1 else Download
-            return kind(index, sub, timeout_us, deadline_us, data)
+            return kind(index, sub, timeout_us, deadline_us, data, progress)
 
         return f"write of 0x{index:04X}:{sub:02X}", attempt
 
-    def _wait(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
+    def _wait(self, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0) -> bytes:
         turn = self._turns.request()
         try:
             turn.result()
         except BaseException:
             self._turns.withdraw(turn)
             raise
-        self._exchange = exchange = Exchange(self, what, attempt)
+        self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
         try:
             while True:
                 exchange.step()

@@ -65,14 +65,16 @@ class Exchange:
     ``attempt(number, timeout_us, deadline_us)`` returns the transfer of each attempt; numbers start at 1.
     """
 
-    def __init__(self, channel: SdoChannel, what: str, attempt: Callable[[int, int, int], Transfer]) -> None:
+    def __init__(
+        self, channel: SdoChannel, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0
+    ) -> None:
         self._channel = channel
         self._place = f"node {channel.node_id} (0x{channel.node_id:02X}), {what}"
         self._attempt = attempt
         self._attempts = 0
         self._lock = threading.Lock()
         self._unsent: deque[bytes] = deque()
-        self._deadline_us = channel.now_us() + round(1e6 * channel.deadline_s)
+        self._deadline_us = channel.now_us() + round(1e6 * max(deadline_s, channel.deadline_s))
         self._due_us = 0
         self._transfer = self._next_attempt()
         self.done: Future[bytes] = Future()
