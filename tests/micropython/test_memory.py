@@ -5,8 +5,9 @@ import pytest
 from micropython import engine, footprint
 
 HEAP_BYTES = 180_000  # MicroPython leaves about 200 000 of an ESP32's memory
-NODE_BYTES = 42_000
-CODE_BYTES = 117_000
+NODE_BYTES = 46_000
+# MicroPython's table of names doubles, some 9 kB, while the modules are imported or while the node is built.
+CODE_AND_NODE_BYTES = 164_000
 
 
 @pytest.fixture(scope="module")
@@ -19,7 +20,8 @@ def test_a_node_after_boot(used: footprint.Heap) -> None:
 
 
 def test_everything_at_the_worst_moment_fits_the_heap(used: footprint.Heap) -> None:
-    assert 10_000 < used.code < CODE_BYTES, used
+    assert used.code > 10_000
+    assert used.code + used.node < CODE_AND_NODE_BYTES, used
     assert used.code + used.node < used.peak < HEAP_BYTES, used
 
 
