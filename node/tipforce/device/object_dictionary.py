@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 # Flags of an entry.
 TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED = 1, 2, 4, 8, 16
 
-SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to both tables
+SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {
     "B": (0, 0xFF),
     "b": (-0x80, 0x7F),
@@ -25,6 +25,7 @@ RANGES = {
     "I": (0, 0xFFFFFFFF),
     "i": (-0x80000000, 0x7FFFFFFF),
 }
+FORMATS = {"B": "<B", "b": "<b", "H": "<H", "h": "<h", "I": "<I", "i": "<i", "f": "<f"}  # of struct
 DUMMIES = {2: "b", 3: "h", 4: "i", 5: "B", 6: "H", 7: "I"}
 REAL32_MAX = 3.4028234663852886e38
 
@@ -49,22 +50,24 @@ def encode(kind: str, value: "Value") -> bytes:
     elif kind != "d":
         low, high = RANGES[kind]
         value = min(max(value, low), high)
-        if len(kind) > 1:
-            return (value & (1 << 8 * SIZES[kind]) - 1).to_bytes(SIZES[kind], "little")  # type: ignore[operator]
-    return struct.pack("<" + kind, value)
+    packing = FORMATS.get(kind)
+    if packing is None:
+        return (value & (1 << 8 * SIZES[kind]) - 1).to_bytes(SIZES[kind], "little")  # type: ignore[operator]
+    return struct.pack(packing, value)
 
 
 def decode(kind: str, data: bytes) -> "Value":
     """Return the value of ``data``, whose length the caller has checked."""
+    packing = FORMATS.get(kind)
+    if packing is not None:
+        value: "Value" = struct.unpack(packing, data)[0]
+        return value
     if kind == "D":
         return bytes(data)
     if kind == "s":
         return bytes(data).decode()
-    if len(kind) > 1:
-        number = int.from_bytes(data, "little")
-        return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
-    value: "Value" = struct.unpack("<" + kind, data)[0]
-    return value
+    number = int.from_bytes(data, "little")
+    return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
 
 
 def _nearest_real32(limit: "int | float | None") -> "int | float | None":
