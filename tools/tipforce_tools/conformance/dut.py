@@ -12,6 +12,8 @@ from tipforce_tools.conformance.raw_frames import QUIET_MS, Frame, Frames, Link,
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
 READ_ONLY = 0x06010002
+_NO_OBJECT = 0x06020000
+_MAPPING, _MAPPING_END, _LAST_DATA_TYPE = 0x1600, 0x1800, 0x1B
 # A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
 _MAY_REFUSE = (
     0x06010000, 0x06040041, 0x06040042, 0x06040043, 0x06090030, 0x06090031, 0x06090032,
@@ -234,6 +236,8 @@ class Dut(Frames):
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == READ_ONLY:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        if code == _NO_OBJECT and _MAPPING <= index < _MAPPING_END and int(value) >> 16 <= _LAST_DATA_TYPE:
+            raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
         if code in allowed:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
         if code:

@@ -11,16 +11,20 @@ BEAT = ((0x1017, 0),)
 RECORD = ((0x2141, 0),)
 TOGGLE, TIMED_OUT, UNKNOWN = 0x05030000, 0x05040000, 0x05040001
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010
+SEGMENT_BYTES = 7
 NAMES = (0x1008, 0x1009, 0x100A)
 
 
-def begin_upload(dut: Dut) -> tuple[int, int]:
-    """Initiate a segmented upload of a string; (index, stated size)."""
+def begin_upload(dut: Dut, above: int = 4) -> tuple[int, int]:
+    """Initiate a segmented upload of a string of more than ``above`` bytes; (index, stated size)."""
     for index in NAMES:
         answer = dut.ask(struct.pack("<BHB", 0x40, index, 0))
         if answer[0] == 0x41:
-            return index, int(struct.unpack("<I", answer[4:])[0])
-    raise NotApplicableError("no string that is longer than four bytes")
+            size = int(struct.unpack("<I", answer[4:])[0])
+            if size > above:
+                return index, size
+            dut.read_segments()
+    raise NotApplicableError(f"no string that is longer than {above} bytes")
 
 
 def begin_download(dut: Dut, size: int | None = 2) -> None:
@@ -44,7 +48,7 @@ def upload(dut: Dut) -> None:
     each=[(0, "at first"), (1, "later")],
 )
 def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
-    index, _size = begin_upload(dut)
+    index, _size = begin_upload(dut, max(4, SEGMENT_BYTES * segments))
     for _ in range(segments):
         dut.ask("60", "0. *")
     dut.request("60" if segments else "70")
