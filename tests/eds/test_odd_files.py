@@ -152,6 +152,14 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         text(var("2000", 5, "rw", "1", ParameterValue="9")), r"1 ParameterValues, but no \[DeviceComissioning\]",
         lambda found: found.find(0x2000).initial, 1,
     ),
+    "stored EDS as a number": (
+        text(var("1021", 7, "ro")), r"\[1021\] DataType=0x0007: CiA 301 has DOMAIN; read as it",
+        lambda found: found.find(0x1021).letter, "D",
+    ),
+    "stored EDS with sub-indices": (
+        text(record("1021", var("1021sub0", 5, "ro", "1"), var("1021sub1", 8, "ro", "1.5"))),
+        r"DataType=0x0005: CiA 301 has DOMAIN; read as it", lambda found: found.find((0x1021, 1)).default, 1.5,
+    ),
     "real sub-index 0": (
         text(record("2000", var("2000sub0", 8, "ro", "1.5"))),
         r"\[2000sub0\]: REAL32; CiA 301 has UNSIGNED8; the type stays",

@@ -56,7 +56,8 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
         od.add(entry.index, entry.sub, _core_entry(entry, description.node_id))
     codes = range(1, 8) if description.dummies is None else sorted(description.dummies)
     od.dummies = {code: core_kind(LETTER_OF_CODE[code]) for code in codes if code in LETTER_OF_CODE}
-    if description.entry(communication.STORED_EDS, 0) is not None:
+    stored_eds = description.objects.get(communication.STORED_EDS)
+    if stored_eds is not None and set(stored_eds.entries) == {0}:
         od.readers[communication.STORED_EDS] = lambda _sub: description.content
     stored = _dcf_settings(description, od)
     device = Device(od, save, _with_stored(load, stored))

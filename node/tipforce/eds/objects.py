@@ -212,7 +212,10 @@ class _Object:
             told = "no type of CiA 301, 7.4.7" if text else "no DataType"
             how = f"{TYPES[letter].name} of CiA 301" if expected else f"{TYPES[letter].name}, its bytes as they come"
             self._into.findings.append(section.finding("DataType", f"{told}; read as {how}"))
-        elif standard.is_needed_integer(self._index, sub) and not _is_unsigned(letter) and expected is not None:
+        elif expected is not None and (
+            (standard.is_needed_integer(self._index, sub) and not _is_unsigned(letter))
+            or (self._index == communication.STORED_EDS and TYPES[letter].size is not None)
+        ):
             self._into.findings.append(section.finding("DataType", f"CiA 301 has {TYPES[expected].name}; read as it"))
             return expected
         return letter
