@@ -184,11 +184,29 @@ def test_random_sequences_of_faults() -> None:
     assert row_model.failures(12) == []
 
 
+@pytest.mark.parametrize("seed", [461, 578, 586, 1699, 1721])
+def test_a_count_that_restarts_among_lost_syncs(seed: int) -> None:
+    """Sequences of another producer, in which the number alone does not tell a restart from lost SYNCs."""
+    assert row_model.failures(1, first_seed=seed) == []
+
+
+def test_a_value_that_may_be_that_of_a_restarted_count_waits_for_the_next_sync() -> None:
+    stream = Stream(1)
+    stream.add(sync(238), answer(1, 238), sync(239), answer(1, 239), sync(240), answer(1, 240))
+    stream.add(sync(1))
+    stream.periods += 1  # SYNC 2, or 1 of a restarted count, is not received
+    assert stream.add(answer(1, 1, 10)) == []
+    assert stream.add(answer(1, 2, 20), sync(3), answer(1, 3, 30)) == [[0.01], [0.02], [0.03]]
+    stream.periods += 1
+    assert stream.add(sync(2), answer(1, 2, 40)) == []  # 1 and 2 of a new count: 2 may also be a late one from before
+    assert stream.collector.tally.doubtful.tolist() == [1]
+
+
 def test_the_model_sees_a_value_in_another_row(monkeypatch: pytest.MonkeyPatch) -> None:
     take = Collector._take
     monkeypatch.setattr(
-        Collector, "_take", lambda self, slot, words, last, number, doubted: take(
-            self, slot, words, last, number * 0, doubted
+        Collector, "_take", lambda self, slot, words, last, number, *more: take(
+            self, slot, words, last, number * 0, *more
         )
     )  # fmt: skip
     assert row_model.failures(2)

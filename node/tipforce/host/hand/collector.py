@@ -32,6 +32,7 @@ AHEAD = LARGEST // 2
 
 _RING = 512  # rows: the open ones, those of one part, AHEAD of the last one, and emitted ones for late answers
 _PART_SYNCS = 100
+_UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is right
 _EMPTY, _LIVE, _DOUBTFUL, _EARLY, _CHANGED = range(5)  # states of an answer
 _REASON = np.array([NO_ANSWER, PRESENT, DOUBTFUL, NO_ANSWER, CHANGED], dtype=np.uint8)  # by state
 _WORD = np.dtype("<u8")
@@ -74,11 +75,12 @@ class Collector:
         shape = len(self._messages), len(self.node_ids), _RING
         self._words = np.zeros(shape, dtype=_WORD)
         self._state = np.zeros(shape, dtype=np.uint8)
-        self._early: dict[int, tuple[int, int]] = {}  # by place: its row, and the last row when it arrived
+        # By place, answers that the next SYNC decides on: the row, the last row when it arrived, the state if right.
+        self._early: dict[int, tuple[int, int, int]] = {}
         self._open: deque[_OpenRow] = deque()
         self._first = 0  # the first open row
         self._epoch = 0  # the first row of this count
-        self._old: tuple[int, int, int] | None = None  # of the count before: last number, modulus, first row after it
+        self._issued = np.full(LARGEST + 1, -LARGEST, dtype=np.int64)  # by number: its last row in counts before
         self._absent: set[int] = set()  # fingers for which no row waits
         self._unsettled = np.ones(len(node_ids), dtype=np.bool_)  # missing in the last row; matters without numbers
         self._last_counter = np.full(len(node_ids), -1, dtype=np.int64)
@@ -132,7 +134,7 @@ class Collector:
     def restart(self, before: int) -> None:
         """End the open rows; the next SYNC has the number after ``before``, far from those of the open rows."""
         self._numbers.number = before
-        self._epoch, self._old = self._last + 1, None
+        self._epoch = self._last + 1
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
@@ -145,13 +147,26 @@ class Collector:
         slot = self._slot[can_id]
         slot[frames["length"] < self._length[can_id]] = -1
         syncs = np.flatnonzero(slot == self._service + len(self.node_ids))
-        if len(syncs) <= _PART_SYNCS:
+        cuts = self._cuts(frames, syncs) if len(syncs) else []
+        if not cuts:
             return self._part(frames, slot, syncs, now_s)
-        found, ends = [], [*syncs[_PART_SYNCS::_PART_SYNCS].tolist(), len(frames)]
+        found, ends = [], [*cuts, len(frames)]
         for start, end in zip([0, *ends[:-1]], ends, strict=True):
             part = syncs[(syncs >= start) & (syncs < end)] - start
             found.append(self._part(frames[start:end], slot[start:end], part, now_s))
         return joined([rows for rows in found if len(rows)] or found[:1])
+
+    def _cuts(self, frames: FrameArray, syncs: npt.NDArray[np.intp]) -> list[int]:
+        """Return where to cut frames: answers before a gap or a restart of the count are taken before it."""
+        number, cuts = self._numbers.number, []
+        before_ns = self._numbers.last_ns
+        for k, at in enumerate(syncs.tolist()):
+            frame = frames[at]
+            now, t_ns = int(frame["data"][0]) if frame["length"] == 1 else 0, int(frame["t_ns"])
+            if k % _PART_SYNCS == _PART_SYNCS - 1 or not self._numbers.consecutive(number, now, t_ns - before_ns):
+                cuts.append(at)
+            number, before_ns = now, t_ns
+        return cuts
 
     def _part(self, frames: FrameArray, slot: IntArray, syncs: npt.NDArray[np.intp], now_s: float) -> Rows:
         last, number = [self._last], [self._numbers.number]
@@ -169,7 +184,10 @@ class Collector:
             doubted = self._doubted[slot[answers] % len(self.node_ids)]
             if from_here is not None:
                 doubted = answers >= from_here[slot[answers] % len(self.node_ids)]
-            self._take(slot[answers], words, np.array(last)[before], np.array(number)[before], doubted)
+            self._take(
+                slot[answers], words, np.array(last)[before], np.array(number)[before], doubted,
+                self._numbers.reachable(frames["t_ns"][answers].astype(np.int64)),
+            )  # fmt: skip
         count = self._ready(now_s)
         if count:
             return self._rows(count)
@@ -192,8 +210,9 @@ class Collector:
         number = self._numbers.number
         last = self._last
         if steps == RESTARTED:
+            if last >= 0:
+                self._end_count(*old)
             self._epoch = last + 1
-            self._old = (*old, last + 1) if old[0] else None
             self._early.clear()
             self._clear(last + 1, last + 1 + AHEAD)
             steps = 1
@@ -210,12 +229,24 @@ class Collector:
     def _clear(self, first: int, end: int) -> None:
         self._state[:, :, np.arange(first, end) % _RING] = _EMPTY
 
+    def _end_count(self, number: int, modulus: int) -> None:
+        """Note the numbers whose late answers may come after the restart of the count that ended with ``number``."""
+        last, unreceived = self._last, min(self._numbers.gap_periods, LARGEST + 1) - 1
+        if number:
+            ago = np.arange(-unreceived, AHEAD)
+            numbers = (number - 1 - ago) % modulus + 1
+            np.maximum.at(self._issued, numbers, last - np.maximum(ago, -1))
+        self._issued[1 : unreceived + 1] = last + 1  # another count may have begun and ended in the gap
+
     def _settle_early(self, before: int) -> None:
-        """Answers ahead of their SYNC: right if the SYNC was not received and they came in its place, else doubtful."""
-        for place, (row, last) in list(self._early.items()):
+        """Answers that the number of this SYNC proves right, because the count went on.
+
+        One ahead of its SYNC is right if the SYNC was not received and it came in its place, else doubtful.
+        """
+        for place, (row, last, state) in list(self._early.items()):
             if row <= self._last:
-                received = self._open[row - self._first].received
-                self._state.ravel()[place] = _LIVE if not received and last == before else _DOUBTFUL
+                right = row <= last or (last == before and not self._open[row - self._first].received)
+                self._state.ravel()[place] = state if right else _DOUBTFUL
                 del self._early[place]
 
     # --- answers ----------------------------------------------------------------------------------------------------
@@ -237,9 +268,13 @@ class Collector:
         return found
 
     def _take(
-        self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray, doubted: BoolArray
-    ) -> None:
-        """Store answers (n,) received after the SYNC of row ``last`` with ``number`` (0: none)."""
+        self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray, doubted: BoolArray,
+        reachable: IntArray,
+    ) -> None:  # fmt: skip
+        """Store answers (n,) received after the SYNC of row ``last`` with ``number`` (0: none).
+
+        One whose number is ``reachable`` may be that to a SYNC of a restarted count which was not received.
+        """
         row, fits = last, last >= 0
         counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
         numbered = number > 0
@@ -249,8 +284,7 @@ class Collector:
             row = np.where(numbered, last - behind, last)
             row[numbered & (behind >= max(self._numbers.window, 1))] += modulus
             fits = fits & (~numbered | (counter > 0) & (counter <= modulus))
-            if self._old is not None:
-                fits &= ~(numbered & self._ambiguous(counter, last))
+            fits &= ~(numbered & (last - self._issued[np.minimum(counter, LARGEST)] < AHEAD))
             self._count(self.tally.delayed, slot[numbered & fits & (row < last) & (row >= self._first)])
         self._count(self.tally.doubtful, slot[~fits & (last >= 0)])
         late = fits & (row < max(self._first, self._epoch))
@@ -261,37 +295,31 @@ class Collector:
             self._unsettled[slot[late & ~again] % len(self.node_ids)] = True
         fits &= ~late
         state = np.where(doubted, _CHANGED, _LIVE).astype(np.uint8)
+        early = (row > last) | numbered & (last == self._last) & (counter <= reachable)
         if fits.all():
-            self._put(place, words, state, row, last)
+            self._put(place, words, state, row, last, early)
         elif fits.any():
-            self._put(place[fits], words[fits], state[fits], row[fits], last[fits])
-
-    def _ambiguous(self, counter: IntArray, last: IntArray) -> BoolArray:
-        """Return (n,) whether a counter may still be a late answer of the count before."""
-        assert self._old is not None
-        number, modulus, epoch = self._old
-        if self._last - epoch > LARGEST:
-            self._old = None
-        return np.asarray(epoch - 1 - (number - counter) % modulus > last - AHEAD)
+            self._put(place[fits], words[fits], state[fits], row[fits], last[fits], early[fits])
 
     def _put(
-        self, place: IntArray, words: npt.NDArray[Any], state: npt.NDArray[np.uint8], row: IntArray, last: IntArray
-    ) -> None:
+        self, place: IntArray, words: npt.NDArray[Any], state: npt.NDArray[np.uint8], row: IntArray, last: IntArray,
+        early: BoolArray,
+    ) -> None:  # fmt: skip
         all_words, states = self._words.ravel(), self._state.ravel()
         order = np.arange(len(place), dtype=_WORD)
         before = all_words[place]
         all_words[place] = order
         once = all_words[place] == order  # False: a later one of these has the same place
         all_words[place] = before
-        if once.all() and not states[place].any() and (row <= last).all():
+        if once.all() and not states[place].any() and not early.any():
             all_words[place], states[place] = words, state
             return
-        rows = zip(place.tolist(), words.tolist(), state.tolist(), row.tolist(), last.tolist(), strict=True)
-        for at, word, new, of, after in rows:
+        each = (place, words, state, row, last, early)
+        for at, word, new, of, after, waits in zip(*(one.tolist() for one in each), strict=True):
             if not states[at]:
                 all_words[at], states[at] = word, new
-                if of > after:
-                    states[at], self._early[at] = _EARLY, (of, after)
+                if waits:
+                    states[at], self._early[at] = _EARLY, (of, after, new)
             elif all_words[at] != word:
                 states[at] = _DOUBTFUL
                 self._early.pop(at, None)
@@ -309,13 +337,15 @@ class Collector:
         if not count:
             return 0
         state = self._state[:, :, np.arange(self._first, self._first + count) % _RING]
-        there: BoolArray = state != _EMPTY
+        undecided = (state == _EARLY).any(axis=(0, 1))
+        there: BoolArray = (state != _EMPTY) & (state != _EARLY)
         if self._absent:
             there[:, list(self._absent)] = True
         # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not
         # wait. Rows older than the window cannot receive an answer.
         passed = np.logical_or.accumulate(there[:, :, ::-1], axis=2)[:, :, ::-1]
         ready: BoolArray = np.logical_and.reduce(passed, axis=(0, 1))
+        ready &= ~undecided
         ready[: max(self._epoch - self._first, 0)] = True
         ready[: max(count - self._numbers.window, 0)] = True
         if not self._numbers.number:
@@ -325,7 +355,7 @@ class Collector:
         if not ready.all():
             late = int(ready.argmin())
             for k in range(late, count):
-                if now_s - self._open[k].opened_s < self._wait_s:
+                if now_s - self._open[k].opened_s < self._wait_s * (_UNDECIDED_WAITS if undecided[k] else 1):
                     break
                 ready[k] = True
         return count if ready.all() else int(ready.argmin())

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import numpy as np
+import numpy.typing as npt
+
 LARGEST = 240
 """Largest value of 1019h: the numbers are 1 to 1019h."""
 
@@ -12,6 +15,8 @@ class SyncNumbers:
     """Compare the numbers of consecutive SYNCs. ``modulus`` is the producer's overflow value, as far as it is known.
 
     With ``own`` the host itself sends the SYNC: its count never restarts, so a gap means SYNCs that were not received.
+    A restart of another producer's count, which begins with 1, may be among SYNCs that were not received; the time
+    since the last one tells. The first two SYNCs are taken for consecutive ones where their numbers are.
     """
 
     def __init__(self, own: bool = False) -> None:
@@ -20,12 +25,28 @@ class SyncNumbers:
         self.number = 0
         """Number of the last SYNC; 0 for one without a number, and before the first."""
         self.last_ns = 0
+        self.gap_periods = 0
+        """Between the last two SYNCs, by their times; LARGEST and more: any number of SYNCs was not received."""
         self._period_ns = 0
+        self._ended = 0  # the number before an unexpected 1: the second time it is the overflow value
 
     @property
     def window(self) -> int:
         """An answer may be less than this many SYNCs late: half the numbers, so that late and early differ."""
         return self.modulus // 2
+
+    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return (n,) the number that a count which restarted after the last SYNC can have reached at ``t_ns``."""
+        if self._own or not self._period_ns:
+            return np.zeros(len(t_ns), dtype=np.int64)
+        return np.rint((t_ns - self.last_ns) / self._period_ns).astype(np.int64)
+
+    def consecutive(self, before: int, number: int, gap_ns: int) -> bool:
+        """Return whether these numbers of two SYNCs (0: none) surely follow each other."""
+        if not before or not number:
+            return before == number
+        in_time = self._own or gap_ns < 1.5 * self._period_ns
+        return in_time and (number == before + 1 or (number == 1 and before == self.modulus))
 
     def step(self, number: int, t_ns: int) -> int:
         """Return the distance of the SYNC with ``number`` (0: none) at ``t_ns`` from the last; RESTARTED if unknown."""
@@ -33,17 +54,25 @@ class SyncNumbers:
         number = number if number <= LARGEST else 0
         self.number, self.last_ns = number, t_ns
         if not number or not before:
+            self.gap_periods = LARGEST
             return 1 if number == before else RESTARTED
-        periods = round(gap_ns / self._period_ns) if self._period_ns else 1
+        steps = (number - before) % self.modulus
+        unknown = 1 if steps == 1 else LARGEST
+        self.gap_periods = periods = round(gap_ns / self._period_ns) if self._period_ns else unknown
+        if steps == 1:
+            self._period_ns = gap_ns
         if number > self.modulus:
             self.modulus = LARGEST
             return RESTARTED
-        if number == 1 and before != self.modulus and before > 1 and periods == 1 and not self._own:
-            self.modulus = before  # the end of its count, or a restart
-            return RESTARTED
-        steps = (number - before) % self.modulus
-        if steps == 1:
-            self._period_ns = gap_ns
-        elif not self._own and (not 1 < steps <= self.window or abs(periods - steps) > max(1, steps // 4)):
-            return RESTARTED
-        return steps or RESTARTED
+        if self._own:
+            return steps or RESTARTED
+        # A count that restarted within the gap has reached at most the periods of the gap.
+        restart = number <= periods + 1
+        in_time = abs(periods - steps) <= (0 if restart else max(1, steps // 4))
+        if 1 <= steps <= max(self.window, 1) and (in_time or (steps == 1 and not restart)):
+            return steps
+        if number == 1 and periods == 1 and before > 1:
+            if before == self._ended:
+                self.modulus = before
+            self._ended = before
+        return RESTARTED
