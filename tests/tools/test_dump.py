@@ -248,6 +248,14 @@ def test_verbose_counts_messages_and_lost_samples() -> None:
     assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 4 frames, 3 samples lost"
 
 
+def test_verbose_counts_by_the_numbers_of_the_syncs() -> None:
+    sent = [("080", "")] + [("080", f"{k:02X}") for k in (239, 240, 1, 2, 4)]
+    frames = [(f"{can_id}#{data}", f"285#00000000000002{data or 'F0'}") for can_id, data in sent]
+    text = "".join(f"(1700000000.{k:06d}) vcan0 {one}\n" for k, one in enumerate(sum(frames, ())))
+    lines = piped(text, "-v", "-").stderr.splitlines()
+    assert lines[-1] == "tipforce dump: node 5 (0x05) Contact: 6 frames, 1 sample lost"
+
+
 def test_strict_stops_at_the_first_bad_line() -> None:
     good = GOOD.splitlines(keepends=True)
     done = piped(good[0] + "rubbish\n" + good[1], "--strict", "-L", "-")

@@ -8,45 +8,27 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
-import numpy.typing as npt
-
 from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
-from tipforce.host.decoding.decoder import Decoder, Key, Samples, lost_samples
+from tipforce.host.decoding.decoder import Decoder, Key, Samples
 from tipforce.host.decoding.object_names import eds_names, fingertip_names
+from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.decoding.services import Services
+from tipforce.host.decoding.sync_modulus import SyncModulus
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.receiver import InterfaceDownError
 from tipforce.host.logs.candump import BadLineError, CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce_tools.cli import common
 from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.dump.output import COUNTER, JsonWriter, TextWriter, Writer
+from tipforce_tools.dump.output import JsonWriter, TextWriter, Writer
 from tipforce_tools.dump.targets import STDIN, Target, select, split_targets
 from tipforce_tools.dump.text_source import text_blocks
 
 if TYPE_CHECKING:
     from tipforce.host.live.receive_group import ReceiverGroup
-
-
-class Tally:
-    """Counts frames and lost samples per message, over all blocks."""
-
-    def __init__(self) -> None:
-        self.frames: dict[Key, int] = {}
-        self.lost: dict[Key, int] = {}
-        self._last: dict[Key, npt.NDArray[np.uint8]] = {}
-
-    def add(self, key: Key, samples: Samples) -> None:
-        """Count a block's samples of one message."""
-        self.frames[key] = self.frames.get(key, 0) + len(samples.row)
-        if COUNTER in samples.columns and 1 <= samples.message.transmission_type <= 240:  # cyclic: sends every sample
-            counter = samples.columns[COUNTER]
-            joined = np.concatenate((self._last.get(key, counter[:0]), counter))
-            self.lost[key] = self.lost.get(key, 0) + lost_samples(joined)
-            self._last[key] = counter[-1:].copy()
 
 
 def _decoder(gauges: int, eds: EdsFiles) -> Decoder:
@@ -69,7 +51,8 @@ class Session:
         self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
-        self.tally = Tally()
+        self.counters, self._modulus = SampleCounters(), SyncModulus()
+        self._counted = _decoder(args.gauges, eds) if args.verbose else None  # of the parts of a block
         self._left = args.count
         self._needs_time = not args.json and (args.log or bool(args.timestamps))
         self._writer: Writer = JsonWriter()
@@ -88,14 +71,21 @@ class Session:
             block = block.head(self._left)
             self._left -= len(block)
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
-        for key, samples in decoded.items():
-            self.tally.add(key, samples)
+        if self._args.verbose:
+            self._count(block.frames, decoded)
         services = () if self.services is None else self.services.describe(block.frames, block.interface)
         text = self._writer.text(block, decoded if self._args.decode else {}, services)
         if text:
             sys.stdout.write(text)
             sys.stdout.flush()
         return self._left is None or self._left > 0
+
+    def _count(self, frames: FrameArray, decoded: dict[Key, Samples]) -> None:
+        """Count the decoded frames, each by the modulus in force where it was received."""
+        assert self._counted is not None
+        parts = self._modulus.cuts(frames)
+        for part in self._modulus.parts(frames):
+            self.counters.add(self._counted.decode(part) if parts else decoded, self._modulus.modulus)
 
 
 def dump(args: Namespace) -> int:
@@ -211,8 +201,8 @@ def _report(args: Namespace, session: Session, dropped: int, parser: CandumpPars
         short = _count(count, "frame")
         notes.append(f"node {common.shown_id(node_id)} {name}: {short} shorter than the mapping, not decoded")
     if args.verbose:
-        for key, count in session.tally.frames.items():
-            lost = f", {_count(session.tally.lost[key], 'sample')} lost" if key in session.tally.lost else ""
+        for key, count in session.counters.frames.items():
+            lost = f", {_count(session.counters.lost[key], 'sample')} lost" if key in session.counters.lost else ""
             notes.append(f"node {common.shown_id(key[0])} {key[1]}: {_count(count, 'frame')}{lost}")
     for text in notes:
         common.note(args, f"tipforce dump: {text}")

@@ -9,6 +9,7 @@ from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1
 GAUGE_1 = 0x71300110
 STATUS, COUNTER = 0x21200008, 0x21210008
 NEEDS = (*TPDO1, (0x6133, 1))
+NUMBERED = (*TPDO1, (0x1019, 0))
 SAMPLE_MS = 130  # 100 ms after the last SYNC samples are taken without one
 
 
@@ -130,6 +131,17 @@ def counter(dut: Dut) -> None:
         found = dut.expect(can_id).data[0]
         check(last < 0 or found == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(found))
         last = found
+
+
+@case("tipforce 2121h", "with 1019h = 240 the counter is the number of the SYNC, 1 to 240", needs=NUMBERED, own=True)
+def numbered(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, COUNTER)
+    dut.put("B", 0x1019, 0, 240)
+    dut.nmt(START)
+    for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
+        dut.send(0x080, bytes((number,)))
+        found = dut.expect(can_id).data[0]
+        check(found == number, str(number), str(found))
 
 
 @case("tipforce 2121h", "all TPDOs of one SYNC carry the same counter", needs=(*TPDO1, (0x1801, 1)), own=True)
