@@ -31,9 +31,10 @@ def test_a_value_in_another_row_is_found(monkeypatch: pytest.MonkeyPatch) -> Non
     take = Collector._take
 
     def by_order(
-        self: Collector, slot: np.ndarray, words: np.ndarray, last: np.ndarray, number: np.ndarray, doubted: np.ndarray
-    ) -> None:
-        take(self, slot, words, last, number * 0, doubted)
+        self: Collector, slot: np.ndarray, words: np.ndarray, last: np.ndarray, number: np.ndarray,
+        doubted: np.ndarray, reachable: np.ndarray,
+    ) -> None:  # fmt: skip
+        take(self, slot, words, last, number * 0, doubted, reachable)
 
     faults = Faults(drop=0.05, delay=0.2, delay_s=0.025)
     fingers = stored_fingers(3, 7)
