@@ -87,6 +87,7 @@ class Collector:
         self._verified: dict[int, int] = {}  # by finger: 2126h for which the hand knows what its values mean
         self._noticed: dict[int, int] = {}  # the last one that was reported as a change
         self._doubted = np.zeros(len(node_ids), dtype=np.bool_)
+        self._health_s: dict[int, float] = {}  # by finger: when its health PDO came, or its 2126h was asked for
         self._requests: deque[Callable[[], None]] = deque()  # of other threads
         self._nothing: Rows | None = None
         self.changes: list[int] = []
@@ -119,8 +120,29 @@ class Collector:
 
         def apply() -> None:
             self._verified[k], self._doubted[k] = counter, False
+            self._noticed.pop(k, None)
 
         self._requests.append(apply)
+
+    def notice(self, node_id: int, counter: int) -> bool:
+        """Hide the values of a finger whose 2126h was read; return False if that change is known. For any thread."""
+        k = self.node_ids.index(node_id)
+        if self._noticed.get(k) == counter:
+            return False
+
+        def apply() -> None:
+            self._noticed[k], self._doubted[k] = counter, True
+            self.changes.append(node_id)
+
+        self._requests.append(apply)
+        return True
+
+    def unwatched(self, now_s: float, limit_s: float) -> list[int]:
+        """Return the fingers whose values are shown although their health PDO did not come for ``limit_s``."""
+        shown = [k for k in self._verified if not self._doubted[k]]
+        found = [k for k in shown if now_s - self._health_s.setdefault(k, now_s) > limit_s]
+        self._health_s |= dict.fromkeys(found, now_s)
+        return [self.node_ids[k] for k in found]
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
@@ -177,7 +199,7 @@ class Collector:
             number.append(self._numbers.number)
         answers = np.flatnonzero((slot >= 0) & (slot < self._service))
         services = np.flatnonzero((slot >= self._service) & (slot < self._service + len(self.node_ids)))
-        from_here = self._watch(frames, slot, services, len(frames)) if len(services) else None
+        from_here = self._watch(frames, slot, services, now_s) if len(services) else None
         if len(answers):
             before = np.searchsorted(syncs, answers)
             words = frames["data"].view(_WORD)[:, 0][answers]
@@ -251,12 +273,14 @@ class Collector:
 
     # --- answers ----------------------------------------------------------------------------------------------------
 
-    def _watch(self, frames: FrameArray, slot: IntArray, services: npt.NDArray[np.intp], end: int) -> IntArray:
+    def _watch(self, frames: FrameArray, slot: IntArray, services: npt.NDArray[np.intp], now_s: float) -> IntArray:
         """Return (k,) the frame from which on a finger's values are doubtful: another 2126h, a boot-up."""
-        found = np.where(self._doubted, 0, end)
+        found = np.where(self._doubted, 0, len(frames))
         for at in services.tolist():
             k = int(slot[at]) - self._service
             data, heartbeat = frames["data"][at], frames["can_id"][at] >= HEARTBEAT_BASE
+            if not heartbeat:
+                self._health_s[k] = now_s
             counter = int(data[self._change_byte])
             if k not in self._verified or (data[0] if heartbeat else counter == self._verified[k]):
                 continue

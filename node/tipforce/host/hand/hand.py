@@ -52,6 +52,7 @@ _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
+_HEALTH_SILENT_S = 3.0  # three periods of the health PDO's event timer: then 2126h is read
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
@@ -319,7 +320,8 @@ class Hand:
             self._react(event)
         while self._collector.changes:
             self._changed(self._collector.changes.pop(0))
-        self._queue.tick()
+        silent = self._collector.unwatched(now_s, _HEALTH_SILENT_S)
+        self._queue.need([n for n in silent if self._supervisor.states[n] == OPERATIONAL])  # starts what is due, too
         self._probe(now_s)
 
     def _react(self, event: Event) -> None:
