@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 
 import tipforce
+from eds.samples import text, var
 from tipforce.machine import shipped_eds
 from tipforce_tools.cli.main import main
 
@@ -76,3 +77,21 @@ def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.
     assert "TPDO2  Position_actual_value=1000 Velocity_actual_value=-2" in lines[3]
     assert "Target velocity" in lines[5]
     assert "2000" in lines[5]
+
+
+def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "lamp.eds"
+    path.write_text(text(var("1021", 0xF, "ro"), var("2000", 6, "rw", "500", ParameterName="Brightness")))
+    bus = ("-i", "virtual", "-c", "stored-eds", "--json")
+    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "stored-eds"}) as lamp:
+        assert main(["sdo", "dump", "5", *bus]) == 0
+        rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        assert ("Brightness", 500) in [(row["name"], row["value"]) for row in rows]
+        assert main(["config", "show", "5", *bus]) == 0
+        assert capsys.readouterr().out == ""
+        lamp["Brightness"] = 7
+        for eds in ((), ("--eds", str(path))):
+            assert main(["config", "show", "5", *eds, *bus]) == 0
+            (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+            assert (row["index"], row["name"], row["value"], row["default"]) == ("0x2000", "Brightness", 7, 500)
+        assert main(["config", "verify", "5", str(path), "--eds", str(path), *bus]) == 2

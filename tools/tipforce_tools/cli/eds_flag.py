@@ -3,11 +3,20 @@
 from __future__ import annotations
 
 import argparse
+import os
 import sys
 from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
+from tipforce.device import communication
+from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce.eds.description import Description
+    from tipforce.host.network.sdo import SdoChannel
 
 
 def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
@@ -39,3 +48,37 @@ def eds_files(given: Sequence[str]) -> tuple[tuple[int, str], ...]:
             print(f"warning: {warning}", file=sys.stderr)
         found.append((node_id, path))
     return tuple(found)
+
+
+def description(args: argparse.Namespace, sdo: SdoChannel) -> Description | None:
+    """Return what ``--eds FILE``, or without it the EDS that the node stores, says; None without either.
+
+    Its warnings are notes. Raises InputError for a file that is no EDS, NoResponseError.
+    """
+    from tipforce.eds.reader import read_eds
+
+    found = read_eds(args.eds, args.node) if args.eds else _stored(sdo)
+    for warning in found.warnings if found is not None else ():
+        common.note(args, f"warning: {warning}")
+    return found
+
+
+def _stored(sdo: SdoChannel) -> Description | None:
+    """Return the EDS of 1021h; None where the node has none, or a compressed one (CiA 301, 7.5.2.21 and 7.5.2.22)."""
+    from tipforce.eds.reader import describe
+    from tipforce.eds.sections import decoded, parse
+
+    with suppress(SdoAbortError):  # without 1022h the format is 0
+        if any(sdo.upload(communication.EDS_FORMAT, 0)):
+            return None
+    try:
+        content = sdo.upload(communication.STORED_EDS, 0, True)
+    except SdoAbortError:
+        return None
+    text, findings = decoded(content)
+    file = parse(text)
+    file.findings[:0] = findings
+    try:  # the node does not choose files of this machine: its UploadFile is below no folder
+        return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
+    except InputError:
+        return None

@@ -8,10 +8,12 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
+from tipforce_tools.cli.eds_flag import description
 
 if TYPE_CHECKING:
     from tipforce.dictionary.rows import Row
     from tipforce.dictionary.types import Value
+    from tipforce.eds.description import Description
     from tipforce.host.configuration.configuration_file import Configuration
     from tipforce.host.network.sdo import SdoChannel
 
@@ -45,6 +47,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
     parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
+    parser.add_argument("--eds", metavar="FILE", help="show: EDS or DCF of a node of any manufacturer (default: 1021h)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
@@ -58,6 +61,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
     if args.action == "show":
         return _show(args)
+    if args.eds:
+        raise InputError(f"config {args.action}: --eds is for show")
     return _save(args) if args.action == "save" else _with_file(args)
 
 
@@ -111,8 +116,9 @@ def _show(args: argparse.Namespace) -> int:
 
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        if not _is_fingertip(sdo):
-            return _show_foreign(args, sdo)
+        if args.eds or not _is_fingertip(sdo):
+            described = description(args, sdo)
+            return _show_foreign(args, sdo) if described is None else _show_described(args, sdo, described)
         settings = _read(args, sdo)
     known, defaults = setting_rows(args.gauges), default_settings(args.node, args.gauges)
     shown = settings if args.all else changed_settings(settings, args.node, args.gauges)
@@ -139,6 +145,39 @@ def _is_fingertip(sdo: SdoChannel) -> bool:
         return gauges_of(sdo.read(od.IDENTITY_PRODUCT)) > 0
     except SdoAbortError:  # CiA 301 requires the vendor alone
         return False
+
+
+def _show_described(args: argparse.Namespace, sdo: SdoChannel, described: Description) -> int:
+    """Print the writable objects that differ from the DefaultValue of the EDS (--all: each), under its names."""
+    from tipforce.device import communication
+    from tipforce.dictionary import types
+
+    read = shown = 0
+    actions = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
+    for entry in described.entries():
+        if not entry.access.startswith("rw") or entry.index in actions:
+            continue
+        try:
+            value = types.decode(entry.letter, sdo.upload(entry.index, entry.sub, entry.letter == "D"))
+        except (SdoAbortError, InputError):  # the node lacks the object, or has one of another length
+            continue
+        read += 1
+        if not args.all and value == entry.default:
+            continue
+        shown += 1
+        texts = [data.hex(" ").upper() if isinstance(data, bytes) else data for data in (value, entry.default)]
+        name = described.objects[entry.index].name
+        name = name if set(described.objects[entry.index].entries) == {0} else f"{name}/{entry.name}"
+        if args.json:
+            common.print_json(
+                {"index": f"0x{entry.index:04X}", "sub": entry.sub, "name": name, "value": texts[0],
+                 "default": texts[1], "unit": entry.unit}
+            )  # fmt: skip
+        else:
+            default = "" if value == entry.default else f"   (default {texts[1]})"
+            print(f"{entry.place}  {name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}")
+    common.note(args, f"node {common.shown_id(args.node)}: {read} settings of its EDS, {shown} shown")
+    return 0
 
 
 def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:

@@ -9,10 +9,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from tipforce.device import codes, communication
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import description
 
 if TYPE_CHECKING:
     from tipforce.dictionary.rows import Row
     from tipforce.dictionary.types import Value
+    from tipforce.eds.description import Description
     from tipforce.host.network.sdo import SdoChannel
 
 EDS = communication.STORED_EDS
@@ -65,7 +67,7 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     from tipforce.host.network.finger import FingertipClient
 
     if args.eds:
-        return _rows_of(args)
+        return _rows_of(description(args, sdo))
     gauges, below = args.gauges, 0x10000
     if gauges is None:
         try:
@@ -73,6 +75,9 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
             gauges = identity.gauges if identity.is_fingertip else None
         except SdoAbortError:  # 1018h:2 to 4 are optional
             gauges = None
+        stored = description(args, sdo) if gauges is None else None
+        if stored is not None:
+            return _rows_of(stored)
         if gauges is None:
             gauges, below = 3, _PROFILE_FREE
             common.note(
@@ -83,16 +88,12 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
 
 
-def _rows_of(args: argparse.Namespace) -> list[Row]:
+def _rows_of(found: Description | None) -> list[Row]:
     """Return the readable entries of the EDS, under its names."""
     from tipforce.dictionary.rows import Row
-    from tipforce.eds.reader import read_eds
 
-    found = read_eds(args.eds, args.node)
-    for warning in found.warnings:
-        common.note(args, f"warning: {warning}")
     rows = []
-    for entry in found.entries():
+    for entry in found.entries() if found is not None else ():
         one = found.objects[entry.index]
         name = one.name if set(one.entries) == {0} else f"{one.name}/{entry.name}"
         if entry.access != "wo" and entry.index != EDS:
