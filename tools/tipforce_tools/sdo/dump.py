@@ -66,8 +66,9 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     from tipforce.dictionary.rows import rows
     from tipforce.host.network.finger import FingertipClient
 
-    if args.eds:
-        return _rows_of(description(args, sdo))
+    given = description(args, sdo) if args.eds else None
+    if given is not None:
+        return _rows_of(given)
     gauges, below = args.gauges, 0x10000
     if gauges is None:
         try:
@@ -88,12 +89,12 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
     return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
 
 
-def _rows_of(found: Description | None) -> list[Row]:
+def _rows_of(found: Description) -> list[Row]:
     """Return the readable entries of the EDS, under its names."""
     from tipforce.dictionary.rows import Row
 
     rows = []
-    for entry in found.entries() if found is not None else ():
+    for entry in found.entries():
         one = found.objects[entry.index]
         name = one.name if set(one.entries) == {0} else f"{one.name}/{entry.name}"
         if entry.access != "wo" and entry.index != EDS:
