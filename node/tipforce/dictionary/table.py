@@ -234,6 +234,7 @@ def var(
     high: "Limit" = None,
     unit: str = "",
 ) -> "Object":
+    """A variable: an object of one value."""
     return (index, VAR, name, slug, ((0, 1, name, slug, kind, access, flags, default, low, high, unit),))
 
 
@@ -251,6 +252,7 @@ def array(
     high: "Limit" = None,
     unit: str = "",
 ) -> "Object":
+    """An array of ``count`` values of one type; its sub-index 0 is added."""
     run = (1, count, names, slug, kind, access, flags, default, low, high, unit)
     return (index, ARRAY, name, slug, (run,))
 

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 
 
 def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
+    """Objects 1000h to 1FFFh but the PDOs and programs (CiA 301)."""
     stores = ("all parameters", "communication parameters", "application parameters", "calibration")
     return (
         var(communication.DEVICE_TYPE, "Device type", "device_type", U32, "ro", 0, 0x00020194),
@@ -124,6 +125,7 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
 
 
 def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object]":
+    """Communication and mapping parameters of a PDO."""
     number, message, base, enabled, transmission, event_ms, mapped = pdo
     slug = "%s%d" % (direction, number)
     title = "%s%d %s" % (direction.upper(), number, message.lower())

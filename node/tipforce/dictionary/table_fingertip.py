@@ -28,6 +28,7 @@ if TYPE_CHECKING:
 
 
 def calibration(n: int) -> "tuple[Object, ...]":
+    """Calibration, its record and where it is valid, for n gauges."""
     rows = ("F1", "F2", "F3")
     matrix = tuple("C %s SG%d" % (row, k) for row in rows for k in range(1, n + 1))
     noise = tuple("Covariance SG%d SG%d" % (j, k) for j in range(1, n + 1) for k in range(j, n + 1))
@@ -112,6 +113,7 @@ def calibration(n: int) -> "tuple[Object, ...]":
 
 
 def live() -> "tuple[Object, ...]":
+    """Live values: tare, contact, force and their uncertainty."""
     return (
         record(
             0x2111, "Tare", "tare",
@@ -133,6 +135,7 @@ def live() -> "tuple[Object, ...]":
 
 
 def simulation(n: int) -> "tuple[Object, ...]":
+    """Settings of a simulated node."""
     return (
         record(
             0x2200, "Simulated fault", "simulation",

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 
 def profile(n: int, converter: "Converter") -> "Iterator[Object]":
+    """Objects of CiA 404 for each gauge channel."""
     chans = channels(n)
     symbols = tuple(c[0] for c in chans)
     total = n + 6

@@ -87,10 +87,14 @@ def mismatch(rng: np.random.Generator) -> FloatArray:
     return (LOADS.F @ A.T + CAUSES.temperature_K * CAUSES.mismatch_strain_per_K * rng.normal(size=3)) @ C.T
 
 
+EVERY_LOAD = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
+LARGEST = np.abs(force_vector(1.0, EVERY_LOAD[0].ravel(), EVERY_LOAD[1].ravel()) @ A.T).max(
+    axis=0
+)  # gauge, load of 1 N
+
+
 def hysteresis(rng: np.random.Generator) -> FloatArray:
-    theta, phi = np.meshgrid(np.linspace(0.0, 2.0 * pi, 181), np.linspace(0.0, 2.0 * pi, 181))
-    before = np.abs(force_vector(1.0, phi.ravel(), theta.ravel()) @ A.T).max(axis=0)  # of each gauge, any load of 1 N
-    width = CAUSES.hysteresis * before * LOADS.P_newtons[:, np.newaxis]
+    width = CAUSES.hysteresis * LARGEST * LOADS.P_newtons[:, np.newaxis]
     V: FloatArray = LOADS.F @ A.T + width * rng.normal(size=3)
     return V @ C.T
 

@@ -110,8 +110,8 @@ def _always(_right: Any) -> Any:
 
 
 def _stale_is_news(right: Any) -> Any:
-    def latch(self: Any, now_us: int) -> None:
-        right(self, now_us)
+    def latch(self: Any, now_us: int, number: int = 0) -> None:
+        right(self, now_us, number)
         self.sample.stale = False
         self.sample._status = self.sample._early = self.sample._unknown = -1
 

@@ -67,6 +67,7 @@ def longer(before: FloatArray, after: FloatArray) -> FloatArray:
 
 
 def loss_weights(distance: FloatArray, loss: str, cut: float) -> FloatArray:
+    """Return the weight of each row, (m,), from its squared distance in standard deviations: 1 near 0."""
     d = np.sqrt(np.maximum(distance, 0.0)) / cut
     if loss == "huber":
         return 1.0 / np.maximum(d, 1.0)

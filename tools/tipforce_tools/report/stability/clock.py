@@ -22,6 +22,7 @@ from tipforce_tools.report.stability.case import Case, Observed
 
 _GAUGES_COB_ID, _HEARTBEAT_COB_ID = codes.TPDO_BASES[0] + rig.NODE_ID, codes.HEARTBEAT_BASE + rig.NODE_ID
 _DAY_MS = 86_400_000
+_NO_SYNC_US = 1_200_000  # the node latches by itself again
 _HUSHED = (rig.UNKNOWN,) * 3
 
 
@@ -199,14 +200,14 @@ def _live_backwards() -> Observed:
     finger.put("H", communication.PRODUCER_HEARTBEAT, 0, 100)
     finger.sync()
     finger.source.load = (2.0, *rig.PUSH[1:])
-    finger.now_us += 200_000
+    finger.now_us += _NO_SYNC_US
     shown = [finger.get("f", indices.PROCESS_VALUE, 7)]
     finger.now_us -= 10_000_000
     finger.source.load = (3.0, *rig.PUSH[1:])
     finger.step()
     finger.others.clear()
     due = finger.due_us - finger.now_us
-    finger.now_us += 200_000
+    finger.now_us += _NO_SYNC_US
     shown.append(finger.get("f", indices.PROCESS_VALUE, 7))
     beats = sum(can_id == _HEARTBEAT_COB_ID for can_id, _ in finger.others)
     finger.source.load = (4.0, *rig.PUSH[1:])
