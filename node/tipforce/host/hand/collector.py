@@ -149,14 +149,11 @@ class Collector:
         change = self._absent.discard if present else self._absent.add
         self._requests.append(partial(change, self.node_ids.index(node_id)))
 
-    def last_number(self) -> int:
-        """Return the number of the last SYNC, 0 for one without."""
-        return self._numbers.number
-
-    def restart(self, before: int) -> None:
-        """End the open rows; the next SYNC has the number after ``before``, far from those of the open rows."""
-        self._numbers.number = before
+    def restart(self) -> int:
+        """End the open rows; return the number of the next SYNC, far from those that late answers may have."""
+        self._numbers.number = (self._numbers.number + AHEAD) % LARGEST or LARGEST
         self._epoch = self._last + 1
+        return self._numbers.number % LARGEST + 1
 
     def add(self, frames: FrameArray, now_s: float) -> Rows:
         """Process received frames, FRAME (n,); return the rows that are complete or timed out, often none.
@@ -293,7 +290,7 @@ class Collector:
 
     def _take(
         self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray, doubted: BoolArray,
-        reachable: IntArray,
+        reachable: IntArray | None,
     ) -> None:  # fmt: skip
         """Store answers (n,) received after the SYNC of row ``last`` with ``number`` (0: none).
 
@@ -308,7 +305,8 @@ class Collector:
             row = np.where(numbered, last - behind, last)
             row[numbered & (behind >= max(self._numbers.window, 1))] += modulus
             fits = fits & (~numbered | (counter > 0) & (counter <= modulus))
-            fits &= ~(numbered & (last - self._issued[np.minimum(counter, LARGEST)] < AHEAD))
+            if self._last - self._epoch < AHEAD + _PART_SYNCS:
+                fits &= ~(numbered & (last - self._issued[np.minimum(counter, LARGEST)] < AHEAD))
             self._count(self.tally.delayed, slot[numbered & fits & (row < last) & (row >= self._first)])
         self._count(self.tally.doubtful, slot[~fits & (last >= 0)])
         late = fits & (row < max(self._first, self._epoch))
@@ -319,7 +317,9 @@ class Collector:
             self._unsettled[slot[late & ~again] % len(self.node_ids)] = True
         fits &= ~late
         state = np.where(doubted, _CHANGED, _LIVE).astype(np.uint8)
-        early = (row > last) | numbered & (last == self._last) & (counter <= reachable)
+        early = row > last
+        if reachable is not None:
+            early |= numbered & (last == self._last) & (counter <= reachable)
         if fits.all():
             self._put(place, words, state, row, last, early)
         elif fits.any():
@@ -361,8 +361,11 @@ class Collector:
         if not count:
             return 0
         state = self._state[:, :, np.arange(self._first, self._first + count) % _RING]
-        undecided = (state == _EARLY).any(axis=(0, 1))
-        there: BoolArray = (state != _EMPTY) & (state != _EARLY)
+        there: BoolArray = state != _EMPTY
+        undecided = np.zeros(count, dtype=np.bool_)
+        if self._early:
+            there &= state != _EARLY
+            undecided = (state == _EARLY).any(axis=(0, 1))
         if self._absent:
             there[:, list(self._absent)] = True
         # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not

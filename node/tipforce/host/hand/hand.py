@@ -37,11 +37,10 @@ from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, rea
 from tipforce.host.hand.hand_row import HandRows
 from tipforce.host.hand.jitter import Jitter, JitterFigures
 from tipforce.host.hand.link import Link, SharedLink, open_link
-from tipforce.host.hand.numbering import SYNC_PAUSE_NUMBERS, wanted_overflow
+from tipforce.host.hand.numbering import wanted_overflow
 from tipforce.host.hand.recovery import LOST, Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
 from tipforce.host.hand.rows import Rows, Tally
-from tipforce.host.hand.sync_numbers import LARGEST
 from tipforce.host.hand.sync_producer import SyncProducer, sync_data
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
@@ -360,12 +359,7 @@ class Hand:
     def _start_sync(self) -> None:
         self._jitter.skip()
         if self.file.hand.sync_hz and not self._stopped.is_set():
-            first = 0
-            if self._recovery.overflow:
-                # Numbers that no answer from before the pause has.
-                before = (self._collector.last_number() + SYNC_PAUSE_NUMBERS) % LARGEST
-                self._collector.restart(before or LARGEST)
-                first = before + 1
+            first = self._collector.restart() if self._recovery.overflow else 0
             self._sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, sync_data(first))
 
     def _stop_sync(self) -> None:

@@ -12,9 +12,6 @@ from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.link import Link
 from tipforce.host.hand.sync_numbers import LARGEST
 
-SYNC_PAUSE_NUMBERS = LARGEST // 2
-"""Numbers that are left out when the SYNC starts again, so that late answers from before are known as such."""
-
 _LISTEN_S = 0.5  # for the SYNC of another device
 
 

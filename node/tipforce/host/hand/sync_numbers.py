@@ -35,10 +35,10 @@ class SyncNumbers:
         """An answer may be less than this many SYNCs late: half the numbers, so that late and early differ."""
         return self.modulus // 2
 
-    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Return (n,) the number that a count which restarted after the last SYNC can have reached at ``t_ns``."""
+    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
+        """Return (n,) the number that a count which restarted after the last SYNC can have reached; None: it cannot."""
         if self._own or not self._period_ns:
-            return np.zeros(len(t_ns), dtype=np.int64)
+            return None
         return np.rint((t_ns - self.last_ns) / self._period_ns).astype(np.int64)
 
     def consecutive(self, before: int, number: int, gap_ns: int) -> bool:
