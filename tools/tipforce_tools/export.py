@@ -62,7 +62,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Write the file or files; return 0."""
     from tipforce.dictionary import table
-    from tipforce.output_file import DBC, EDS, new_file
+    from tipforce.output_file import DBC, EDS, XDD, new_file
 
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format == "c":
@@ -73,7 +73,9 @@ def run(args: argparse.Namespace) -> int:
     if not args.output or args.output == "-":
         print(text, end="")
         return 0
-    with new_file(args.output, DBC if args.format == "dbc" else EDS, [args.settings or ""]) as partial:
+    kind = {"dbc": DBC, "xdd": XDD}.get(args.format, EDS)
+    inputs = [name for name in (args.settings, args.eds) if name]
+    with new_file(args.output, kind, inputs) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
     common.note(args, f"{args.output}: {len(text.splitlines())} lines")
     return 0

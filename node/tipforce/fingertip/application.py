@@ -159,28 +159,27 @@ class Fingertip(Application):
         else:
             new = self._news(now_us)
             self.due_us = filtering.due_us
-        if now_us < self._latches_by_sync_until_us:
-            return
-        if new and self._watching():
+        by_sync = now_us < self._latches_by_sync_until_us
+        if new and not by_sync and self._watching():
             self._latch(now_us)
         elif self.source.watch_us and now_us - self.sample.latched_us >= self.source.watch_us:
             seen = self.source.look(now_us)
             # What the application itself calls frozen shows in a row of readings only.
             own = 1 << table.FAULT_FROZEN if self.frozen else 0
             if seen is not None and seen | own != self.sample.seen | own:
-                self._latch(now_us)
+                self._latch(now_us, self._counter if by_sync else 0, not by_sync)
 
-    def _latch(self, now_us: int, number: int = 0) -> None:
+    def _latch(self, now_us: int, number: int = 0, counts: bool = True) -> None:
         """Take the newest reading; without a new one the last sample stands, marked stale.
 
         With 1019h the counter (2121h) is the number of the SYNC, 0 for a latch without SYNC; otherwise it counts
-        samples, and a stale one repeats it.
+        samples, and a stale one, or one between two SYNCs that shows a fault, repeats it.
         """
         before = self.sample
         sample = self._sampled(now_us)
         if self.device.od.integer(communication.SYNC_OVERFLOW):
             self._counter = number
-        elif not sample.stale:
+        elif counts and not sample.stale:
             self._counter = (self._counter + 1) & 0xFF
         sample.counter = self._counter
         self._waiting = None

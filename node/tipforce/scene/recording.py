@@ -8,7 +8,7 @@ from types import TracebackType
 
 import numpy as np
 
-from tipforce.errors import WriteError
+from tipforce.errors import EnvironmentLackError, WriteError
 from tipforce.host.frames.frame_array import FRAME, FrameArray, RawFrame, frame_array
 from tipforce.output_file import CANDUMP_LOG, NewFile
 
@@ -56,7 +56,9 @@ class Recording:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        complete = kind is None or issubclass(kind, KeyboardInterrupt)
+        complete = kind is None or issubclass(
+            kind, (KeyboardInterrupt, EnvironmentLackError)
+        )  # nothing received is lost
         try:
             if complete:
                 self._flush()

@@ -19,6 +19,10 @@ from tipforce.sensor.structure.layouts import layout
 # Modules imported for a part in addition to those already loaded; imports.py follows each.
 _STRUCTURE = ("tipforce.sensor.structure.strain",)
 _CALIBRATION = ("tipforce.host.configuration.calibration",)
+_OBJECTS = (  # the dictionary imports these where a node is made
+    "tipforce.dictionary.table_communication", "tipforce.dictionary.table_fingertip",
+    "tipforce.dictionary.table_profile",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +129,9 @@ def _nodes(scene: schema.Scene) -> Iterator[Part]:
     file = next((name for name in calibrated if name != "model"), "")
     filtered = next((group.filter for group in groups if group.filter), None)
     force, contact = (next((why for why in reasons if why), "") for reasons in zip(*map(computes, groups), strict=True))
-    yield _part("nodes", f"[[nodes]]: {len(scene.node_ids)}", "", "tipforce.scene.run", "tipforce.scene.check")
+    yield _part(
+        "nodes", f"[[nodes]]: {len(scene.node_ids)}", "", "tipforce.scene.run", "tipforce.scene.check", *_OBJECTS
+    )
     yield _part(
         "calibration",
         f'nodes.calibration = "{calibrated[0]}"' if calibrated else "",
