@@ -10,9 +10,10 @@ from canopen.profiles.p402 import BaseNode402
 import tipforce
 from tipforce.machine import Drive
 from tipforce.machine.device import shipped_eds
-from vcan.support import WAIT_S
+from vcan.support import WAIT_S, wait_until
 
 NODE_ID = 6
+TARGET_REACHED = 0x400
 
 
 def until(node: BaseNode402, state: str) -> None:
@@ -40,12 +41,12 @@ def test_enable_move_fault_and_reset() -> None:
             node.state = "OPERATION ENABLED"
             node.sdo[0x607A].raw = 1000
             node.controlword = 0x1F
-            deadline_s = time.monotonic() + WAIT_S
-            while node.sdo[0x6064].raw != 1000:
-                assert time.monotonic() < deadline_s
+            wait_until(lambda: node.sdo[0x6041].raw & TARGET_REACHED != 0, "the move should end")
+            assert node.sdo[0x6064].raw == 1000
             drive.fail(0x2310)
             until(node, "FAULT")
-            assert [error.code for error in node.emcy.active] == [0x2310]
+            # The EMCY follows the PDO that shows the state.
+            wait_until(lambda: [error.code for error in node.emcy.active] == [0x2310], "EMCY 2310h should come")
             node.controlword = 0x00
             node.controlword = 0x80
             until(node, "SWITCH ON DISABLED")
