@@ -264,3 +264,12 @@ def test_tare_between_slow_syncs_uses_a_reading_of_its_own_time() -> None:
     pdos = talk.sync(after_us=1)  # the converter has no further reading yet: that of the tare is new to this SYNC
     assert not pdos.status & STALE
     assert pdos.contact[0] == 0
+
+
+def test_after_a_reset_a_read_takes_a_sample_without_waiting_for_a_sync() -> None:
+    talk = finger(load=PUSH)
+    talk.sync()
+    for command in (0x81, 0x82):  # reset node, reset communication
+        talk.now_us += 1000
+        talk.step([(0x000, bytes((command, 5)))])
+        assert math.isfinite(talk.get("f", 0x6130, 1))

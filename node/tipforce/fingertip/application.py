@@ -92,6 +92,8 @@ class Fingertip(Application):
         self.channels.one_filter()
         self.device.od.values[indices.COMMAND << 8] = 0
         self._tare = NO_TARE
+        self._latches_by_sync_until_us = 0
+        self._synced_us = -LONGEST_INTERVAL_US
         self._waiting = None
         self._read_us = now_us
         self._equal = [0] * self.n
