@@ -77,6 +77,7 @@ def walk(folder: Path) -> None:
         hand = start(opened, "hand", "run", str(folder / "hand.toml"), "--seconds", "100", "-q")
         print(json.dumps({"page": page_message(view)["fingers"]}))
         hand.terminate()
+        hand.wait(30.0)  # it stops the fingers as it ends
         assert main(["read", "1,2", "--json", *FLAGS]) == 0
     heard = []
     while (message := emergencies.get_message(0.0)) is not None:
