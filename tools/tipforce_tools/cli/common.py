@@ -148,8 +148,11 @@ def shown_id(number: int) -> str:
 
 
 def print_json(record: dict[str, Any]) -> None:
-    """Print one JSON line; NaN and infinity become null, because JSON has neither."""
-    print(json_line(record))
+    """Print one JSON line; NaN and infinity become null, because JSON has neither.
+
+    Line and newline are one write: the events of a hand come from another thread.
+    """
+    sys.stdout.write(json_line(record) + "\n")
 
 
 def json_line(record: dict[str, Any]) -> str:
