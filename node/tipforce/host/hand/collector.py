@@ -397,7 +397,7 @@ class Collector:
         numbered = np.array([row.number > 0 for row in rows], dtype=np.bool_)
         columns: dict[str, npt.NDArray[Any]] = {}
         reason = _REASON[state].max(axis=0) if count else np.zeros(state.shape[1:], dtype=np.uint8)
-        counter = np.zeros(0, dtype=np.int64)
+        counter: IntArray = np.zeros(0, dtype=np.int64)
         for number, message in enumerate(self._messages):
             found = columns_of(words[number].ravel(), message.signals)
             own = found.pop(COUNTER).astype(np.int64).reshape(reason.shape)
