@@ -231,8 +231,16 @@ def test_a_log_is_replayed_to_its_end(browser: Browser, tmp_path: Path) -> None:
         page.click("#play")
         expect(mode).to_contain_text("replay", timeout=WAIT_MS)
         expect(second).to_contain_text("stale since", timeout=WAIT_MS)
-        expect(mode).to_have_text("paused", timeout=WAIT_MS)
+        expect(mode).to_have_text("ended", timeout=WAIT_MS)
         expect(page.locator(".finger .n").nth(3)).to_contain_text("2.149", timeout=WAIT_MS)
+        page.click("text=Play again")
+        expect(mode).to_contain_text("replay", timeout=WAIT_MS)
+        expect(page.locator("#play")).to_have_text("Pause")
+        expect(mode).to_have_text("ended", timeout=WAIT_MS)
+        page.focus("#scrub")
+        page.keyboard.press("Home")
+        expect(mode).to_have_text("paused", timeout=WAIT_MS)
+        expect(page.locator("#play")).to_have_text("Play")
         page.close()
 
 
@@ -267,7 +275,7 @@ def test_scrubbing_and_zoom_keep_what_follows_visible(browser: Browser, tmp_path
     with serving(source) as server:
         page = browser.new_page(viewport={"width": 1280, "height": 1200})
         page.goto(server.url)
-        expect(page.locator("#mode")).to_have_text("paused", timeout=WAIT_MS)  # played to its end
+        expect(page.locator("#mode")).to_have_text("ended", timeout=WAIT_MS)
         assert page.evaluate(SPAN) == [pytest.approx(start), pytest.approx(end)]
         chart = page.locator(".chart").first
         box = chart.bounding_box()

@@ -94,8 +94,7 @@ async function goLive() {
 
 async function play() {
   if (page.setup.live && page.mode === "live") return;
-  const atEnd = page.message.t >= page.message.end - 1;
-  const from = !page.setup.live && atEnd ? page.message.start : page.message.t;
+  const from = atEnd() ? page.message.start : page.message.t;
   setMode("replay");
   panel.follow(from, false);
   listen({ start: from, speed: page.speed });
@@ -107,6 +106,11 @@ async function respan() {
   if (page.mode === "live") await goLive();
   else if (page.mode === "replay") await play();
   else await panel.fill();
+}
+
+// Play begins again from the first moment of a recording.
+function atEnd() {
+  return !page.setup.live && page.message.t >= page.message.end - 1;
 }
 
 function pause() {
@@ -140,7 +144,6 @@ async function scrubTo(t) { // one request at a time: fast dragging must not fil
 function setMode(mode) {
   page.mode = mode;
   page.dirty = true;
-  $("play").textContent = mode === "paused" ? "Play" : "Pause";
   $("live").hidden = !page.setup.live || mode === "live";
   $("speed").parentElement.hidden = mode === "live"; // the speed of a replay
   showMode();
@@ -148,8 +151,11 @@ function setMode(mode) {
 
 function showMode() {
   const shown = page.lost && page.mode === "live" ? "lost" : page.mode;
-  const text = { live: "live", paused: "paused", replay: `replay ${page.speed} \u00d7`, wait: "connecting", lost: "not live" }[shown];
+  const ended = page.mode === "paused" && atEnd(), paused = ended ? "ended" : "paused";
+  const text = { live: "live", paused, replay: `replay ${page.speed} \u00d7`, wait: "connecting", lost: "not live" }[shown];
+  const button = page.mode !== "paused" ? "Pause" : ended ? "Play again" : "Play";
   $("mode").dataset.mode = shown;
+  if ($("play").textContent !== button) $("play").textContent = button;
   if ($("mode").textContent !== text) $("mode").textContent = text;
 }
 
@@ -189,6 +195,7 @@ function take(message) {
   page.states = message.fingers.map(stateOf);
   panel.offer(page.states);
   page.dirty = true;
+  showMode();
 }
 
 function stateOf(finger) {

@@ -28,7 +28,7 @@ export function paintPicture(page, states, panel, scale) {
   };
   write(`tipforce  ${page.setup.title}`, 16, 28, "600 17px");
   const day = new Date(page.message.t).toISOString().slice(0, 10);
-  write(`${page.mode}, ${day} ${clock(page.message.t, 2)} (times are local, the date is UTC)`, 16, 48, "12px", colour.soft);
+  write(`${document.getElementById("mode").textContent}, ${day} ${clock(page.message.t, 2)} (times are local, the date is UTC)`, 16, 48, "12px", colour.soft);
   context.save();
   context.translate(16, 54);
   const geometry = page.setup.fingers[0];
