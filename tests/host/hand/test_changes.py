@@ -16,7 +16,6 @@ from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
@@ -120,9 +119,8 @@ def test_a_foreign_change_is_undone(tmp_path: Path, change: Callable[[Bus], None
         assert set(np.round(seen.shown(), 1)) == {3.0}
 
 
-def test_a_health_pdo_that_is_switched_off_is_missed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing that the node sends says so; 2126h is read."""
-    monkeypatch.setattr(hand_module, "_HEALTH_SILENT_S", 0.3)
+def test_a_health_pdo_that_is_switched_off_is_missed(tmp_path: Path) -> None:
+    """Nothing that the node sends says so; 2126h is read within a second."""
     with watched(tmp_path) as (seen, _):
         seen.master.sdo(2).write(od.TPDO4_COB_ID, 0xC0000482)
         assert "tpdo4.cob_id" in seen.told("refused")

@@ -215,6 +215,20 @@ def _apply_pdo(parameters: int, wanted: Configuration) -> Steps[None]:
     yield Write(cob_id, final)
 
 
+def apply_differences(sdo: SdoChannel, wanted: Configuration) -> Configuration:
+    """Apply only what differs on the node, a PDO mapping as a whole; return what was written. Raises as the above."""
+    differing = sdo.run(_differing(wanted))
+    mappings = {index for index, _ in differing if is_mapping(index)}
+    written = {
+        key: one
+        for key, one in wanted.items()
+        if key in differing or key[0] in mappings or one[0].access == "wo"
+    }  # fmt: skip
+    if written:
+        apply_configuration(sdo, written)
+    return written
+
+
 def verify_configuration(sdo: SdoChannel, wanted: Configuration) -> list[dict[str, object]]:
     """Return the differences: object, expected, found; write-only objects cannot be compared and are excluded."""
     return sdo.run(_verify(wanted))
@@ -227,14 +241,22 @@ async def verify_configuration_async(sdo: SdoChannel, wanted: Configuration) -> 
 
 def _verify(wanted: Configuration) -> Steps[list[dict[str, object]]]:
     differences: list[dict[str, object]] = []
-    for entry, value in wanted.values():
-        if entry.access == "wo":
-            continue
-        found = yield Read(entry)
-        if entry.encode(value) != entry.encode(found):
-            shown, expected = types.format_value(entry.type, found), types.format_value(entry.type, value)
-            differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
+    for key, found in (yield from _differing(wanted)).items():
+        entry, value = wanted[key]
+        shown, expected = types.format_value(entry.type, found), types.format_value(entry.type, value)
+        differences.append({"object": f"{entry.name} ({entry})", "expected": expected, "found": shown})
     return differences
+
+
+def _differing(wanted: Configuration) -> Steps[dict[tuple[int, int], Value]]:
+    """Return the node's values of the objects that differ."""
+    found: dict[tuple[int, int], Value] = {}
+    for key, (entry, value) in wanted.items():
+        if entry.access != "wo":
+            present = yield Read(entry)
+            if entry.encode(value) != entry.encode(present):
+                found[key] = present
+    return found
 
 
 def _is_pdo(index: int) -> bool:

@@ -17,11 +17,9 @@ import numpy as np
 from tipforce.device import codes, communication
 from tipforce.device.codes import INITIALISING
 from tipforce.dictionary import names, objects, table
-from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
-from tipforce.host.configuration.configuration_file import Configuration, apply_configuration, verify_configuration
+from tipforce.host.configuration.configuration_file import Configuration, apply_differences, verify_configuration
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
@@ -34,6 +32,9 @@ from tipforce.host.network.sdo import SdoChannel
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 FIND_S = 0.25  # for the responses of all nodes to one request each
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
+HEALTH_MS = 500
+"""Event timer of the health PDO: 2126h comes at least so often."""
+
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8
@@ -91,18 +92,17 @@ def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
     wanted = dict(hand.configuration(finger))
     gauges = finger.gauges
     for number, message in enumerate(tpdo_messages(gauges), start=1):
-        if not message.cob_id_base or (communication.TPDO + number - 1, 1) in wanted:
-            continue
         used = message.name in hand.messages or message.name == "Health"
-        cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | (0 if used else codes.COB_ID_INVALID)
-        wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
-        wanted |= _one(f"tpdo{number}.transmission_type", message.transmission_type, gauges)
-        if used:
+        if message.cob_id_base and (communication.TPDO + number - 1, 1) not in wanted:
+            cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | (0 if used else codes.COB_ID_INVALID)
+            wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
+            wanted |= _one(f"tpdo{number}.transmission_type", message.transmission_type, gauges)
+        if used:  # rows are decoded by this mapping
             wanted |= _one(f"tpdo{number}.mapped", len(message.mapping), gauges)
             for sub, (index, of, bits) in enumerate(message.mapping, start=1):
                 wanted |= _one(f"tpdo{number}.mapping:{sub}", index << 16 | of << 8 | bits, gauges)
             if message.event_timer_ms:
-                wanted |= _one(f"tpdo{number}.event_timer_ms", message.event_timer_ms, gauges)
+                wanted |= _one(f"tpdo{number}.event_timer_ms", HEALTH_MS, gauges)
     wanted |= _one("heartbeat.producer_ms", hand.hand.heartbeat_ms, gauges)
     return dict(sorted(wanted.items()))
 
@@ -239,19 +239,9 @@ def _identity(client: FingertipClient, plan: FingerPlan) -> str:
 
 
 def _configure(sdo: SdoChannel, wanted: Configuration, written: Configuration) -> str:
-    """Write what differs, into ``written`` too; a mapping as a whole."""
-    differing = {key: one for key, one in wanted.items() if not _is_equal(sdo, *one)}
-    mappings = {
-        index for index, _ in differing if communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING
-    }
-    written |= {key: one for key, one in wanted.items() if key in differing or key[0] in mappings}
-    if written:
-        apply_configuration(sdo, written)
+    """Write what differs, into ``written`` too."""
+    written |= apply_differences(sdo, wanted)
     return f"{len(wanted)} settings"
-
-
-def _is_equal(sdo: SdoChannel, entry: Entry[Value], value: Value) -> bool:
-    return entry.access != "wo" and sdo.upload(entry.index, entry.sub) == entry.encode(value)
 
 
 def _verify(sdo: SdoChannel, wanted: Configuration) -> str:

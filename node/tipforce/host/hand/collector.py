@@ -8,10 +8,10 @@ until the next SYNC, and two different answers in it are both discarded.
 
 from __future__ import annotations
 
+import threading
 from collections import deque
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any
 
 import numpy as np
@@ -33,8 +33,10 @@ AHEAD = LARGEST // 2
 _RING = 512  # rows: the open ones, those of one part, AHEAD of the last one, and emitted ones for late answers
 _PART_SYNCS = 100
 _UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is right
-_EMPTY, _LIVE, _DOUBTFUL, _EARLY, _CHANGED = range(5)  # states of an answer
-_REASON = np.array([NO_ANSWER, PRESENT, DOUBTFUL, NO_ANSWER, CHANGED], dtype=np.uint8)  # by state
+_EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
+_REASON = np.array([NO_ANSWER, PRESENT, DOUBTFUL, CHANGED], dtype=np.uint8)  # by state
+_NOT_WATCHED, _BOOTED = -1, -2  # in place of a verified 2126h
+_ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _WORD = np.dtype("<u8")
 IntArray = npt.NDArray[np.int64]
 BoolArray = npt.NDArray[np.bool_]
@@ -75,23 +77,24 @@ class Collector:
         shape = len(self._messages), len(self.node_ids), _RING
         self._words = np.zeros(shape, dtype=_WORD)
         self._state = np.zeros(shape, dtype=np.uint8)
-        # By place, answers that the next SYNC decides on: the row, the last row when it arrived, the state if right.
-        self._early: dict[int, tuple[int, int, int]] = {}
+        # By place, answers that the next SYNC decides on: the row, the last row when it arrived, word, state if right.
+        self._held: dict[int, tuple[int, int, int, int]] = {}
         self._open: deque[_OpenRow] = deque()
         self._first = 0  # the first open row
         self._epoch = 0  # the first row of this count
-        self._issued = np.full(LARGEST + 1, -LARGEST, dtype=np.int64)  # by number: its last row in counts before
+        # Counts whose answers may still come: the last row, the last number, the modulus.
+        self._ended: list[tuple[int, int, int]] = []
+        self._lock = threading.Lock()
+        fingers = len(node_ids)
         self._absent: set[int] = set()  # fingers for which no row waits
-        self._unsettled = np.ones(len(node_ids), dtype=np.bool_)  # missing in the last row; matters without numbers
-        self._last_counter = np.full(len(node_ids), -1, dtype=np.int64)
-        self._verified: dict[int, int] = {}  # by finger: 2126h for which the hand knows what its values mean
-        self._noticed: dict[int, int] = {}  # the last one that was reported as a change
-        self._doubted = np.zeros(len(node_ids), dtype=np.bool_)
+        self._unsettled = np.ones(fingers, dtype=np.bool_)  # missing in the last row; matters without numbers
+        self._last_counter = np.full(fingers, -1, dtype=np.int64)
+        self._verified = np.full(fingers, _NOT_WATCHED)  # 2126h for which the hand knows what the values mean
+        self._seen = np.full(fingers, _NOT_WATCHED)  # the last 2126h; its values are shown while it is the verified one
         self._health_s: dict[int, float] = {}  # by finger: when its health PDO came, or its 2126h was asked for
-        self._requests: deque[Callable[[], None]] = deque()  # of other threads
-        self._nothing: Rows | None = None
         self.changes: list[int] = []
         """Node-ids of fingers whose configuration counter (2126h) changed; the caller empties it."""
+        self._nothing = self._rows(0)
 
     def _slots(self, health: Message) -> None:
         """By identifier: the finger's place in a row, its health PDO or heartbeat; lengths; where the counter is."""
@@ -117,37 +120,34 @@ class Collector:
     def verify(self, node_id: int, counter: int) -> None:
         """Show the values of a finger only while its 2126h is ``counter``. For any thread."""
         k = self.node_ids.index(node_id)
-
-        def apply() -> None:
-            self._verified[k], self._doubted[k] = counter, False
-            self._noticed.pop(k, None)
-
-        self._requests.append(apply)
+        with self._lock:
+            self._verified[k] = self._seen[k] = counter
 
     def notice(self, node_id: int, counter: int) -> bool:
         """Hide the values of a finger whose 2126h was read; return False if that change is known. For any thread."""
         k = self.node_ids.index(node_id)
-        if self._noticed.get(k) == counter:
+        with self._lock:
+            return self._change(k, counter)
+
+    def _change(self, k: int, counter: int) -> bool:
+        if self._seen[k] == counter:
             return False
-
-        def apply() -> None:
-            self._noticed[k], self._doubted[k] = counter, True
-            self.changes.append(node_id)
-
-        self._requests.append(apply)
+        self._seen[k] = counter
+        if self._verified[k] != counter:
+            self.changes.append(self.node_ids[k])
         return True
 
     def unwatched(self, now_s: float, limit_s: float) -> list[int]:
         """Return the fingers whose values are shown although their health PDO did not come for ``limit_s``."""
-        shown = [k for k in self._verified if not self._doubted[k]]
+        shown = np.flatnonzero((self._verified >= 0) & (self._seen == self._verified)).tolist()
         found = [k for k in shown if now_s - self._health_s.setdefault(k, now_s) > limit_s]
         self._health_s |= dict.fromkeys(found, now_s)
         return [self.node_ids[k] for k in found]
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
-        change = self._absent.discard if present else self._absent.add
-        self._requests.append(partial(change, self.node_ids.index(node_id)))
+        with self._lock:
+            (self._absent.discard if present else self._absent.add)(self.node_ids.index(node_id))
 
     def restart(self) -> int:
         """End the open rows; return the number of the next SYNC, far from those that late answers may have."""
@@ -160,13 +160,15 @@ class Collector:
 
         ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
         """
-        while self._requests:
-            self._requests.popleft()()
+        with self._lock:
+            return self._add(frames, now_s)
+
+    def _add(self, frames: FrameArray, now_s: float) -> Rows:
         can_id = np.minimum(frames["can_id"], STANDARD_MASK + 1)
         slot = self._slot[can_id]
         slot[frames["length"] < self._length[can_id]] = -1
         syncs = np.flatnonzero(slot == self._service + len(self.node_ids))
-        cuts = self._cuts(frames, syncs) if len(syncs) else []
+        cuts = self._cuts(frames[syncs], syncs) if len(syncs) else []
         if not cuts:
             return self._part(frames, slot, syncs, now_s)
         found, ends = [], [*cuts, len(frames)]
@@ -175,17 +177,13 @@ class Collector:
             found.append(self._part(frames[start:end], slot[start:end], part, now_s))
         return joined([rows for rows in found if len(rows)] or found[:1])
 
-    def _cuts(self, frames: FrameArray, syncs: npt.NDArray[np.intp]) -> list[int]:
+    def _cuts(self, syncs: FrameArray, places: npt.NDArray[np.intp]) -> list[int]:
         """Return where to cut frames: answers before a gap or a restart of the count are taken before it."""
-        number, cuts = self._numbers.number, []
-        before_ns = self._numbers.last_ns
-        for k, at in enumerate(syncs.tolist()):
-            frame = frames[at]
-            now, t_ns = int(frame["data"][0]) if frame["length"] == 1 else 0, int(frame["t_ns"])
-            if k % _PART_SYNCS == _PART_SYNCS - 1 or not self._numbers.consecutive(number, now, t_ns - before_ns):
-                cuts.append(at)
-            number, before_ns = now, t_ns
-        return cuts
+        numbers = np.where(syncs["length"] == 1, syncs["data"][:, 0], 0).astype(np.int64)
+        cut = ~self._numbers.consecutive(numbers, syncs["t_ns"])
+        cut[_PART_SYNCS - 1 :: _PART_SYNCS] = True
+        found: list[int] = places[cut].tolist()
+        return found
 
     def _part(self, frames: FrameArray, slot: IntArray, syncs: npt.NDArray[np.intp], now_s: float) -> Rows:
         last, number = [self._last], [self._numbers.number]
@@ -196,23 +194,17 @@ class Collector:
             number.append(self._numbers.number)
         answers = np.flatnonzero((slot >= 0) & (slot < self._service))
         services = np.flatnonzero((slot >= self._service) & (slot < self._service + len(self.node_ids)))
-        from_here = self._watch(frames, slot, services, now_s) if len(services) else None
+        doubted = np.where(self._verified == self._seen, len(frames), 0)
+        if len(services):
+            self._watch(frames, slot, services, doubted, now_s)
         if len(answers):
-            before = np.searchsorted(syncs, answers)
+            before, at = np.searchsorted(syncs, answers), slot[answers]
             words = frames["data"].view(_WORD)[:, 0][answers]
-            doubted = self._doubted[slot[answers] % len(self.node_ids)]
-            if from_here is not None:
-                doubted = answers >= from_here[slot[answers] % len(self.node_ids)]
-            self._take(
-                slot[answers], words, np.array(last)[before], np.array(number)[before], doubted,
-                self._numbers.reachable(frames["t_ns"][answers].astype(np.int64)),
-            )  # fmt: skip
+            state = np.where(answers >= doubted[at % len(self.node_ids)], _CHANGED, _LIVE).astype(np.uint8)
+            t_ns = frames["t_ns"][answers].astype(np.int64)
+            self._take(at, words, np.array(last)[before], np.array(number)[before], state, t_ns)
         count = self._ready(now_s)
-        if count:
-            return self._rows(count)
-        if self._nothing is None:  # most calls: no row is complete
-            self._nothing = self._rows(0)
-        return replace(self._nothing, first=self._first)
+        return self._rows(count) if count else replace(self._nothing, first=self._first)
 
     @property
     def _last(self) -> int:
@@ -223,16 +215,17 @@ class Collector:
 
     def _sync(self, number: int, t_ns: int, now_s: float) -> None:
         """Start the row of a received SYNC, and those of SYNCs between it and the last one."""
-        old = self._numbers.number, self._numbers.modulus
-        before_ns = self._numbers.last_ns
+        before, modulus, before_ns = self._numbers.number, self._numbers.modulus, self._numbers.last_ns
         steps = self._numbers.step(number, t_ns)
         number = self._numbers.number
         last = self._last
         if steps == RESTARTED:
             if last >= 0:
-                self._end_count(*old)
+                # Among SYNCs that were not received, other counts may have begun and ended.
+                known = before and self._numbers.gap_periods <= 1
+                self._ended.append((last, *((before, modulus) if known else _ANY_NUMBER)))
             self._epoch = last + 1
-            self._early.clear()
+            self._held.clear()
             self._clear(last + 1, last + 1 + AHEAD)
             steps = 1
         for k in range(1, steps):
@@ -242,111 +235,88 @@ class Collector:
         self.tally.unreceived += steps - 1
         self._open.append(_OpenRow(t_ns, now_s, number))
         self._clear(last + 1 + AHEAD, self._last + 1 + AHEAD)
-        if self._early:
-            self._settle_early(last)
+        for place, held in list(self._held.items()):
+            self._settle(place, last, *held)
 
     def _clear(self, first: int, end: int) -> None:
         self._state[:, :, np.arange(first, end) % _RING] = _EMPTY
 
-    def _end_count(self, number: int, modulus: int) -> None:
-        """Note the numbers whose late answers may come after the restart of the count that ended with ``number``."""
-        last, unreceived = self._last, min(self._numbers.gap_periods, LARGEST + 1) - 1
-        if number:
-            ago = np.arange(-unreceived, AHEAD)
-            numbers = (number - 1 - ago) % modulus + 1
-            np.maximum.at(self._issued, numbers, last - np.maximum(ago, -1))
-        self._issued[1 : unreceived + 1] = last + 1  # another count may have begun and ended in the gap
-
-    def _settle_early(self, before: int) -> None:
-        """Answers that the number of this SYNC proves right, because the count went on.
+    def _settle(self, place: int, before: int, row: int, last: int, word: int, state: int) -> None:
+        """Store a held answer, which the number of this SYNC proves right: the count went on.
 
         One ahead of its SYNC is right if the SYNC was not received and it came in its place, else doubtful.
         """
-        for place, (row, last, state) in list(self._early.items()):
-            if row <= self._last:
-                right = row <= last or (last == before and not self._open[row - self._first].received)
-                self._state.ravel()[place] = state if right else _DOUBTFUL
-                del self._early[place]
+        if row <= self._last:
+            right = row <= last or (last == before and not self._open[row - self._first].received)
+            self._words.ravel()[place], self._state.ravel()[place] = word, state if right else _DOUBTFUL
+            del self._held[place]
 
     # --- answers ----------------------------------------------------------------------------------------------------
 
-    def _watch(self, frames: FrameArray, slot: IntArray, services: npt.NDArray[np.intp], now_s: float) -> IntArray:
-        """Return (k,) the frame from which on a finger's values are doubtful: another 2126h, a boot-up."""
-        found = np.where(self._doubted, 0, len(frames))
+    def _watch(
+        self, frames: FrameArray, slot: IntArray, services: npt.NDArray[np.intp], doubted: IntArray, now_s: float
+    ) -> None:
+        """Lower ``doubted`` (k,), the frame from which on a finger's values are doubtful: another 2126h, a boot-up."""
         for at in services.tolist():
-            k = int(slot[at]) - self._service
-            data, heartbeat = frames["data"][at], frames["can_id"][at] >= HEARTBEAT_BASE
-            if not heartbeat:
+            k, data = int(slot[at]) - self._service, frames["data"][at]
+            if frames["can_id"][at] < HEARTBEAT_BASE:
                 self._health_s[k] = now_s
-            counter = int(data[self._change_byte])
-            if k not in self._verified or (data[0] if heartbeat else counter == self._verified[k]):
-                continue
-            if not self._doubted[k]:
-                self._doubted[k], found[k] = True, at
-            if not heartbeat and counter != self._noticed.get(k):
-                self._noticed[k] = counter
-                self.changes.append(self.node_ids[k])
-        return found
+                if self._verified[k] != _NOT_WATCHED:
+                    self._change(k, int(data[self._change_byte]))
+            elif not data[0] and self._verified[k] != _NOT_WATCHED:
+                self._verified[k] = _BOOTED
+            if self._verified[k] != self._seen[k]:
+                doubted[k] = min(doubted[k], at)
 
     def _take(
-        self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray, doubted: BoolArray,
-        reachable: IntArray | None,
+        self, slot: IntArray, words: npt.NDArray[Any], last: IntArray, number: IntArray,
+        state: npt.NDArray[np.uint8], t_ns: IntArray,
     ) -> None:  # fmt: skip
-        """Store answers (n,) received after the SYNC of row ``last`` with ``number`` (0: none).
-
-        One whose number is ``reachable`` may be that to a SYNC of a restarted count which was not received.
-        """
-        row, fits = last, last >= 0
-        counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
-        numbered = number > 0
+        """Store answers (n,) received at ``t_ns`` after the SYNC of row ``last`` with ``number`` (0: none)."""
+        row, fits, numbered = last, last >= 0, number > 0
+        held = np.zeros(len(slot), dtype=np.bool_)
         if numbered.any():
-            modulus = self._numbers.modulus
+            numbers, modulus = self._numbers, self._numbers.modulus
+            counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
             behind = (number - counter) % modulus
             row = np.where(numbered, last - behind, last)
-            row[numbered & (behind >= max(self._numbers.window, 1))] += modulus
-            fits = fits & (~numbered | (counter > 0) & (counter <= modulus))
-            if self._last - self._epoch < AHEAD + _PART_SYNCS:
-                fits &= ~(numbered & (last - self._issued[np.minimum(counter, LARGEST)] < AHEAD))
+            row[numbered & (behind >= max(numbers.window, 1))] += modulus
+            fits &= ~numbered | (counter > 0) & (counter <= modulus)
+            self._ended = [one for one in self._ended if self._last - one[0] < AHEAD + _PART_SYNCS]
+            for end, ended_number, ended_modulus in self._ended:  # may be a late answer to that count
+                fits &= ~numbered | (last - end + (ended_number - counter) % ended_modulus >= AHEAD)
+            # An answer ahead of its SYNC, or perhaps to a SYNC of a restarted count which was not received.
+            held = (row > last) | (numbered & (last == self._last) & (counter <= numbers.reachable(t_ns)))
             self._count(self.tally.delayed, slot[numbered & fits & (row < last) & (row >= self._first)])
         self._count(self.tally.doubtful, slot[~fits & (last >= 0)])
-        late = fits & (row < max(self._first, self._epoch))
         place = slot * _RING + row % _RING
+        late = fits & (row < max(self._first, self._epoch))
         if late.any():
             again = (self._state.ravel()[place] == _LIVE) & (self._words.ravel()[place] == words)
             self._count(self.tally.late, slot[late & ~again])
             self._unsettled[slot[late & ~again] % len(self.node_ids)] = True
-        fits &= ~late
-        state = np.where(doubted, _CHANGED, _LIVE).astype(np.uint8)
-        early = row > last
-        if reachable is not None:
-            early |= numbered & (last == self._last) & (counter <= reachable)
-        if fits.all():
-            self._put(place, words, state, row, last, early)
-        elif fits.any():
-            self._put(place[fits], words[fits], state[fits], row[fits], last[fits], early[fits])
+            fits &= ~late
+        self._put(place[fits], words[fits], state[fits], row[fits], last[fits], held[fits])
 
     def _put(
         self, place: IntArray, words: npt.NDArray[Any], state: npt.NDArray[np.uint8], row: IntArray, last: IntArray,
-        early: BoolArray,
+        held: BoolArray,
     ) -> None:  # fmt: skip
         all_words, states = self._words.ravel(), self._state.ravel()
-        order = np.arange(len(place), dtype=_WORD)
-        before = all_words[place]
-        all_words[place] = order
-        once = all_words[place] == order  # False: a later one of these has the same place
-        all_words[place] = before
-        if once.all() and not states[place].any() and not early.any():
+        if not states[place].any() and not held.any() and len(set(place.tolist())) == len(place):
             all_words[place], states[place] = words, state
             return
-        each = (place, words, state, row, last, early)
+        each = (place, words, state, row, last, held)
         for at, word, new, of, after, waits in zip(*(one.tolist() for one in each), strict=True):
-            if not states[at]:
+            if waits and not states[at]:
+                same = at not in self._held or self._held[at][2] == word
+                self._held.setdefault(at, (of, after, word, new))
+                if not same:
+                    self._held[at] = of, of - LARGEST, word, new  # no row before is that one: doubtful
+            elif not states[at]:
                 all_words[at], states[at] = word, new
-                if waits:
-                    states[at], self._early[at] = _EARLY, (of, after, new)
             elif all_words[at] != word:
                 states[at] = _DOUBTFUL
-                self._early.pop(at, None)
                 self._count(self.tally.doubtful, np.array([at // _RING]))
 
     def _count(self, tally: IntArray, slot: IntArray) -> None:
@@ -363,9 +333,9 @@ class Collector:
         state = self._state[:, :, np.arange(self._first, self._first + count) % _RING]
         there: BoolArray = state != _EMPTY
         undecided = np.zeros(count, dtype=np.bool_)
-        if self._early:
-            there &= state != _EARLY
-            undecided = (state == _EARLY).any(axis=(0, 1))
+        for row, *_ in self._held.values():
+            if row <= self._last:
+                undecided[max(row - self._first, 0)] = True
         if self._absent:
             there[:, list(self._absent)] = True
         # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not

@@ -29,7 +29,7 @@ from tipforce.errors import EnvironmentLackError, InputError, RefusedError, Tipf
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
-from tipforce.host.hand.bring_up import FingerReport, bring_up
+from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.delivery import Delivery
 from tipforce.host.hand.events import Event, Supervisor, waited_s
@@ -51,7 +51,7 @@ _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
-_HEALTH_SILENT_S = 3.0  # three periods of the health PDO's event timer: then 2126h is read
+_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read: another master may have switched the health PDO off
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 
-from tipforce.device import communication
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.errors import RefusedError, TipforceError
-from tipforce.host.configuration.configuration_file import Configuration, verify_configuration
+from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
@@ -18,9 +17,10 @@ from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.meaning import (
     IN_WORDS,
     Meaning,
-    acceptable,
     differences,
     in_words,
+    meaning_entries,
+    of_pdos,
     read_meaning,
     set_overflow,
     write_back,
@@ -107,9 +107,6 @@ class Recovery:
             return True
         if state == STOPPED:
             connection.nmt("preop", node_id)  # no SDO in STOPPED
-        if state == OPERATIONAL and self._as_wanted(node_id):
-            self.prepare(node_id)
-            return True
         report = FingerReport(self._plans[node_id])
         set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
         if report.ok:
@@ -131,8 +128,11 @@ class Recovery:
 
     def _learn(self, node_id: int, known: Configuration | None = None) -> None:
         """Read what the values of a finger mean, and show them."""
-        found = read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, known)
-        self._show(node_id, found)
+        self._show(node_id, self._read(node_id, known))
+
+    def _read(self, node_id: int, known: Configuration | None = None) -> Meaning:
+        entries = meaning_entries(self._wanted[node_id], self._plans[node_id].gauges)
+        return read_meaning(self._connection().sdo(node_id), entries, known or {})
 
     def _show(self, node_id: int, meaning: Meaning) -> None:
         self.meaning[node_id] = meaning
@@ -148,37 +148,26 @@ class Recovery:
             return True
         if self._collector.notice(node_id, counter):
             return True  # its health PDO did not say so: verified when the other master is done
-        found = read_meaning(sdo, self._plans[node_id].gauges)
-        keys, policy = differences(known, found), self._file.hand.foreign_changes
-        text = in_words(known, found, keys)
-        if not keys:
-            self._say(node_id, "accepted", f"read again: {IN_WORDS} are as before")
+        found = self._read(node_id)
+        changes, policy = differences(known, found), self._file.hand.foreign_changes
+        text = in_words(changes)
+        if not changes or (policy == "accept" and not of_pdos(changes)):
+            same = f"read again: {IN_WORDS} are as before"
+            self._say(node_id, "accepted", f"by another master: {text}" if changes else same)
             self._show(node_id, found)
-        elif policy == "accept" and acceptable(keys):
-            self._say(node_id, "accepted", f"by another master: {text}")
-            self._show(node_id, found)
-        elif policy == "restore":
+            return True
+        if policy == "restore":
             try:
-                write_back(FingertipClient(sdo), known, found, self._file.calibration(self._plans[node_id]))
+                write_back(FingertipClient(sdo), known, changes, self._file.calibration(self._plans[node_id]))
                 self._learn(node_id)
                 self._say(node_id, "restored", f"another master had changed {text}")
+                return True
             except RefusedError as error:
-                self._refuse(node_id, f"{text}; {error}", keys)
-        else:
-            self._refuse(node_id, text, keys)
-        return True
-
-    def _refuse(self, node_id: int, text: str, keys: Iterable[tuple[int, int]]) -> None:
-        if any(communication.TPDO <= index <= communication.LAST_TPDO for index, _ in keys):
+                text = f"{text}; {error}"
+        if of_pdos(changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
-
-    def _as_wanted(self, node_id: int) -> bool:
-        """Return whether a finger has its settings: one that returns operational may never have rebooted."""
-        sdo, calibration = self._connection().sdo(node_id), self._file.calibration(self._plans[node_id])
-        if calibration is not None and sdo.read(objects.CALIBRATION_ACTIVE_CRC) != calibration.crc32():
-            return False
-        return not verify_configuration(sdo, self._wanted[node_id])
+        return True
 
     def _find_lost(self) -> bool:
         from tipforce.host.network.lss import LssMaster

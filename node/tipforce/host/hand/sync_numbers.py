@@ -35,30 +35,32 @@ class SyncNumbers:
         """An answer may be less than this many SYNCs late: half the numbers, so that late and early differ."""
         return self.modulus // 2
 
-    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64] | None:
-        """Return (n,) the number that a count which restarted after the last SYNC can have reached; None: it cannot."""
+    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+        """Return (n,) the number that a count which restarted after the last SYNC can have reached; 0: it cannot."""
         if self._own or not self._period_ns:
-            return None
+            return np.zeros(len(t_ns), dtype=np.int64)
         return np.rint((t_ns - self.last_ns) / self._period_ns).astype(np.int64)
 
-    def consecutive(self, before: int, number: int, gap_ns: int) -> bool:
-        """Return whether these numbers of two SYNCs (0: none) surely follow each other."""
-        if not before or not number:
-            return before == number
-        in_time = self._own or gap_ns < 1.5 * self._period_ns
-        return in_time and (number == before + 1 or (number == 1 and before == self.modulus))
+    def consecutive(self, numbers: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+        """Return (n,) whether SYNCs with these numbers (0: none), received after the last, surely follow each other."""
+        before = np.concatenate(([self.number], numbers[:-1]))
+        following = (before > 0) & (numbers == before % self.modulus + 1)
+        if not self._own:
+            following &= np.diff(t_ns, prepend=self.last_ns) < 1.5 * self._period_ns
+        found: npt.NDArray[np.bool_] = following | ((before == 0) & (numbers == 0))
+        return found
 
     def step(self, number: int, t_ns: int) -> int:
         """Return the distance of the SYNC with ``number`` (0: none) at ``t_ns`` from the last; RESTARTED if unknown."""
         before, gap_ns = self.number, t_ns - self.last_ns
         number = number if number <= LARGEST else 0
         self.number, self.last_ns = number, t_ns
+        self.gap_periods = LARGEST
         if not number or not before:
-            self.gap_periods = LARGEST
             return 1 if number == before else RESTARTED
         steps = (number - before) % self.modulus
-        unknown = 1 if steps == 1 else LARGEST
-        self.gap_periods = periods = round(gap_ns / self._period_ns) if self._period_ns else unknown
+        if self._period_ns or steps == 1:
+            self.gap_periods = round(gap_ns / (self._period_ns or gap_ns or 1))
         if steps == 1:
             self._period_ns = gap_ns
         if number > self.modulus:
@@ -67,7 +69,7 @@ class SyncNumbers:
         if self._own:
             return steps or RESTARTED
         # A count that restarted within the gap has reached at most the periods of the gap.
-        restart = number <= periods + 1
+        restart, periods = number <= self.gap_periods + 1, self.gap_periods
         in_time = abs(periods - steps) <= (0 if restart else max(1, steps // 4))
         if 1 <= steps <= max(self.window, 1) and (in_time or (steps == 1 and not restart)):
             return steps
