@@ -19,9 +19,9 @@
   ``with simulated_device("drive.eds", 5, bus) as drive: drive[0x6064] = 100``
 
 The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
-``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.machine``, ``tipforce.running`` and
-``tipforce.scene``. They follow semantic versioning: until 1.0 a minor version may change them, as the changelog states.
-All else may change without notice.
+``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.machine``, ``tipforce.running``,
+``tipforce.scene`` and ``tipforce.mujoco``. They follow semantic versioning: until 1.0 a minor version may change them,
+as the changelog states. All else may change without notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.

@@ -19,7 +19,10 @@ from tipforce.scene.schema import Scene, read_scene
 
 ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
-FOREIGN = ("msgspec", "numpy", "matplotlib", "can", "scipy", "canopen", "cantools", "rich", "skfem", "pyarrow")
+FOREIGN = (
+    "msgspec", "numpy", "matplotlib", "can", "scipy", "canopen", "cantools", "rich", "skfem", "pyarrow", "mujoco",
+    "gymnasium",
+)  # fmt: skip
 # Scenes of a few lines, for what the files in scenes/ do not show.
 SMALL = {
     "nothing": 'duration_s = 0.05\n[[nodes]]\nids = [9]\npdos = []\ncalibration = "none"\n',

@@ -94,7 +94,7 @@ COMPLETIONS = [
     ("tipforce dump --color al", "always"),
     ("tipforce dump --color=never --deco", "--decode"),
     ("tipforce dump -i soc", "socketcan socketcand"),
-    ("tipforce export ", "eds dbc dcf xdd ros2 c"),
+    ("tipforce export ", "eds dbc dcf xdd ros2 c mjcf"),
     ("tipforce calibrate fit --drift ", "none tare linear"),
     ("tipforce node --node-id 1", "1 10 11 12 13 14 15"),
 ]

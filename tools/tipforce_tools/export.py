@@ -1,4 +1,4 @@
-"""`tipforce export eds|dbc|dcf|xdd|ros2|c`: files for other tools and for C firmware, from the object dictionary."""
+"""`tipforce export eds|dbc|dcf|xdd|ros2|c|mjcf`: files for other tools, C firmware and simulators."""
 
 from __future__ import annotations
 
@@ -22,6 +22,7 @@ FORMATS = {
     "xdd": "objects of a node, or of --eds FILE, in XML (CiA 311)",
     "ros2": "bus configuration of ros2_canopen for a hand, and its EDS files, in one folder",
     "c": "C99 sources of the dictionary and the estimator, in one folder",
+    "mjcf": "body of the fingertip for MuJoCo: outline, mass, tip site, beams as springs",
 }
 
 
@@ -56,13 +57,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--programs", action="store_true", help="eds: add 1F50h to 1F57h of firmware with program slots"
     )
+    parser.add_argument("--prefix", default="", metavar="TEXT", help="mjcf: in front of every name")
+    parser.add_argument("--rigid", action="store_true", help="mjcf: no springs, the tip is fixed to the fixture")
+    parser.add_argument(
+        "--damping-ratio", type=float, default=0.05, metavar="RATIO", help="mjcf: of the lowest mode (default 0.05)"
+    )
     common.add_output_arguments(parser)
 
 
 def run(args: argparse.Namespace) -> int:
     """Write the file or files; return 0."""
     from tipforce.dictionary import table
-    from tipforce.output_file import DBC, EDS, XDD, new_file
+    from tipforce.output_file import DBC, EDS, MJCF, XDD, new_file
 
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format == "c":
@@ -73,7 +79,7 @@ def run(args: argparse.Namespace) -> int:
     if not args.output or args.output == "-":
         print(text, end="")
         return 0
-    kind = {"dbc": DBC, "xdd": XDD}.get(args.format, EDS)
+    kind = {"dbc": DBC, "xdd": XDD, "mjcf": MJCF}.get(args.format, EDS)
     inputs = [name for name in (args.settings, args.eds) if name]
     with new_file(args.output, kind, inputs) as partial:
         partial.write_text(text, encoding="utf-8", newline="\n")
@@ -82,6 +88,10 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _text(args: argparse.Namespace, converter: Converter) -> str:
+    if args.format == "mjcf":
+        from tipforce.mujoco.mjcf import fingertip_mjcf
+
+        return fingertip_mjcf(args.prefix, rigid=args.rigid, damping_ratio=args.damping_ratio)
     if args.format == "dbc":
         from tipforce.dictionary.dbc import dbc_text
 

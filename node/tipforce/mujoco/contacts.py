@@ -1,0 +1,115 @@
+"""Contacts of a MuJoCo model that act on fingertips: which geoms are whose, and the wrench on each tip."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from math import sqrt
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError, InputError
+
+try:
+    import mujoco
+except ImportError:
+    raise EnvironmentLackError('MuJoCo is not installed: pip install "tipforce[mujoco]"') from None
+
+Wrench = list[float]
+"""Force and moment about the site, world axes, and the sum of the magnitudes of the contact forces: 7 numbers."""
+
+
+class TipContacts:
+    """The contacts of fingers with ``sites``, in this order. Raises InputError as ``Fingertips`` does."""
+
+    def __init__(self, model: mujoco.MjModel, sites: Mapping[str, str]) -> None:
+        self._model = model
+        self.sites = [_site(model, finger, site) for finger, site in sites.items()]
+        self._owners = _owners(model, list(sites), self.sites)
+        self._force = np.zeros(6)
+
+    def wrenches(self, data: mujoco.MjData) -> list[tuple[Wrench, int] | None]:
+        """Return for each finger the wrench and the number of its contacts; None for one without a contact.
+
+        Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
+        """
+        found: list[tuple[Wrench, int] | None] = [None] * len(self.sites)
+        if not data.ncon:
+            return found
+        contacts, owners = data.contact, self._owners
+        frames = positions = None
+        for k, (geom_1, geom_2) in enumerate(contacts.geom.tolist()):
+            one, two = owners[geom_1], owners[geom_2]
+            if one == two:
+                continue
+            if frames is None or positions is None:
+                frames, positions = contacts.frame.tolist(), contacts.pos.tolist()
+            mujoco.mj_contactForce(self._model, data, k, self._force)
+            force = self._force.tolist()
+            if one >= 0:  # the frame's x points from geom 1 to geom 2; the force is that on geom 2
+                _add(found, one, data.site_xpos[self.sites[one]].tolist(), force, frames[k], positions[k], -1.0)
+            if two >= 0:
+                _add(found, two, data.site_xpos[self.sites[two]].tolist(), force, frames[k], positions[k], 1.0)
+        return found
+
+
+def _add(
+    found: list[tuple[Wrench, int] | None],
+    finger: int,
+    origin: list[float],
+    force: list[float],
+    frame: list[float],
+    position: list[float],
+    sign: float,
+) -> None:
+    """Add one contact to the wrench of a finger."""
+    n, s, t, turn, roll_1, roll_2 = force
+    a, b, c, d, e, f, g, h, i = frame
+    ox, oy, oz = origin
+    px, py, pz = position
+    size = sqrt(n * n + s * s + t * t)
+    n, s, t = sign * n, sign * s, sign * t
+    fx, fy, fz = a * n + d * s + g * t, b * n + e * s + h * t, c * n + f * s + i * t
+    x, y, z = px - ox, py - oy, pz - oz
+    mx, my, mz = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
+    if turn or roll_1 or roll_2:
+        turn, roll_1, roll_2 = sign * turn, sign * roll_1, sign * roll_2
+        mx += a * turn + d * roll_1 + g * roll_2
+        my += b * turn + e * roll_1 + h * roll_2
+        mz += c * turn + f * roll_1 + i * roll_2
+    before = found[finger]
+    if before is None:
+        found[finger] = [fx, fy, fz, mx, my, mz, size], 1
+    else:
+        w = before[0]
+        total = [w[0] + fx, w[1] + fy, w[2] + fz, w[3] + mx, w[4] + my, w[5] + mz, w[6] + size]
+        found[finger] = total, before[1] + 1
+
+
+def _site(model: mujoco.MjModel, finger: str, site: str) -> int:
+    found: int = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
+    if found < 0:
+        names = [model.site(k).name for k in range(model.nsite)]
+        raise InputError(f"finger {finger}: site {site!r}: allowed are {', '.join(filter(None, names)) or 'none'}")
+    return found
+
+
+def _owners(model: mujoco.MjModel, fingers: list[str], sites: list[int]) -> list[int]:
+    """Return by geom the finger whose tip it is, -1 for none: the geoms of the site's body and of those below it."""
+    tips: dict[int, int] = {}
+    for finger, site in enumerate(sites):
+        body = int(model.site_bodyid[site])
+        if body == 0:
+            raise InputError(f"finger {fingers[finger]}: its site is on the world: allowed is one on a body of the tip")
+        other = tips.setdefault(body, finger)
+        if other != finger:
+            raise InputError(f"fingers {fingers[other]} and {fingers[finger]}: allowed is one finger for each body")
+    owners = []
+    for geom_body in model.geom_bodyid.tolist():
+        body = geom_body
+        while body and body not in tips:
+            body = int(model.body_parentid[body])
+        owners.append(tips.get(body, -1))
+    for finger, name in enumerate(fingers):
+        if finger not in owners:
+            raise InputError(f"finger {name}: the body of its site has no geom: allowed is one that can be touched")
+    return [*owners, -1]  # of a contact with a flex, whose geom is -1

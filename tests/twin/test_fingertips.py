@@ -1,0 +1,175 @@
+"""Contacts of a MuJoCo model as strain, counts, status and contact, held against MuJoCo's own wrench and the node."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import mujoco
+import numpy as np
+import pytest
+
+from tipforce import Calibration, Status, estimate
+from tipforce.errors import InputError
+from tipforce.mujoco import Fingertips
+from tipforce.scene import beam_calibration
+from tipforce.sensor import FABRICATED, strain_matrix
+from twin.models import R, external_wrench, pressed, push
+
+SITES = {"thumb": "thumb_tip"}
+
+
+@pytest.mark.parametrize("theta_deg", [25.0, 90.0, 140.0])
+@pytest.mark.parametrize("option", ["", 'cone="elliptic"'])
+def test_the_strain_is_that_of_the_contact_force(theta_deg: float, option: str) -> None:
+    model = pressed({"ball": (theta_deg, 0.0, 0.02)}, option=option)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    theta = np.radians(theta_deg)
+    push(model, data, "ball", np.array([-3.0 * np.cos(theta) + 0.4, -3.0 * np.sin(theta), 0.7]))
+    tips = Fingertips(model, SITES, noise_microstrain=0.0)
+    compared = 0
+    for _ in range(60):
+        mujoco.mj_step(model, data)
+        sample = tips.read(data)["thumb"]
+        if not data.ncon:
+            continue
+        assert data.ncon == sample.load.contacts == 1
+        wrench = np.zeros(6)
+        mujoco.mj_contactForce(model, data, 0, wrench)
+        contact, turn = data.contact[0], data.site("thumb_tip").xmat.reshape(3, 3)
+        on_tip = (1.0 if model.geom("thumb_tip").id == contact.geom2 else -1.0) * contact.frame.reshape(3, 3).T
+        force = turn.T @ (on_tip @ wrench[:3])
+        lever = turn.T @ (contact.pos - data.site("thumb_tip").xpos)
+        moment = np.cross(lever, force) + turn.T @ (on_tip @ wrench[3:])
+        strain = strain_matrix(FABRICATED, "I") @ [force[1], moment[2] / R, force[0]]
+        assert sample.load.microstrain == pytest.approx(1e6 * strain, rel=1e-12, abs=1e-9)
+        assert sample.counts == tuple(np.rint(10.0 * 1e6 * strain))
+        assert sample.load.moment_newton_metres == pytest.approx(moment, abs=1e-15)
+        assert sample.load.unseen_newtons == pytest.approx(abs(force[2]), rel=1e-12)
+        assert sample.load.unseen_newton_metres == pytest.approx(np.hypot(*moment[:2]), rel=1e-9)
+        assert sample.load.sum_newtons == pytest.approx(np.linalg.norm(wrench[:3]))
+        compared += sample.load.P_newtons > 1.0
+    assert compared > 10
+
+
+def test_several_contacts_add_up_to_the_wrench_of_mujoco() -> None:
+    model = pressed({"a": (40.0, 0.003, 0.02), "b": (90.0, -0.002, 0.02), "c": (150.0, 0.0, 0.02)}, rigid=False)
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    push(model, data, "a", np.array([-2.0, -1.5, 0.2]))
+    push(model, data, "b", np.array([0.3, -1.0, -0.4]))
+    push(model, data, "c", np.array([2.2, -1.0, 0.1]))
+    tips = Fingertips(model, SITES)
+    seen = 0
+    for _ in range(200):
+        mujoco.mj_step(model, data)
+        force, moment = external_wrench(model, data, "thumb_tip")
+        load = tips.loads(data)["thumb"]
+        assert load.force_newtons == pytest.approx(force, abs=1e-12)
+        assert load.moment_newton_metres == pytest.approx(moment, abs=1e-13)
+        seen = max(seen, load.contacts)
+        if load.contacts == 3:
+            assert load.cancelled_newtons > 1.0  # they press against each other
+    assert seen == 3
+
+
+def test_the_values_are_those_of_the_host_for_the_same_strain() -> None:
+    """The node's code on the one side, the host's estimator in double precision on the other."""
+    model = pressed({"ball": (70.0, 0.0, 0.02)})
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    push(model, data, "ball", np.array([-1.0, -2.0, 0.0]))
+    tips = Fingertips(model, SITES, seed=3)
+    for _ in range(100):
+        mujoco.mj_step(model, data)
+        sample = tips.read(data)["thumb"]
+    found = estimate(beam_calibration("I"), sample.microstrain)
+    contact = sample.contact
+    for name in ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg"):
+        assert getattr(contact, name) == pytest.approx(getattr(found, name)[0], rel=1e-6), name
+    assert contact.status == sample.status == Status.CONTACT | Status.CALIBRATED
+    assert contact.ok
+    assert (contact.name, contact.node_id) == ("thumb", 1)
+    assert contact.t_s == pytest.approx(data.time)
+    assert (sample.P_newtons, sample.phi_deg, sample.theta_deg) == (
+        contact.P_newtons, contact.phi_deg, contact.theta_deg,
+    )  # fmt: skip
+    load = sample.load
+    assert abs(sample.P_newtons - load.P_newtons) < 4.0 * sample.u_P_newtons
+    assert abs(sample.theta_deg - 70.0) < 4.0 * contact.u_theta_deg + 3.0
+    assert sample.F_newtons == pytest.approx(load.F_newtons, abs=0.1)
+
+
+def test_noise_and_quantisation_are_those_of_the_source() -> None:
+    model = pressed({"ball": (90.0, 0.0, 0.02)})
+    data = mujoco.MjData(model)
+    runs = []
+    for seed in (1, 1, 2):
+        mujoco.mj_resetData(model, data)
+        tips = Fingertips(model, SITES, noise_microstrain=2.0, seed=seed)
+        counts = []
+        for _ in range(400):
+            mujoco.mj_step(model, data)
+            counts.append(tips.read(data)["thumb"].counts)
+        runs.append(np.array(counts))
+    assert (runs[0] == runs[1]).all()
+    assert (runs[0] != runs[2]).any()
+    assert runs[0].std(axis=0) == pytest.approx([20.0] * 3, rel=0.15)  # counts, 10 for a microstrain
+    tips.reset(seed=1)
+    with pytest.raises(InputError, match=r"went back from 200000 to 0 us: call reset\(\)"):
+        tips.read(data), mujoco.mj_resetData(model, data), tips.read(data)
+
+
+def test_what_the_node_does_not_know_is_not_a_number() -> None:
+    model = pressed({"ball": (90.0, 0.0, 0.02)})
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    tips = Fingertips(model, SITES)
+    mujoco.mj_step(model, data)
+    sample = tips.read(data)["thumb"]
+    assert sample.load.contacts == 0
+    assert np.isnan([sample.phi_deg, sample.theta_deg]).all()
+    assert sample.P_newtons < 0.05
+    assert sample.contact.reason == "no contact"
+    again = tips.read(data)["thumb"]  # no conversion since
+    assert Status.STALE in again.status
+    assert np.isnan([again.P_newtons, again.u_P_newtons, *again.F_newtons]).all()
+    push(model, data, "ball", np.array([0.0, -200.0, 0.0]))
+    beyond = []
+    for _ in range(50):
+        mujoco.mj_step(model, data)
+        one = tips.read(data)["thumb"]
+        beyond += [one] if one.load.P_newtons > 100.0 else []
+    assert len(beyond) > 5
+    assert all(Status.SATURATED in one.status and np.isnan(one.P_newtons) for one in beyond)
+
+
+def test_bad_input_is_one_line() -> None:
+    model = pressed({"ball": (90.0, 0.0, 0.02)})
+    for sites, message in (
+        ({"thumb": "tip"}, r"finger thumb: site 'tip': allowed are thumb_tip"),
+        ({"thumb": "thumb_tip", "index": "thumb_tip"}, r"fingers thumb and index: allowed is one finger for each body"),
+        ({}, r"sites: allowed is one finger or more"),
+    ):
+        with pytest.raises(InputError, match=message):
+            Fingertips(model, sites)
+    with pytest.raises(InputError, match=r"node_ids \[128\]: allowed are different ones from 1 to 127"):
+        Fingertips(model, SITES, node_ids={"thumb": 128})
+    with pytest.raises(InputError, match=r"noise_microstrain = -1.0: allowed is 0 or more, finite"):
+        Fingertips(model, SITES, noise_microstrain=-1.0)
+    four = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
+    with pytest.raises(InputError, match=r"calibration of 4 gauges: the layout has 3"):
+        Fingertips(model, SITES, calibration=four)
+
+
+def test_without_mujoco_it_is_one_line() -> None:
+    code = (
+        "import sys; sys.modules['mujoco'] = None\n"
+        "from tipforce.errors import EnvironmentLackError\n"
+        "from tipforce.mujoco import fingertip_mjcf; fingertip_mjcf()\n"
+        "try:\n    from tipforce.mujoco import Fingertips\n"
+        "except EnvironmentLackError as error:\n    print(error)"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout == 'MuJoCo is not installed: pip install "tipforce[mujoco]"\n'
