@@ -101,6 +101,29 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         text(var("2000", 5, "rw", "1"), var("0x2000", 5, "rw", "2")),
         r"the same as \[2000\]", value(0x2000), 1,
     ),
+    "comment behind a number": (
+        text(var("2000", 6, "rw", "5 # five", ObjectType="0x7 // VAR")), r"DefaultValue=5 # five: the text after # is",
+        value(0x2000), 5,
+    ),
+    "comment behind the access": (
+        text(var("2000", 6, "ro // fixed")), r"AccessType=ro // fixed: the text after // is",
+        lambda found: found.find(0x2000).access, "ro",
+    ),
+    "key with a blank": (
+        text().replace("SupportedObjects=3", "Supported Objects=3"), r"Supported Objects: a key has no blanks",
+        value(0x1018), 1,
+    ),
+    "no error register": (
+        text(mandatory=MANDATORY.replace("[1001]", "[1002]")), r"no object 0x1001, .* added with the value 0",
+        value(0x1001), 0,
+    ),
+    "no identity": (
+        text(mandatory=MANDATORY[: MANDATORY.index("[1018]")]), r"added with the numbers of \[DeviceInfo\]",
+        value(0x1018, 1), 0x12,
+    ),
+    "EMCY without the node-id": (
+        text(var("1014", 7, "rw", "0x80")), r"\$NODEID\+0x80 may be meant; the value stays", value(0x1014), 0x80
+    ),
     "key twice": (
         text(var("2000", 5, "rw", "1") + "DefaultValue=2\n"),
         r"DefaultValue: the key is already there", value(0x2000), 1
@@ -108,7 +131,7 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
     "words": (text() + "just words\n", r"'just words': allowed are", value(0x1018), 1),
     "listed, missing": (
         text().replace("[1000]", "[1009]"), r"\[MandatoryObjects\] 1=0x1000: the file has no such section",
-        lambda found: 0x1000 in found.objects, False,
+        value(0x1000), 0,
     ),
     "list without 0x": (
         text().replace("1=0x1000", "1=1000"),
@@ -212,11 +235,31 @@ def test_spelling_that_changes_nothing(change: Callable[[str], str], tmp_path: P
     ]
 
 
+def test_the_suffix_dcf_makes_a_dcf(tmp_path: Path) -> None:
+    content = text(var("2000", 5, "rw", "1", ParameterValue="9"))
+    found = described(tmp_path, content, name="any.dcf")
+    assert found.find(0x2000).initial == 9
+    assert found.warnings == ["any.dcf: no section [DeviceComissioning], as a DCF has"]
+
+
+def test_1010h_reads_as_the_file_has_it(tmp_path: Path) -> None:
+    given = record("1010", var("1010sub0", 5, "ro", "2"), var("1010sub1", 7, "rw", "0"), var("1010sub2", 7), code="0x8")
+    talk = Talk(described(tmp_path, text(given)), {})
+    assert talk.read(0x1010, 1) == bytes(4)
+    assert talk.read(0x1010, 2) == b"\1\0\0\0"  # no DefaultValue: the device stores on command
+    assert talk.write(0x1010, 1, b"save") == 0
+
+
 def test_encodings(tmp_path: Path) -> None:
     content = text(var("2000", 9, "rw", "Grüße °C"))
     utf8 = described(tmp_path, content)
     assert utf8.warnings == []
-    for encoded, said in ((content.encode("cp1252"), "read as Windows-1252"), (content.encode("utf-16"), "UTF-16")):
+    for encoded, said in (
+        (content.encode("cp1252"), "read as Windows-1252"),
+        (content.encode("utf-16"), "UTF-16"),
+        (content.encode("utf-16-le"), "UTF-16"),
+        (content.encode("utf-16-be"), "UTF-16"),
+    ):
         found = described(tmp_path, encoded)
         assert [said in line for line in found.warnings] == [True]
         assert found.find(0x2000).default == "Grüße °C"

@@ -108,6 +108,8 @@ class Pdo:
             abort = codes.INVALID_VALUE if 240 < number < 254 else 0
         elif sub in (3, 6) and self.valid:
             abort = codes.DEVICE_STATE
+        elif sub == 6 and number > codes.LAST_SYNCHRONOUS:  # the start value; an EDS may have no limit for it
+            abort = codes.TOO_HIGH
         else:
             abort = 0
         if not abort:

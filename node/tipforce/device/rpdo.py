@@ -9,8 +9,6 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
 
-_SYNCHRONOUS = 240
-
 
 class ReceivePdo(Pdo):
     """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
@@ -73,7 +71,7 @@ class ReceivePdos:
         event_ms = pdo.parameter(5)
         pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
         self._device.emcy.cure(RPDO_TIMEOUT, pdo.can_id)
-        if pdo.transmission > _SYNCHRONOUS:
+        if pdo.transmission > codes.LAST_SYNCHRONOUS:
             self._apply(pdo, data)
         elif self._device.sync.in_window():
             pdo.waiting = bytes(data)

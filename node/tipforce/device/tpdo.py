@@ -3,14 +3,13 @@
 import struct
 
 from . import codes, communication
+from .codes import LAST_SYNCHRONOUS
 from .object_dictionary import TPDO, encode
 from .pdo import Pdo
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from .node import Device
-
-_SYNCHRONOUS = 240  # the highest synchronous transmission type
 
 
 class TransmitPdo(Pdo):
@@ -108,21 +107,21 @@ class TransmitPdos:
     def on_sync(self, counter: int) -> None:
         """Send every synchronous TPDO that is due on this SYNC."""
         for pdo in self._pdos:
-            if pdo.active and pdo.transmission <= _SYNCHRONOUS and pdo.on_sync(counter):
+            if pdo.active and pdo.transmission <= LAST_SYNCHRONOUS and pdo.on_sync(counter):
                 self._device.send(pdo.can_id, pdo.pack())
 
     def request(self, number: int, earliest_us: int = 0) -> None:
         """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow, not earlier."""
         pdo = self._pdos[number - 1]
         pdo.pending = True
-        if pdo.transmission > _SYNCHRONOUS and self._active(pdo):
+        if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo):
             pdo.due_us = min(pdo.due_us, max(self._device.now_us, pdo.free_us, earliest_us))
             self._reschedule()
 
     def announce(self, index: int) -> None:
         """Send each event-driven TPDO that maps an object at once, or as soon as its inhibit time allows."""
         for k, pdo in enumerate(self._pdos):
-            if pdo.transmission > _SYNCHRONOUS and self._active(pdo) and (index, 0) in pdo.keys:
+            if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo) and (index, 0) in pdo.keys:
                 if pdo.free_us <= self._device.now_us:
                     self._send(pdo, self._device.now_us)
                     self._reschedule()
@@ -134,7 +133,7 @@ class TransmitPdos:
         for pdo in self._pdos:
             pdo.syncs = 0
             pdo.pending = False
-            if pdo.transmission > _SYNCHRONOUS:
+            if pdo.transmission > LAST_SYNCHRONOUS:
                 pdo.due_us = max(self._device.now_us, pdo.free_us)
         self._reschedule()
 
@@ -164,10 +163,15 @@ class TransmitPdos:
         self._device.settings_changed()
         self._device.routes_changed()  # another node may use an identifier that is no longer used here
         for pdo in self._pdos:
-            if self._active(pdo) and pdo.transmission > _SYNCHRONOUS and pdo.due_us == codes.NEVER_US and pdo.event_us:
+            if (
+                self._active(pdo)
+                and pdo.transmission > LAST_SYNCHRONOUS
+                and pdo.due_us == codes.NEVER_US
+                and pdo.event_us
+            ):
                 pdo.due_us = self._device.now_us + pdo.event_us
         self._reschedule()
 
     def _reschedule(self) -> None:
-        due = [pdo.due_us for pdo in self._pdos if self._active(pdo) and pdo.transmission > _SYNCHRONOUS]
+        due = [pdo.due_us for pdo in self._pdos if self._active(pdo) and pdo.transmission > LAST_SYNCHRONOUS]
         self.due_us = min(due) if due else codes.NEVER_US

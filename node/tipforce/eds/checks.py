@@ -12,8 +12,11 @@ from tipforce.eds.sections import EdsFile, Section
 _LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
 _COUNT_KEYS = ("SupportedObjects", "NrOfObjects", "NrOfEntries")
 _SHOWN = 5
-_SYNCHRONOUS = 240  # the highest synchronous transmission type
 _IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")
+_WITH_NODE_ID = (
+    (communication.COB_ID_EMCY, 0, codes.EMCY_BASE), (communication.SDO_SERVER, 1, codes.SDO_REQUEST_BASE),
+    (communication.SDO_SERVER, 2, codes.SDO_RESPONSE_BASE),
+)  # fmt: skip
 _DEFAULT_DUMMIES = frozenset(range(1, 8))
 _PDOS = (
     (communication.RPDO, communication.LAST_RPDO, RPDO),
@@ -26,14 +29,12 @@ def check(file: EdsFile, found: Description) -> None:
     for name in ("FileInfo", "MandatoryObjects"):
         if name.lower() not in file.sections:
             found.add(0, f"no section [{name}]")
-    for index in communication.MANDATORY:
-        if index not in found.objects:
-            found.add(0, f"no object 0x{index:04X}, which is mandatory (CiA 301, 7.5.2); the device has none")
     if any(name in file.sections for name in _LISTS):
         _check_lists(file, found)
     if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
         found.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
     _check_parameter_values(file, found)
+    _check_identifiers(found)
     _check_identity(file.sections.get("deviceinfo"), found)
     if found.bit_rate and found.bit_rates and found.bit_rate not in found.bit_rates:
         found.add(0, f"Baudrate={found.bit_rate // 1000}: [DeviceInfo] has BaudRate_{found.bit_rate // 1000}=0")
@@ -62,14 +63,14 @@ def _check_lists(file: EdsFile, found: Description) -> None:
         for key, text in own:
             index = _listed_index(file, text)
             if index is None or index not in file.objects | file.subs:
-                found.findings.append(section.finding(key, "the file has no such section; the device no such object"))
+                found.findings.append(section.finding(key, "the file has no such section"))
                 continue
             if values.integer(text).value != index:
                 found.findings.append(section.finding(key, f"0x is missing; read as 0x{index:04X}"))
             if index in listed:
                 found.findings.append(section.finding(key, "listed twice"))
             listed.add(index)
-    unlisted = sorted(index for index in found.objects if index not in listed and index in file.objects | file.subs)
+    unlisted = sorted((found.objects.keys() & (file.objects.keys() | file.subs.keys())) - listed)
     if unlisted:
         shown = ", ".join(f"0x{index:04X}" for index in unlisted[:_SHOWN]) + (", ..." if unlisted[_SHOWN:] else "")
         found.add(
@@ -97,6 +98,14 @@ def _listed_index(file: EdsFile, text: str) -> int | None:
         return int(bare, 16)
     except ValueError:
         return value
+
+
+def _check_identifiers(found: Description) -> None:
+    """Report identifiers of EMCY and SDO without the node-id."""
+    for index, sub, base in _WITH_NODE_ID:
+        entry = found.entry(index, sub)
+        if entry is not None and entry.initial == base:
+            found.add(entry.line, f"{entry.place} has {base:#x}: $NODEID+{base:#x} may be meant; the value stays")
 
 
 def _check_identity(section: Section | None, found: Description) -> None:
@@ -154,7 +163,12 @@ def _check_pdos(found: Description, first: int, last: int, direction: int) -> No
         if valid:
             used.setdefault(can_id, index)
             kind = found.entry(index, 2)
-            if not has_sync and kind is not None and isinstance(kind.initial, int) and kind.initial <= _SYNCHRONOUS:
+            if (
+                not has_sync
+                and kind is not None
+                and isinstance(kind.initial, int)
+                and kind.initial <= codes.LAST_SYNCHRONOUS
+            ):
                 told = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
                 found.add(kind.line, f"[{index:04X}sub2]: {told}")
         _check_mapping(found, index + communication.MAPPING, direction)

@@ -64,6 +64,8 @@ def device_of(description: Description, save: Save | None = None, load: Load | N
     device.storage.add_range(
         MANUFACTURER, "manufacturer", communication.FIRST_MANUFACTURER, communication.LAST_MANUFACTURER
     )
+    for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
+        device.od.readers[index] = _capability(description, index, device.od.readers[index])
     device.lss.supported = description.lss
     device.sdo.max_download_bytes = _LONGEST_DOWNLOAD_BYTES
     if description.bit_rate is not None:
@@ -97,6 +99,15 @@ def python_value(letter: str, value: CoreValue) -> Value:
     if isinstance(value, bytes) and kind.python is str:
         return value.decode("utf-16-le", "replace") if letter == "u" else value.decode("latin-1").rstrip("\0")
     return int(value) if kind.python is int and isinstance(value, int) else value
+
+
+def _capability(
+    description: Description, index: int, computed: Callable[[int], CoreValue]
+) -> Callable[[int], CoreValue]:
+    """Return the reader of 1010h or 1011h: the DefaultValue of the file, where it has one."""
+    entries = description.objects[index].entries if index in description.objects else {}
+    given = {sub: core_value(entry.letter, entry.default) for sub, entry in entries.items() if entry.has_default}
+    return lambda sub: given[sub] if sub in given else computed(sub)
 
 
 def _core_entry(entry: Entry, node_id: int) -> tuple[str, str, int, CoreValue, int | float | None, int | float | None]:

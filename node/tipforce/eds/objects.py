@@ -230,8 +230,11 @@ class _Object:
         text = section.get("AccessType") or ""
         if not text and parent is not None and sub:
             text = parent.get("AccessType") or ""
-        access = text.partition(";")[0].strip().lower()
+        plain, remark = values.uncommented(text)
+        access = plain.lower()
         if access in _ACCESS:
+            if remark:
+                self._into.findings.append(section.finding("AccessType", remark))
             return access
         access = "ro" if sub == 0 and parent is not None else "rw"
         self._into.findings.append(section.finding("AccessType", f"allowed are {', '.join(_ACCESS)}; read as {access}"))

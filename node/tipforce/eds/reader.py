@@ -10,6 +10,7 @@ from tipforce.eds.compact_pdo import add_compact_pdos
 from tipforce.eds.description import Description
 from tipforce.eds.objects import read_objects
 from tipforce.eds.sections import EdsFile, Section, read
+from tipforce.eds.standard import add_mandatory
 from tipforce.errors import InputError
 
 _COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
@@ -32,7 +33,9 @@ def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> 
     """Return the description of the sections of a file. Raises InputError as ``read_eds``."""
     found = Description(path, 0, findings=file.findings, content=content)
     commissioning = next((file.sections[name] for name in _COMMISSIONING if name in file.sections), None)
-    found.is_dcf = commissioning is not None
+    found.is_dcf = commissioning is not None or path.suffix.lower() == ".dcf"
+    if found.is_dcf and commissioning is None:
+        found.add(0, "no section [DeviceComissioning], as a DCF has")
     found.node_id = _node_id(found, commissioning, node_id)
     _read_device_info(file.sections.get("deviceinfo"), found)
     if commissioning is not None:
@@ -41,6 +44,7 @@ def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> 
     read_objects(file, found)
     if not found.objects:
         raise InputError(f"{path}: no object in it; an EDS has a section for each, such as [1000] and [1018sub1]")
+    add_mandatory(found)
     add_compact_pdos(file, found)
     check(file, found)
     return found

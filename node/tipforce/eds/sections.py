@@ -105,6 +105,9 @@ def decoded(content: bytes) -> tuple[str, list[Finding]]:
     """Return the text of a file's bytes, with a finding if it is neither ASCII nor UTF-8."""
     if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
         return content.decode("utf-16", "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
+    if 0 in content[:2]:  # a character of ASCII in 16 bits, without a byte order mark
+        order = "utf-16-be" if content[0] == 0 else "utf-16-le"
+        return content.decode(order, "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
     try:
         return content.decode("utf-8-sig"), []
     except UnicodeDecodeError as error:
@@ -159,14 +162,17 @@ def _open(found: EdsFile, name: str, number: int) -> Section:
 
 
 def _add(found: EdsFile, section: Section, line: str, number: int) -> None:
-    key, _, value = line.partition("=")
-    name = key.strip()
-    if name.lower() in section.keys:
+    left, _, value = line.partition("=")
+    name = left.strip()
+    key = "".join(name.lower().split())
+    if key != name.lower():
+        found.findings.append(Finding(number, f"[{section.name}] {name}: a key has no blanks; read without"))
+    if key in section.keys:
         told = (
-            f"[{section.name}] {name}: the key is already there at line {section.line_of(name)}; the first one applies"
+            f"[{section.name}] {name}: the key is already there at line {section.line_of(key)}; the first one applies"
         )
         found.findings.append(Finding(number, told))
         return
-    section.keys[name.lower()] = value.strip()
-    section.written[name.lower()] = name
-    section.lines[name.lower()] = number
+    section.keys[key] = value.strip()
+    section.written[key] = name
+    section.lines[key] = number

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from tipforce.device import communication as at
+from tipforce.eds.description import RECORD, VAR, Description, Entry, Object
 
 _U8, _U16, _U32 = "B", "H", "I"
 _VARIABLES = {
@@ -18,6 +19,8 @@ _LISTS = {
 }  # fmt: skip
 _PDO_PARAMETER = {1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
 _SDO_PARAMETER = {1: _U32, 2: _U32, 3: _U8}
+_MANDATORY = {at.DEVICE_TYPE: "Device type", at.ERROR_REGISTER: "Error register", at.IDENTITY: "Identity"}
+_IDENTITY = ("Vendor-ID", "Product code", "Revision number")
 _LAST_SDO = at.SDO_SERVER | 0xFF
 _TEXT_OR_DATA = ("s", "D")
 
@@ -46,3 +49,18 @@ def is_needed_integer(index: int, sub: int) -> bool:
     """Return whether the services of the device compute with an entry: it must be an unsigned integer."""
     letter = standard_letter(index, sub)
     return letter is not None and letter not in _TEXT_OR_DATA
+
+
+def add_mandatory(found: Description) -> None:
+    """Add the objects that every device has (CiA 301, 7.5.2) where the file has none, and report them."""
+    for index, name in _MANDATORY.items():
+        if index in found.objects:
+            continue
+        is_record = index == at.IDENTITY
+        made = found.objects[index] = Object(index, name, RECORD if is_record else VAR, 0)
+        for sub in range(len(_IDENTITY) + 1 if is_record else 1):
+            letter, default = standard_letter(index, sub) or _U8, len(_IDENTITY) if is_record and sub == 0 else 0
+            entry_name = name if not is_record else ("Highest sub-index supported", *_IDENTITY)[sub]
+            made.entries[sub] = Entry(index, sub, entry_name, letter, "ro", default, has_default=not sub)
+        value = "the numbers of [DeviceInfo]" if is_record else "the value 0"
+        found.add(0, f"no object 0x{index:04X}, which is mandatory (CiA 301, 7.5.2); added with {value}")

@@ -15,6 +15,7 @@ from tipforce.dictionary.types import DataType, Value
 _DECIMAL, _OCTAL = re.compile(r"0|[1-9][0-9]*"), re.compile(r"0[0-7]+")
 _HEX, _BARE_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE), re.compile(r"[0-9a-f]+h?", re.IGNORECASE)
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
+_COMMENT = re.compile(r";|#|//")
 _MOST_DIGITS = 40
 
 
@@ -26,10 +27,17 @@ class Read(NamedTuple):
     remark: str = ""
 
 
+def uncommented(text: str) -> tuple[str, str]:
+    """Return a value without a comment behind it, and a remark; CiA 306-1 has comments on lines of their own."""
+    match = _COMMENT.search(text)
+    if match is None:
+        return text.strip(), ""
+    return text[: match.start()].strip(), f"the text after {match[0]} is taken as a comment"
+
+
 def integer(text: str, node_id: int = 0) -> Read:
     """Read an integer, or a sum of integers and $NODEID in any order; ``value`` includes ``node_id``."""
-    plain = text.partition(";")[0].strip()
-    remark = "the text after ; is taken as a comment" if plain != text.strip() else ""
+    plain, remark = uncommented(text)
     if not plain:
         return Read(None, False, "no number")
     if not _NODE_ID.search(plain):
@@ -119,14 +127,13 @@ def _real(kind: DataType, text: str) -> tuple[float, str]:
     """Read a decimal number, or the bits as a hexadecimal number of all digits."""
     if not text:
         return 0.0, ""
-    plain = text.partition(";")[0].strip()
+    plain, remark = uncommented(text)
     if _HEX.fullmatch(plain):
         size = kind.size or 4
         bits = int(plain, 16)
         if bits >> 8 * size:
             return 0.0, f"more than the {8 * size} bits of {kind.name}; read as 0"
-        return float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0]), ""
-    remark = "" if plain == text else "the text after ; is taken as a comment"
+        return float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0]), remark
     if "," in plain:
         remark, plain = "the decimal sign is a point", plain.replace(",", ".")
     try:

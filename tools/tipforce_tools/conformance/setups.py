@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from tipforce_tools.conformance.case import NotApplicableError
-from tipforce_tools.conformance.dut import Dut
+from tipforce_tools.conformance.dut import LAST_DATA_TYPE, Dut
 
 INVALID = 0x80000000
 TPDO1 = ((0x1800, 1), (0x1800, 2), (0x1A00, 0))
@@ -33,8 +33,8 @@ def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int
     cob_id = disable_pdo(dut, 0x1800)
     if words:
         remap(dut, 0x1A00, *words)
-    elif not dut.integer("B", 0x1A00, 0):
-        raise NotApplicableError("TPDO1 maps no object")
+    else:
+        check_mapped(dut)
     dut.put("B", 0x1800, 2, transmission)
     for name, sub, kind in (("inhibit_100us", 3, "H"), ("event_ms", 5, "H"), ("sync_start", 6, "B")):
         if name in others:
@@ -43,6 +43,19 @@ def enable_tpdo1(dut: Dut, transmission: int, *words: int, **others: int) -> int
             dut.put(kind, 0x1800, sub, 0)
     dut.put("I", 0x1800, 1, cob_id)
     return cob_id & 0x7FF
+
+
+def check_mapped(dut: Dut) -> None:
+    """End a case about a TPDO1 that maps nothing, or what the device does not have: it sends no frame."""
+    count = dut.integer("B", 0x1A00, 0)
+    if not count:
+        raise NotApplicableError("TPDO1 maps no object")
+    for sub in range(1, count + 1):
+        word = dut.integer("I", 0x1A00, sub)
+        index, bits = word >> 16, word & 0xFF
+        data = dut.try_read(index, word >> 8 & 0xFF) if index > LAST_DATA_TYPE else 0
+        if isinstance(data, int) or bits not in (8 * len(data), 1):
+            raise NotApplicableError(f"TPDO1 maps {word:08X}h, which no object of the device fits")
 
 
 def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int = 0) -> int:

@@ -117,7 +117,7 @@ def history_empty(dut: Dut, sub: int) -> None:
     dut.aborted(0x1003, sub, NO_DATA, GENERAL, *(() if sub == 1 else (NO_SUB,)))
 
 
-@case("CiA 301 7.5.2.4", "entries cannot be written", needs=HISTORY)
+@case("CiA 301 7.5.2.4", "entries cannot be written", needs=(*HISTORY, (0x1003, 1)))
 def history_read_only(dut: Dut) -> None:
     dut.refuses("I", 0x1003, 1, 0, READ_ONLY)
 
@@ -152,12 +152,14 @@ def default(dut: Dut) -> None:
 
 @case("CiA 301 7.5.2.17", "with bit 31 set there is no EMCY, but register and history", needs=HISTORY)
 def switched_off(dut: Dut) -> None:
+    make_error(dut)
+    cure_error(dut)
     clear(dut)
     dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
     break_sync(dut)
-    dut.silence(0x80 + dut.node_id)
     dut.holds("B", 0x1001, 0, 0x11)
     dut.holds("B", 0x1003, 0, 1)
+    dut.silence(0x80 + dut.node_id)
 
 
 @case("CiA 301 7.5.2.17", "another CAN-ID while the object exists: 06090030h", needs=NEEDS)

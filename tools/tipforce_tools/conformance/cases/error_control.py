@@ -87,7 +87,7 @@ def producer_size(dut: Dut, kind: str, size: int) -> None:
 
 @case("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
 def consumer_read_back(dut: Dut) -> None:
-    dut.accepts("I", 0x1016, 1, WATCHED << 16 | 1234)
+    dut.put("I", 0x1016, 1, WATCHED << 16 | 1234)
     dut.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
 
 

@@ -35,7 +35,9 @@ def name(dut: Dut, index: int) -> None:
     if not dut.exists(index, 0):
         raise NotApplicableError(f"no object {index:04X}h")
     data = dut.read(index)
-    check(data and not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
+    if not data.rstrip(b"\0"):
+        raise NotApplicableError(f"{index:04X}h is empty")
+    check(not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
 
 
 @case("CiA 301 7.5.2.8", "{0:04X}h cannot be written", each=[(0x1008,), (0x1009,), (0x100A,)])
@@ -50,7 +52,8 @@ def identity(dut: Dut) -> None:
     highest = dut.integer("B", 0x1018, 0)
     check(1 <= highest <= 4, "1 to 4 entries", str(highest))
     for sub in range(1, highest + 1):
-        dut.integer("I", 0x1018, sub)
+        if sub == 1 or dut.exists(0x1018, sub):
+            dut.integer("I", 0x1018, sub)
 
 
 @case("CiA 301 7.5.2.21", "1018h:{0} cannot be written", each=[(1,), (2,), (3,), (4,)])
@@ -137,4 +140,6 @@ def predefined(dut: Dut, index: int, base: int) -> None:
     if not dut.exists(index, 1):
         raise NotApplicableError(f"no object {index:04X}h")
     cob_id = dut.integer("I", index, 1)
+    if cob_id & 0x7F not in (0, dut.node_id):
+        raise NotApplicableError(f"{index:04X}h:01 is configured: {cob_id:08X}h belongs to another node")
     check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")

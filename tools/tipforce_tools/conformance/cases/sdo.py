@@ -43,6 +43,8 @@ def download_u8(dut: Dut) -> None:
 
 @case("CiA 301 7.2.4.3.3", "a write of four bytes", needs=((0x1016, 1),))
 def download_u32(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, 0x7003E8)
+    dut.put("I", 0x1016, 1, 0)
     dut.ask("23 16 10 01 E8 03 70 00", "60 16 10 01")
     dut.ask("40 16 10 01", "43 16 10 01 E8 03 70 00")
 
@@ -188,8 +190,8 @@ def in_order(dut: Dut) -> None:
     each=[(0x1018,), (0x1200,), (0x1016,), (0x1800,)],
 )
 def highest_sub(dut: Dut, index: int) -> None:
-    if not dut.exists(index, 0):
-        raise NotApplicableError(f"no object {index:04X}h")
+    if not dut.exists(index, 1):
+        raise NotApplicableError(f"no object {index:04X}h with sub-indices")
     highest = dut.integer("B", index, 0)
     dut.request(struct.pack("<BHB", 0x40, index, highest))
     dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", 0x06010001))

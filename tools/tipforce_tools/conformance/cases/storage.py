@@ -8,6 +8,7 @@ from contextlib import contextmanager
 
 from tipforce_tools.conformance.case import NotApplicableError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+from tipforce_tools.conformance.setups import TPDO1, check_mapped
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 WRONG = (0x08000020, 0x08000000, 0x06090030)
@@ -168,11 +169,12 @@ def restore_one(dut: Dut, sub: int, communication: int, application: int) -> Non
 @case(
     "CiA 301 7.5.2.13",
     "PDO parameters are stored, and the PDO works as stored",
-    needs=((0x1010, 2), (0x1800, 1)),
+    needs=((0x1010, 2), *TPDO1),
     persistent=True,
 )
 def stored_pdo(dut: Dut) -> None:
     cob_id = dut.integer("I", 0x1800, 1)
+    check_mapped(dut)
     with restored(dut):
         dut.put("I", 0x1800, 1, cob_id | 0x80000000)
         dut.put("B", 0x1800, 2, 1)

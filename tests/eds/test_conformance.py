@@ -1,0 +1,52 @@
+"""The conformance suite on devices of other manufacturers: a feature that a file lacks is no fault."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from eds.samples import pdo, record, text, var
+from tipforce.device.node import Device
+from tipforce.eds import read_eds
+from tipforce.eds.load import device_of
+from tipforce_tools.conformance.case import matching
+from tipforce_tools.conformance.run import FAIL, PASS, run_in_process
+
+PLAIN = text(
+    var("1003", 7, "ro", "0"), var("1005", 7, "ro", "128"), var("1009", 9, "const"),
+    var("1014", 7, "ro", "0x80 + $NODEID"), var("1016", 7, "rw", "0"), var("1017", 6, "rw", "0"), var("1200", 7, "ro"),
+)  # fmt: skip
+HISTORY = record("1003", var("1003sub0", 5, "rw", "0"), var("1003sub1", 7, "ro"), var("1003sub2", 7, "ro"), code="0x8")
+CONSUMER = record("1016", var("1016sub0", 5, "ro", "1"), var("1016sub1", 7, "rw", "0", HighLimit="65535"), code="0x8")
+HIGHEST, HIGHER = var("1800sub0", 5, "const", "5"), var("1800sub0", 5, "const", "6")
+INHIBIT, START = var("1800sub3", 6, "rw", "0"), var("1800sub6", 5, "rw", "0")
+LIMITED = text(
+    HISTORY, CONSUMER, var("1005", 7, "rw", "0x80", LowLimit="0x80", HighLimit="0x400000FF"), var("1017", 6, "rw", "0"),
+    var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 7), pdo(0x1400, "$NODEID+0x200", 255, 0x20000020),
+    pdo(0x1800, "$NODEID+0x180", 255, 0x99990020).replace(INHIBIT, START).replace(HIGHEST, HIGHER),
+)  # fmt: skip
+CASES = [
+    case
+    for pattern in ("emcy.*", "identity.*", "pdo_parameters.*", "sync.*", "tpdo.*", "sdo.*", "error_control.consumer*")
+    for case in matching(pattern)
+]
+
+
+@pytest.mark.parametrize("content", [PLAIN, LIMITED], ids=["plain", "limited"])
+def test_no_case_fails(content: str, tmp_path: Path) -> None:
+    path = tmp_path / "any.eds"
+    path.write_text(content)
+
+    def device() -> Device:
+        store: dict[str, bytes] = {}
+
+        def save(group: str, data: bytes) -> bool:
+            store[group] = data
+            return True
+
+        return device_of(read_eds(path, 5), save, store.get)
+
+    results = [run_in_process(case, device)[0] for case in CASES]
+    assert [(one.case.name, one.reason) for one in results if one.verdict == FAIL] == []
+    assert sum(one.verdict == PASS for one in results) > 10
