@@ -20,8 +20,8 @@ from bench.live_loopback import bound_receiver, python_can_bus
 
 from tipforce.device.codes import SYNC_COB_ID
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.link import SERVICE_FILTERS, keep_few
-from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync
+from tipforce.host.hand.link import SERVICE_FILTERS, Link, keep_few
+from tipforce.host.hand.sync_producer import ThreadSync
 from tipforce.host.live.receive import SocketReceiver
 from tipforce.host.network.bus import Bus
 from tipforce.running.loop import Frame
@@ -158,7 +158,7 @@ class Child:
 
 
 class ChildSync:
-    """A SyncProducer in a process of its own."""
+    """SYNCs from a process of their own."""
 
     def __init__(
         self, period_s: float, data: Sequence[bytes], receiver: Address, fingers: Address, realtime: bool
@@ -167,18 +167,18 @@ class ChildSync:
         self.skipped, self.cpu_s = 0, 0.0
 
     def stop(self) -> None:
-        """See SyncProducer."""
+        """See ThreadSync."""
         if self._child is not None:
             told, self._child = self._child.stop(), None
             if told is not None:
                 self.skipped, self.cpu_s = told
 
 
-class LoopbackLink:
-    """A host.hand.link.Link with ``count`` fingers at its other end; ``sync`` is "process" or "thread"."""
+class LoopbackLink(Link):
+    """A link with ``count`` fingers at its other end; ``sync`` is "process" or "thread"."""
 
     def __init__(self, count: int, sync: str = "process", realtime: bool = False) -> None:
-        self._sync, self._realtime = sync, realtime
+        self._sender, self._realtime = sync, realtime
         self._sync_socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         receiver, services = bound_receiver(), bound_receiver()
         self._receiver_address = receiver.getsockname()
@@ -200,13 +200,13 @@ class LoopbackLink:
         """See Link."""
         return self._receiver.receive(timeout_s)
 
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
         """See Link."""
-        if self._sync == "thread":
+        if self._sender == "thread":
             self.producer = ThreadSync(self._send_sync, period_s, data)
         else:
             self.producer = ChildSync(period_s, data, self._receiver_address, self._fingers_address, self._realtime)
-        return self.producer
+        return self.producer.stop
 
     def _send_sync(self, number: bytes) -> None:
         _send_sync(self._sync_socket, number, self._receiver_address, self._fingers_address)

@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pytest
-
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.babbling import WINDOW_S, BabbleWatch
 
@@ -55,8 +52,3 @@ def test_what_waited_and_comes_at_once_is_judged_by_its_time_stamps() -> None:
     second_ns = 1_000_000_000
     late = [(second_ns + k * second_ns // 100, 0x283, b"") for k in range(100)]
     assert watch.add(frame_array(late), WINDOW_S) == []
-
-
-def test_a_negative_rate_is_refused() -> None:
-    with pytest.raises(InputError):
-        BabbleWatch(-1.0)

@@ -37,7 +37,7 @@ def test_a_consumer_waits_and_gives_up_after_its_time() -> None:
     found: list[int] = []
     thread = threading.Thread(target=lambda: found.extend(rows.first for rows in delivery.rows()))
     thread.start()
-    while not delivery._subscriptions:
+    while not delivery._streams:
         pass
     for k in range(50):
         delivery.put(block(k))
@@ -64,7 +64,7 @@ def test_asyncio() -> None:
 
     async def consume() -> list[int]:
         found = []
-        async for rows in delivery.rows_async():
+        async for rows in delivery.rows():
             found.append(rows.first)
             if len(found) == 20:
                 delivery.close()
@@ -84,7 +84,7 @@ def test_a_failure_of_the_producer_reaches_everyone() -> None:
     delivery = Delivery()
     rows = delivery.rows()
     delivery.put(block(0))
-    delivery.fail(RuntimeError("the thread has ended"))
+    delivery.close(RuntimeError("the thread has ended"))
     assert next(rows).first == 0
     with pytest.raises(RuntimeError, match="has ended"):
         next(rows)

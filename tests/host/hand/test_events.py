@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import pytest
 
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.events import MOST_WAITED_S, Supervisor, waited_s
 
@@ -73,8 +72,3 @@ def test_frames_that_waited_are_judged_by_their_own_time() -> None:
     assert waited_s(frames[:0], now_ns) == 0.0
     assert waited_s(frames, now_ns - second_ns) == 0.0  # stamps of the future
     assert waited_s(frames, now_ns + int(MOST_WAITED_S * second_ns)) == 0.0  # another clock
-
-
-def test_no_timeout_is_refused() -> None:
-    with pytest.raises(InputError):
-        Supervisor([5], 0.0)

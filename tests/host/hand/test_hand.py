@@ -186,7 +186,7 @@ def test_asyncio_and_callbacks(fingers: Fingers) -> None:
 
     async def consume(hand: Hand) -> int:
         count = 0
-        async for rows in hand.blocks_async():
+        async for rows in hand.blocks():
             count += len(rows)
             if count >= 10:
                 break

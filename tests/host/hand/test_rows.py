@@ -10,7 +10,6 @@ from bench import row_model
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.rows import CHANGED, DOUBTFUL, NO_ANSWER, PRESENT, Rows
@@ -339,11 +338,3 @@ def test_columns_are_there_although_nobody_answers() -> None:
     rows = stream.collector.add(frame_array([]), 1.0)
     assert set(rows.columns) >= {"P", "phi", "theta", "contact", "stale", "fault"}
     assert rows.columns["stale"].dtype == np.bool_
-
-
-@pytest.mark.parametrize(
-    ("node_ids", "messages"), [((), ("Contact",)), ((1, 1), ("Contact",)), ((1,), ()), ((1,), ("Health",))]
-)
-def test_what_is_no_hand(node_ids: tuple[int, ...], messages: tuple[str, ...]) -> None:
-    with pytest.raises(InputError):
-        Collector(node_ids, messages)

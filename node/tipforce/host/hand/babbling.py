@@ -11,7 +11,6 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.device import codes
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.events import Event
 
@@ -25,12 +24,10 @@ _BEYOND_HEARTBEATS = codes.HEARTBEAT_BASE + codes.NODE_ID_MASK + 1  # LSS
 class BabbleWatch:
     """Count every 11-bit identifier over WINDOW_S and compare with TIMES_SYNC times the rate of the SYNC.
 
-    ``sync_hz`` 0: the rate of the received SYNCs is used. Raises InputError for a negative one.
+    ``sync_hz`` 0: the rate of the received SYNCs is used.
     """
 
     def __init__(self, sync_hz: float) -> None:
-        if not sync_hz >= 0:
-            raise InputError(f"sync_hz = {sync_hz!r}: allowed is a rate, or 0 for the rate of the received SYNCs")
         self._sync_hz = sync_hz
         self._ids: list[npt.NDArray[np.uint32]] = []
         self._since_s: float | None = None

@@ -24,6 +24,7 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
+from tipforce.host.network.find import device_type_responses
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.nmt import command_and_wait
@@ -31,14 +32,12 @@ from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 FIND_S = 0.25  # for the responses of all nodes to one request each
-_IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 HEALTH_MS = 500
 """Event timer of the health PDO: 2126h comes at least so often."""
 
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8
-_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
 
 OnEvent = Callable[[Event], None]
 
@@ -189,13 +188,7 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
 
 def count_nodes(connection: Bus) -> Counter[int]:
     """Request 1000h from every node-id; return the number of responses by node-id. Two: a duplicate node-id."""
-    connection.buffer.clear()
-    for node_id in range(1, codes.NODE_ID_MASK + 1):
-        connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
-        if not node_id % _IN_A_ROW:
-            time.sleep(_GAP_S)
-    # The full time, even if each has responded: a second node with the same id needs its time too.
-    frames = connection.buffer.take(lambda _can_id: False, time.monotonic() + FIND_S)
+    frames = device_type_responses(connection, range(1, codes.NODE_ID_MASK + 1), FIND_S)
     answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
     return Counter(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
 

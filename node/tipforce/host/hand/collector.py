@@ -20,7 +20,6 @@ import numpy.typing as npt
 from tipforce.device.codes import HEARTBEAT_BASE, STANDARD_MASK, SYNC_COB_ID
 from tipforce.dictionary import indices
 from tipforce.dictionary.signals import Message, tpdo_messages
-from tipforce.errors import InputError
 from tipforce.host.decoding.columns import columns_of
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.rows import CHANGED, DOUBTFUL, MIXED, NO_ANSWER, PRESENT, Rows, Tally, joined
@@ -54,7 +53,7 @@ class Collector:
     """Collect rows of ``messages`` (PDO names) of the fingers ``node_ids``.
 
     A row that is incomplete ``wait_s`` after its SYNC was received is emitted incomplete. ``own_sync``: the host sends
-    the SYNC. Raises InputError for no finger, a repeated one, or a message without status and counter.
+    the SYNC.
     """
 
     def __init__(
@@ -62,18 +61,12 @@ class Collector:
         wait_s: float = 0.02, own_sync: bool = False,
     ) -> None:  # fmt: skip
         known = {m.name: m for m in tpdo_messages(gauges) if m.cob_id_base}
-        health = known.pop("Health")
-        unknown = [name for name in messages if name not in known]
-        if unknown or not messages:
-            raise InputError(f"PDO {', '.join(unknown) or 'none'}: allowed in a row are {', '.join(known)}")
-        if not node_ids or len(set(node_ids)) != len(node_ids):
-            raise InputError(f"node-ids {list(node_ids)}: allowed is each node-id once")
         self.node_ids = tuple(node_ids)
         self.tally = Tally(self.node_ids)
         self._messages = [known[name] for name in dict.fromkeys(messages)]
         self._wait_s = wait_s
         self._numbers = SyncNumbers(own_sync)
-        self._slots(health)
+        self._slots(known["Health"])
         shape = len(self._messages), len(self.node_ids), _RING
         self._words = np.zeros(shape, dtype=_WORD)
         self._state = np.zeros(shape, dtype=np.uint8)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import threading
 import time
+import weakref
 from collections import deque
 from collections.abc import AsyncIterator, Callable, Iterator
 from typing import TypeVar
@@ -15,33 +16,61 @@ from tipforce.host.hand.rows import Rows
 T = TypeVar("T")
 
 MAX_ROWS, MAX_EVENTS = 100_000, 10_000
-_STEP_S = 0.2  # interval at which a waiting consumer checks whether the hand has stopped
+_STEP_S = 0.2  # a wait without end could not be interrupted on Windows
 
 
-class Subscription:
-    """Rows for one consumer; the oldest are dropped beyond MAX_ROWS."""
+class RowStream(Iterator[Rows], AsyncIterator[Rows]):
+    """Blocks of rows for one consumer, from its creation on; the oldest are dropped beyond MAX_ROWS.
 
-    def __init__(self) -> None:
-        self.blocks: deque[Rows] = deque()
-        self.waiting = 0
-        self.overrun = 0
+    It ends with the delivery, or after ``timeout_s`` without rows (None: never; not with ``async for``).
+    """
 
-    def put(self, rows: Rows) -> None:
-        """Add a block."""
-        self.blocks.append(rows)
-        self.waiting += len(rows)
-        while self.waiting > MAX_ROWS:
-            lost = len(self.blocks.popleft())
-            self.waiting -= lost
-            self.overrun += lost
+    def __init__(self, delivery: Delivery, timeout_s: float | None) -> None:
+        self._delivery, self._timeout_s = delivery, timeout_s
+        self._blocks: deque[Rows] = deque()
+        self._waiting = 0
+        self.wake: Callable[[], object] = lambda: None
+        """Called after each change, with the lock of the delivery."""
 
-    def take(self) -> Rows | None:
-        """Return the oldest block."""
-        if not self.blocks:
-            return None
-        rows = self.blocks.popleft()
-        self.waiting -= len(rows)
+    def put(self, rows: Rows) -> int:
+        """Add a block; return how many rows were dropped."""
+        dropped = 0
+        self._blocks.append(rows)
+        self._waiting += len(rows)
+        while self._waiting > MAX_ROWS:
+            dropped += len(self._take())
+        return dropped
+
+    def _take(self) -> Rows:
+        rows = self._blocks.popleft()
+        self._waiting -= len(rows)
         return rows
+
+    def __next__(self) -> Rows:
+        """Return the next block. Raises StopIteration, or the error that ended the delivery."""
+        end_s = None if self._timeout_s is None else time.monotonic() + self._timeout_s
+        with self._delivery.changed:
+            while not self._blocks and not self._delivery.closed:
+                left_s = _STEP_S if end_s is None else end_s - time.monotonic()
+                if left_s <= 0:
+                    break
+                self._delivery.changed.wait(min(left_s, _STEP_S))
+            if self._blocks:
+                return self._take()
+        raise self._delivery.end(self) or StopIteration
+
+    async def __anext__(self) -> Rows:
+        """Return the next block; the event loop runs meanwhile."""
+        loop, ready = asyncio.get_running_loop(), asyncio.Event()
+        self.wake = lambda: loop.is_closed() or loop.call_soon_threadsafe(ready.set)
+        while True:
+            ready.clear()
+            with self._delivery.changed:
+                if self._blocks:
+                    return self._take()
+                if self._delivery.closed:
+                    raise self._delivery.end(self) or StopAsyncIteration
+            await ready.wait()
 
 
 class Delivery:
@@ -50,41 +79,51 @@ class Delivery:
     def __init__(self) -> None:
         self.row_callbacks: list[Callable[[Rows], None]] = []
         self.event_callbacks: list[Callable[[Event], None]] = []
-        self._changed = threading.Condition()
-        self._subscriptions: list[Subscription] = []
-        self._wakers: list[Callable[[], None]] = []
-        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
-        self._past_overrun = 0
-        self._closed = False
-        self._failed: list[Callable[..., None]] = []
-        self._error: BaseException | None = None
-
-    @property
-    def error(self) -> BaseException | None:
+        self.changed = threading.Condition()
+        self.closed = False
+        self.error: BaseException | None = None
         """The error that ended the delivery."""
-        return self._error
-
-    @property
-    def overrun(self) -> int:
+        self.overrun = 0
         """Rows dropped because consumers were too slow."""
-        with self._changed:
-            return self._past_overrun + sum(one.overrun for one in self._subscriptions)
+        self._streams: weakref.WeakSet[RowStream] = weakref.WeakSet()
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._failed: list[Callable[..., None]] = []
+
+    def rows(self, timeout_s: float | None = None) -> RowStream:
+        """Return blocks of rows from now on."""
+        stream = RowStream(self, timeout_s)
+        with self.changed:
+            self._streams.add(stream)
+        return stream
+
+    def end(self, stream: RowStream) -> BaseException | None:
+        """Deliver no more to a stream; return the error that ended the delivery."""
+        with self.changed:
+            self._streams.discard(stream)
+        return self.error
 
     def put(self, rows: Rows) -> None:
         """Deliver a block of rows."""
         for callback in self.row_callbacks:
             self._call(callback, rows)
-        with self._changed:
-            for one in self._subscriptions:
-                one.put(rows)
-            self._changed.notify_all()
-            wakers = list(self._wakers)
-        for wake in wakers:
-            wake()
+        with self.changed:
+            self.overrun += sum(one.put(rows) for one in self._streams)
+            self._wake()
+
+    def close(self, error: BaseException | None = None) -> None:
+        """End the delivery; an error is raised by every consumer."""
+        with self.changed:
+            self.closed, self.error = True, self.error or error
+            self._wake()
+
+    def _wake(self) -> None:
+        self.changed.notify_all()
+        for one in self._streams:
+            one.wake()
 
     def event(self, event: Event) -> None:
         """Deliver an event."""
-        with self._changed:
+        with self.changed:
             self._events.append(event)
         for callback in self.event_callbacks:
             self._call(callback, event)
@@ -103,84 +142,7 @@ class Delivery:
 
     def take_events(self) -> list[Event]:
         """Return the events since the last call."""
-        with self._changed:
+        with self.changed:
             events = list(self._events)
             self._events.clear()
         return events
-
-    def fail(self, error: BaseException) -> None:
-        """End with an error, which every consumer raises."""
-        self._error = error
-        self.close()
-
-    def close(self) -> None:
-        """End the delivery."""
-        with self._changed:
-            self._closed = True
-            self._changed.notify_all()
-            wakers = list(self._wakers)
-        for wake in wakers:
-            wake()
-
-    def rows(self, timeout_s: float | None = None) -> Iterator[Rows]:
-        """Return blocks of rows from now on."""
-        one = self._subscribe()  # now, not at the request for the first row
-        return self._iterate(one, timeout_s)
-
-    def _iterate(self, one: Subscription, timeout_s: float | None) -> Iterator[Rows]:
-        try:
-            deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-            while True:
-                with self._changed:
-                    rows = one.take()
-                    if rows is None:
-                        if self._closed or (deadline_s is not None and time.monotonic() >= deadline_s):
-                            break
-                        self._changed.wait(_STEP_S if timeout_s is None else min(_STEP_S, timeout_s))
-                        continue
-                yield rows
-                deadline_s = None if timeout_s is None else time.monotonic() + timeout_s
-        finally:
-            self._unsubscribe(one)
-        self._raise()
-
-    async def rows_async(self) -> AsyncIterator[Rows]:
-        """Yield blocks of rows from the first step on, for asyncio."""
-        loop, ready = asyncio.get_running_loop(), asyncio.Event()
-
-        def wake() -> None:
-            if not loop.is_closed():
-                loop.call_soon_threadsafe(ready.set)
-
-        one = self._subscribe()
-        self._wakers.append(wake)
-        try:
-            while True:
-                ready.clear()
-                with self._changed:
-                    rows, closed = one.take(), self._closed
-                if rows is not None:
-                    yield rows
-                elif closed:
-                    break
-                else:
-                    await ready.wait()
-        finally:
-            self._wakers.remove(wake)
-            self._unsubscribe(one)
-        self._raise()
-
-    def _subscribe(self) -> Subscription:
-        one = Subscription()
-        with self._changed:
-            self._subscriptions.append(one)
-        return one
-
-    def _unsubscribe(self, one: Subscription) -> None:
-        with self._changed:
-            self._past_overrun += one.overrun
-            self._subscriptions.remove(one)
-
-    def _raise(self) -> None:
-        if self._error is not None:
-            raise self._error

@@ -14,7 +14,6 @@ import numpy as np
 
 from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL
 from tipforce.dictionary.service_texts import emcy_text, state_text
-from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
 
 Kind = Literal[
@@ -45,12 +44,10 @@ class Event:
 class Supervisor:
     """Monitor heartbeats and EMCY of ``node_ids``; ``timeout_s`` is the heartbeat time-out of an operational node.
 
-    Monitoring of a node starts with its first heartbeat. Raises InputError for a timeout that is not over 0.
+    Monitoring of a node starts with its first heartbeat.
     """
 
     def __init__(self, node_ids: Sequence[int], timeout_s: float = 0.5) -> None:
-        if not timeout_s > 0:
-            raise InputError(f"heartbeat timeout {timeout_s:g} s: allowed is a time over 0")
         self.timeout_s = timeout_s
         self.states: dict[int, int] = dict.fromkeys(node_ids, _UNKNOWN_STATE)
         """Last reported NMT state by node-id; -1 for a silent node."""

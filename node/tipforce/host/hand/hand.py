@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import threading
 import time
-from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
@@ -31,7 +31,7 @@ from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
 from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up
 from tipforce.host.hand.collector import Collector
-from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand.delivery import Delivery, RowStream
 from tipforce.host.hand.events import Event, Supervisor, waited_s
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
 from tipforce.host.hand.hand_row import HandRows
@@ -41,7 +41,7 @@ from tipforce.host.hand.numbering import wanted_overflow
 from tipforce.host.hand.recovery import LOST, Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
 from tipforce.host.hand.rows import Rows, Tally
-from tipforce.host.hand.sync_producer import SyncProducer, sync_data
+from tipforce.host.hand.sync_producer import sync_data
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 
@@ -89,7 +89,7 @@ class Hand:
         )
         self._queue = RecoveryQueue(self._recover)
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
-        self._sync: SyncProducer | None = None
+        self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
         self._stopped = threading.Event()
         self._probe_s = 0.0
@@ -165,9 +165,9 @@ class Hand:
 
         They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
         """
-        names = tuple(finger.name for finger in self.file.finger)
+        names = [finger.name for finger in self.file.finger]
         calibrations = [self._calibration(finger) for finger in self.file.finger]
-        return HandRows(self._delivery, self.node_ids, names, calibrations, timeout_s)
+        return HandRows(self._delivery.rows(timeout_s), self.node_ids, names, calibrations)
 
     def _calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
@@ -177,13 +177,9 @@ class Hand:
                 found = self._link.connection.finger(finger.node_id).calibration()
         return found
 
-    def blocks(self, timeout_s: float | None = None) -> Iterator[Rows]:
-        """Return blocks of rows as arrays, until the hand stops, or after ``timeout_s`` without rows."""
+    def blocks(self, timeout_s: float | None = None) -> RowStream:
+        """Return blocks of rows as arrays, as they come; for ``for`` and ``async for``. They end as ``rows``."""
         return self._delivery.rows(timeout_s)
-
-    def blocks_async(self) -> AsyncIterator[Rows]:
-        """Yield the same for asyncio."""
-        return self._delivery.rows_async()
 
     def on_rows(self, callback: Callable[[Rows], None]) -> None:
         """Register a callback for each block of rows. It runs in the receiving thread and must return quickly."""
@@ -234,7 +230,7 @@ class Hand:
     def stop(self) -> None:
         """Stop SYNCs and rows; return the fingers to pre-operational."""
         self._stopped.set()
-        self._stop_sync()
+        self._end_sync()
         if self._thread is not None:
             self._thread.join()
         self._queue.close()
@@ -300,7 +296,7 @@ class Hand:
                 except EnvironmentLackError as error:
                     self._lost(error)
         except BaseException as error:
-            self._delivery.fail(error)
+            self._delivery.close(error)
             text = f"reception has ended: {type(error).__name__}: {error}"
             self._delivery.event(Event(time.monotonic(), 0, "failed", text))
             raise
@@ -360,12 +356,7 @@ class Hand:
         self._jitter.skip()
         if self.file.hand.sync_hz and not self._stopped.is_set():
             first = self._collector.restart() if self._recovery.overflow else 0
-            self._sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, sync_data(first))
-
-    def _stop_sync(self) -> None:
-        if self._sync is not None:
-            self._sync.stop()
-            self._sync = None
+            self._end_sync = self._link.start_sync(1.0 / self.file.hand.sync_hz, sync_data(first))
 
     # --- faults ------------------------------------------------------------------------------------------------
 
@@ -373,7 +364,7 @@ class Hand:
         """Reopen the bus as soon as that works after a fault, and check every finger."""
         self._delivery.event(Event(time.monotonic(), 0, "bus_down", str(error)))
         self._supervisor.forget()
-        self._stop_sync()
+        self._end_sync()
         if not self._own_link:
             raise error
         self._dropped += self._link.dropped

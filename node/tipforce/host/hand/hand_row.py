@@ -10,7 +10,7 @@ import numpy as np
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, no_answer, status_of, uncertainties
-from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand.delivery import RowStream
 from tipforce.host.hand.rows import NO_ANSWER, REASONS, Rows
 
 
@@ -54,41 +54,23 @@ class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
     """Rows from its creation on; see ``Hand.rows``."""
 
     def __init__(
-        self,
-        delivery: Delivery,
-        node_ids: Sequence[int],
-        names: Sequence[str],
+        self, blocks: RowStream, node_ids: Sequence[int], names: Sequence[str],
         calibrations: Sequence[Calibration | None],
-        timeout_s: float | None,
-    ) -> None:
-        self._delivery, self._timeout_s = delivery, timeout_s
-        self._node_ids, self._calibrations = tuple(node_ids), tuple(calibrations)
-        self._names = tuple(names)
+    ) -> None:  # fmt: skip
+        self._blocks, self._fingers = blocks, (node_ids, names, calibrations)
         self._waiting: deque[HandRow] = deque()
-        self._blocks: Iterator[Rows] | None = delivery.rows(timeout_s)
-        self._blocks_async: AsyncIterator[Rows] | None = None
 
     def __next__(self) -> HandRow:
         """Return the next row. Raises StopIteration when the hand has stopped, or the error that ended it."""
         while not self._waiting:
-            if self._blocks is None:
-                raise TypeError("these rows are iterated by async for")
-            self._waiting += self._one_by_one(next(self._blocks))
+            self._waiting += rows_one_by_one(next(self._blocks), *self._fingers)
         return self._waiting.popleft()
-
-    def __aiter__(self) -> HandRows:
-        self._blocks, self._blocks_async = None, self._delivery.rows_async()
-        return self
 
     async def __anext__(self) -> HandRow:
         """Return the next row; the event loop runs meanwhile."""
-        assert self._blocks_async is not None
         while not self._waiting:
-            self._waiting += self._one_by_one(await anext(self._blocks_async))
+            self._waiting += rows_one_by_one(await anext(self._blocks), *self._fingers)
         return self._waiting.popleft()
-
-    def _one_by_one(self, rows: Rows) -> list[HandRow]:
-        return rows_one_by_one(rows, self._node_ids, self._names, self._calibrations)
 
 
 def rows_one_by_one(

@@ -7,14 +7,14 @@ interfaces one python-can bus does both, and own SYNCs are inserted among the re
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
-from typing import Any, Protocol
+from typing import Any
 
 from tipforce.device.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.hand.sync_producer import SyncProducer, ThreadSync, kernel_sync
+from tipforce.host.hand.sync_producer import ThreadSync, kernel_sync
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
 from tipforce.host.network.bus import Bus
@@ -29,26 +29,54 @@ SERVICE_FILTERS = (
 _KEPT_FRAMES = 20_000  # in the connection's own buffer, which only the search for nodes reads
 
 
-class Link(Protocol):
-    """An open bus."""
+class Link:
+    """An open bus of python-can: a connection, its frames, and SYNCs."""
 
-    connection: Bus
+    def __init__(self, connection: Bus) -> None:
+        self.connection = connection
+        keep_few(self.connection)
+        self._frames = FrameBuffer()
+        assert self.connection.network.notifier is not None  # a Bus is connected
+        self.connection.network.notifier.add_listener(self._frames)
 
     def receive(self, timeout_s: float) -> FrameArray:
         """Return the received frames, FRAME (n,), SYNCs included. Raises EnvironmentLackError if the bus fails."""
+        notifier = self.connection.network.notifier
+        if notifier is not None and notifier.exception is not None:
+            raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
+        return self._frames.take_some(time.monotonic() + timeout_s)
 
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
-        """Send SYNCs with ``data`` in turn from now on."""
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
+        """Send SYNCs with ``data`` in turn from now on, until the returned function is called."""
+        return ThreadSync(self._sync, period_s, data).stop
+
+    def _sync(self, data: bytes) -> None:
+        # First into the stream, then onto the bus: no answer can precede its SYNC.
+        self._frames.put((time.time_ns(), SYNC_COB_ID, data))
+        self.connection.send(SYNC_COB_ID, data)
 
     @property
     def dropped(self) -> int:
         """Frames lost because they were not read in time."""
+        return self._frames.dropped
 
     def close(self) -> None:
         """Close the bus."""
+        self.connection.close()
 
 
-class SocketLink:
+class SharedLink(Link):
+    """A bus that was already open and stays open."""
+
+    def close(self) -> None:
+        """Stop listening."""
+        notifier = self.connection.network.notifier
+        if notifier is not None:
+            with suppress(ValueError):
+                notifier.remove_listener(self._frames)
+
+
+class SocketLink(Link):
     """A SocketCAN interface."""
 
     def __init__(self, options: Mapping[str, Any]) -> None:
@@ -67,7 +95,7 @@ class SocketLink:
         """See Link."""
         return self._receiver.receive(timeout_s)
 
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
         """See Link."""
         return kernel_sync(self._bus, period_s, data)
 
@@ -79,54 +107,7 @@ class SocketLink:
     def close(self) -> None:
         """See Link."""
         self._receiver.close()
-        self.connection.close()
-
-
-class BusLink:
-    """Any other bus of python-can."""
-
-    def __init__(self, connection: Bus) -> None:
-        self.connection = connection
-        keep_few(self.connection)
-        self._frames = FrameBuffer()
-        assert self.connection.network.notifier is not None  # a Bus is connected
-        self.connection.network.notifier.add_listener(self._frames)
-
-    def receive(self, timeout_s: float) -> FrameArray:
-        """See Link."""
-        notifier = self.connection.network.notifier
-        if notifier is not None and notifier.exception is not None:
-            raise EnvironmentLackError(f"the bus failed: {notifier.exception}")
-        return self._frames.take_some(time.monotonic() + timeout_s)
-
-    def start_sync(self, period_s: float, data: Sequence[bytes]) -> SyncProducer:
-        """See Link."""
-        return ThreadSync(self._sync, period_s, data)
-
-    def _sync(self, data: bytes) -> None:
-        # First into the stream, then onto the bus: no answer can precede its SYNC.
-        self._frames.put((time.time_ns(), SYNC_COB_ID, data))
-        self.connection.send(SYNC_COB_ID, data)
-
-    @property
-    def dropped(self) -> int:
-        """See Link."""
-        return self._frames.dropped
-
-    def close(self) -> None:
-        """See Link."""
-        self.connection.close()
-
-
-class SharedLink(BusLink):
-    """A bus that was already open and stays open."""
-
-    def close(self) -> None:
-        """Stop listening."""
-        notifier = self.connection.network.notifier
-        if notifier is not None:
-            with suppress(ValueError):
-                notifier.remove_listener(self._frames)
+        super().close()
 
 
 def keep_few(connection: Bus) -> None:
@@ -136,4 +117,4 @@ def keep_few(connection: Bus) -> None:
 
 def open_link(options: Mapping[str, Any]) -> Link:
     """Open the bus that ``options`` (keywords of ``can.Bus``) name. Raises EnvironmentLackError."""
-    return SocketLink(options) if options.get("interface") == "socketcan" else BusLink(Bus(open_bus(**options)))
+    return SocketLink(options) if options.get("interface") == "socketcan" else Link(Bus(open_bus(**options)))

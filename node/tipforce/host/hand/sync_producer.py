@@ -7,7 +7,6 @@ import time
 from collections.abc import Callable, Sequence
 from contextlib import suppress
 from itertools import cycle
-from typing import Protocol
 
 import can
 
@@ -16,37 +15,27 @@ from tipforce.errors import EnvironmentLackError
 from tipforce.host.hand.sync_numbers import LARGEST
 
 
-class SyncProducer(Protocol):
-    """Send SYNCs until stopped."""
-
-    def stop(self) -> None:
-        """Stop sending."""
-
-
 def sync_data(first: int, overflow: int = LARGEST) -> list[bytes]:
     """Return the data of SYNCs to send in turn: numbers from ``first`` up to ``overflow`` and on from 1; 0: without."""
     return [bytes(((first + k - 1) % overflow + 1,)) for k in range(overflow)] if first else [b""]
 
 
-def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> SyncProducer:
-    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus. Raises EnvironmentLackError."""
+def kernel_sync(bus: can.BusABC, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
+    """Send SYNCs with ``data`` in turn by CAN_BCM on python-can's SocketCAN bus, until the returned function is called.
+
+    Raises EnvironmentLackError.
+    """
     messages = [can.Message(arbitration_id=SYNC_COB_ID, is_extended_id=False, data=one) for one in data]
     try:
-        return KernelSync(bus.send_periodic(messages, period_s))
+        task = bus.send_periodic(messages, period_s)
     except (can.CanError, OSError) as error:
         raise EnvironmentLackError(f"SYNC by the kernel's broadcast manager: {error}; `modprobe can-bcm`") from error
 
-
-class KernelSync:
-    """Send SYNCs by a cyclic task of the kernel."""
-
-    def __init__(self, task: can.broadcastmanager.CyclicSendTaskABC) -> None:
-        self._task = task
-
-    def stop(self) -> None:
-        """See SyncProducer."""
+    def stop() -> None:
         with suppress(can.CanError, OSError):  # a removed interface has removed its tasks too
-            self._task.stop()
+            task.stop()
+
+    return stop
 
 
 class ThreadSync:

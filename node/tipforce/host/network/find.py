@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 
 from tipforce.device import codes
@@ -12,11 +12,12 @@ from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding import status_words
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient, Identity
 
-READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
-_GAP_S = 0.001  # between requests, so that short transmit queues do not overflow
+_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+_IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,14 +42,9 @@ def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) ->
     A node that only sends heartbeats (STOPPED: no SDO) is listed too.
     """
     wanted = set(node_ids)
-    connection.buffer.clear()
-    for node_id in sorted(wanted):
-        connection.send(codes.SDO_REQUEST_BASE + node_id, READ_DEVICE_TYPE)
-        time.sleep(_GAP_S)
-    time.sleep(wait_s)
     states: dict[int, int] = {}
     answered: set[int] = set()
-    for frame in connection.buffer.take_all():
+    for frame in device_type_responses(connection, wanted, wait_s):
         can_id = int(frame["can_id"])
         service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
         if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
@@ -56,6 +52,20 @@ def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) ->
         elif node_id in wanted and service == codes.HEARTBEAT_BASE:
             states[node_id] = int(frame["data"][0]) & 0x7F
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
+
+
+def device_type_responses(connection: Bus, node_ids: Collection[int], wait_s: float) -> FrameArray:
+    """Request 1000h from every node-id; return all frames received within ``wait_s``, FRAME (n,).
+
+    The full time, even if each has responded: a second node with the same id needs its time too.
+    """
+    connection.buffer.clear()
+    for count, node_id in enumerate(sorted(node_ids), start=1):
+        connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
+        if not count % _IN_A_ROW:
+            time.sleep(_GAP_S)
+    time.sleep(wait_s)
+    return connection.buffer.take_all()
 
 
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
