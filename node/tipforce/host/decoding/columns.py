@@ -19,7 +19,7 @@ def columns_of(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
     flags: dict[int, npt.NDArray[np.uint8]] = {}
     columns: dict[str, Column] = {}
     for signal in signals:
-        if signal.bits == 1 and _is_plain(signal):
+        if signal.bits == 1 and is_plain(signal):
             byte = signal.start_bit // 8
             if byte not in flags:
                 flags[byte] = (words >> np.uint64(8 * byte)).astype(np.uint8)
@@ -29,9 +29,15 @@ def columns_of(words: Words, signals: Iterable[Signal]) -> dict[str, Column]:
     return columns
 
 
-def _is_plain(signal: Signal) -> bool:
+def is_plain(signal: Signal) -> bool:
     """Return whether the raw number is the value."""
     return signal.unknown is None and signal.scale == 1 and not signal.offset and not signal.big_endian
+
+
+def divisor_of(signal: Signal) -> int:
+    """Return 1000 for a scale of 0.001, 0 where it is no such number: 474 / 1000 is the double nearest to 0.474."""
+    divisor = round(1 / signal.scale) if 0 < signal.scale < 1 else 0
+    return divisor if abs(signal.scale * divisor - 1) < 1e-9 else 0
 
 
 def _number(words: Words, signal: Signal) -> Column:
@@ -44,9 +50,8 @@ def _number(words: Words, signal: Signal) -> Column:
     if signal.unknown is None and signal.scale == 1 and not signal.offset:
         return raw
     values = raw.astype(np.float64)
-    divisor = round(1 / signal.scale) if signal.scale else 0
-    # 474 / 1000 is the double nearest to 0.474; 474 x 0.001 is not.
-    if 0 < signal.scale < 1 and abs(signal.scale * divisor - 1) < 1e-9:
+    divisor = divisor_of(signal)
+    if divisor:
         values /= divisor
     elif signal.scale != 1:
         values *= signal.scale
