@@ -23,7 +23,7 @@ from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Filter, Selection
 from tipforce.host.live.receive import SocketReceiver, open_receiver, prepare_socket
 from tipforce.host.live.receive_group import ReceiverGroup
-from tipforce.host.live.receiver import InterfaceDownError
+from tipforce.host.live.receiver import SWITCH_INTERVAL_S, InterfaceDownError
 
 CONTACT = bytes.fromhex("2E1129239A110303")
 needs_recvmmsg = pytest.mark.skipif(not recvmmsg.AVAILABLE, reason="this system has no recvmmsg of 64 bits")
@@ -278,3 +278,19 @@ def test_filters_as_the_kernel_has_them() -> None:
     assert Selection(both).passes(can_id).tolist() == [True, True, True, False]
     assert Selection(both, join=True).passes(can_id).tolist() == [False, False, False, False]
     assert Filter(0x181, 0x7FF, inverse=True).kernel_words() == (0x20000181, 0x7FF)
+
+
+@needs_recvmmsg
+def test_the_switch_interval_is_short_while_a_receiver_is_open() -> None:
+    before = sys.getswitchinterval()
+    with connected():
+        with connected() as (second, _):
+            assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL_S)
+            second.close()
+            second.close()
+        assert sys.getswitchinterval() == pytest.approx(SWITCH_INTERVAL_S)
+    assert sys.getswitchinterval() == before
+    with connected():
+        sys.setswitchinterval(0.002)  # the program's own wish stays
+    assert sys.getswitchinterval() == pytest.approx(0.002)
+    sys.setswitchinterval(before)

@@ -25,7 +25,7 @@ from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live import recvmmsg
 from tipforce.host.live.can_filter import Selection
-from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver
+from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver, ShortSwitchInterval
 from tipforce.host.live.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
 
 ANY = "any"
@@ -38,6 +38,7 @@ _CAN_RAW_FILTER, _CAN_RAW_ERR_FILTER, _CAN_RAW_FD_FRAMES, _CAN_RAW_JOIN_FILTERS 
 _FD_HEADER = struct.Struct("=IBB2x")
 # A frame's second word, little-endian: can_id, length, channel, flags, spare.
 _ID_AND_LENGTH, _LENGTH_SHIFT, _CHANNEL_SHIFT = np.uint64((1 << 40) - 1), np.uint64(32), np.uint64(40)
+_BYTE, _FULL = np.uint64(0xFF), np.uint64(8)
 _SENT_BIT = np.uint64(SENT << 48)
 _KEEP = np.array([(1 << 8 * length) - 1 for length in range(9)], dtype=np.uint64)  # little-endian, by data length
 
@@ -101,6 +102,7 @@ class SocketReceiver(Receiver):
     def __init__(self, one: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
         """Take ownership of the socket. ``tick_s`` 0: every receive returns at the first frame."""
         self._socket = one
+        self._switch_interval = ShortSwitchInterval()
         self._channel = channel
         self._any = channel in {ANY, ""}
         self._batch = DatagramBatch(one, capacity, addresses=self._any)
@@ -108,6 +110,10 @@ class SocketReceiver(Receiver):
         self._name_of_index: dict[int, int] = {}
         self._tick_s = tick_s
         self._next_s = 0.0
+        self._frame_memory: FrameArray = np.zeros(capacity, dtype=FRAME)
+        self._words = self._frame_memory.view(np.uint64).reshape(capacity, 3)  # a time and a struct can_frame
+        self._one_interface: Interfaces = np.zeros(capacity, dtype=np.uint16)
+        self._one_interface.flags.writeable = False
         self._poll = select.poll()
         self._poll.register(one, select.POLLIN)
 
@@ -122,26 +128,28 @@ class SocketReceiver(Receiver):
 
     def close(self) -> None:
         """Close the socket."""
+        self._switch_interval.close()
         self._socket.close()
 
     def receive(self, timeout_s: float | None = None) -> FrameArray:
         """See Receiver."""
         count = self._read(timeout_s)
-        frames, _ = self._frames(count)
-        lengths = self._batch.lengths(count)
-        if (lengths != CLASSIC_BYTES).any():
-            frames = frames[lengths == CLASSIC_BYTES]
+        plain = self._batch.plain(count)
+        frames, _ = self._frames(count, plain)
+        if not plain:
+            frames = frames[self._batch.lengths(count) == CLASSIC_BYTES]
         self._batch.release(count)
         return frames
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:
         """See Receiver."""
         count = self._read(timeout_s)
-        frames, interface = self._frames(count)
+        plain = self._batch.plain(count)
+        frames, interface = self._frames(count, plain)
         sent = self._batch.sent(count)
-        lengths = self._batch.lengths(count)
         fd: tuple[FdFrame, ...] = ()
-        if (lengths != CLASSIC_BYTES).any():
+        if not plain:
+            lengths = self._batch.lengths(count)
             classic = lengths == CLASSIC_BYTES
             fd = self._fd_frames(frames, np.flatnonzero(lengths == FD_BYTES), interface, np.cumsum(classic))
             frames, interface, sent = frames[classic], interface[classic], sent[classic]
@@ -165,11 +173,10 @@ class SocketReceiver(Receiver):
         self._next_s = time.monotonic() + self._tick_s if 0 < count < self._batch.capacity else 0.0
         return count
 
-    def _frames(self, count: int) -> tuple[FrameArray, Interfaces]:
+    def _frames(self, count: int, plain: bool) -> tuple[FrameArray, Interfaces]:
         """Return the received frames as FRAME (count,), CAN FD frames cut to eight bytes; and the interface of each."""
         batch = self._batch
-        frames: FrameArray = np.empty(count, dtype=FRAME)
-        words = frames.view(np.uint64).reshape(count, 3)  # FRAME is a time followed by a struct can_frame
+        words = self._words[:count]
         words[:, 0] = batch.times_ns(count).view(np.uint64)
         words[:, 1:] = batch.words(count)
         head = words[:, 1]
@@ -178,15 +185,15 @@ class SocketReceiver(Receiver):
             interface = self._interfaces(count)
             head |= interface.astype(np.uint64) << _CHANNEL_SHIFT
         else:
-            interface = np.zeros(count, dtype=np.uint16)
-        sent = batch.sent(count)
-        if sent.any():
-            head |= sent * _SENT_BIT
-        length = head >> _LENGTH_SHIFT & np.uint64(0xFF)
-        if (length != 8).any():
-            frames["length"] = length = np.minimum(length, 8)
+            interface = self._one_interface[:count]
+        if not plain:
+            head |= batch.sent(count) * _SENT_BIT
+        length = head >> _LENGTH_SHIFT & _BYTE
+        if np.count_nonzero(length != _FULL):
+            length = np.minimum(length, _FULL)
+            words[:, 1] = head & ~(_BYTE << _LENGTH_SHIFT) | length << _LENGTH_SHIFT
             words[:, 2] &= _KEEP[length]  # bytes after the data are undefined
-        return frames, interface
+        return self._frame_memory[:count].copy(), interface
 
     def _interfaces(self, count: int) -> Interfaces:
         index = self._batch.interfaces(count).tolist()

@@ -12,7 +12,7 @@ from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.live.can_filter import Selection
-from tipforce.host.live.receiver import Receiver
+from tipforce.host.live.receiver import Receiver, ShortSwitchInterval
 from tipforce.socketcan import raw_can_id
 
 BURST = 512
@@ -25,6 +25,7 @@ class PythonCanReceiver(Receiver):
     def __init__(self, bus: can.BusABC, selection: Selection, channel: str = "") -> None:
         """``channel`` is the name of the interface in the blocks; empty: the name in each message."""
         self._bus = bus
+        self._switch_interval = ShortSwitchInterval()
         self._selection = selection
         self._channel = "" if channel == "any" else channel
         self._names: dict[str, int] = {}
@@ -40,6 +41,7 @@ class PythonCanReceiver(Receiver):
 
     def close(self) -> None:
         """Shut the bus down."""
+        self._switch_interval.close()
         self._bus.shutdown()
 
     def receive_block(self, timeout_s: float | None = None) -> CandumpBlock:

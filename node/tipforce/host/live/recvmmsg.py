@@ -36,6 +36,8 @@ _HEADER = np.dtype(
         ("received_bytes", "=u4"), ("pad_3", "=u4"),
     ]
 )  # fmt: skip
+_KIND_WORDS = slice(6, 8)  # of a header: flags, received_bytes
+_PLAIN = np.array([0, CLASSIC_BYTES], dtype=np.uint64)
 _PART = np.dtype([("base", "=u8"), ("bytes", "=u8")])
 _CONTROL = np.dtype(
     [
@@ -91,6 +93,7 @@ class DatagramBatch:
         self._words = self._data.view(np.uint64)[:, :2]
         self._lengths = self._headers["received_bytes"]
         self._flags = self._headers["flags"]
+        self._kinds = self._headers.view(np.uint64).reshape(capacity, -1)[:, _KIND_WORDS]
         self._control_bytes = self._headers["control_bytes"]
         self._seconds, self._nanoseconds = self._control["seconds"], self._control["nanoseconds"]
         self._kind_1, self._kind_2 = self._control["kind_1"], self._control["kind_2"]
@@ -127,6 +130,10 @@ class DatagramBatch:
     def datagram(self, row: int) -> bytes:
         """Return all bytes of one datagram."""
         return self._data[row, : int(self._lengths[row])].tobytes()
+
+    def plain(self, count: int) -> bool:
+        """Return whether all are classic frames from other machines."""
+        return not np.count_nonzero(self._kinds[:count] != _PLAIN)
 
     def lengths(self, count: int) -> npt.NDArray[np.uint32]:
         """Return the number of bytes of each datagram, (count,). A view."""
