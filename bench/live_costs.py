@@ -8,7 +8,7 @@ import time
 from collections.abc import Callable
 
 import can
-from bench.live_loopback import CanopenHost, connected_pair, contact_frames, python_can_bus
+from bench.live_loopback import CanopenHost, connected_pair, contact_frames, python_can_bus, struct_contact
 
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
@@ -25,12 +25,13 @@ class Ways:
         self._canopen = CanopenHost()
         self._decoder = Decoder(node_ids=range(1, 6))
         self.ways: dict[str, Way] = {}
-        for batch in (256, 32, 8):
+        for batch in (256, 32, 8, 5):
             receiver = SocketReceiver(one, "loopback", tick_s=0, capacity=batch)
             self.ways[f"tipforce, receive and decode, batches of {batch}"] = self._decoded(receiver)
         receiver = SocketReceiver(one, "loopback", tick_s=0, capacity=256)
         self.ways["tipforce, receive alone, batches of 256"] = self._received(receiver)
         self.ways["python-can, bus.recv alone"] = self._python_can
+        self.ways["python-can, bus.recv and struct"] = self._struct
         self.ways["canopen, PDO callback with three .raw"] = self._canopen_pdo
 
     def _decoded(self, receiver: SocketReceiver) -> Way:
@@ -54,6 +55,13 @@ class Ways:
         for _ in range(count):
             if self._bus.recv(0) is None:
                 raise RuntimeError("a frame is missing")
+
+    def _struct(self, count: int) -> None:
+        for _ in range(count):
+            message = self._bus.recv(0)
+            if message is None:
+                raise RuntimeError("a frame is missing")
+            struct_contact(message)
 
     def _canopen_pdo(self, count: int) -> None:
         before = self._canopen.frames

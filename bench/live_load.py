@@ -2,19 +2,21 @@
 
 from __future__ import annotations
 
+import socket
 import sys
 import tempfile
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
 import numpy.typing as npt
-from bench.live_loopback import bound_receiver, python_can_bus, running_numbers, sending
+from bench.live_loopback import bound_receiver, python_can_bus, running_numbers, sending, struct_contact
 
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.live.receive import SocketReceiver
@@ -85,46 +87,86 @@ def _seconds(lag_ms: FloatArray, rate_hz: int) -> list[FloatArray]:
     return np.array_split(lag_ms, max(round(len(lag_ms) / rate_hz), 1))
 
 
+class _Record:
+    """What came: running numbers, kernel's stamps and times of decoding, as numbers or arrays."""
+
+    def __init__(self) -> None:
+        self.numbers: list[Any] = []
+        self.stamps_ns: list[Any] = []
+        self.decoded_ns: list[int] = []
+        self.counts: list[int] = []
+
+
+Take = Callable[[float, _Record], int]
+"""Waits at most the given time; returns the number of frames received and decoded, and notes them."""
+
+
 def run_load(rate_hz: int, seconds: float, *, busy: bool = False, switch_s: float | None = None) -> Load:
-    """Receive and decode everything that a process sends at ``rate_hz`` for ``seconds``."""
-    with switch_interval(switch_s):
-        return _run_load(rate_hz, seconds, busy)
+    """Receive and decode everything that a process sends at ``rate_hz`` for ``seconds``.
 
-
-def _run_load(rate_hz: int, seconds: float, busy: bool) -> Load:
-    total = round(rate_hz * seconds)
+    ``switch_s``: another switch interval than that of a receiver.
+    """
     one = bound_receiver()
     decoder = Decoder(node_ids=range(1, 6))
-    numbers, stamps, lags = [], [], []
-    with SocketReceiver(one, "loopback") as receiver, busy_thread(busy), sending(one, rate_hz, seconds):
-        frames = receiver.receive(30.0)
-        start_s, start_cpu_s = time.monotonic(), time.process_time()
-        count = 0
-        while len(frames):
+    with SocketReceiver(one, "loopback") as receiver, switch_interval(switch_s):
+
+        def take(timeout_s: float, record: _Record) -> int:
+            frames = receiver.receive(timeout_s)
             decoder.decode(frames)
-            now_ns = time.time_ns()
-            numbers.append(running_numbers(frames))
-            stamps.append(frames["t_ns"].copy())
-            lags.append(now_ns - frames["t_ns"])
-            count += len(frames)
-            if count + receiver.dropped >= total:
+            record.numbers.append(running_numbers(frames))
+            record.stamps_ns.append(frames["t_ns"])
+            return len(frames)
+
+        return _run(take, one, rate_hz, seconds, busy, lambda: receiver.dropped)
+
+
+def run_struct(rate_hz: int, seconds: float, *, busy: bool = False) -> Load:
+    """The same with python-can's ``recv`` and struct: what a user writes by hand."""
+    one = bound_receiver()
+    bus = python_can_bus(one)
+
+    def take(timeout_s: float, record: _Record) -> int:
+        message = bus.recv(timeout_s)
+        if message is None:
+            return 0
+        struct_contact(message)
+        record.numbers.append(int.from_bytes(message.data[:4], "little"))
+        record.stamps_ns.append(round(message.timestamp * 1e9))
+        return 1
+
+    with one:
+        return _run(take, one, rate_hz, seconds, busy, lambda: 0)
+
+
+def _run(
+    take: Take, one: socket.socket, rate_hz: int, seconds: float, busy: bool, dropped: Callable[[], int]
+) -> Load:  # fmt: skip
+    total, record = round(rate_hz * seconds), _Record()
+    with busy_thread(busy), sending(one, rate_hz, seconds):
+        count = part = take(30.0, record)
+        start_s, start_cpu_s = time.monotonic(), time.process_time()
+        while part:
+            record.decoded_ns.append(time.time_ns())
+            record.counts.append(part)
+            if count + dropped() >= total:
                 break
-            frames = receiver.receive(_SILENCE_S)
+            part = take(_SILENCE_S, record)
+            count += part
         elapsed_s, cpu_s = time.monotonic() - start_s, time.process_time() - start_cpu_s
-        dropped = receiver.dropped
-    number, lag_ms = np.concatenate(numbers).astype(np.int64), np.concatenate(lags) / 1e6
+    number, stamp_ns = np.hstack(record.numbers).astype(np.int64), np.hstack(record.stamps_ns)
+    lag_ms = (np.repeat(record.decoded_ns, record.counts) - stamp_ns) / 1e6
     return Load(
         sent=total,
         received=len(number),
-        dropped=dropped,
+        dropped=dropped(),
         in_order=bool((np.diff(number) > 0).all()),
-        stamps_rise=bool((np.diff(np.concatenate(stamps)) >= 0).all()),
+        stamps_rise=bool((np.diff(stamp_ns) >= 0).all()),
         lag_median_ms=float(np.median(lag_ms)),
         lag_p99_ms=float(np.quantile(lag_ms, 0.99)),
         lag_p99_seconds_ms=tuple(np.quantile(part, 0.99).item() for part in _seconds(lag_ms, rate_hz)),
         lag_max_ms=float(lag_ms.max()),
         cpu_share=cpu_s / elapsed_s,
-        frames_a_batch=len(number) / len(numbers),
+        frames_a_batch=len(number) / len(record.counts),
     )
 
 

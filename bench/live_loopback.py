@@ -113,3 +113,12 @@ class CanopenHost:
     def take(self, message: can.Message) -> None:
         """What canopen's own listener does with a message."""
         self.network.notify(message.arbitration_id, message.data, message.timestamp)
+
+
+_CONTACT = struct.Struct("<hhhBB")
+
+
+def struct_contact(message: can.Message) -> tuple[float, float, float, int, int]:
+    """A Contact PDO decoded by hand: P in N, phi and theta in degrees, status, counter."""
+    P, phi, theta, status, counter = _CONTACT.unpack(message.data)
+    return P / 1000, phi / 100, theta / 100, status, counter

@@ -23,12 +23,17 @@ def test_nothing_is_lost_at_a_steady_rate(busy: bool) -> None:
     assert load.frames_a_batch >= 1
 
 
+def test_the_way_by_hand_receives_all() -> None:
+    load = live_load.run_struct(1000, 0.5)
+    assert (load.received, load.in_order, load.stamps_rise) == (500, True, True)
+
+
 def test_every_way_takes_every_frame() -> None:
     """Each raises if a frame is missing, or a PDO does not reach canopen's callback."""
     found = live_costs.measure(1)
-    assert len(found) == 6
+    assert len(found) == 8
     assert all(len(figures) == 1 and figures[0] > 0 for figures in found.values())
-    assert len(live_costs.table(found)) == 2 + 6
+    assert len(live_costs.table(found)) == 2 + 8
 
 
 def test_both_loggers_record() -> None:
