@@ -44,8 +44,9 @@ def _number(words: Words, signal: Signal) -> Column:
     if signal.big_endian:
         words = words.byteswap()
     if signal.real:
-        values = _real(words, signal)
-        return values if signal.scale == 1 and not signal.offset else values * signal.scale + signal.offset
+        with np.errstate(invalid="ignore", over="ignore"):  # any bits may come from the wire
+            values = _real(words, signal)
+            return values if signal.scale == 1 and not signal.offset else values * signal.scale + signal.offset
     raw = _integer(words, signal)
     if signal.unknown is None and signal.scale == 1 and not signal.offset:
         return raw
@@ -66,10 +67,9 @@ def _number(words: Words, signal: Signal) -> Column:
 
 def _real(words: Words, signal: Signal) -> Column:
     shifted = words >> np.uint64(signal.start_bit)
-    with np.errstate(invalid="ignore"):  # a signalling NaN from the wire is a NaN, not a reason to warn
-        if signal.bits == 64:
-            return shifted.view(np.float64).copy()
-        return shifted.astype(np.uint32).view(np.float32).astype(np.float64)
+    if signal.bits == 64:
+        return shifted.view(np.float64).copy()
+    return shifted.astype(np.uint32).view(np.float32).astype(np.float64)
 
 
 def _integer(words: Words, signal: Signal) -> Column:
