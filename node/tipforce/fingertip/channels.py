@@ -87,18 +87,8 @@ class Channels:
 
     def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
-        sample, n = self._fingertip.sample, self._n
-        if sub <= n:
-            hidden = sample.unknown_early() & scalar.UNKNOWN_GAUGES or sample.overloads[sub - 1]
-            return scalar.NAN if hidden else sample.microstrains[sub - 1]
-        if sub <= n + 3:
-            return scalar.NAN if sample.unknown_early() & scalar.UNKNOWN_FORCE else sample.force()[sub - n - 1]
-        unknown = sample.unknown()
-        if sub == n + 4:
-            return scalar.NAN if unknown & scalar.UNKNOWN_FORCE else sample.contact()[0]
-        if sub == n + 5:
-            return scalar.NAN if unknown & scalar.UNKNOWN_PHI else sample.contact()[1] * scalar.DEGREES
-        return scalar.NAN if unknown & scalar.UNKNOWN_THETA else sample.contact()[2] * scalar.DEGREES
+        sample = self._fingertip.sample
+        return scalar.NAN if sample.reading is None else sample.shown()[sub - 1]
 
     def _overload(self, sub: int) -> int:
         """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""

@@ -39,7 +39,8 @@ class Sample:
     """
 
     __slots__ = (
-        "_contact", "_covariance", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active",
+        "_contact", "_covariance", "_early", "_force", "_shown", "_status", "_uncertainty", "_unknown", "_was_present",
+        "active",
         "counter", "faults", "filtered", "frozen", "judgement", "latched_us", "lost", "microstrains", "overloaded",
         "overloads", "reading", "seen", "solver", "spared", "stale", "tare",
     )  # fmt: skip
@@ -71,6 +72,7 @@ class Sample:
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
         self._covariance: "Covariance | None" = None
+        self._shown: "list[float] | None" = None
         self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
         self.filtered = filtered
@@ -199,6 +201,29 @@ class Sample:
                 self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
+    def shown(self) -> "list[float]":
+        """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
+        if self._shown is None:
+            self._shown = self._find_shown()
+        return self._shown
+
+    def _find_shown(self) -> "list[float]":
+        unknown = self.unknown()
+        found = self.microstrains[:]
+        for k, over in enumerate(self.overloads):
+            if over or unknown & scalar.UNKNOWN_GAUGES:
+                found[k] = NAN
+        if unknown & scalar.UNKNOWN_FORCE:
+            return found + [NAN] * 6
+        f1, f2, f3 = self.force()
+        P, phi, theta, _miss = self.contact()
+        found += (
+            f1, f2, f3, P,
+            NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
+            NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
+        )  # fmt: skip
+        return found
+
     def _early_status(self) -> int:
         """The bits that are known before any force is: calibrated, saturated, stale, front-end fault."""
         bits = 0
@@ -220,7 +245,11 @@ class Sample:
         if self.active is None or self.solver is None or scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
             return bits
         P, _phi, theta, miss = self.contact()
-        u_P, _u_phi, u_theta = self.uncertainty()
+        u_P = u_theta = NAN  # below the contact-off force no bit depends on them
+        if P >= self.active.limits[1]:
+            u_P = u_theta = 0.0  # of these the bits need no more than that theta is resolved
+            if not scalar.clearly_resolved(P, self.force()[1], self.covariance()):
+                u_P, _u_phi, u_theta = self.uncertainty()
         u_miss = 0.0
         if miss > 0.0:
             f1, f2, f3 = self.force()

@@ -78,7 +78,7 @@ class SimulatedSource(Source):
         self._conversion = conversion
         converted_us = conversion * self.period_us
         force = _force(self.load) if self.forces is None else self.forces(converted_us)
-        microstrains = [self._microstrain(k, force, now_us) for k in range(len(self.rows))]
+        microstrains = self._microstrains(force, now_us)
         temperature = self.temperature
         if self.front_end is None:
             per_microstrain = self.converter[1]
@@ -124,15 +124,18 @@ class SimulatedSource(Source):
         device.od.writers[indices.SIMULATED_LOAD] = write_load
         device.od.readers[indices.SIMULATED_LOAD] = lambda sub: self.load[sub - 1]
 
-    def _microstrain(self, k: int, force: "Forces", now_us: int) -> float:
-        c1, c2, c3 = self.rows[k]
-        strain = c1 * force[0] + c2 * force[1] + c3 * force[2]
-        microstrain = 1e6 * strain + self.offset_microstrain[k]
+    def _microstrains(self, force: "Forces", now_us: int) -> "list[float]":
+        f1, f2, f3 = force
+        found = [
+            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset
+            for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
+        ]
         if self._random is not None:
-            microstrain += self._random.gauss(0.0, self.noise_microstrain)
-        if self.fault == DRIFT and self.fault_gauge == k + 1:
-            microstrain += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
-        return microstrain
+            gauss, noise = self._random.gauss, self.noise_microstrain
+            found = [microstrain + gauss(0.0, noise) for microstrain in found]
+        if self.fault == DRIFT and 0 < self.fault_gauge <= len(found):
+            found[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
+        return found
 
 
 def _force(load: "Forces") -> "Forces":

@@ -31,6 +31,8 @@ UNKNOWN_GAUGES = 0x08
 MISS_COVERAGE_FACTOR = 3.0  # standard uncertainties by which |F2| must exceed P before the load misses the tip
 MISS_FLOOR = 1e-6  # times P: rounding of single-precision coefficients, which is not in the noise covariance
 THETA_RESOLVED_DEG = 30.0  # largest standard uncertainty with which theta still counts as resolved
+CLEARLY_RESOLVED = 0.5  # radians, 28.6 degrees
+ROOT_2 = 1.4143  # no less
 SMALLEST_STEP = 1e-30  # noise over load below which an angle counts as exactly known
 SMALLEST_COSINE = 1e-15  # sqrt(SMALLEST_STEP): keeps slopes, and their squares in single precision, finite
 PAD_SLACK_DEG = 1e-4  # rounding of theta in single precision must not push a contact off the edge of the pad
@@ -108,6 +110,21 @@ def uncertainty(
         _times_power(u_phi, half - exponent),
         _times_power(u_theta, half - exponent),
     )
+
+
+def clearly_resolved(P: float, F2: float, cov: tuple[float, float, float, float, float, float]) -> bool:
+    """Return True where a bound shows that u_theta is below THETA_RESOLVED_DEG: a sixth of the work of uncertainty().
+
+    With s^2 the trace of cov, no component of F has a standard uncertainty above s. So the step of x = |F2| / P is at
+    most sqrt(2) s / P, the slope at most that of asin at x + step, and u_theta at most s / P (1 + sqrt(2) slope).
+    False, for NaN too, says nothing.
+    """
+    trace = cov[0] + cov[3] + cov[5]
+    if not (trace > SMALLEST_STEP and P > 0.0):
+        return False
+    u = sqrt(trace) / P
+    end = abs(F2) / P + ROOT_2 * u
+    return end < 1.0 and u * (1.0 + ROOT_2 / sqrt(1.0 - end * end)) < CLEARLY_RESOLVED
 
 
 def miss_uncertainty(F1: float, F2: float, F3: float, cov: tuple[float, float, float, float, float, float]) -> float:
