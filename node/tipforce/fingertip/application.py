@@ -238,12 +238,15 @@ class Fingertip(Application):
         faults: int = reading.faults
         lowest, highest = self.ends
         self.frozen = 0
+        counts, equal = reading.counts, self._equal
+        old = counts if before is None else before.counts
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.
-            inside = lowest < reading.counts[k] < highest
-            same = inside and before is not None and before.counts[k] == reading.counts[k]
-            self._equal[k] = self._equal[k] + 1 if same else 0
-            if self._equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
+            if counts[k] != old[k] or before is None or not lowest < counts[k] < highest:
+                equal[k] = 0
+                continue
+            equal[k] += 1
+            if equal[k] >= FROZEN_READINGS and self.channels.noise_counts(k, self.calibration.active) >= 1.0:
                 self.frozen |= 1 << k
         return faults | 1 << table.FAULT_FROZEN if self.frozen else faults
 

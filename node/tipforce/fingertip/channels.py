@@ -88,7 +88,9 @@ class Channels:
     def exact(self, sub: int) -> float:
         """The value of a channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
         sample = self._fingertip.sample
-        return scalar.NAN if sample.reading is None else sample.shown()[sub - 1]
+        if sample.reading is None:
+            return scalar.NAN
+        return (sample.values or sample.find_values())[sub - 1]
 
     def _overload(self, sub: int) -> int:
         """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""
@@ -101,10 +103,13 @@ class Channels:
 
         Six of these fill the PDOs of each SYNC, which is why they are written as closures over what does not change.
         """
-        exact, per_unit, last_force = self.exact, self._per_unit, self._n + 4
+        fingertip, per_unit, last_force = self._fingertip, self._per_unit, self._n + 4
 
         def read(sub: int) -> int:
-            value = exact(sub)
+            sample = fingertip.sample
+            if sample.reading is None:
+                return unknown
+            value = (sample.values or sample.find_values())[sub - 1]
             if value == value:  # noqa: PLR0124 (false for NaN alone)
                 scaled = value * per_unit[sub - 1]
                 if -highest < scaled < highest:

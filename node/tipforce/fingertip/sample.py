@@ -39,10 +39,9 @@ class Sample:
     """
 
     __slots__ = (
-        "_contact", "_covariance", "_early", "_force", "_shown", "_status", "_uncertainty", "_unknown", "_was_present",
-        "active",
+        "_contact", "_covariance", "_early", "_force", "_status", "_uncertainty", "_unknown", "_was_present", "active",
         "counter", "faults", "filtered", "frozen", "judgement", "latched_us", "lost", "microstrains", "overloaded",
-        "overloads", "reading", "seen", "solver", "spared", "stale", "tare",
+        "overloads", "reading", "seen", "solver", "spared", "stale", "tare", "values",
     )  # fmt: skip
 
     def __init__(
@@ -72,7 +71,7 @@ class Sample:
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
         self._covariance: "Covariance | None" = None
-        self._shown: "list[float] | None" = None
+        self.values: "list[float] | None" = None  # of ``find_values``
         self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
         self.filtered = filtered
@@ -201,20 +200,17 @@ class Sample:
                 self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
-    def shown(self) -> "list[float]":
+    def find_values(self) -> "list[float]":
         """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
-        if self._shown is None:
-            self._shown = self._find_shown()
-        return self._shown
-
-    def _find_shown(self) -> "list[float]":
         unknown = self.unknown()
         found = self.microstrains[:]
         for k, over in enumerate(self.overloads):
             if over or unknown & scalar.UNKNOWN_GAUGES:
                 found[k] = NAN
+        self.values = found
         if unknown & scalar.UNKNOWN_FORCE:
-            return found + [NAN] * 6
+            found += [NAN] * 6
+            return found
         f1, f2, f3 = self.force()
         P, phi, theta, _miss = self.contact()
         found += (
