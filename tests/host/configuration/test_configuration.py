@@ -298,6 +298,8 @@ def settings_of_a_node(draw: st.DrawFn) -> dict[tuple[int, int], types.Value]:
         else:
             bounds = types.data_type(row.letter).limits or (-1e30, 1e30)
             found[place] = bounds[0] if row.low is None else row.low
+        if 0x1800 <= place[0] < 0x1A00 and place[1] == 1:
+            found[place] = int(found[place]) | 0x40000000  # no remote requests: nothing else is accepted
     return found
 
 
