@@ -6,6 +6,9 @@ TYPE_CHECKING = False
 if TYPE_CHECKING:
     from tipforce.mujoco.load import Load as Load
     from tipforce.mujoco.mjcf import fingertip_mjcf as fingertip_mjcf
+    from tipforce.mujoco.models import grasp_model as grasp_model
+    from tipforce.mujoco.models import hand_model as hand_model
+    from tipforce.mujoco.serving import TwinNodes as TwinNodes
     from tipforce.mujoco.twin import Fingertips as Fingertips
     from tipforce.mujoco.twin import TwinSample as TwinSample
 
@@ -13,9 +16,12 @@ _MODULES = {
     "Fingertips": "twin",
     "TwinSample": "twin",
     "Load": "load",
+    "TwinNodes": "serving",
     "fingertip_mjcf": "mjcf",
+    "grasp_model": "models",
+    "hand_model": "models",
 }
-__all__ = ["Fingertips", "Load", "TwinSample", "fingertip_mjcf"]
+__all__ = ["Fingertips", "Load", "TwinNodes", "TwinSample", "fingertip_mjcf", "grasp_model", "hand_model"]
 
 if not TYPE_CHECKING:
     __getattr__, __dir__ = lazy(__name__, _MODULES)

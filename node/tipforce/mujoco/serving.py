@@ -1,0 +1,130 @@
+"""Fingertips of a MuJoCo model as CANopen nodes on a bus, in simulated time."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from math import isfinite
+from types import TracebackType
+from typing import TYPE_CHECKING
+
+from tipforce.device import codes
+from tipforce.errors import InputError
+from tipforce.mujoco.twin import Fingertips
+from tipforce.running.loop import say_stopped
+from tipforce.running.ports import PythonCanPort
+
+if TYPE_CHECKING:
+    import can
+    import mujoco
+
+    from tipforce.running.loop import Frame
+
+    Step = Callable[[], object]
+    """Advances the model by one time step: ``lambda: mujoco.mj_step(model, data)``, with what the model's user adds."""
+
+_IDLE_S = 0.2  # the longest wait: bounds the time until a stop request is seen
+_LONGEST_LAG_S = 0.2
+
+
+class TwinNodes:
+    """``tips`` as nodes on ``bus`` (any ``can.Bus``), at the time of ``data``. A context manager that stops them.
+
+    Time is that of the simulation: either call ``exchange`` after each step, or let the SYNCs of the bus advance the
+    simulation (``follow_sync``: the same frames give the same run, however fast the programs are), or the clock
+    (``follow_clock``). ``on_frame`` gets every received frame, (COB-ID, data): commands to the model's actuators.
+    """
+
+    def __init__(
+        self,
+        tips: Fingertips,
+        data: mujoco.MjData,
+        bus: can.BusABC,
+        on_frame: Callable[[int, bytes], object] | None = None,
+    ) -> None:
+        self._tips, self._data, self._on_frame = tips, data, on_frame
+        self._port = PythonCanPort(bus)
+        self._due_us = 0
+        self.exchange()
+
+    def exchange(self, timeout_s: float = 0.0) -> None:
+        """Hand the frames received over to the nodes, and send theirs; wait up to ``timeout_s`` for the first one.
+
+        Raises InputError where the time of ``data`` went back without a ``Fingertips.reset``.
+        """
+        self._keep_time()
+        frame = self._port.receive(timeout_s)
+        while frame is not None:
+            self._deliver(frame)
+            frame = self._port.receive(0.0)
+
+    def follow_sync(self, step: Step, period_s: float, stop: Callable[[], bool]) -> None:
+        """Advance the model by ``period_s`` for each SYNC, and sample after it, until ``stop()`` returns true.
+
+        Between SYNCs the simulation stands still, and SDO and NMT are served. Raises InputError for a period that is
+        not positive.
+        """
+        if not (isfinite(period_s) and period_s > 0.0):
+            raise InputError(f"period_s = {period_s!r}: allowed is a positive finite number")
+        due_s = self._data.time
+        while not stop():
+            frame = self._port.receive(_IDLE_S)
+            if frame is None:
+                continue
+            if frame[0] == codes.SYNC_COB_ID:
+                due_s += period_s
+                while self._data.time < due_s - 1e-9:
+                    step()
+                    self._keep_time()
+            self._deliver(frame)
+
+    def follow_clock(self, step: Step, stop: Callable[[], bool]) -> float:
+        """Advance the model with the monotonic clock until ``stop()`` returns true; return the seconds that it lost.
+
+        A simulation that is more than 0.2 s late goes on from there, slower than the clock.
+        """
+        start_s, lost_s = time.monotonic() - self._data.time, 0.0
+        while not stop():
+            step()
+            ahead_s = self._data.time - (time.monotonic() - start_s)
+            if ahead_s < -_LONGEST_LAG_S:
+                start_s -= ahead_s
+                lost_s -= ahead_s
+            self.exchange(max(0.0, min(ahead_s, _IDLE_S)))
+        return lost_s
+
+    def close(self) -> None:
+        """Send the last frame of each node, as one that is switched off."""
+        say_stopped(self._tips.devices, self._port)
+
+    def __enter__(self) -> TwinNodes:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()
+
+    def _keep_time(self) -> None:
+        """Send what is due now: boot-up messages, heartbeats, timed PDOs."""
+        now_us = self._tips.at(self._data)
+        if self._tips.boot_frames:
+            self._port.send(self._tips.boot_frames)
+            self._tips.boot_frames.clear()
+            self._due_us = now_us
+        if self._due_us <= now_us:
+            self._step(now_us, [])
+
+    def _deliver(self, frame: Frame) -> None:
+        if self._on_frame is not None:
+            self._on_frame(*frame)
+        self._step(self._tips.at(self._data), [frame])
+
+    def _step(self, now_us: int, frames: list[Frame]) -> None:
+        self._due_us = codes.NEVER_US
+        for device in self._tips.devices:
+            sent, due_us = device.step(now_us, frames)
+            self._due_us = min(self._due_us, due_us)
+            if sent:
+                self._port.send(sent)
+            device.requests.clear()
