@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 SCENES = sorted((ROOT / "scenes").glob("*.toml"))
 FOREIGN = (
     "msgspec", "numpy", "matplotlib", "can", "scipy", "canopen", "cantools", "rich", "skfem", "pyarrow", "mujoco",
-    "gymnasium",
+    "gymnasium", "cyclonedds", "mcap",
 )  # fmt: skip
 # Scenes of a few lines, for what the files in scenes/ do not show.
 SMALL = {

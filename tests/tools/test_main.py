@@ -25,7 +25,19 @@ from tipforce.errors import (
 from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
 
-HEAVY = ("numpy", "can", "canopen", "cantools", "msgspec", "rich", "shtab", "websockets", "hypothesis")
+HEAVY = (
+    "numpy",
+    "can",
+    "canopen",
+    "cantools",
+    "msgspec",
+    "rich",
+    "shtab",
+    "websockets",
+    "hypothesis",
+    "cyclonedds",
+    "mcap",
+)
 
 
 def run_python(code: str, *words: str) -> subprocess.CompletedProcess[str]:
@@ -103,6 +115,7 @@ RUN_ALONE = {  # commands that do something when nothing more is said
     "log",
     "monitor",
     "report",
+    "ros2",
     "vcan",
     "view",
 }

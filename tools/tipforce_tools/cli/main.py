@@ -50,6 +50,7 @@ COMMANDS = {
     "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),
     "monitor": ("tipforce_tools.monitor.command", "show a live table of the nodes on a bus or in a log"),
     "view": ("tipforce_tools.view.command", "serve a web page with the force on each fingertip, live or from a log"),
+    "ros2": ("tipforce_tools.ros2.command", "publish forces, contacts and diagnostics as ROS 2 topics, without ROS"),
     "load": ("tipforce_tools.network.load", "measure the load of a bus, or compute that of a planned hand"),
     "design": ("tipforce_tools.design.command", "recompute the paper's tables, sweep and optimise the structure"),
     "report": ("tipforce_tools.report.command", "measure error against run time, and check extreme cases"),

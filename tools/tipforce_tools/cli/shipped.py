@@ -1,4 +1,4 @@
-"""Find the files that ship with tipforce by name: scenes, EDS and DBC."""
+"""Find the files that ship with tipforce by name: scenes, EDS and DBC; and the folder of the ROS 2 packages."""
 
 from __future__ import annotations
 
@@ -7,12 +7,13 @@ from pathlib import Path
 from tipforce.errors import InputError
 
 SUFFIXES = {"scenes": ".toml", "eds": ".eds", "dbc": ".dbc"}
+_IN_CLONE = {"ros2": "docs/examples/ros2"}
 
 
 def shipped_folder(kind: str) -> Path:
-    """Return the folder of a kind of SUFFIXES: in the installed package, or in a clone of the source."""
+    """Return the folder of a kind of SUFFIXES, or "ros2": in the installed package, or in a clone of the source."""
     installed = Path(__file__).parents[1] / "shipped" / kind
-    return installed if installed.is_dir() else Path(__file__).parents[3] / kind
+    return installed if installed.is_dir() else Path(__file__).parents[3] / _IN_CLONE.get(kind, kind)
 
 
 def shipped_names(kind: str) -> list[str]:

@@ -17,6 +17,7 @@ EXTRAS = {
     "parquet": ("pyarrow",),
     "zstd": ("zstandard",),
     "mcap": ("mcap",),
+    "ros2": ("cyclonedds",),
     "multicast": ("msgpack",),
     "dask": ("distributed",),
 }

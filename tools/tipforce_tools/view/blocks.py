@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -15,7 +16,7 @@ from tipforce.sensor.contact import scalar
 from tipforce_tools.view.fingers import Finger
 
 FloatArray = npt.NDArray[np.float64]
-Float32Array = npt.NDArray[np.float32]
+RealArray = npt.NDArray[np.floating[Any]]
 
 CONTACT, CALIBRATED, SATURATED, REPEATED = (
     scalar.CONTACT_PRESENT, scalar.CALIBRATED, scalar.SATURATED, scalar.STALE,
@@ -29,15 +30,15 @@ MISSING = status_words.NO_ANSWER
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """m rows of k fingers with n gauges."""
+    """m rows of k fingers with n gauges; the history of a page keeps them as float32."""
 
     t_ns: npt.NDArray[np.int64]
     """(m,) time of each SYNC."""
-    contact: Float32Array
+    contact: RealArray
     """(m, k, 3) P in newtons, phi and theta in degrees; NaN where unknown."""
-    u: Float32Array
+    u: RealArray
     """(m, k, 3) standard uncertainty of each, in the same units; NaN where unknown."""
-    gauges: Float32Array
+    gauges: RealArray
     """(m, k, n) strain in microstrain; NaN where unknown or not sent."""
     status: npt.NDArray[np.uint16]
     """(m, k)"""
@@ -78,4 +79,4 @@ def block_of_rows(
     u = uncertainties(contact, [finger.calibration for finger in fingers])
     if health_u_P is not None:
         u[..., 0] = np.where(np.isnan(u[..., 0]) & ~np.isnan(contact[..., 0]), health_u_P, u[..., 0])
-    return Block(rows.sync_ns, contact.astype(np.float32), u.astype(np.float32), strains.astype(np.float32), status)
+    return Block(rows.sync_ns, contact, u, strains, status)

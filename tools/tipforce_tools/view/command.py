@@ -145,7 +145,7 @@ def _log(args: argparse.Namespace, path: Path) -> Source:
 
     if str(path) == "-":
         raise InputError("-: a log is read more than once; pass a file instead of stdin")
-    return LogSource(path, _maker(args), args.gauges, (), args.start_s, args.end_s)
+    return LogSource(path, finger_maker(args), args.gauges, (), args.start_s, args.end_s)
 
 
 def _is_scene(path: Path) -> bool:
@@ -158,7 +158,7 @@ def _scene(args: argparse.Namespace, path: Path) -> Source:
     from tipforce_tools.view.scene_source import scene_source
 
     common.note(args, f"{path}: running the scene")
-    return scene_source(path, _maker(args), args.gauges, args.start_s, args.end_s)
+    return scene_source(path, finger_maker(args), args.gauges, args.start_s, args.end_s)
 
 
 def _listen(args: argparse.Namespace, path: Path | None) -> Source:
@@ -176,7 +176,7 @@ def _listen(args: argparse.Namespace, path: Path | None) -> Source:
         options = {**file.bus, **{name: value for name, value in options.items() if value is not None}}
     channel = str(options.get("channel") or options.get("interface") or "bus")
     receiver = open_receiver(options)
-    maker = (lambda _node_id: None) if fingers else _maker(args)
+    maker = (lambda _node_id: None) if fingers else finger_maker(args)
     title = f"{path.name} on {channel}" if path else channel
     return ListenSource(
         receiver, f"{title}, listening", maker, gauges, fingers, int(options.get("bitrate") or 1_000_000)
@@ -215,7 +215,8 @@ def hand_fingers(args: argparse.Namespace, file: HandFile) -> tuple[Finger, ...]
     )
 
 
-def _maker(args: argparse.Namespace) -> Callable[[int], Finger | None]:
+def finger_maker(args: argparse.Namespace) -> Callable[[int], Finger | None]:
+    """Return what makes a finger of a node-id found on the bus: None for one that --nodes leaves out."""
     from tipforce_tools.view.fingers import Finger, with_layout
 
     fallback, wanted = _fallback(args), args.nodes

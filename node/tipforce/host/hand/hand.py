@@ -166,10 +166,10 @@ class Hand:
         They end when the hand stops, or after ``timeout_s`` without a row (None: never; not with ``async for``).
         """
         names = [finger.name for finger in self.file.finger]
-        calibrations = [self._calibration(finger) for finger in self.file.finger]
+        calibrations = [self.calibration(finger) for finger in self.file.finger]
         return HandRows(self._delivery.rows(timeout_s), self.node_ids, names, calibrations)
 
-    def _calibration(self, finger: FingerPlan) -> Calibration | None:
+    def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
         found = self.file.calibration(finger)
         if found is None:

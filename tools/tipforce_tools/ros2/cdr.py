@@ -1,0 +1,127 @@
+"""Serialise messages as ROS 2 does: plain CDR (XCDR1), little-endian, with its header of four bytes.
+
+``encode`` writes one message of any content. ``Layout`` writes many at once, if only their numbers differ.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce_tools.ros2.definitions import Field, fields_of
+
+HEADER = b"\x00\x01\x00\x00"
+_CODES = {
+    "bool": "?", "byte": "B", "char": "B", "uint8": "B", "int8": "b", "uint16": "H", "int16": "h", "uint32": "I",
+    "int32": "i", "uint64": "Q", "int64": "q", "float32": "f", "float64": "d",
+}  # fmt: skip
+_NEEDED = Field("structure_needs_at_least_one_member", "uint8")  # rosidl's, of a message without fields
+
+Rows = npt.NDArray[np.void]
+
+
+def encode(kind: str, values: Mapping[str, Any]) -> bytes:
+    """Serialise one message; ``values`` by field, nested messages as mappings. Raises KeyError for a missing field."""
+    out = bytearray(HEADER)
+    _message(out, kind, values)
+    return bytes(out)
+
+
+def stamp(t_ns: int) -> dict[str, int]:
+    """Return builtin_interfaces/Time."""
+    return {"sec": t_ns // 1_000_000_000, "nanosec": t_ns % 1_000_000_000}
+
+
+class Layout:
+    """Messages of one kind of which only numbers differ.
+
+    ``constants`` by path ("header.frame_id") holds every string and may hold numbers; ``counts`` the lengths of
+    sequences. All other numbers are fields of the rows by their path: "header.stamp.sec", "wrench.force.x".
+    """
+
+    def __init__(self, kind: str, constants: Mapping[str, Any], counts: Mapping[str, int] | None = None) -> None:
+        self._template = bytearray(HEADER)
+        self._constants, self._counts = constants, counts or {}
+        self._places: dict[str, tuple[str, int]] = {}
+        self._walk(kind, "")
+        self._dtype = np.dtype({
+            "names": list(self._places), "formats": [code for code, _ in self._places.values()],
+            "offsets": [offset for _, offset in self._places.values()], "itemsize": len(self._template),
+        })  # fmt: skip
+
+    def rows(self, count: int) -> Rows:
+        """Return ``count`` messages with zeros."""
+        return np.frombuffer(bytearray(bytes(self._template) * count), dtype=self._dtype)
+
+    def _walk(self, kind: str, prefix: str) -> None:
+        for field in fields_of(kind) or (_NEEDED,):
+            path = prefix + field.name
+            if path in self._constants or field.kind == "string":
+                _field(self._template, field, self._constants[path])
+            elif "/" in field.kind:
+                self._walk(field.kind, path + ".")
+            else:
+                count = self._counts[path] if field.size is None else field.size
+                if field.size is None:
+                    _primitive(self._template, "uint32", count)
+                code = _CODES[field.kind]
+                if count:
+                    _align(self._template, struct.calcsize(code))
+                self._places[path] = (
+                    (f"<{code}" if count == 1 == field.size else f"({count},)<{code}"),
+                    len(self._template),
+                )
+                self._template += bytes(count * struct.calcsize(code))
+
+
+def split(rows: Rows) -> list[bytes]:
+    """Return the bytes of each row."""
+    size, data = rows.dtype.itemsize, rows.tobytes()
+    return [data[at : at + size] for at in range(0, len(data), size)]
+
+
+def set_stamps(rows: Rows, t_ns: npt.NDArray[np.int64]) -> None:
+    """Set ``header.stamp`` of rows (k,) to times (k,) in nanoseconds of the epoch."""
+    rows["header.stamp.sec"], rows["header.stamp.nanosec"] = np.divmod(t_ns, 1_000_000_000)
+
+
+def _message(out: bytearray, kind: str, values: Mapping[str, Any]) -> None:
+    for field in fields_of(kind):
+        _field(out, field, values[field.name])
+    if not fields_of(kind):
+        out.append(0)
+
+
+def _field(out: bytearray, field: Field, value: Any) -> None:
+    if field.size == 1:
+        _one(out, field.kind, value)
+        return
+    if field.size is None:
+        _primitive(out, "uint32", len(value))
+    for one in value:
+        _one(out, field.kind, one)
+
+
+def _one(out: bytearray, kind: str, value: Any) -> None:
+    if "/" in kind:
+        _message(out, kind, value)
+    elif kind == "string":
+        data = value.encode() + b"\0"
+        _primitive(out, "uint32", len(data))
+        out += data
+    else:
+        _primitive(out, kind, value)
+
+
+def _primitive(out: bytearray, kind: str, value: Any) -> None:
+    code = _CODES[kind]
+    _align(out, struct.calcsize(code))
+    out += struct.pack(f"<{code}", value)
+
+
+def _align(out: bytearray, size: int) -> None:
+    out += bytes(-(len(out) - len(HEADER)) % size)

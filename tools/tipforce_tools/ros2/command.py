@@ -1,0 +1,169 @@
+"""`tipforce ros2 [HAND.toml|LOG]`: publish forces, contacts and diagnostics as ROS 2 topics, without ROS."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import time
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce_tools.ros2.bridge import Bridge
+    from tipforce_tools.ros2.feeds import Feed
+
+DESCRIPTION = """\
+Publish each fingertip's force and contact at each SYNC, and diagnostics once a second and at each event, as ROS 2
+topics on DDS. ROS need not be installed. Stamps are those of the SYNC.
+"""
+EPILOG = """\
+topics, for a finger named thumb:
+  /tipforce/thumb/wrench    geometry_msgs/WrenchStamped, frame thumb_tip; none while the force is unknown
+  /tipforce/thumb/contact   tipforce_msgs/Contact: P, phi, theta, their uncertainties, status
+  /tipforce/thumb/info      tipforce_msgs/Fingertip, transient local
+  /tipforce/thumb/tare      std_msgs/Empty, with --allow-tare: takes the present force as zero
+  /diagnostics              diagnostic_msgs/DiagnosticArray
+
+  tipforce ros2 hand.toml                   commission the hand, and publish it
+  tipforce ros2 -i socketcan -c can0        listen only: all fingers on the bus
+  tipforce ros2 run.log                     publish a log with its recorded timing
+ROS_DOMAIN_ID, ROS_AUTOMATIC_DISCOVERY_RANGE, ROS_LOCALHOST_ONLY and CYCLONEDDS_URI apply.
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce ros2`."""
+    parser.description, parser.epilog = DESCRIPTION, EPILOG
+    parser.add_argument(
+        "source", nargs="?", metavar="HAND.toml|LOG", help="a hand file, or a log (default: listen to the bus)"
+    )
+    parser.add_argument("--namespace", default="/tipforce", metavar="NS", help="of the topics (default %(default)s)")
+    parser.add_argument("--domain", type=int, metavar="N", help="ROS 2 domain (default: ROS_DOMAIN_ID, else 0)")
+    parser.add_argument("--allow-tare", action="store_true", help="hand file: subscribe to the topics .../tare")
+    parser.add_argument("--no-bring-up", action="store_true", help="hand file: only listen, change nothing")
+    parser.add_argument("--nodes", type=common.node_ids, metavar="IDS", help="bus or log: only these, 1,2,5-9")
+    parser.add_argument(
+        "--gauges", type=int, default=3, metavar="N", help="bus or log: of each finger, 3 to 8 (default 3)"
+    )
+    parser.add_argument("--speed", type=float, default=1.0, metavar="X", help="log: times recorded speed (default 1)")
+    parser.add_argument("--seconds", type=float, metavar="S", help="end after this time")
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Publish until Ctrl-C, SIGTERM, the end of the log, or --seconds; return 0.
+
+    Raises InputError, and EnvironmentLackError for a missing package, a bus that fails, or DDS that does not start.
+    """
+    _check(args)
+    from tipforce_tools.ros2.bridge import Bridge
+    from tipforce_tools.ros2.dds import RosDomain, domain_id, namespace
+
+    prefix, domain = namespace(args.namespace), domain_id(args.domain)
+    with ExitStack() as opened:
+        feed, gauges = opened.enter_context(_feed(args))
+        bridge = Bridge(feed, RosDomain(domain), prefix, gauges, args.allow_tare)
+        common.note(args, f"publishing {prefix or '/'} in ROS 2 domain {domain}; Ctrl-C ends it")
+        try:
+            _publish(args, feed, bridge)
+        except KeyboardInterrupt:
+            pass
+        finally:
+            _say_end(args, bridge)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    common.set_up_logging(args)
+    if find_spec("cyclonedds") is None:
+        raise EnvironmentLackError("ros2 needs cyclonedds: `pip install 'tipforce[ros2]'`")
+    if args.seconds is not None and not args.seconds > 0:
+        raise InputError(f"--seconds {args.seconds:g}: allowed is a time over 0")
+    if not args.speed > 0:
+        raise InputError(f"--speed {args.speed:g}: allowed is more than 0, or inf")
+    hand = args.source is not None and Path(args.source).suffix == ".toml"
+    if args.no_bring_up and not hand:
+        raise InputError("--no-bring-up: needs a hand file")
+    if args.allow_tare and (not hand or args.no_bring_up):
+        raise InputError("--allow-tare: needs a hand file that is commissioned; a log or a bus is only listened to")
+    if not 3 <= args.gauges <= 8:
+        raise InputError(f"--gauges {args.gauges}: allowed are 3 to 8")
+
+
+def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
+    from tipforce_tools.cli.main import terminate_as_interrupt
+    from tipforce_tools.ros2.diagnostics import OK
+
+    terminate_as_interrupt()
+    end_s = math.inf if args.seconds is None else time.monotonic() + args.seconds
+    while not feed.ended and time.monotonic() < end_s:
+        for status in bridge.step():
+            if args.verbose or status["level"] > OK:
+                common.note(args, f"{status['name']}: {status['message']}")
+    bridge.report(feed.now_ns())
+
+
+def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
+    found = {tip.name: tip.wrenches for tip in bridge.tips.values()}
+    if args.json:
+        common.print_json({"rows": bridge.rows, "wrenches": found})
+    common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {len(found)} fingers published")
+
+
+@contextmanager
+def _feed(args: argparse.Namespace) -> Iterator[tuple[Feed, int]]:
+    """Yield what to publish from, and the number of gauges."""
+    with ExitStack() as opened:
+        if args.source is None or Path(args.source).suffix != ".toml":
+            yield _listen(args, opened), args.gauges
+            return
+        from tipforce.host.hand.file import read_hand
+        from tipforce_tools.view.command import hand_fingers
+
+        file = read_hand(args.source)
+        fingers, gauges = hand_fingers(args, file), file.finger[0].gauges
+        if args.no_bring_up:
+            from tipforce.host.live.receive import open_receiver
+            from tipforce.host.live.receive_group import ReceiverGroup
+            from tipforce_tools.monitor.sources import BusSource
+            from tipforce_tools.ros2.feeds import ListenFeed
+
+            receiver = opened.enter_context(open_receiver({**file.bus, **common.bus_options(args)}))
+            yield ListenFeed(BusSource(ReceiverGroup([receiver])), lambda _node_id: None, gauges, fingers), gauges
+            return
+        from dataclasses import replace
+
+        from tipforce.host.hand.hand import Hand
+        from tipforce_tools.ros2.feeds import HandFeed
+
+        hand = opened.enter_context(Hand.from_file(file, **common.bus_options(args)))
+        for report in hand.bring_up():
+            common.note(args, str(report))
+        # For the uncertainties: a finger without a calibration in the file has its own.
+        calibrations = [hand.calibration(plan) for plan in file.finger]
+        feed = HandFeed(hand, [replace(tip, calibration=own) for tip, own in zip(fingers, calibrations, strict=True)])
+        hand.start()
+        yield feed, gauges
+
+
+def _listen(args: argparse.Namespace, opened: ExitStack) -> Feed:
+    from tipforce_tools.cli.listening import open_targets
+    from tipforce_tools.monitor.sources import BusSource, LogSource
+    from tipforce_tools.ros2.bridge import PERIOD_NS
+    from tipforce_tools.ros2.feeds import ListenFeed
+    from tipforce_tools.view.command import finger_maker
+
+    maker = finger_maker(args)
+    if args.source is None:
+        return ListenFeed(BusSource(opened.enter_context(open_targets((), args))), maker, args.gauges)
+    from tipforce.host.logs.reader import open_log
+
+    log = opened.enter_context(open_log(args.source))
+    return ListenFeed(LogSource(log, args.speed, PERIOD_NS), maker, args.gauges)

@@ -1,0 +1,170 @@
+"""Topics of ROS 2 on DDS by Eclipse Cyclone DDS: names, types, quality of service and discovery as ROS users expect.
+
+A topic ``/hand/thumb/wrench`` is ``rt/hand/thumb/wrench`` in DDS, and its type ``geometry_msgs/msg/WrenchStamped`` is
+``geometry_msgs::msg::dds_::WrenchStamped_``.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Mapping
+from functools import cache
+from typing import Any, Literal
+
+from cyclonedds.core import DDSException, Policy, Qos
+from cyclonedds.domain import Domain, DomainParticipant
+from cyclonedds.idl import IdlStruct, make_idl_struct, types
+from cyclonedds.pub import DataWriter
+from cyclonedds.sub import DataReader
+from cyclonedds.topic import Topic
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce_tools.ros2.definitions import fields_of
+
+Profile = Literal["sensor data", "events", "static"]
+
+HIGHEST_DOMAIN = 232
+"""The ports of higher domains are over 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
+_ACK_NS = 100_000_000  # a reliable writer waits for a slow reader at most so long
+_LOOPBACK = (
+    '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces></General>'
+    "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers>"
+    '<Peer address="localhost"/></Peers></Discovery></Domain></CycloneDDS>'
+)
+_SEQUENCE: Any = types.sequence
+_ARRAY: Any = types.array
+_PRIMITIVES: dict[str, Any] = {
+    "bool": bool, "string": str, "byte": types.uint8, "char": types.uint8,
+    **{name: getattr(types, name) for name in (
+        "uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float32", "float64"
+    )},
+}  # fmt: skip
+
+
+class RosDomain:
+    """One participant in a ROS 2 domain. Raises EnvironmentLackError if DDS does not start."""
+
+    def __init__(self, domain: int, environment: Mapping[str, str] = os.environ) -> None:
+        try:
+            # The library reads CYCLONEDDS_URI by itself, unless a domain is configured.
+            self._domain = Domain(domain, _loopback(environment)) if loopback_only(environment) else None
+            self._participant: Any = DomainParticipant(domain)
+        except DDSException as error:
+            uri = environment.get("CYCLONEDDS_URI")
+            advice = f"check CYCLONEDDS_URI ({uri})" if uri else "is there a network interface that is up?"
+            raise EnvironmentLackError(f"DDS does not start in domain {domain}: {error.msg}; {advice}") from None
+
+    def publisher(self, topic: str, kind: str, profile: Profile) -> RosPublisher:
+        """Return a publisher of ``kind`` on the ROS topic ``topic``, an absolute name."""
+        return RosPublisher(self._participant, topic, kind, profile)
+
+    def subscription(self, topic: str, kind: str) -> RosSubscription:
+        """Return a reliable subscription of ``kind``."""
+        return RosSubscription(self._participant, topic, kind)
+
+
+class RosPublisher:
+    """Publishes messages that are serialised already."""
+
+    def __init__(self, participant: Any, topic: str, kind: str, profile: Profile) -> None:
+        struct = idl_type(kind)
+        self._writer: Any = DataWriter(participant, Topic(participant, dds_name(topic), struct), quality(profile))
+        self._sample: Any = _serialised(struct)()
+
+    def publish(self, message: bytes, t_ns: int) -> None:
+        """Write one message with its source time. Raises EnvironmentLackError if DDS fails."""
+        self._sample.message = message
+        try:
+            self._writer.write(self._sample, t_ns)
+        except DDSException as error:
+            if error.code != DDSException.DDS_RETCODE_TIMEOUT:  # a reliable reader does not keep up: it loses messages
+                raise EnvironmentLackError(f"DDS: {error.msg}") from None
+
+    @property
+    def readers(self) -> int:
+        """Number of matched subscriptions."""
+        return len(self._writer.get_matched_subscriptions())
+
+
+class RosSubscription:
+    """Counts messages whose content does not matter."""
+
+    def __init__(self, participant: Any, topic: str, kind: str) -> None:
+        dds_topic: Any = Topic(participant, dds_name(topic), idl_type(kind))
+        self._reader: Any = DataReader(participant, dds_topic, quality("events"))
+
+    def take(self) -> int:
+        """Return how many messages have arrived since the last call."""
+        return sum(bool(sample.sample_info.valid_data) for sample in self._reader.take(N=100))
+
+
+def domain_id(given: int | None, environment: Mapping[str, str] = os.environ) -> int:
+    """Return the domain: ``given``, else ROS_DOMAIN_ID, else 0. Raises InputError."""
+    text = environment.get("ROS_DOMAIN_ID") or "0"
+    name, value = ("--domain", str(given)) if given is not None else ("ROS_DOMAIN_ID", text)
+    if not value.isdecimal() or int(value) > HIGHEST_DOMAIN:
+        raise InputError(f"{name} {value}: allowed are 0 to {HIGHEST_DOMAIN}")
+    return int(value)
+
+
+def loopback_only(environment: Mapping[str, str]) -> bool:
+    """Return whether the user keeps ROS 2 on this machine: ROS_AUTOMATIC_DISCOVERY_RANGE, before that
+    ROS_LOCALHOST_ONLY."""
+    wanted = environment.get("ROS_AUTOMATIC_DISCOVERY_RANGE", "")
+    return wanted.upper() == "LOCALHOST" if wanted else environment.get("ROS_LOCALHOST_ONLY", "0") == "1"
+
+
+def dds_name(topic: str) -> str:
+    """Return the DDS name of an absolute ROS topic."""
+    return f"rt{topic}"
+
+
+def namespace(text: str) -> str:
+    """Return an absolute namespace without a slash at its end. Raises InputError for one that ROS 2 would refuse."""
+    found = "/" + text.strip("/")
+    if found == "/" or re.fullmatch(r"(/[A-Za-z_][A-Za-z0-9_]*)+", found):
+        return "" if found == "/" else found
+    raise InputError(f"--namespace {text!r}: allowed are letters, digits and _, parts separated by /")
+
+
+def quality(profile: Profile) -> Qos:
+    """Return the quality of service: that of rclcpp's SensorDataQoS; reliable; reliable and kept for late readers."""
+    durability = Policy.Durability.TransientLocal if profile == "static" else Policy.Durability.Volatile
+    sensor = profile == "sensor data"
+    reliability = Policy.Reliability.BestEffort if sensor else Policy.Reliability.Reliable(_ACK_NS)
+    depth = {"sensor data": 5, "events": 10, "static": 1}[profile]
+    representation = Policy.DataRepresentation(use_cdrv0_representation=True)
+    return Qos(reliability, durability, Policy.History.KeepLast(depth), representation)
+
+
+@cache
+def idl_type(kind: str) -> type[IdlStruct]:
+    """Return the DDS type of a message, built from its definition."""
+    package, _, name = kind.split("/")
+    annotations: dict[str, Any] = {}
+    for field in fields_of(kind):
+        one = idl_type(field.kind) if "/" in field.kind else _PRIMITIVES[field.kind]
+        if field.size != 1:
+            one = _SEQUENCE[one] if field.size is None else _ARRAY[one, field.size]
+        annotations[field.name] = one
+    annotations = annotations or {"structure_needs_at_least_one_member": types.uint8}
+    return make_idl_struct(f"{name}_", f"{package}.msg.dds_.{name}_", annotations)
+
+
+def _serialised(struct: type[IdlStruct]) -> type[IdlStruct]:
+    """Return the type with a ``message`` in place of its fields: bytes that are written as they are."""
+
+    def init(_self: Any) -> None:
+        pass
+
+    def serialize(self: Any, **_options: Any) -> bytes:
+        message: bytes = self.message
+        return message
+
+    return type(struct.__name__, (struct,), {"__init__": init, "serialize": serialize})
+
+
+def _loopback(environment: Mapping[str, str]) -> str:
+    given = environment.get("CYCLONEDDS_URI")
+    return f"{given},{_LOOPBACK}" if given else _LOOPBACK
