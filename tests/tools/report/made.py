@@ -45,7 +45,7 @@ def study(key: str, reference_error: float = 1e-9) -> Study:
         ),
         left_out={"absent": "needs <something>"},
         remarks=("a remark & its reason",),
-        needs=(Need("1 < 2, nearly", 1e-2), Need("the impossible", 0.0, ("exact",))),
+        needs=(Need("1 < 2, nearly", 1e-2), Need("the impossible", 0.0, unfit=("exact",))),
         check="<another> way",
         check_difference=3e-12,
     )

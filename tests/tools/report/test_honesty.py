@@ -71,6 +71,6 @@ def test_remarks_count_what_the_table_has() -> None:
     ]
     told = honesty._remarks(rows)
     assert "contact PDO alone 8 of 180" in told[0]
-    assert told[1] == f"{honesty.METHODS[1]} has the fewest."
+    assert told[1] == f"Fewest: {honesty.METHODS[1]}."
     assert "97.2 %" in told[2]
     assert [row.held for row in rows] == [True, True]  # the contact PDO does not carry the temperature

@@ -99,7 +99,7 @@ def test_verdict_and_advice_come_first(html: str, report: Report) -> None:
     ]
     assert places == sorted(places)
     assert "3 references that are code of the project agree with an independent computation within 3.0e-12" in html
-    assert "To show values take one: it has the fewest rows that say ok and are wrong. In 1 of 1 cases" in html
+    assert "Of the ways to show values, one shows the fewest wrong ones as ok. In 1 of 1 cases" in html
     assert "none is exact enough" in html
     near = advice(report)[0]
     # Good enough are 2 and 3 cells, "rms" and exact; the least time decides, not the least error.

@@ -61,7 +61,7 @@ def figure(study: Study) -> Figure:
     lines = len(study.series) + 1  # and the band
     drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
     axes = drawn.subplots()
-    axes.set(xscale="log", yscale="log", xlabel=f"time ({study.work_unit})", ylabel=_folded(study.error_unit))
+    axes.set(xscale="log", yscale="log", xlabel=f"time, {study.work_unit}", ylabel=_folded(study.error_unit))
     floor = _floor(study)
     for number in range(len(study.series)):
         _draw_series(axes, study, number, floor)

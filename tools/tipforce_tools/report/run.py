@@ -20,7 +20,7 @@ STUDIES: dict[str, tuple[str, str]] = {
     "estimators": ("tipforce_tools.report.studies.estimators", "arithmetic of the estimator"),
     "fits": ("tipforce_tools.report.studies.fits", "calibration fits against the number of loads"),
     "decoders": ("tipforce_tools.report.studies.decoders", "decoders of CAN frames"),
-    "honesty": ("tipforce_tools.report.studies.honesty", "what says ok and is wrong: every fault by every method"),
+    "honesty": ("tipforce_tools.report.studies.honesty", "wrong values shown as ok: every fault by every method"),
     "scenes": ("tipforce_tools.report.scene_costs", "cost of each part of a scene"),
 }
 """Key -> (module with STEPS and studies(effort, advance), subject)."""

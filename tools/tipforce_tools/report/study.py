@@ -63,6 +63,8 @@ class Need:
     text: str
     enough: float
     """In the unit of the study's errors."""
+    unit: str = ""
+    """That unit: "N"; "" for a relative error."""
     unfit: tuple[str, ...] = ()
     """Methods that are not for it whatever their error here: a remark of one of the studies says why."""
 

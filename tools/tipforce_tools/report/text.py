@@ -29,6 +29,13 @@ def shown_error(error: float) -> str:
     return f"{error:.1e}" if error else "0"
 
 
+def shown_advised_error(error: float, unit: str) -> str:
+    """Format with its unit, a relative error from 1e-5 on in percent: 0.011 N, 5.3 %."""
+    if unit:
+        return f"{error:.2g} {unit}"
+    return f"{100.0 * error:.2g} %" if error >= 1e-5 else shown_error(error)
+
+
 def shown_quartiles(point: Point) -> str:
     """Return the interquartile range of the runs."""
     return f"{shown_time(point.timing.first_quartile_s)} - {shown_time(point.timing.third_quartile_s)}"
@@ -58,7 +65,7 @@ def shown_advice(one: Advice) -> tuple[str, str, str, str]:
     if not one.method:
         return one.need, "none is exact enough", "", ""
     unit = one.work_unit.replace("s per", "per")
-    return one.need, one.method, shown_error(one.error), f"{shown_time(one.seconds)} {unit.split(' (')[0]}"
+    return one.need, one.method, shown_advised_error(one.error, one.unit), f"{shown_time(one.seconds)} {unit.split(' (')[0]}"
 
 
 def has_rms(study: Study) -> bool:

@@ -18,6 +18,8 @@ class Advice:
     method: str
     """With its setting; "" where no method is exact enough."""
     error: float
+    unit: str
+    """Of the error; "" for a relative one."""
     seconds: float
     """Processor time where it is known."""
     work_unit: str
@@ -47,10 +49,10 @@ def advice(report: Report) -> list[Advice]:
 def _advice(study: Study, need: Need) -> Advice:
     found = study.recommended(need)
     if found is None:
-        return Advice(study.key, need.text, "", float("nan"), float("nan"), study.work_unit)
+        return Advice(study.key, need.text, "", float("nan"), need.unit, float("nan"), study.work_unit)
     one, point = found
     method = f"{one.method}, {point.setting}" if point.setting else one.method
-    return Advice(study.key, need.text, method, point.error, point.timing.work_seconds, study.work_unit)
+    return Advice(study.key, need.text, method, point.error, need.unit, point.timing.work_seconds, study.work_unit)
 
 
 def _cases(report: Report) -> str:
@@ -64,11 +66,11 @@ def _grid(grid: Grid) -> str:
     sums = [sum((row.cells[k] for row in grid.rows), Counted()) for k in range(len(grid.methods))]
     broken = [row.name for row in grid.rows if not row.held]
     least = min(range(len(sums)), key=lambda k: (sums[k].wrong, -sums[k].ok))
-    told = f"To show values take {grid.methods[least]}: it has the fewest rows that say ok and are wrong"
+    told = f"Of the ways to show values, {grid.methods[least]} shows the fewest wrong ones as ok"
     if broken:
         return f"{told}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)
     return (
-        f"{told}. In {excused} of {len(grid.rows)} cases a method shows wrong rows as ok, each with its reason; in the "
-        "others none shows more than the bound allows."
+        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one way shows wrong values as ok; "
+        "the reasons are known and listed. In the other cases none does."
     )

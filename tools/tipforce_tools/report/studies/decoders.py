@@ -202,5 +202,5 @@ def _study(series: list[Series], results: dict[str, _Result], count: int) -> Stu
         reference_error=0.0,
         series=tuple(series),
         remarks=tuple(remarks),
-        needs=(Need("decode a log exactly", 1e-6, tuple(name for name in results if name not in silent)),),
+        needs=(Need("decode a log exactly", 1e-6, "steps", tuple(name for name in results if name not in silent)),),
     )

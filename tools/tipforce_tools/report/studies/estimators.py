@@ -186,7 +186,7 @@ def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         _INTEGERS,
     ]
     about = ("force", "the force P", "largest error of P / full scale")
-    need = Need("force P from strain, to 1e-6 of full scale", 1e-6, (NAIVE32,))
+    need = Need("force P from strain, to 1e-6 of full scale", 1e-6, unfit=(NAIVE32,))
     return _study(
         about, need, _inputs(given, "and the corners of the converter range"), series, left_out, tuple(remarks)
     )
@@ -210,7 +210,7 @@ def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         _INTEGERS,
     )
     about = ("angle", "the contact angle theta", "largest error of theta (degrees)")
-    need = Need("contact angle from strain, to 0.01 degree", 0.01, (NAIVE32,))
+    need = Need("contact angle from strain, to 0.01 degree", 0.01, "degree", (NAIVE32,))
     return _study(about, need, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
 
 
@@ -235,5 +235,5 @@ def _tangent_study(given: Contacts, found: dict[str, list[_Found]], left_out: di
         _INTEGERS,
     )
     about = ("tangent", "theta of contacts that nearly slide", "largest error of theta (degrees)")
-    need = Need("contact angle near tangency, to 0.1 degree", 0.1, (NAIVE32,))
+    need = Need("contact angle near tangency, to 0.1 degree", 0.1, "degree", (NAIVE32,))
     return _study(about, need, _inputs(given, "with |cos(delta)| from 0.001 to 0.1"), series, left_out, remarks)

@@ -54,8 +54,8 @@ ALLOWED_WRONG_SHARE = 1e-4
 COLD_DEGC, WARM_DEGC = 23.0, ((0.0, 23.0), (1.0, 43.0))
 
 NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE = (
-    "node, contact PDO alone", "node, contact PDO and 2124h", "decode --calibration", "estimate",
-    "estimate, strain only",
+    "node, contact PDO alone", "node, contact PDO and 2124h", "tipforce decode --calibration", "tipforce estimate",
+    "tipforce estimate, no temperature",
 )  # fmt: skip
 METHODS = (NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE)
 KINDS: tuple[Literal["stuck", "open", "saturate", "silent", "drift"], ...] = (
@@ -103,7 +103,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Grid]:
         advance()
     return [
         Grid(
-            "honesty", "What says ok and is wrong: P off by more than five of its own standard uncertainties",
+            "honesty", "Wrong values shown as ok: P off by more than five of its own standard uncertainties",
             "fault, gauges", METHODS, tuple(rows), _remarks(rows),
         )
     ]  # fmt: skip
@@ -128,10 +128,10 @@ def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
     least = min(range(len(METHODS)), key=lambda k: (sums[k].wrong, -sums[k].ok))
     told = "; ".join(f"{name} {one.wrong} of {one.ok}" for name, one in zip(METHODS, sums, strict=True))
     return (
-        f"Rows that say ok and are wrong, over all faults: {told}.",
-        f"{METHODS[least]} has the fewest.",
-        f"Good fingers say ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
-        "read, hand and the page show the node's values; the exported C gives the node's verdicts (tests/export_c).",
+        f"Wrong among the rows shown as ok, over all faults: {told}.",
+        f"Fewest: {METHODS[least]}.",
+        f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
+        "tipforce read, hand and view show the node's values; the exported C gives the node's verdicts (tests/export_c).",
     )
 
 

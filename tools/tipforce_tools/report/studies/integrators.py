@@ -210,7 +210,7 @@ def _study(task: _Task, effort: Effort) -> Study:
     return Study(
         task.key, task.title, "largest error of the elastic force over its largest value", "s per simulated second",
         task.reference, task.reference_error, tuple(series), left_out, tuple(_remarks(task, series)),
-        (Need(task.need, _ENOUGH),), check, difference,
+        (Need(f"{task.need}, to {100.0 * _ENOUGH:g} %", _ENOUGH),), check, difference,
     )  # fmt: skip
 
 
