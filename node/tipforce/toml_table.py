@@ -30,7 +30,7 @@ def read_table(path: str | Path, place: str) -> dict[str, Any]:
     import tomllib  # commands import this module even if they are given no file
 
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
+        return tomllib.loads(Path(path).read_text(encoding="utf-8-sig"))  # editors of Windows begin with a BOM
     except OSError as error:
         raise InputError(f"{place}: {error.strerror}") from error
     except UnicodeDecodeError:

@@ -11,9 +11,11 @@ import contextlib
 import doctest
 import glob
 import io
+import os
 import re
 import shlex
 import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -61,8 +63,10 @@ class Terminal:
         return out.read(), err.getvalue()
 
     def _bash(self, line: str, given: str = "") -> str:
+        path = os.pathsep.join([str(Path(sys.executable).parent), os.environ["PATH"]])  # the reader's venv is active
+        environment = {**os.environ, "PATH": path}
         done = subprocess.run(
-            ["bash", "-c", line], input=given, capture_output=True, text=True, timeout=60, check=False
+            ["bash", "-c", line], input=given, capture_output=True, text=True, timeout=60, check=False, env=environment
         )
         self.code = done.returncode
         return done.stdout + done.stderr

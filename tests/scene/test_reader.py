@@ -144,3 +144,9 @@ def test_a_file_that_is_no_text(tmp_path: Path) -> None:
     (tmp_path / "scene.toml").write_bytes(b"\xff\xfe")
     with pytest.raises(InputError, match="not UTF-8"):
         read_scene(tmp_path / "scene.toml")
+
+
+def test_a_byte_order_mark_is_allowed(tmp_path: Path) -> None:
+    (tmp_path / "scene.toml").write_bytes(b"\xef\xbb\xbfduration_s = -1\n")
+    with pytest.raises(InputError, match="duration_s"):
+        read_scene(tmp_path / "scene.toml")

@@ -30,6 +30,7 @@ FILES = {
     "si.csv": "SG1,SG2,SG3,P_N,phi_deg,theta_deg\n",
     "objects.toml": '[objects]\n"heartbeat.producer_sm" = 1\n',
     "layout.toml": 'points = ["K_H", "S_H"]\n',
+    "empty.dcf": "",
 }
 NOBODY = "-i virtual -c nobody --timeout 0.01 --retries 0"
 
@@ -41,6 +42,8 @@ WRONG: list[tuple[str, int, str]] = [
     ("decode --signals Q run.log", 2, "no message has the signal Q: allowed are"),
     ("decode --jobs 0 run.log", 2, "--jobs 0: allowed is 1 or more"),
     ("decode --resample -5 run.log", 2, "--resample"),
+    ("decode --resample 1e9 run.log", 2, "choose a lower rate"),
+    ("decode --dcf empty.dcf run.log", 2, "no [section] in it"),
     ("decode run.log -o out.xyz", 2, "unknown suffix: allowed are"),
     ("decode run.log --format parquet", 2, "needs --output FILE"),
     ("decode none.log", 2, "none.log: no such file"),
@@ -84,6 +87,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("calibrate verify hand.toml --node 5 -i virtual -c x", 2, "hand.toml"),
     ("estimate hand.toml readings.csv", 2, "hand.toml"),
     ("estimate cal.toml two.csv", 2, "allowed are SG1 to SGn without a gap, n = 3 to 8"),
+    ("estimate cal.toml readings.csv -o readings.csv", 2, "is also an input; choose another name"),
     ("estimate cal.toml none.csv", 2, "none.csv: No such file"),
     ("budget cal.toml --phi 10", 2, "one load needs both"),
     ("design sweep q", 2, "allowed are"),
@@ -93,6 +97,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("export eds --gauges 2", 2, "allowed 3 to 8"),
     ("load --nodes 0", 2, "allowed are whole numbers from 1"),
     ("view none.log", 2, "none.log"),
+    ("view run.log --from 100", 2, "no sample between --from and --to; the log lasts 0.049 s"),
     ("view run.log --port 70000", 2, "--port 70000: allowed are 0"),
     ("doctor --listen -1", 2, "allowed are 0 to 3600 s"),
     ("node --node-id 5 --layout nowhere -i virtual -c x", 2, "neither one of"),

@@ -22,7 +22,8 @@ from tipforce.host.decoding.sample_table import (
 
 COUNT = "count"
 MOST_EMPTY = 10_000_000
-"""This many consecutive intervals without a sample are a jump of the clock, not a pause."""
+"""More intervals without a sample in one block of the log are a jump of the clock or a wrong rate, not a pause."""
+_ROWS = 100_000  # of a table: empty intervals need no more memory than samples
 _NO_DIRECTION = 1e-9  # length of a mean of unit vectors that cancel: it has no direction
 _MORE_DIGITS = 3  # additional digits of a mean
 
@@ -117,18 +118,18 @@ class Resampler:
         source = np.repeat(np.arange(len(done)), repeats)
         step = np.arange(len(source)) - np.repeat(np.cumsum(repeats) - repeats, repeats)
         order = np.lexsort((groups.key[source], groups.interval[source] + step))
-        source, step = source[order], step[order]
-        found = groups.take(source)
-        is_full = step == 0
-        sums = {name: np.where(is_full[:, np.newaxis], values, 0.0) for name, values in found.sums.items()}
-        yield self._table(found.key, found.interval + step, np.where(is_full, found.count, 0), sums)
+        for first in range(0, len(order), _ROWS):
+            rows = order[first : first + _ROWS]
+            found, steps = groups.take(source[rows]), step[rows]
+            is_full = steps == 0
+            sums = {name: np.where(is_full[:, np.newaxis], values, 0.0) for name, values in found.sums.items()}
+            yield self._table(found.key, found.interval + steps, np.where(is_full, found.count, 0), sums)
 
     def _check_empty(self, groups: _Groups, empty: IntArray) -> None:
-        worst = int(np.argmax(empty))
-        if empty[worst] > MOST_EMPTY:
-            node = int(groups.key[worst]) & ((1 << NODE_BITS) - 1)
+        if empty.sum() > MOST_EMPTY:
+            node = int(groups.key[int(np.argmax(empty))]) & ((1 << NODE_BITS) - 1)
             raise InputError(
-                f"--resample {self._rate_hz:g}: node {node} has {empty[worst]} intervals without a sample: "
+                f"--resample {self._rate_hz:g}: {empty.sum()} intervals without a sample, most of node {node}: "
                 "choose a lower rate, or a part of the log with --from and --to"
             )
 

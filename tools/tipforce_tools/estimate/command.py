@@ -44,6 +44,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.host.configuration.calibration_file import read_calibration
     from tipforce.host.configuration.measurements import read_measurements
     from tipforce.host.decoding.estimates import estimates
+    from tipforce.output_file import check_output
     from tipforce_tools.cli.one_finger_csv import check_one_node
 
     if args.saturation is not None and not args.saturation > 0.0:
@@ -55,6 +56,8 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(
             f"{args.gauges} has {data.strain.shape[1]} gauges, the calibration {args.calibration} {calibration.gauges}"
         )
+    if args.output not in {None, "-"}:
+        check_output(args.output, inputs=(args.calibration, args.gauges))
     if calibration.parameter_covariance is None:
         common.note(args, f"{args.calibration} has no [fit] table: uncertainties cover gauge noise only")
     if data.unloaded.any() and data.t_s is None:

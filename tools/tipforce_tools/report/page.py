@@ -169,8 +169,8 @@ def _grid(grid: Grid) -> str:
     return "\n".join(
         (
             f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{told}</ul>',
-            '<p class="note">Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than 1 in '
-            "10,000; the list above has the reason where the data cannot tell.</p>",
+            '<p class="note">Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than '
+            "1 in 10,000; the list above has the reason where the data cannot tell.</p>",
             f'<div class="wide"><table class="cases grid"><thead><tr>{head}</tr></thead>',
             f"<tbody>{''.join(rows)}</tbody></table></div></section>",
         )

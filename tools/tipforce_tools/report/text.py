@@ -65,7 +65,12 @@ def shown_advice(one: Advice) -> tuple[str, str, str, str]:
     if not one.method:
         return one.need, "none is exact enough", "", ""
     unit = one.work_unit.replace("s per", "per")
-    return one.need, one.method, shown_advised_error(one.error, one.unit), f"{shown_time(one.seconds)} {unit.split(' (')[0]}"
+    return (
+        one.need,
+        one.method,
+        shown_advised_error(one.error, one.unit),
+        f"{shown_time(one.seconds)} {unit.split(' (')[0]}",
+    )
 
 
 def has_rms(study: Study) -> bool:

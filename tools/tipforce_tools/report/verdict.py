@@ -71,6 +71,6 @@ def _grid(grid: Grid) -> str:
         return f"{told}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)
     return (
-        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one way shows wrong values as ok; "
+        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows wrong values as ok; "
         "the reasons are known and listed. In the other cases none does."
     )

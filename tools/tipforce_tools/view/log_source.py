@@ -38,6 +38,8 @@ class LogSource:
         capacity = LOG_BYTES // (2 * row_bytes(len(watcher.fingers), gauges))
         self.model = Model(watcher.fingers, gauges, live=False, capacity=self._rows(path, watcher, limits, capacity))
         self._read(path, watcher, limits)
+        if not self.model.counters.rows:
+            raise InputError(f"{path}: no sample between --from and --to; the log lasts {self._seconds:g} s")
         found = self.model.counters
         for name, values in watcher.tally().items():
             setattr(found, name, values)
@@ -59,6 +61,7 @@ class LogSource:
                     start = first + round(start_s * 1e9) if start_s else None
                     limits = start, first + round(end_s * 1e9) if end_s is not None else None
                 watcher.discover(frames)
+                self._seconds = (int(frames["t_ns"][-1]) - first) * 1e-9
             if first is not None and not log.timed:
                 raise InputError(f"{path}: the log has no timestamps, which a replay needs")
         return limits

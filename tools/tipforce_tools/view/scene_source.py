@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def is_scene(path: Path) -> bool:
     """Return whether a TOML file is a scene; the reader of hand files reports an unreadable file."""
     try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
+        content = tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except (OSError, ValueError):
         return False
     return "nodes" in content and "finger" not in content

@@ -13,7 +13,7 @@ from tipforce.device.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
 from tipforce.dictionary import table
 from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
-from tipforce.eds.sections import EdsFile, parse
+from tipforce.eds.sections import EdsFile, read
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
 
@@ -57,14 +57,13 @@ def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
 
 def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
     """Return the layout in a DCF (or an EDS, with ``node_id``). Raises InputError for a file without one."""
-    try:
-        found = parse(Path(path).read_text(encoding="utf-8", errors="replace"))
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+    found = read(path)
     section = found.sections.get("devicecomissioning")  # this is the spelling of CiA 306
     text = section.get("NodeID") if section is not None else None
     if node_id is None and text is None:
-        raise InputError(f"{path}: no NodeID in [DeviceComissioning]; give the node-id")
+        raise InputError(
+            f"{path}: no NodeID in [DeviceComissioning], as the DCF of a node has; `tipforce config save` writes one"
+        )
     node = _number(path, "NodeID", text or "", 0) if node_id is None else node_id
     product = _value(found, path, communication.IDENTITY, 2, node)
     gauges = _gauges(product or 0, str(path))

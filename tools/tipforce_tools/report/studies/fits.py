@@ -82,7 +82,9 @@ def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, 
         series=series,
         left_out=refused,
         remarks=tuple(_remarks(points)),
-        needs=(Need("calibrate, " + ("some readings wrong" if share else "clean readings") + ", to 0.02 N", 0.02, "N"),),
+        needs=(
+            Need("calibrate, " + ("some readings wrong" if share else "clean readings") + ", to 0.02 N", 0.02, "N"),
+        ),
     )
 
 

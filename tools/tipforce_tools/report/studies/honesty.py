@@ -131,7 +131,7 @@ def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
         f"Wrong among the rows shown as ok, over all faults: {told}.",
         f"Fewest: {METHODS[least]}.",
         f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
-        "tipforce read, hand and view show the node's values; the exported C gives the node's verdicts (tests/export_c).",
+        "tipforce read, hand and view show the node's values; the exported C judges as the node (tests/export_c).",
     )
 
 
