@@ -13,7 +13,8 @@ from device.services import service_dictionary
 from host.bus_with_nodes import connected, finger, new_channel, running
 from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
-from tipforce.host.configuration.settings import default_settings, read_settings
+from tipforce.host.configuration.device_objects import FingertipObjects
+from tipforce.host.configuration.settings import read_settings
 from tipforce.host.network.bus import Bus
 from tipforce_tools.cli.main import main
 
@@ -54,12 +55,14 @@ def test_a_new_node_shows_nothing(tipforce: Tipforce) -> None:
     assert "0 shown" in err
     code, out, _ = tipforce("config", "show", 5, "--all", "--json", "-q")
     records = [json.loads(line) for line in out.splitlines()]
-    assert len(records) == len(default_settings(5))
+    assert len(records) == len(FingertipObjects(5).settings)
     assert all(record["value"] == pytest.approx(record["default"]) for record in records)
 
 
 def test_what_is_read_is_what_the_table_says(bench: tuple[Bus, str]) -> None:
-    assert read_settings(bench[0].sdo(6)) == pytest.approx(default_settings(6))
+    objects = FingertipObjects(6)
+    defaults = {place: setting.default for place, setting in objects.settings.items()}
+    assert read_settings(bench[0].sdo(6), objects) == pytest.approx(defaults)
 
 
 def test_saved_from_one_applied_to_another(tipforce: Tipforce, bench: tuple[Bus, str], tmp_path: Path) -> None:

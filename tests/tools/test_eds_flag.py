@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 import shutil
+import tomllib
 from pathlib import Path
 
 import pytest
 
 import tipforce
-from eds.samples import text, var
+from eds.samples import pdo, text, var
+from tipforce.eds import read_eds
 from tipforce.machine import shipped_eds
 from tipforce_tools.cli.main import main
 
@@ -95,3 +97,55 @@ def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixtur
             (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
             assert (row["index"], row["name"], row["value"], row["default"]) == ("0x2000", "Brightness", 7, 500)
         assert main(["config", "verify", "5", str(path), "--eds", str(path), *bus]) == 2
+
+
+def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, toml, dcf = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.dcf"
+    curve = "[2100]\nParameterName=Curve\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=1\nCompactSubObj=3\n"
+    path.write_text(
+        text(
+            var("1017", 6, "rw", "0", ParameterName="Heartbeat"), curve,
+            var("2000", 6, "rw", "500", ParameterName="Brightness", LowLimit="0", HighLimit="1000"),
+            var("2001", 6, "rww", "0", ParameterName="Command"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000010, 0x10170010),
+        )
+    )  # fmt: skip
+    bus = ("-i", "virtual", "-c", "foreign-config", "-q")
+    eds = ("--eds", str(path))
+
+    def run(*words: object) -> tuple[int, str]:
+        code = main(["config", *map(str, words), *bus])
+        found = capsys.readouterr()
+        return code, found.out + found.err
+
+    toml.write_text(
+        '[objects]\nBrightness = 7\n"Heartbeat" = 100\n"Curve" = [4, 5, 6]\n"0x1A00" = ["Heartbeat", "Brightness"]\n'
+        '"0x1800:01" = "$NODEID+0x280"\n'
+    )
+    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "foreign-config"}) as lamp:
+        code, said = run("apply", 5, toml)
+        assert code == 2
+        assert "is not a fingertip and stores no EDS; add --eds FILE" in said
+        assert run("apply", 5, toml, *eds) == (0, "")
+        assert (lamp["Brightness"], lamp[0x2100, 3], lamp[0x1800, 1], lamp[0x1A00, 0]) == (7, 6, 0x285, 2)
+        assert run("save", 5, dcf, *eds) == (0, "")
+        assert run("verify", 5, dcf, *eds) == (0, "")
+        assert run("diff", 5, dcf, *eds) == (0, "")
+        lamp["Brightness"], lamp["Command"] = 8, 9
+        assert run("verify", 5, dcf, *eds) == (1, "Brightness (0x2000:00): expected 7, the node has 8\n")
+        assert run("apply", 5, dcf, *eds) == (0, "")
+        code, saved = run("save", 5, "-", *eds)
+        assert (code, tomllib.loads(saved)["objects"]) == (
+            0,
+            {
+                "Heartbeat": 100,
+                "Brightness": 7,
+                "R1800/P1800sub1": "$NODEID+0x280",
+                "0x1A00": ["Heartbeat", "Brightness"],
+            }
+            | {f"Curve/Curve{k}": 3 + k for k in (1, 2, 3)},
+        )
+        toml.write_text("[objects]\nBrightness = 1001\n")
+        assert run("apply", 5, toml, *eds)[1].endswith("Brightness (0x2000:00) is 1001: allowed are 0 to 1000\n")
+    found = read_eds(dcf)
+    assert (found.node_id, found.find("Brightness").value, found.find((0x2100, 2)).value) == (5, 7, 5)
+    assert read_eds(dcf, 6).find((0x1800, 1)).value == 0x286

@@ -11,10 +11,9 @@ from tipforce_tools.cli.actions import add_choice
 from tipforce_tools.cli.eds_flag import description
 
 if TYPE_CHECKING:
-    from tipforce.dictionary.rows import Row
     from tipforce.dictionary.types import Value
-    from tipforce.eds.description import Description
     from tipforce.host.configuration.configuration_file import Configuration
+    from tipforce.host.configuration.device_objects import DeviceObjects, Setting
     from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {
@@ -37,9 +36,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         '  "tpdo1.mapping" = ["process_value_int16:7", "status", "counter"]\n'
         '  "tpdo3.cob_id" = "$NODEID+0x40000380"\n'
         "PDOs are changed by the procedure of CiA 301: made invalid, remapped, made valid again.\n"
-        "The calibration is not included: see `tipforce calibrate apply`.\n\n"
+        "The calibration is not included: see `tipforce calibrate apply`.\n"
+        "Names of a node of another manufacturer are those of its EDS; what its RPDOs set is no setting.\n\n"
         "  tipforce config save 5 finger.toml -i socketcan -c can0\n"
-        "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store"
+        "  tipforce config apply 6 finger.toml -i socketcan -c can0 --store\n"
+        "  tipforce config save 7 drive.dcf --eds drive.eds -i socketcan -c can0"
     )
     add_choice(parser, "action", ACTIONS)
     parser.add_argument("node", type=common.node_id, metavar="ID")
@@ -47,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--store", action="store_true", help="apply: store all parameters on the node afterwards")
     parser.add_argument("--all", action="store_true", help="show, save: include settings at their default")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="of the node (default 3)")
-    parser.add_argument("--eds", metavar="FILE", help="show: EDS or DCF of a node of any manufacturer (default: 1021h)")
+    parser.add_argument("--eds", metavar="FILE", help="EDS or DCF of a node of any manufacturer (default: 1021h)")
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
@@ -61,8 +62,6 @@ def run(args: argparse.Namespace) -> int:
         raise InputError(f"config {args.action}: {needs}: tipforce config save {args.node} finger.toml")
     if args.action == "show":
         return _show(args)
-    if args.eds:
-        raise InputError(f"config {args.action}: --eds is for show")
     return _save(args) if args.action == "save" else _with_file(args)
 
 
@@ -74,13 +73,18 @@ def _with_file(args: argparse.Namespace) -> int:
     )
     from tipforce.host.network.finger import FingertipClient
 
-    wanted = read_configuration(args.file, args.node, args.gauges)
+    wanted = _wanted_of_fingertip(args)
     if args.action == "apply" and args.store:
         common.confirm(args, f"node {common.shown_id(args.node)}: this replaces its stored parameters")
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
+        objects = _objects(args, sdo)
+        if isinstance(wanted, InputError) and _of_fingertip(objects):
+            raise wanted
+        if isinstance(wanted, InputError) or not _of_fingertip(objects):
+            wanted = read_configuration(args.file, args.node, args.gauges, objects)
         if args.action == "diff":
-            return _diff(args, sdo, wanted)
+            return _diff(args, sdo, objects, wanted)
         if args.action == "apply":
             apply_configuration(sdo, wanted)
         differences = verify_configuration(sdo, wanted)
@@ -95,12 +99,40 @@ def _with_file(args: argparse.Namespace) -> int:
     return 1 if differences else 0
 
 
-def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> int:
+def _wanted_of_fingertip(args: argparse.Namespace) -> Configuration | InputError:
+    """Return the file as that of a fingertip, or why it is none: then it may be that of another device."""
+    from tipforce.host.configuration.configuration_file import read_configuration
+
+    try:
+        return read_configuration(args.file, args.node, args.gauges)
+    except InputError as error:
+        return error
+
+
+def _objects(args: argparse.Namespace, sdo: SdoChannel) -> DeviceObjects:
+    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
+    from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
+
+    if not args.eds and _is_fingertip(sdo):
+        return FingertipObjects(args.node, args.gauges)
+    described = description(args, sdo)
+    if described is None:
+        raise InputError(f"node {common.shown_id(args.node)} is not a fingertip and stores no EDS; add --eds FILE")
+    return EdsObjects(described)
+
+
+def _of_fingertip(objects: DeviceObjects) -> bool:
+    from tipforce.host.configuration.device_objects import FingertipObjects
+
+    return isinstance(objects, FingertipObjects)
+
+
+def _diff(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, wanted: Configuration) -> int:
     from dataclasses import asdict
 
     from tipforce.host.configuration.settings import compare
 
-    differences = compare(_read(args, sdo), wanted, args.node, args.gauges)
+    differences = compare(_read(args, sdo, objects), wanted, objects)
     for found in differences:
         if args.json:
             common.print_json(asdict(found))
@@ -112,27 +144,30 @@ def _diff(args: argparse.Namespace, sdo: SdoChannel, wanted: Configuration) -> i
 
 
 def _show(args: argparse.Namespace) -> int:
-    from tipforce.host.configuration.settings import changed_settings, default_settings, setting_rows
+    from tipforce.host.configuration.settings import changed_settings
 
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        if args.eds or not _is_fingertip(sdo):
-            described = description(args, sdo)
-            return _show_foreign(args, sdo) if described is None else _show_described(args, sdo, described)
-        settings = _read(args, sdo)
-    known, defaults = setting_rows(args.gauges), default_settings(args.node, args.gauges)
-    shown = settings if args.all else changed_settings(settings, args.node, args.gauges)
-    for place, value in sorted(shown.items()):
-        row, texts = known[place], [_shown(known[place], v) for v in (value, defaults[place])]
+        try:
+            objects = _objects(args, sdo)
+        except InputError:
+            if args.eds:
+                raise
+            return _show_foreign(args, sdo)
+        settings = _read(args, sdo, objects)
+    shown = settings if args.all else changed_settings(settings, objects)
+    for (index, sub), value in sorted(shown.items()):
+        setting = objects.settings[index, sub]
+        entry, texts = setting.entry, [_shown(setting, one) for one in (value, setting.default)]
         if args.json:
+            values = texts if isinstance(value, bytes) else (value, setting.default)
             common.print_json(
-                {"index": f"0x{row.index:04X}", "sub": row.sub, "name": row.dotted, "value": value,
-                 "default": defaults[place], "unit": row.unit}
+                {"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": values[0],
+                 "default": values[1], "unit": entry.unit}
             )  # fmt: skip
         else:
             default = "" if texts[0] == texts[1] else f"   (default {texts[1]})"
-            shown_value = f"{texts[0]} {row.unit}".rstrip()
-            print(f"0x{row.index:04X}:{row.sub:02X}  {row.dotted:32} {shown_value}{default}")
+            print(f"{entry}  {entry.name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}")
     common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
 
@@ -147,73 +182,44 @@ def _is_fingertip(sdo: SdoChannel) -> bool:
         return False
 
 
-def _show_described(args: argparse.Namespace, sdo: SdoChannel, described: Description) -> int:
-    """Print the writable objects that differ from the DefaultValue of the EDS (--all: each), under its names."""
-    from tipforce.device import communication
-    from tipforce.dictionary import types
-
-    read = shown = 0
-    actions = (communication.ERROR_HISTORY, communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS)
-    for entry in described.entries():
-        if not entry.access.startswith("rw") or entry.index in actions:
-            continue
-        try:
-            value = types.decode(entry.letter, sdo.upload(entry.index, entry.sub, entry.letter == "D"))
-        except (SdoAbortError, InputError):  # the node lacks the object, or has one of another length
-            continue
-        read += 1
-        if not args.all and value == entry.default:
-            continue
-        shown += 1
-        texts = [data.hex(" ").upper() if isinstance(data, bytes) else data for data in (value, entry.default)]
-        name = described.objects[entry.index].name
-        name = name if set(described.objects[entry.index].entries) == {0} else f"{name}/{entry.name}"
-        if args.json:
-            common.print_json(
-                {"index": f"0x{entry.index:04X}", "sub": entry.sub, "name": name, "value": texts[0],
-                 "default": texts[1], "unit": entry.unit}
-            )  # fmt: skip
-        else:
-            default = "" if value == entry.default else f"   (default {texts[1]})"
-            print(f"{entry.place}  {name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}")
-    common.note(args, f"node {common.shown_id(args.node)}: {read} settings of its EDS, {shown} shown")
-    return 0
-
-
 def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:
     """Print the objects of CiA 301 that a device of another type has; only its manufacturer knows their defaults."""
     from tipforce.device import communication
-    from tipforce.dictionary import types
-    from tipforce.host.configuration.settings import setting_rows
+    from tipforce.host.configuration.device_objects import FingertipObjects
 
     shown = 0
-    for (index, sub), row in setting_rows().items():
+    for (index, sub), setting in FingertipObjects(args.node).settings.items():
         if index > communication.LAST:
             continue
+        entry = setting.entry
         try:
-            value = types.decode(row.letter, sdo.upload(index, sub))
+            value = entry.decode(sdo.upload(index, sub))
         except (SdoAbortError, InputError):  # it lacks the object, or has one of another length
             continue
         shown += 1
         if args.json:
-            common.print_json({"index": f"0x{index:04X}", "sub": sub, "name": row.dotted, "value": value})
+            common.print_json({"index": f"0x{index:04X}", "sub": sub, "name": entry.name, "value": value})
         else:
-            print(f"0x{index:04X}:{sub:02X}  {row.dotted:32} {_shown(row, value)} {row.unit}".rstrip())
+            print(f"{entry}  {entry.name:32} {_shown(setting, value)} {entry.unit}".rstrip())
     node = f"node {common.shown_id(args.node)} is not a fingertip"
     common.note(args, f"{node}: {shown} communication settings (CiA 301), compared with nothing")
     return 0
 
 
-def _shown(row: Row, value: Value) -> str:
+def _shown(setting: Setting, value: Value) -> str:
     """Return a value as text; COB-IDs and mapped objects in hexadecimal with the meaning of their parts."""
     from tipforce.dictionary import types
     from tipforce.dictionary.signals import is_mapping
 
-    if row.slug.endswith("cob_id") and isinstance(value, int):
-        return cob_id_text(row.index, value)
-    if is_mapping(row.index) and row.sub and isinstance(value, int) and value:
+    entry = setting.entry
+    if setting.array.endswith("cob_id") and isinstance(value, int):
+        return cob_id_text(entry.index, value)
+    if is_mapping(entry.index) and entry.sub and isinstance(value, int) and value:
         return f"0x{value:08X} (0x{value >> 16:04X}:{value >> 8 & 0xFF:02X}, {value & 0xFF} bits)"
-    return types.format_value(row.letter, value)
+    try:
+        return types.format_value(entry.type, value)
+    except InputError:  # text outside ASCII, a default outside its type
+        return str(value)
 
 
 def cob_id_text(index: int, value: int) -> str:
@@ -230,8 +236,7 @@ def cob_id_text(index: int, value: int) -> str:
 
 
 def _save(args: argparse.Namespace) -> int:
-    from tipforce.host.configuration.settings import changed_settings, settings_dcf, settings_toml
-    from tipforce.host.network.finger import FingertipClient
+    from tipforce.host.configuration.settings import changed_settings, settings_toml
     from tipforce.output_file import EDS, SETTINGS, check_output, write_file
 
     as_dcf = str(args.file).lower().endswith((".dcf", ".eds"))
@@ -240,13 +245,10 @@ def _save(args: argparse.Namespace) -> int:
         check_output(args.file, kind)
     with common.open_connection(args) as connection:
         sdo = connection.sdo(args.node)
-        simulated = FingertipClient(sdo).identity().simulated
-        settings = _read(args, sdo)
-    chosen = settings if args.all else changed_settings(settings, args.node, args.gauges)
-    if as_dcf:
-        text = settings_dcf(chosen, args.node, args.gauges, simulated)
-    else:
-        text = settings_toml(chosen, args.node, args.gauges)
+        objects = _objects(args, sdo)
+        settings = _read(args, sdo, objects)
+        chosen = settings if args.all else changed_settings(settings, objects)
+        text = _dcf(args, sdo, objects, chosen) if as_dcf else settings_toml(chosen, objects, args.node)
     if args.file == "-":
         print(text, end="")
         return 0
@@ -255,9 +257,22 @@ def _save(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace, sdo: SdoChannel) -> dict[tuple[int, int], Value]:
-    """Read all settings, one transfer each, with a progress bar on a terminal."""
-    from tipforce.host.configuration.settings import read_settings, setting_rows
+def _dcf(
+    args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects, chosen: dict[tuple[int, int], Value]
+) -> str:
+    from tipforce.dictionary import eds as fingertip_eds
+    from tipforce.eds import dcf
+    from tipforce.host.configuration.device_objects import EdsObjects
+    from tipforce.host.network.finger import FingertipClient
 
-    with common.progress(args, "read", len(setting_rows(args.gauges))) as advance:
-        return read_settings(sdo, args.gauges, advance)
+    if isinstance(objects, EdsObjects):
+        return dcf.dcf_text(objects.described, chosen)
+    return fingertip_eds.dcf_text(args.gauges, args.node, chosen, FingertipClient(sdo).identity().simulated)
+
+
+def _read(args: argparse.Namespace, sdo: SdoChannel, objects: DeviceObjects) -> dict[tuple[int, int], Value]:
+    """Read all settings, one transfer each, with a progress bar on a terminal."""
+    from tipforce.host.configuration.settings import read_settings
+
+    with common.progress(args, "read", len(objects.settings)) as advance:
+        return read_settings(sdo, objects, advance)

@@ -14,6 +14,7 @@ from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.signals import is_mapping
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
+from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects
 from tipforce.host.network.sdo import Read, SdoChannel, Steps, Write
 from tipforce.toml_table import convert, read_table
 
@@ -31,40 +32,36 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
     objects: dict[str, int | float | str | list[int | float | str]]
 
 
-def read_configuration(path: str | Path, node_id: int, gauges: int = 3) -> Configuration:
+def read_configuration(
+    path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
+) -> Configuration:
     """Return the content of a file: a DCF by its extension, otherwise TOML with a table [objects].
 
-    Raises InputError naming the file, the object, the value and what is allowed.
+    ``objects`` is the dictionary of the node, by default that of a fingertip with so many gauges. Raises InputError
+    naming the file, the object, the value and what is allowed.
     """
-    found = (
-        _read_dcf(path, node_id, gauges)
-        if str(path).lower().endswith((".dcf", ".eds"))
-        else _read_toml(path, node_id, gauges)
-    )
+    known = FingertipObjects(node_id, gauges) if objects is None else objects
+    is_dcf = str(path).lower().endswith((".dcf", ".eds"))
+    found = (_read_dcf if is_dcf else _read_toml)(path, node_id, known)
     for entry, value in found.values():
         if entry.access not in ("rw", "wo"):
             raise InputError(f"{path}: {entry.name} ({entry}) is {entry.access} and cannot be configured")
         try:
             entry.encode(value)
+            known.check(entry, value)
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
-        of_tpdo = communication.TPDO <= entry.index <= communication.LAST_TPDO
-        if of_tpdo and entry.sub == 1 and not int(value) & codes.NO_RTR:
-            raise InputError(
-                f"{path}: {entry.name} ({entry}) is 0x{int(value):X}: TPDOs do not support RTR, so bit 30 must be "
-                f"set: 0x{int(value) | codes.NO_RTR:X}"
-            )
     if not found:
         raise InputError(f"{path}: no object is set")
     return dict(sorted(found.items()))
 
 
-def _read_toml(path: str | Path, node_id: int, gauges: int) -> Configuration:
+def _read_toml(path: str | Path, node_id: int, objects: DeviceObjects) -> Configuration:
     content = convert(_File, read_table(path, str(path)), str(path))
     found: Configuration = {}
     for name, value in content.objects.items():
         try:
-            for entry, single in _single_values(name, _numbered(value, node_id), gauges):
+            for entry, single in _single_values(name, _numbered(value, node_id), objects):
                 found[entry.index, entry.sub] = entry, single
         except InputError as error:
             raise InputError(f"{path}: {error}") from None
@@ -81,18 +78,18 @@ def _numbered(value: object, node_id: int) -> object:
     return int(match[1] or match[2] or "0", 0) + node_id
 
 
-def _single_values(name: str, value: object, gauges: int) -> list[tuple[Entry[Value], Value]]:
+def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tuple[Entry[Value], Value]]:
     """Return a value, or a list for an array from sub-index 1; a list for a PDO mapping also sets its length."""
     if not isinstance(value, list):
-        entry = names.resolve(name, gauges)
+        entry = objects.resolve(name)
         return [(entry, _typed(entry, value))]
-    first = names.resolve(f"{name}:1", gauges)
+    first = objects.resolve(f"{name}:1")
     # By number from here on: after a dotted name a sub-index is decimal, after an index hexadecimal.
-    entries = [names.resolve(f"0x{first.index:04X}:{k + 1:02X}", gauges) for k in range(len(value))]
+    entries = [objects.resolve(f"0x{first.index:04X}:{k + 1:02X}") for k in range(len(value))]
     if not is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
-    words = [_mapped(item, gauges) if isinstance(item, str) else item for item in value]
-    return [(names.resolve(f"0x{first.index:04X}:00", gauges), len(words)), *zip(entries, words, strict=True)]
+    words = [_mapped(item, objects) if isinstance(item, str) else item for item in value]
+    return [(objects.resolve(f"0x{first.index:04X}:00"), len(words)), *zip(entries, words, strict=True)]
 
 
 def _typed(entry: Entry[Value], value: object) -> Value:
@@ -106,34 +103,25 @@ def _typed(entry: Entry[Value], value: object) -> Value:
     return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
-def _mapped(name: str, gauges: int) -> int:
+def _mapped(name: str, objects: DeviceObjects) -> int:
     """Return the mapping word of an object: index, sub-index, length in bits (CiA 301, 7.5.2.36)."""
-    entry = names.resolve(name, gauges)
+    entry = objects.resolve(name)
     return entry.index << 16 | entry.sub << 8 | 8 * (types.data_type(entry.type).size or 0)
 
 
-def _read_dcf(path: str | Path, node_id: int, gauges: int) -> Configuration:
+def _read_dcf(path: str | Path, node_id: int, objects: DeviceObjects) -> Configuration:
     """Return the entries of a DCF that have a ParameterValue."""
-    import canopen
+    from tipforce.eds.reader import read_eds
 
-    try:
-        dictionary = canopen.import_od(str(path), node_id)
-    except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from None
-    except Exception as error:
-        raise InputError(f"{path}: not a DCF ({type(error).__name__}: {error})") from None
     found: Configuration = {}
-    for obj in dictionary.values():
-        variables = [obj] if isinstance(obj, canopen.objectdictionary.ODVariable) else list(obj.values())
-        for variable in variables:
-            value = getattr(variable, "value", None)
-            if value is not None and getattr(variable, "value_raw", None) is not None:
-                try:
-                    entry = names.resolve(f"0x{variable.index:04X}:{variable.subindex:02X}", gauges)
-                except InputError as error:
-                    raise InputError(f"{path}: {error}") from None
-                if entry.access in ("rw", "wo"):
-                    found[entry.index, entry.sub] = entry, value
+    for one in read_eds(path, node_id).entries():
+        if one.value is not None:
+            try:
+                entry = objects.resolve(one.place)
+            except InputError as error:
+                raise InputError(f"{path}: {error}") from None
+            if entry.access in ("rw", "wo"):
+                found[entry.index, entry.sub] = entry, one.value
     return found
 
 
@@ -169,8 +157,7 @@ def _present(wanted: Configuration) -> Steps[Configuration]:
         if any(index == count.index for index, _ in wanted):
             entries[count.index, 0] = count
             for sub in range(1, int((yield Read(count))) + 1):
-                slot = names.resolve(f"0x{count.index:04X}:{sub:02X}", table.MAX_GAUGES)
-                entries[slot.index, slot.sub] = slot
+                entries[count.index, sub] = _entry(count.index, sub, "I")
     present: Configuration = {}
     for key, entry in sorted(entries.items()):
         present[key] = entry, (yield Read(entry))
@@ -191,9 +178,14 @@ def _pdos(values: Configuration) -> list[int]:
 
 
 def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
-    """Return COB-ID and mapping count, in the largest dictionary: TPDO5 and TPDO6 need more than three gauges."""
-    cob_id = names.resolve(f"0x{parameters:04X}:01", table.MAX_GAUGES)
-    return cob_id, names.resolve(f"0x{parameters + communication.MAPPING:04X}:00", table.MAX_GAUGES)
+    """Return COB-ID and mapping count, of any device (CiA 301, 7.5.2.35 and 7.5.2.36)."""
+    return _entry(parameters, 1, "I"), _entry(parameters + communication.MAPPING, 0, "B")
+
+
+def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
+    place = f"0x{index:04X}:{sub:02X}"
+    found = names.describe(index, sub, table.MAX_GAUGES)
+    return Entry[Value](index, sub, letter, place if found is None else found.dotted, "rw", "")
 
 
 def _apply_pdo(parameters: int, wanted: Configuration) -> Steps[None]:
