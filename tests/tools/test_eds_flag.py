@@ -96,7 +96,13 @@ def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixtur
             assert main(["config", "show", "5", *eds, *bus]) == 0
             (row,) = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
             assert (row["index"], row["name"], row["value"], row["default"]) == ("0x2000", "Brightness", 7, 500)
-        assert main(["config", "verify", "5", str(path), "--eds", str(path), *bus]) == 2
+        assert main(["sdo", "write", "5", "Brightness", "9", *bus]) == 0
+        assert main(["sdo", "read", "5", "brightness", *bus]) == 0
+        assert json.loads(capsys.readouterr().out)["value"] == 9
+        assert main(["sdo", "read", "5", "0x2000", "0", *bus]) == 0
+        assert json.loads(capsys.readouterr().out)["value"] == 9
+        assert main(["sdo", "read", "5", "brihtness", *bus]) == 2
+        assert "close to it: 'Brightness'" in capsys.readouterr().err
 
 
 def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -106,7 +112,8 @@ def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[
         text(
             var("1017", 6, "rw", "0", ParameterName="Heartbeat"), curve,
             var("2000", 6, "rw", "500", ParameterName="Brightness", LowLimit="0", HighLimit="1000"),
-            var("2001", 6, "rww", "0", ParameterName="Command"), pdo(0x1800, "$NODEID+0x180", 255, 0x20000010, 0x10170010),
+            var("2001", 6, "rww", "0", ParameterName="Command"),
+            pdo(0x1800, "$NODEID+0x180", 255, 0x20000010, 0x10170010),
         )
     )  # fmt: skip
     bus = ("-i", "virtual", "-c", "foreign-config", "-q")

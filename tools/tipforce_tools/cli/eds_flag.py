@@ -5,17 +5,18 @@ from __future__ import annotations
 import argparse
 import os
 import sys
-from collections.abc import Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Sequence
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.device import communication
-from tipforce.errors import InputError, SdoAbortError
+from tipforce.errors import InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
     from tipforce.eds.description import Description
+    from tipforce.host.network.bus import Bus
     from tipforce.host.network.sdo import SdoChannel
 
 
@@ -61,6 +62,34 @@ def description(args: argparse.Namespace, sdo: SdoChannel) -> Description | None
     for warning in found.warnings if found is not None else ():
         common.note(args, f"warning: {warning}")
     return found
+
+
+def is_fingertip(sdo: SdoChannel, error: InputError | None = None) -> bool:
+    """Return whether 1018h:2 is a product code of tipforce. Raises ``error``, or NoResponseError: no response."""
+    from tipforce.dictionary import objects as od
+    from tipforce.dictionary.rows import gauges_of
+
+    try:
+        return gauges_of(sdo.read(od.IDENTITY_PRODUCT)) > 0
+    except SdoAbortError:  # CiA 301 requires the vendor alone
+        return False
+    except NoResponseError:
+        if error is not None:
+            raise error from None
+        raise
+
+
+@contextmanager
+def connection_or(args: argparse.Namespace, error: InputError | None) -> Iterator[Bus]:
+    """Open the connection. Where that fails, raise ``error`` if there is one: it does not depend on the bus."""
+    with ExitStack() as opened:
+        try:
+            connection = opened.enter_context(common.open_connection(args))
+        except TipforceError:
+            if error is not None:
+                raise error from None
+            raise
+        yield connection
 
 
 def _stored(sdo: SdoChannel) -> Description | None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from tipforce.errors import InputError, SdoAbortError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
-from tipforce_tools.cli.eds_flag import description
+from tipforce_tools.cli.eds_flag import connection_or, description, is_fingertip
 
 if TYPE_CHECKING:
     from tipforce.dictionary.types import Value
@@ -76,9 +76,9 @@ def _with_file(args: argparse.Namespace) -> int:
     wanted = _wanted_of_fingertip(args)
     if args.action == "apply" and args.store:
         common.confirm(args, f"node {common.shown_id(args.node)}: this replaces its stored parameters")
-    with common.open_connection(args) as connection:
+    with connection_or(args, wanted if isinstance(wanted, InputError) else None) as connection:
         sdo = connection.sdo(args.node)
-        objects = _objects(args, sdo)
+        objects = _objects(args, sdo, wanted if isinstance(wanted, InputError) else None)
         if isinstance(wanted, InputError) and _of_fingertip(objects):
             raise wanted
         if isinstance(wanted, InputError) or not _of_fingertip(objects):
@@ -109,11 +109,14 @@ def _wanted_of_fingertip(args: argparse.Namespace) -> Configuration | InputError
         return error
 
 
-def _objects(args: argparse.Namespace, sdo: SdoChannel) -> DeviceObjects:
-    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS."""
+def _objects(args: argparse.Namespace, sdo: SdoChannel, error: InputError | None = None) -> DeviceObjects:
+    """Return the dictionary of the node. Raises InputError for a device that is no fingertip and has no EDS.
+
+    ``error``: of the file, if it is none of a fingertip; raised where the node does not respond.
+    """
     from tipforce.host.configuration.device_objects import EdsObjects, FingertipObjects
 
-    if not args.eds and _is_fingertip(sdo):
+    if not args.eds and is_fingertip(sdo, error):
         return FingertipObjects(args.node, args.gauges)
     described = description(args, sdo)
     if described is None:
@@ -170,16 +173,6 @@ def _show(args: argparse.Namespace) -> int:
             print(f"{entry}  {entry.name:32} {f'{texts[0]} {entry.unit}'.rstrip()}{default}")
     common.note(args, f"node {common.shown_id(args.node)}: {len(settings)} settings, {len(shown)} shown")
     return 0
-
-
-def _is_fingertip(sdo: SdoChannel) -> bool:
-    from tipforce.dictionary import objects as od
-    from tipforce.dictionary.rows import gauges_of
-
-    try:
-        return gauges_of(sdo.read(od.IDENTITY_PRODUCT)) > 0
-    except SdoAbortError:  # CiA 301 requires the vendor alone
-        return False
 
 
 def _show_foreign(args: argparse.Namespace, sdo: SdoChannel) -> int:

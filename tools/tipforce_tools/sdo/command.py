@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import argparse
+from typing import TYPE_CHECKING
 
 from tipforce.device import communication
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
 from tipforce_tools.cli.actions import add_choice
+from tipforce_tools.cli.eds_flag import connection_or, description, is_fingertip
+
+if TYPE_CHECKING:
+    from tipforce.eds.description import Description
+    from tipforce.host.network.sdo import SdoChannel
 
 ACTIONS = {"read": "print one object", "write": "change one object", "dump": "print all readable objects"}
 PERSISTENT = {
@@ -32,7 +38,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("node", type=common.node_id, metavar="ID")
     parser.add_argument("words", nargs="*", metavar="OBJECT", help="NAME or INDEX SUB [TYPE]; write: then VALUE")
     parser.add_argument("--gauges", type=int, metavar="N", help="of the node (default: 3; dump: read from the node)")
-    parser.add_argument("--eds", metavar="FILE", help="EDS or DCF of a node of any manufacturer: names and types")
+    parser.add_argument(
+        "--eds", metavar="FILE", help="EDS or DCF of a node of any manufacturer: names and types (default: 1021h)"
+    )
     common.add_confirm_argument(parser)
     common.add_sdo_arguments(parser)
     common.add_output_arguments(parser)
@@ -50,16 +58,15 @@ def run(args: argparse.Namespace) -> int:
     value_text = words.pop() if args.action == "write" and len(words) > 1 else None
     if args.action == "write" and value_text is None:
         raise InputError("sdo write: expected NAME VALUE, or INDEX SUB TYPE VALUE")
-    if args.eds:
-        index, sub, letter, name = _eds_entry(words, args)
-    else:
-        index, sub, letter, name = _entry(words, 3 if args.gauges is None else args.gauges)
-    data = None if value_text is None else types.encode(letter, types.parse_value(letter, value_text))
+    found, error = _known(words, args)
     common.set_up_logging(args)
-    if data is not None and index in PERSISTENT:
-        common.confirm(args, f"node {common.shown_id(args.node)}: this {PERSISTENT[index]}")
-    with common.open_connection(args) as connection:
+    data = None if found is None else _data(args, found, value_text)
+    with connection_or(args, error) as connection:
         sdo = connection.sdo(args.node)
+        if found is None:
+            found = _stored_entry(words, args, sdo, error)
+            data = _data(args, found, value_text)
+        index, sub, letter, name = found
         if data is not None:
             sdo.download(index, sub, data)
             common.note(args, f"node {common.shown_id(args.node)} 0x{index:04X}:{sub:02X} = {value_text}")
@@ -74,11 +81,46 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _eds_entry(words: list[str], args: argparse.Namespace) -> tuple[int, int, str, str]:
-    """Return (index, sub, type letter, name) of an object of the EDS: by its name, or INDEX [SUB]."""
-    from tipforce.eds.reader import read_eds
+_Known = tuple[int, int, str, str]
 
-    found = read_eds(args.eds, args.node)
+
+def _known(words: list[str], args: argparse.Namespace) -> tuple[_Known | None, InputError | None]:
+    """Return (index, sub, type letter, name) by --eds or the dictionary; or why not, for a node that stores its EDS."""
+    if args.eds:
+        from tipforce.eds.reader import read_eds
+
+        return _eds_entry(words, read_eds(args.eds, args.node)), None
+    try:
+        return _entry(words, 3 if args.gauges is None else args.gauges), None
+    except InputError as error:
+        if len(words) > 2:
+            raise
+        return None, error
+
+
+def _stored_entry(words: list[str], args: argparse.Namespace, sdo: SdoChannel, error: InputError | None) -> _Known:
+    """Return the object by the EDS that another device stores. Raises ``error`` if it stores none."""
+    found = None if is_fingertip(sdo, error) else description(args, sdo)
+    if found is None:
+        assert error is not None
+        raise error
+    return _eds_entry(words, found)
+
+
+def _data(args: argparse.Namespace, found: _Known, value_text: str | None) -> bytes | None:
+    """Return the bytes to write, None for a read; ask first where the write persists."""
+    from tipforce.dictionary import types
+
+    if value_text is None:
+        return None
+    data = types.encode(found[2], types.parse_value(found[2], value_text))
+    if found[0] in PERSISTENT:
+        common.confirm(args, f"node {common.shown_id(args.node)}: this {PERSISTENT[found[0]]}")
+    return data
+
+
+def _eds_entry(words: list[str], found: Description) -> _Known:
+    """Return an object of an EDS: by its name, or INDEX [SUB]."""
     if len(words) > 2:
         raise InputError(f"sdo: {' '.join(words)!r}: with --eds write NAME, or INDEX SUB; the type is in the file")
     try:
