@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import shutil
+import struct
 import tomllib
 from pathlib import Path
 
@@ -79,6 +80,47 @@ def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.
     assert "TPDO2  Position_actual_value=1000 Velocity_actual_value=-2" in lines[3]
     assert "Target velocity" in lines[5]
     assert "2000" in lines[5]
+
+
+def sdo(at_s: float, index: int, sub: int, value: int, size: int) -> str:
+    """An expedited download to node 5, and its response."""
+    place = struct.pack("<HB", index, sub).hex()
+    request = f"{0x23 | 4 - size << 2:02x}{place}{value.to_bytes(size, 'little').ljust(4, bytes(1)).hex()}"
+    return f"({at_s:.6f}) can0 605#{request}\n({at_s + 0.0001:.6f}) can0 585#60{place}00000000\n"
+
+
+REMAP = (
+    sdo(1.1, 0x1801, 1, 0x80000285, 4) + sdo(1.2, 0x1A01, 0, 0, 1) + sdo(1.3, 0x1A01, 1, 0x606C0020, 4)
+    + sdo(1.4, 0x1A01, 0, 1, 1) + sdo(1.5, 0x1801, 1, 0x295, 4)
+)  # fmt: skip
+STORE = sdo(1.8, 0x1010, 1, int.from_bytes(b"save", "little"), 4)
+BOOT = "(1.900000) can0 705#00\n"
+LATER = "(2.000000) can0 285#E8030000FEFFFFFF\n(2.100000) can0 295#FDFFFFFF\n"
+
+
+@pytest.mark.parametrize(
+    ("between", "after"),
+    [
+        ("", {"Velocity_actual_value": -3}), (STORE + BOOT, {"Velocity_actual_value": -3}),
+        (BOOT, {"Position_actual_value": 1000, "Velocity_actual_value": -2}),
+    ],
+    ids=["written", "stored", "lost by a reset"],
+)  # fmt: skip
+def test_layouts_follow_the_sdo_traffic_of_the_log(
+    between: str, after: dict[str, int], eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "run.log").write_text(LOG + REMAP + between + LATER)
+    words = [str(tmp_path / "run.log"), "--eds", f"5={eds}"]
+    assert main(["decode", *words, "--format", "jsonl", "-q"]) == 0
+    rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+    known = [{k: v for k, v in row.items() if v is not None and k.endswith("actual_value")} for row in rows]
+    assert [row for row in known if row] == [{"Position_actual_value": 1000, "Velocity_actual_value": -2}, after]
+    assert main(["dump", *words, "--decode"]) == 0
+    shown = [line for line in capsys.readouterr().out.splitlines() if "actual_value=" in line]
+    assert [line.partition("TPDO2  ")[2] for line in shown] == [
+        " ".join(f"{name}={value}" for name, value in one.items())
+        for one in ({"Position_actual_value": 1000, "Velocity_actual_value": -2}, after)
+    ]
 
 
 def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -111,12 +111,14 @@ def _tables(
     args: Namespace, names: list[str], reading: Reading, recording: Recording, bar: ProgressBar
 ) -> Iterator[Table]:
     progress: Progress | None = bar if bar.wanted else None
+    if args.scheduler is not None and reading.layouts.eds:
+        raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
     if args.scheduler is not None:
         from tipforce_tools.decode.parallel import parts_of_dask
 
         names = [os.path.abspath(name) for name in names]
         return recording.tables_of_parts(parts_of_dask(names, reading, args.scheduler))
-    jobs = 1 if args.follow else args.jobs or _cores()
+    jobs = 1 if args.follow or reading.layouts.eds else args.jobs or _cores()  # SDO traffic is followed in sequence
     if args.jobs is None and sum(os.path.getsize(name) for name in names if name != "-") < _SMALL_BYTES:
         jobs = 1
     pieces = pieces_of(args, names, jobs)

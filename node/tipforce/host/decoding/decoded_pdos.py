@@ -46,10 +46,9 @@ class Layouts:
             found = dbc_messages(self.dbc)
             return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
         if self.eds:
-            from tipforce.host.decoding.eds_layout import eds_messages
+            from tipforce.host.decoding.eds_decoder import EdsDecoder
 
-            chosen = [(node, path) for node, path in self.eds if self.nodes is None or node in self.nodes]
-            return Decoder.of_messages({k: v for node, path in chosen for k, v in eds_messages(path, node).items()})
+            return EdsDecoder((node, path) for node, path in self.eds if self.nodes is None or node in self.nodes)
         nodes = range(1, 128) if self.nodes is None else self.nodes
         decoder = Decoder(self.gauges, nodes)
         for message in SERVICES if services else ():

@@ -73,6 +73,15 @@ class Samples:
     columns: Mapping[str, Column]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Change:
+    """From row ``row`` of the frames on, a message has another identifier and layout; None: it is not sent."""
+
+    row: int
+    key: Key
+    message: tuple[int, Message] | None
+
+
 @dataclass(frozen=True, slots=True)
 class _Group:
     """Slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded together."""
@@ -144,6 +153,19 @@ class Decoder:
         """Decode another message of some nodes, on its base identifier and their node-id."""
         for node_id in node_ids:
             self._messages[node_id, message.name] = message.cob_id_base + node_id, message
+        self._plans.clear()
+
+    def changes(self, frames: FrameArray) -> list[Change]:
+        """Return the changes of layouts that the frames (k,) show; this decoder's layouts are given and stay."""
+        del frames
+        return []
+
+    def apply(self, change: Change) -> None:
+        """Decode with a change, after all frames before its row."""
+        if change.message is None:
+            self._messages.pop(change.key, None)
+        else:
+            self._messages[change.key] = change.message
         self._plans.clear()
 
     def messages(self) -> dict[Key, tuple[int, Message]]:

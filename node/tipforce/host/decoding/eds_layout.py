@@ -1,48 +1,48 @@
-"""PDO layouts of any device from its EDS or DCF, for ``Decoder.of_messages``: signals are named as its objects are."""
+"""PDO layouts of any device from its EDS or DCF, for ``EdsDecoder``: signals are named as its objects are."""
 
 from __future__ import annotations
 
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, TypeAlias
 
 from tipforce.device import codes, communication
 from tipforce.dictionary.signals import FIRST_OBJECT, Message, Signal
-from tipforce.eds.reader import read_eds
-from tipforce.host.decoding.decoder import Key
 
 if TYPE_CHECKING:
     from tipforce.eds.description import Description, Entry
 
-_RANGES = (
+RANGES = (
     ("TPDO", communication.TPDO, communication.LAST_TPDO),
     ("RPDO", communication.RPDO, communication.LAST_RPDO),
 )
+"""Kind of PDO, first and last index of its communication parameters."""
+
+Values: TypeAlias = Mapping[tuple[int, int], int]
+"""PDO parameters by (index, sub)."""
+
 _MOST_BITS = 64
 
 
-def eds_messages(path: str, node_id: int) -> dict[Key, tuple[int, Message]]:
-    """Return the PDOs that are valid after power-on: by (node-id, "TPDO1") the identifier and the layout.
+def pdo_values(found: Description) -> dict[tuple[int, int], int]:
+    """Return the PDO parameters after power-on."""
+    return {
+        (one.index, one.sub): one.initial
+        for one in found.entries()
+        if communication.RPDO <= one.index <= communication.LAST_TPDO_MAPPING and isinstance(one.initial, int)
+    }
+
+
+def pdo_message(found: Description, values: Values, name: str, index: int) -> tuple[int, Message] | None:
+    """Return the identifier and the layout of the PDO with the communication parameters ``index``; None if invalid.
 
     A mapped string or DOMAIN, a data type as a placeholder, and an entry that the file does not have are gaps.
-    Raises InputError as ``read_eds``.
     """
-    found = read_eds(path, node_id)
-    messages: dict[Key, tuple[int, Message]] = {}
-    for kind, first, last in _RANGES:
-        for index in sorted(one for one in found.objects if first <= one <= last):
-            message = _message(found, f"{kind}{index - first + 1}", index)
-            if message is not None:
-                messages[node_id, message[1].name] = message
-    return messages
-
-
-def _message(found: Description, name: str, index: int) -> tuple[int, Message] | None:
-    cob_id = _integer(found.entry(index, 1))
+    cob_id = values.get((index, 1))
     if cob_id is None or cob_id & (codes.COB_ID_INVALID | codes.EXTENDED_COB_ID):
         return None
-    mapping = found.objects.get(index + communication.MAPPING)
-    count = _integer(mapping.entries.get(0)) if mapping is not None else 0
-    words = [_integer(mapping.entries.get(sub)) or 0 for sub in range(1, (count or 0) + 1)] if mapping else []
+    mapping = index + communication.MAPPING
+    words = [values.get((mapping, sub), 0) for sub in range(1, values.get((mapping, 0), 0) + 1)]
     signals: list[Signal] = []
     start = 0
     for word in words:
@@ -55,10 +55,6 @@ def _message(found: Description, name: str, index: int) -> tuple[int, Message] |
         return None
     length = (start + 7) // 8
     return cob_id & codes.STANDARD_MASK, Message("tpdo", 0, name, 0, length, tuple(signals), (), True, 255, 0)
-
-
-def _integer(entry: Entry | None) -> int | None:
-    return entry.initial if entry is not None and isinstance(entry.initial, int) else None
 
 
 def _signal(found: Description, entry: Entry, start: int, bits: int, taken: set[str]) -> Signal:

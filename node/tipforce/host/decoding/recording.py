@@ -106,7 +106,7 @@ class Recording:
         self.channels: list[str] = []
         self.told = Told(Tally(), [])
         self._counters, self._health = Counters(), HealthRows(reading.signals)
-        self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted)
+        self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
 
     def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
         """Read logs in this process as if they were one."""

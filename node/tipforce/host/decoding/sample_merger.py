@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.decoded_pdos import COUNTER, has_signal
-from tipforce.host.decoding.decoder import Decoder, Key, Samples
+from tipforce.host.decoding.decoder import Change, Decoder, Key, Samples
 from tipforce.host.decoding.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
@@ -39,8 +39,17 @@ class SampleMerger:
     returned samples.
     """
 
-    def __init__(self, decoder: Callable[[], Decoder], channels: list[str], signals: tuple[str, ...] | None) -> None:
+    def __init__(
+        self,
+        decoder: Callable[[], Decoder],
+        channels: list[str],
+        signals: tuple[str, ...] | None,
+        *,
+        follows: bool = False,
+    ) -> None:
+        """``follows``: the layouts change with ``Decoder.changes``."""
         self._make = decoder
+        self._follows = follows
         self._decoders: dict[int, Decoder] = {}
         self._signals = signals
         self._wanted: tuple[str, ...] | None = signals
@@ -57,13 +66,32 @@ class SampleMerger:
         self.tally = Tally()
 
     def tables(self, frames: FrameArray) -> Iterator[Table]:
-        """Yield the samples that are complete now, apart where SYNCs begin to carry numbers or end to."""
+        """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
+        changes = self._changes(frames)
         start = 0
-        for end in [*self.sync.cuts(frames), len(frames)]:
-            rest = self.finish() if start else None
-            self.sync.look(frames[start:end])
-            yield from (table for table in (rest, self.add(frames[start:end])) if table is not None)
+        for end in sorted({*self.sync.cuts(frames), *(row for row, _, _ in changes), len(frames)}):
+            yield from self._part(frames[start:end], begins=start > 0)
+            here = [(decoder, change) for row, decoder, change in changes if row == end]
+            rest = self.finish() if here else None
+            if rest is not None:
+                yield rest
+            for decoder, change in here:
+                decoder.apply(change)
             start = end
+
+    def _part(self, frames: FrameArray, *, begins: bool) -> Iterator[Table]:
+        rest = self.finish() if begins else None
+        self.sync.look(frames)
+        yield from (table for table in (rest, self.add(frames)) if table is not None)
+
+    def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
+        """Return the changes of all channels by their row."""
+        found: list[tuple[int, Decoder, Change]] = []
+        for number in np.unique(frames["channel"]).tolist() if self._follows else ():
+            rows = np.flatnonzero(frames["channel"] == number)
+            decoder = self._decoder(number)
+            found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames[rows])]
+        return found
 
     def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
         """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
@@ -124,10 +152,13 @@ class SampleMerger:
                 found.append((number, whole))
         return found
 
-    def _of_channel(self, number: int, frames: FrameArray) -> Mapping[Key, Samples]:
+    def _decoder(self, number: int) -> Decoder:
         if number not in self._decoders:
             self._decoders[number] = self._make()
-        decoder = self._decoders[number]
+        return self._decoders[number]
+
+    def _of_channel(self, number: int, frames: FrameArray) -> Mapping[Key, Samples]:
+        decoder = self._decoder(number)
         samples = decoder.decode(frames, self._wanted)
         if decoder.malformed:
             for (node, name), short in decoder.malformed.items():

@@ -41,6 +41,12 @@ class CandumpBlock:
         fd = tuple(one._replace(row=row_now[one.row]) for one, kept in zip(self.fd, fd_rows, strict=True) if kept)
         return CandumpBlock(self.frames[rows], self.interface[rows], self.names, self.sent[rows], self.timed, fd)
 
+    def between(self, start: int, end: int) -> CandumpBlock:
+        """Return the block with its classic frames ``start`` to ``end``, and the FD frames among and behind them."""
+        last = end == len(self.frames)
+        fd_rows = np.array([start <= one.row < end or (last and one.row >= end) for one in self.fd], dtype=np.bool_)
+        return self.take(slice(start, end), fd_rows)
+
     def head(self, count: int) -> CandumpBlock:
         """Return the block with only its first frames, FD frames included in the count."""
         if count >= len(self):

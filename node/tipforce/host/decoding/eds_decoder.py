@@ -1,0 +1,125 @@
+"""A decoder of devices by their EDS or DCF that follows what SDO writes change of their PDOs."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterable, Iterator
+
+import numpy as np
+
+from tipforce.device import codes, communication
+from tipforce.dictionary.signals import Message
+from tipforce.eds.description import Description
+from tipforce.eds.reader import read_eds
+from tipforce.host.decoding.decoder import Change, Decoder
+from tipforce.host.decoding.eds_layout import RANGES, pdo_message, pdo_values
+from tipforce.host.frames.frame_array import FrameArray
+
+_EXPEDITED, _WRITTEN = 0x22, 0x60  # the initiate download request with the expedited bit, and its response
+_REQUEST_BITS = 0xE2
+_STORED_GROUPS = (1, 2)  # sub-indices of 1010h and 1011h with the communication parameters
+
+
+class EdsDecoder(Decoder):
+    """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on.
+
+    ``changes`` finds the acknowledged expedited writes of PDO parameters in the frames, and boot-ups, after which the
+    stored parameters apply: those at the last write of "save", otherwise those of the file.
+    """
+
+    def __init__(self, files: Iterable[tuple[int, str]]) -> None:
+        """Raises InputError as ``read_eds``."""
+        super().__init__(node_ids=())
+        self._devices = {node_id: _Device(read_eds(path, node_id)) for node_id, path in files}
+        for node_id, device in self._devices.items():
+            for name, found in device.messages().items():
+                if found is not None:
+                    self._messages[node_id, name] = found
+
+    def changes(self, frames: FrameArray) -> list[Change]:
+        """Return the changes in frames (k,), which follow those of the call before, by the row they apply from."""
+        found: list[Change] = []
+        for row, node_id, data in self._services(frames):
+            device = self._devices[node_id]
+            for name, message in device.take(data):
+                found.append(Change(row + 1, (node_id, name), message))
+        return found
+
+    def _services(self, frames: FrameArray) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
+        """Yield (row, node-id, (function code, data)) of SDO frames about PDOs and 1010h, 1011h, and of boot-ups."""
+        can_id = frames["can_id"]
+        node = can_id & codes.NODE_ID_MASK
+        kind = can_id & ~np.uint32(codes.NODE_ID_MASK)
+        data = frames["data"]
+        index = data[:, 1].astype(np.uint16) | data[:, 2].astype(np.uint16) << 8
+        about = (index >= communication.RPDO) & (index <= communication.LAST_TPDO_MAPPING)
+        about |= (index == communication.STORE_PARAMETERS) | (index == communication.RESTORE_DEFAULTS)
+        asked = (kind == codes.SDO_REQUEST_BASE) & (data[:, 0] & _REQUEST_BITS == _EXPEDITED)
+        told = (kind == codes.SDO_RESPONSE_BASE) & (data[:, 0] == _WRITTEN)
+        booted = (kind == codes.HEARTBEAT_BASE) & (frames["length"] == 1) & (data[:, 0] == codes.INITIALISING)
+        chosen = (((asked | told) & about & (frames["length"] == 8)) | booted) & np.isin(node, list(self._devices))
+        for row in np.flatnonzero(chosen).tolist():
+            yield row, int(node[row]), (int(kind[row]), data[row].tobytes())
+
+
+class _Device:
+    """The PDO parameters of one node, as far as they are known."""
+
+    def __init__(self, described: Description) -> None:
+        self._described = described
+        self._initial = pdo_values(described)
+        self._values, self._stored = dict(self._initial), dict(self._initial)
+        self._asked: tuple[int, int, int] | None = None
+        self._made: dict[tuple[object, ...], tuple[int, Message]] = {}  # one object per layout, kept for its identity
+        self._known = self.messages()
+
+    def messages(self) -> dict[str, tuple[int, Message] | None]:
+        """Return each PDO by name; None for one that is not valid."""
+        return {
+            f"{kind}{index - first + 1}": self._message(f"{kind}{index - first + 1}", index)
+            for kind, first, last in RANGES
+            for index in sorted(one for one in self._described.objects if first <= one <= last)
+        }
+
+    def _message(self, name: str, index: int) -> tuple[int, Message] | None:
+        found = pdo_message(self._described, self._values, name, index)
+        if found is None:
+            return None
+        layout = tuple((one.index, one.sub, one.start_bit, one.bits) for one in found[1].signals)
+        return self._made.setdefault((name, found[0], found[1].length_bytes, layout), found)
+
+    def take(self, service: tuple[int, bytes]) -> Iterator[tuple[str, tuple[int, Message] | None]]:
+        """Take a frame; yield the PDOs that it changes."""
+        kind, data = service
+        if kind == codes.HEARTBEAT_BASE:
+            self._values = dict(self._stored)
+        elif kind == codes.SDO_REQUEST_BASE:
+            self._asked = _written(data)
+            return
+        else:
+            asked, self._asked = self._asked, None
+            place = struct.unpack_from("<HB", data, 1)
+            if asked is None or place != asked[:2]:
+                return
+            self._apply(*asked)
+        now = self.messages()
+        for name, found in now.items():
+            if found is not self._known[name]:
+                yield name, found
+        self._known = now
+
+    def _apply(self, index: int, sub: int, value: int) -> None:
+        if index == communication.STORE_PARAMETERS:
+            if sub in _STORED_GROUPS:
+                self._stored = dict(self._values)
+        elif index == communication.RESTORE_DEFAULTS:
+            if sub in _STORED_GROUPS:
+                self._stored = dict(self._initial)
+        else:
+            self._values[index, sub] = value
+
+
+def _written(data: bytes) -> tuple[int, int, int]:
+    index, sub = struct.unpack_from("<HB", data, 1)
+    size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
+    return index, sub, int.from_bytes(data[4 : 4 + size], "little")
