@@ -20,8 +20,8 @@
 
 The public names are those in ``__all__`` here and in ``tipforce.host``, ``tipforce.sensor``, ``tipforce.device``,
 ``tipforce.fingertip``, ``tipforce.sources``, ``tipforce.eds``, ``tipforce.machine``, ``tipforce.running``,
-``tipforce.scene`` and ``tipforce.mujoco``. They follow semantic versioning: until 1.0 a minor version may change them,
-as the changelog states. All else may change without notice.
+``tipforce.scene``, ``tipforce.mujoco`` and ``tipforce.learning``. They follow semantic versioning: until 1.0 a minor
+version may change them, as the changelog states. All else may change without notice.
 
 Names carry units (``force_newtons``, ``theta_rad``), shapes are written as (n, 3), NaN means unknown. All errors
 that tipforce raises on purpose are ``TipforceError``; the message says what to do next.

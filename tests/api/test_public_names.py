@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[2]
-PARTS = ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds", "machine", "mujoco"]
+PARTS = ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds", "machine", "mujoco", "learning"]
 PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS)]
 TOOLS = ["tipforce_tools.fem"]  # an extra of its own
 
@@ -48,7 +48,8 @@ def test_a_bare_environment_is_enough_to_import_it() -> None:
 
 
 def test_importing_it_loads_nothing_of_others() -> None:
-    code = "import sys, tipforce, tipforce.host, tipforce.sensor, tipforce.device, tipforce.scene, tipforce.mujoco; "
+    code = "import sys, tipforce, tipforce.host, tipforce.sensor, tipforce.device, tipforce.scene, "
+    code += "tipforce.mujoco, tipforce.learning; "
     code += "print({'numpy', 'can', 'canopen', 'msgspec', 'scipy', 'mujoco', 'gymnasium'} & sys.modules.keys())"
     assert python(code).strip() == "set()"
 

@@ -4,6 +4,7 @@ from tipforce._lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tipforce.mujoco.grasp_env import GraspEnv as GraspEnv
     from tipforce.mujoco.load import Load as Load
     from tipforce.mujoco.mjcf import fingertip_mjcf as fingertip_mjcf
     from tipforce.mujoco.models import grasp_model as grasp_model
@@ -14,6 +15,7 @@ if TYPE_CHECKING:
 
 _MODULES = {
     "Fingertips": "twin",
+    "GraspEnv": "grasp_env",
     "TwinSample": "twin",
     "Load": "load",
     "TwinNodes": "serving",
@@ -21,7 +23,7 @@ _MODULES = {
     "grasp_model": "models",
     "hand_model": "models",
 }
-__all__ = ["Fingertips", "Load", "TwinNodes", "TwinSample", "fingertip_mjcf", "grasp_model", "hand_model"]
+__all__ = ["Fingertips", "GraspEnv", "Load", "TwinNodes", "TwinSample", "fingertip_mjcf", "grasp_model", "hand_model"]
 
 if not TYPE_CHECKING:
     __getattr__, __dir__ = lazy(__name__, _MODULES)
