@@ -11,7 +11,7 @@ from __future__ import annotations
 import threading
 from collections import deque
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -115,6 +115,7 @@ class Collector:
         k = self.node_ids.index(node_id)
         with self._lock:
             self._verified[k] = self._seen[k] = counter
+            self.changes = [one for one in self.changes if one != node_id]
 
     def notice(self, node_id: int, counter: int) -> bool:
         """Hide the values of a finger whose 2126h was read; return False if that change is known. For any thread."""
@@ -179,7 +180,7 @@ class Collector:
         return found
 
     def _part(self, frames: FrameArray, slot: IntArray, syncs: npt.NDArray[np.intp], now_s: float) -> Rows:
-        last, number = [self._last], [self._numbers.number]
+        last, number, held = [self._last], [self._numbers.number], bool(self._held)
         for frame in frames[syncs]:
             numbered = frame["length"] == 1
             self._sync(int(frame["data"][0]) if numbered else 0, int(frame["t_ns"]), now_s)
@@ -196,8 +197,10 @@ class Collector:
             state = np.where(answers >= doubted[at % len(self.node_ids)], _CHANGED, _LIVE).astype(np.uint8)
             t_ns = frames["t_ns"][answers].astype(np.int64)
             self._take(at, words, np.array(last)[before], np.array(number)[before], state, t_ns)
-        count = self._ready(now_s)
-        return self._rows(count) if count else replace(self._nothing, first=self._first)
+        # Most calls: no answer, and no row that waited long enough.
+        waits = not len(answers) and not held and self._may_wait(now_s)
+        count = 0 if waits else self._ready(now_s)
+        return self._rows(count) if count else self._nothing
 
     @property
     def _last(self) -> int:
@@ -289,7 +292,8 @@ class Collector:
             self._count(self.tally.late, slot[late & ~again])
             self._unsettled[slot[late & ~again] % len(self.node_ids)] = True
             fits &= ~late
-        self._put(place[fits], words[fits], state[fits], row[fits], last[fits], held[fits])
+        answers = place, words, state, row, last, held
+        self._put(*(answers if fits.all() else (one[fits] for one in answers)))
 
     def _put(
         self, place: IntArray, words: npt.NDArray[Any], state: npt.NDArray[np.uint8], row: IntArray, last: IntArray,
@@ -317,6 +321,14 @@ class Collector:
             tally += np.bincount(slot % len(self.node_ids), minlength=len(self.node_ids))
 
     # --- rows -------------------------------------------------------------------------------------------------------
+
+    def _may_wait(self, now_s: float) -> bool:
+        """Return whether no row can be emitted unless an answer came."""
+        count = len(self._open)
+        if not count:
+            return True
+        in_time = now_s - self._open[0].opened_s < self._wait_s and count <= self._numbers.window
+        return in_time and self._numbers.number > 0 and self._first >= self._epoch and not self._absent
 
     def _ready(self, now_s: float) -> int:
         """Return how many open rows can be emitted, in order."""
@@ -364,8 +376,10 @@ class Collector:
         for number, message in enumerate(self._messages):
             found = columns_of(words[number].ravel(), message.signals)
             own = found.pop(COUNTER).astype(np.int64).reshape(reason.shape)
-            counter = own if not number else counter
-            reason = np.where((own != counter) & (reason == PRESENT), np.uint8(MIXED), reason)
+            if number:
+                reason = np.where((own != counter) & (reason == PRESENT), np.uint8(MIXED), reason)
+            else:
+                counter = own
             columns |= {name: values.reshape(reason.shape) for name, values in found.items()}
         if count and not numbered.all():
             reason = self._repeats(reason, counter, columns["stale"], numbered)
@@ -374,10 +388,14 @@ class Collector:
             counter[missing] = -1
             for name, column in columns.items():
                 columns[name] = np.where(missing, np.nan if column.dtype.kind == "f" else False, column)
+            self.tally.missing += missing.sum(axis=0)
+            self.tally.mixed += (reason == MIXED).sum(axis=0)
+            self.tally.changed += (reason == CHANGED).sum(axis=0)
         if count:
             self._unsettled = missing[-1]
             self._last_counter = counter[-1]
-        self._tally(reason, columns["stale"])
+        self.tally.rows += count
+        self.tally.repeated += columns["stale"].sum(axis=0)
         sync_ns = np.array([row.t_ns for row in rows], dtype=np.int64)
         return Rows(self._first - count, sync_ns, numbered, counter, reason, columns)
 
@@ -389,11 +407,3 @@ class Collector:
         again = (counter == before) & ~stale & (reason == PRESENT) & ~numbered[:, np.newaxis]
         self._count(self.tally.doubtful, np.nonzero(again)[1])
         return np.where(again, np.uint8(DOUBTFUL), reason)
-
-    def _tally(self, reason: npt.NDArray[np.uint8], stale: BoolArray) -> None:
-        tally = self.tally
-        tally.rows += len(reason)
-        tally.missing += (reason != PRESENT).sum(axis=0)
-        tally.mixed += (reason == MIXED).sum(axis=0)
-        tally.changed += (reason == CHANGED).sum(axis=0)
-        tally.repeated += stale.sum(axis=0)

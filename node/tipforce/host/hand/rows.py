@@ -25,7 +25,7 @@ class Rows:
     """
 
     first: int
-    """Number of the first row since the start of the collector."""
+    """Number of the first row since the start of the collector; 0 in a block without rows."""
     sync_ns: npt.NDArray[np.int64]
     """(m,) receive time of each SYNC; interpolated for one that was not received."""
     numbered: BoolArray
