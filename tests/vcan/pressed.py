@@ -68,6 +68,8 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
             sdo.write(objects.TPDO2_MAPPING[1], sdo.read(objects.TPDO2_MAPPING[2]))
             sdo.write(objects.TPDO2_MAPPED, 5)
             sdo.write(objects.TPDO2_COB_ID, cob_id)
+        elif what == "health":
+            sdo.write(objects.TPDO4_COB_ID, sdo.read(objects.TPDO4_COB_ID) | codes.COB_ID_INVALID)
         elif what == "preop":
             bus.nmt("preop", node_id)
         else:

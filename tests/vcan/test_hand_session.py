@@ -257,7 +257,7 @@ def test_babbler(session: Session, can_id: int) -> None:
     assert told()[0] == "babbling"
 
 
-@pytest.mark.parametrize("what", ["tare", "offset", "calibration", "mapping"])
+@pytest.mark.parametrize("what", ["tare", "offset", "calibration", "mapping", "health"])
 def test_change_by_another_master_is_noticed_and_undone(session: Session, what: str) -> None:
     """Its values are checked as in every test: not one in a row is of what they meant meanwhile."""
     changed_ns = session.by_another_master(3, what)

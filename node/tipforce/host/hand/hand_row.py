@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import AsyncIterator, Iterator, Mapping, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -92,17 +91,16 @@ def rows_one_by_one(
         axis=1,
     )
     u = uncertainties(values, calibrations)
-    for m, t_ns in enumerate(rows.sync_ns.tolist()):
+    for m, t_s in enumerate((rows.sync_ns * 1e-9).tolist()):
         row = []
         for k, (node_id, name) in enumerate(zip(node_ids, names, strict=True)):
-            if rows.missing[m, k]:
-                why = int(rows.reason[m, k])
-                row.append(no_answer(node_id, t_ns * 1e-9, name, "" if why == NO_ANSWER else REASONS[why]))
+            why = int(rows.reason[m, k])
+            if why:
+                row.append(no_answer(node_id, t_s, name, "" if why == NO_ANSWER else REASONS[why]))
                 continue
-            (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
             flags, microstrain = Status(int(status[m, k])), tuple(strain[m, k].tolist())
+            (P, phi, theta), (u_P, u_phi, u_theta) = values[m, k].tolist(), u[m, k].tolist()
             counter = int(rows.counter[m, k])
-            contact = Contact(node_id, t_ns * 1e-9, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain)
-            row.append(replace(contact, name=name))
-        found.append(HandRow(rows.first + m, t_ns * 1e-9, row, "numbered" if rows.numbered[m] else "assumed"))
+            row.append(Contact(node_id, t_s, counter, P, phi, theta, u_P, u_phi, u_theta, flags, microstrain, name))
+        found.append(HandRow(rows.first + m, t_s, row, "numbered" if rows.numbered[m] else "assumed"))
     return found

@@ -33,15 +33,14 @@ class Jitter:
 
     def add(self, sync_ns: npt.NDArray[np.int64]) -> None:
         """Add the times of further SYNCs (m,), in order."""
-        if not len(sync_ns):
-            return
-        before = sync_ns[:1] if self._last_ns is None else np.array([self._last_ns])
-        periods = np.diff(np.concatenate((before, sync_ns)))[int(self._last_ns is None) :]
-        self._last_ns = int(sync_ns[-1])
+        if self._last_ns is not None:
+            sync_ns = np.append(self._last_ns, sync_ns)
+        if len(sync_ns):
+            self._last_ns = int(sync_ns[-1])
+        periods = np.diff(sync_ns)
         if not len(periods):
             return
-        if not self._period_ns:
-            self._period_ns = int(np.median(periods))
+        self._period_ns = self._period_ns or int(np.median(periods))
         deviations = np.abs(periods - self._period_ns)
         self._histogram += np.bincount(np.minimum(deviations // _BIN_NS, _BINS - 1), minlength=_BINS)
         self._sum_ns += int(periods.sum())
@@ -55,8 +54,7 @@ class Jitter:
     def figures(self) -> JitterFigures:
         """Return the results so far; percentiles to a microsecond, rounded up."""
         if not self._periods:
-            nan = float("nan")
-            return JitterFigures(0, nan, nan, nan, nan)
+            return JitterFigures(0, *[float("nan")] * 4)
         p50, p99 = (self._percentile(share) for share in (0.50, 0.99))
         return JitterFigures(self._periods, self._sum_ns / self._periods / 1e3, p50, p99, self._largest_ns / 1e3)
 
