@@ -7,10 +7,11 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
@@ -39,6 +40,7 @@ NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file na
 BOOT_S = 1.0  # from the assignment of a node-id to the boot-up message
 _SIDE_BY_SIDE = 8
 
+T = TypeVar("T")
 OnEvent = Callable[[Event], None]
 
 
@@ -79,9 +81,9 @@ def bring_up(
     absent = _find(reports, answers, on_event)
     if absent:
         assign(connection, absent, hand.hand.store, on_event)
-    _side_by_side(
-        [report for report in reports if report.ok],
+    side_by_side(
         lambda report: set_up(connection, hand, report, plans[report.plan.node_id], on_event),
+        [report for report in reports if report.ok],
     )
     return reports, set(answers)
 
@@ -274,6 +276,7 @@ def _start(
     return "operational"
 
 
-def _side_by_side(reports: Iterable[FingerReport], act: Callable[[FingerReport], None]) -> None:
+def side_by_side(act: Callable[[T], None], of: Sequence[T]) -> None:
+    """Do something with each finger, in parallel."""
     with ThreadPoolExecutor(_SIDE_BY_SIDE, thread_name_prefix="bring-up") as pool:
-        list(pool.map(act, reports))
+        list(pool.map(act, of))

@@ -65,7 +65,7 @@ class Collector:
         self.tally = Tally(self.node_ids)
         self._messages = [known[name] for name in dict.fromkeys(messages)]
         self._wait_s = wait_s
-        self._numbers = SyncNumbers(own_sync)
+        self._own_sync, self._numbers = own_sync, SyncNumbers(own_sync)
         self._slots(known["Health"])
         shape = len(self._messages), len(self.node_ids), _RING
         self._words = np.zeros(shape, dtype=_WORD)
@@ -187,18 +187,17 @@ class Collector:
             last.append(self._last)
             number.append(self._numbers.number)
         answers = np.flatnonzero((slot >= 0) & (slot < self._service))
-        services = np.flatnonzero((slot >= self._service) & (slot < self._service + len(self.node_ids)))
         doubted = np.where(self._verified == self._seen, len(frames), 0)
-        if len(services):
+        if len(answers) + len(syncs) < len(frames):
+            services = np.flatnonzero((slot >= self._service) & (slot < self._service + len(self.node_ids)))
             self._watch(frames, slot, services, doubted, now_s)
         if len(answers):
             before, at = np.searchsorted(syncs, answers), slot[answers]
             words = frames["data"].view(_WORD)[:, 0][answers]
             state = np.where(answers >= doubted[at % len(self.node_ids)], _CHANGED, _LIVE).astype(np.uint8)
-            t_ns = frames["t_ns"][answers].astype(np.int64)
+            t_ns = frames["t_ns"][answers]
             self._take(at, words, np.array(last)[before], np.array(number)[before], state, t_ns)
-        # Most calls: no answer, and no row that waited long enough.
-        waits = not len(answers) and not held and self._may_wait(now_s)
+        waits = not held and self._must_wait(now_s, bool(len(answers)))
         count = 0 if waits else self._ready(now_s)
         return self._rows(count) if count else self._nothing
 
@@ -271,9 +270,10 @@ class Collector:
         """Store answers (n,) received at ``t_ns`` after the SYNC of row ``last`` with ``number`` (0: none)."""
         row, fits, numbered = last, last >= 0, number > 0
         held = np.zeros(len(slot), dtype=np.bool_)
-        if numbered.any():
+        counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
+        punctual = self._own_sync and not self._ended and bool((counter == number).all())
+        if not punctual and numbered.any():
             numbers, modulus = self._numbers, self._numbers.modulus
-            counter = (words >> self._counter_shift[slot]).astype(np.uint8).astype(np.int64)
             behind = (number - counter) % modulus
             row = np.where(numbered, last - behind, last)
             row[numbered & (behind >= max(numbers.window, 1))] += modulus
@@ -322,13 +322,15 @@ class Collector:
 
     # --- rows -------------------------------------------------------------------------------------------------------
 
-    def _may_wait(self, now_s: float) -> bool:
-        """Return whether no row can be emitted unless an answer came."""
-        count = len(self._open)
+    def _must_wait(self, now_s: float, answered: bool) -> bool:
+        """Return whether surely no row is complete, without a search: most calls bring a part of one row."""
+        count, first = len(self._open), self._first
         if not count:
             return True
         in_time = now_s - self._open[0].opened_s < self._wait_s and count <= self._numbers.window
-        return in_time and self._numbers.number > 0 and self._first >= self._epoch and not self._absent
+        if not in_time or not self._numbers.number or first < self._epoch or self._absent:
+            return False
+        return not answered or (count == 1 and not self._state[:, :, first % _RING].all())
 
     def _ready(self, now_s: float) -> int:
         """Return how many open rows can be emitted, in order."""

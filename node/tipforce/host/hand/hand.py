@@ -14,7 +14,6 @@ import math
 import threading
 import time
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -29,7 +28,7 @@ from tipforce.errors import EnvironmentLackError, InputError, RefusedError, Tipf
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
-from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up
+from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.delivery import Delivery, RowStream
 from tipforce.host.hand.events import Event, Supervisor, waited_s
@@ -87,7 +86,7 @@ class Hand:
         self._recovery = Recovery(
             file, lambda: self._link.connection, self._supervisor, self._collector, self._delivery.event
         )
-        self._queue = RecoveryQueue(self._recover)
+        self._queue = RecoveryQueue(self._recovery.recover)
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
         self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
@@ -270,9 +269,7 @@ class Hand:
             except TipforceError as error:
                 self._delivery.event(Event(time.monotonic(), node_id, "failed", str(error)))
 
-        present = [n for n in self.node_ids if self._link.connection.heartbeats.state(n) is not None]
-        with ThreadPoolExecutor(len(self.node_ids), thread_name_prefix="hand") as pool:
-            list(pool.map(attempt, present))
+        side_by_side(attempt, [n for n in self.node_ids if self._link.connection.heartbeats.state(n) is not None])
 
     def _begin(self) -> None:
         """Discard frames of the bring-up; the present state of each finger is known from the connection."""
@@ -323,7 +320,7 @@ class Hand:
         """Request the recovery that an event calls for."""
         node_id = event.node_id
         if event.kind == "boot_up":
-            self._recovery.booted(node_id)
+            self._recovery.meaning.pop(node_id, None)  # known again when it has been set up
             self._queue.need([node_id])
         elif event.kind == "heartbeat_lost":
             self._recovery.silent(node_id)
@@ -385,6 +382,3 @@ class Hand:
             return
         self._delivery.event(Event(time.monotonic(), 0, "bus_up", "open again"))
         self._start_sync()
-
-    def _recover(self, node_id: int) -> bool:
-        return self._stopped.is_set() or self._recovery.recover(node_id)

@@ -83,10 +83,6 @@ class Recovery:
                 self._learn(node_id)
         return f"tare: F1 {F1:+.3f} N, F2 {F2:+.3f} N, F3 {F3:+.3f} N are subtracted"
 
-    def booted(self, node_id: int) -> None:
-        """Note that a finger booted: what its values mean is known again when it has been set up."""
-        self.meaning.pop(node_id, None)
-
     def silent(self, node_id: int) -> None:
         """Note that a finger or the bus was silent: it may have booted meanwhile."""
         self._silent.add(node_id)
