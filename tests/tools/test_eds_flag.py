@@ -70,6 +70,15 @@ def test_decode_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytes
         assert said in capsys.readouterr().err
 
 
+def test_plot_draws_every_signal_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    (tmp_path / "run.log").write_text(LOG)
+    words = ["--eds", f"5={eds}", "-o", str(tmp_path / "run.svg"), "--json"]
+    assert main(["plot", str(tmp_path / "run.log"), *words]) == 0
+    (drive,) = json.loads(capsys.readouterr().out)["nodes"]
+    assert {"Statusword", "Controlword", "Position_actual_value", "Velocity_actual_value"} <= set(drive["signals"])
+
+
 def test_dump_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sdo = "(1.040000) can0 605#40FF600000000000\n(1.041000) can0 585#43FF6000D0070000\n"
     (tmp_path / "run.log").write_text(LOG + sdo)

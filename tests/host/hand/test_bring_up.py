@@ -6,6 +6,7 @@ import contextlib
 import time
 from collections.abc import Iterator
 from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import msgspec
@@ -16,9 +17,10 @@ from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up
+from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up, count_nodes
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
+from tipforce.host.network import find
 from tipforce.host.network.bus import Bus
 from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -132,6 +134,17 @@ def test_two_nodes_with_one_id(tmp_path: Path) -> None:
         reports, _ = up(connection, plan((1, 1), (3, 3), folder=tmp_path))
         assert [report.failed for report in reports] == ["find", ""]
         assert "2 nodes have this node-id" in reports[0].error
+
+
+def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with hand_of(node(1, 1, tmp_path)) as (connection, _):
+
+        def sleep(seconds: float) -> None:
+            connection.send(0x601, bytes((0x40, 0x18, 0x10, 1, 0, 0, 0, 0)))
+            time.sleep(seconds)
+
+        monkeypatch.setattr(find, "time", SimpleNamespace(sleep=sleep))
+        assert count_nodes(connection) == {1: 1}
 
 
 def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:

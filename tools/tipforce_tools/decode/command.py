@@ -20,12 +20,12 @@ exit codes: 0 ok, 1 a bad line with --strict, a full disk, a damaged log or one 
   tipforce decode run.log                                    text
   tipforce decode run.log -o run.csv
   tipforce decode run.log.gz --signals P,theta --nodes 1,2,5-9 --from 10 --to 12.5 -o part.csv
-  tipforce decode 'day/*.log' -o day/ --json                 Parquet, one file per node; a summary
+  tipforce decode 'logs/*.log' -o day/ --json                Parquet, one file per node; a summary
   tipforce decode run.log --summary
   tipforce decode run.log --resample 50 -o slow.parquet
   tipforce decode run.log --calibration 5=thumb.toml --signals P,phi,theta,u_P,u_phi,u_theta -o contact.csv
   candump -L can0 | tipforce decode - --format jsonl | jq .P_N
-  tipforce decode 'day/*.log' --scheduler tcp://10.0.0.1:8786 -o day.parquet
+  tipforce decode 'logs/*.log' --scheduler tcp://10.0.0.1:8786 -o day.parquet
   duckdb -c "select node, max(P_N) from 'day/*/*.parquet' group by node"
 """
 

@@ -15,7 +15,8 @@ LOG: any format that `tipforce decode` reads; - is candump text on stdin. Unknow
 pixel shows the minimum, the mean and the maximum. Lost samples are crosses in the strip. The grey band is two
 standard uncertainties to either side: those that the node sends (u_P in TPDO4, or 2107h mapped), or with
 --calibration, which computes the contact from the gauges, those of gauge noise and calibration together.
---signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent.
+--signals: P, phi, theta, gauges, status (the default), F1, F2, F3, SG1.., temperature, u_P and other signals sent;
+with --eds all signals are the default.
 exit codes: 0 ok, 2 usage
 
   tipforce plot run.log -o run.png

@@ -46,8 +46,9 @@ class Finger:
             if column.kind == "flag":
                 is_set = values == 1
                 flags[INVERTED.get(signal, signal)] = is_set != (signal in INVERTED), there
-            elif column.kind == "real" and self._is_wanted(signal):
-                self._take(signal, column, t_ns, values, there, self._uncertainty(table, columns, signal, rows, t_ns))
+            elif column.kind in {"real", "integer"} and self._is_wanted(signal):
+                u = self._uncertainty(table, columns, signal, rows, t_ns)
+                self._take(signal, column, t_ns, values.astype(np.float64), there, u)
         if flags:
             self._take_flags(t_ns, flags)
 

@@ -39,8 +39,8 @@ def plot(args: Namespace) -> int:
     if path is not None:
         check_output(path, figure_kind(path, FIGURES), names)
     plt = figure.import_matplotlib(screen=args.show)
-    wanted = choice.names_of(args.signals) or _DEFAULT
     layouts, contact, computed = _layouts(args)
+    wanted = choice.names_of(args.signals) or _default(layouts)
     reading = choice.reading(args, names, layouts, None)
     recording = Recording(reading)
     fingers = Fingers(_signals(wanted, layouts, computed), computed)
@@ -49,6 +49,8 @@ def plot(args: Namespace) -> int:
         fingers.add(table)
     told = recording.told.notes
     _check(args, fingers, names, sum(notes.frames for notes in told), sum(notes.extended for notes in told))
+    if STATUS not in wanted and not any(finger.traces for _, finger in fingers.named()):
+        raise InputError(f"{', '.join(names)}: no {', '.join(wanted)} in it, so there is nothing to draw")
     drawn = figure.draw(fingers, figure.Look(args.title, args.size, STATUS in wanted), plt)
     _write(args, drawn, path, plt)
     for notes in recording.told.notes:
@@ -73,6 +75,13 @@ def _layouts(args: Namespace) -> tuple[Layouts, ContactColumns | None, frozenset
         layouts = replace(layouts, gauges=contact_columns.gauges_of(calibrations))
     computed = frozenset(column.signal for column in contact_columns.column_names())
     return layouts, contact_columns.ContactColumns(calibrations, None), computed
+
+
+def _default(layouts: Layouts) -> Iterable[str]:
+    """Return the contact, gauges and status of fingertips, or every signal of devices of another kind."""
+    messages = layouts.decoder().messages().values()
+    signals = {signal.name: None for _, message in messages for signal in message.signals}
+    return _DEFAULT if "P" in signals else signals
 
 
 def _signals(wanted: Iterable[str], layouts: Layouts, computed: frozenset[str]) -> frozenset[str]:

@@ -25,7 +25,7 @@ from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
 from tipforce.host.network.bus import Bus
-from tipforce.host.network.find import device_type_responses
+from tipforce.host.network.find import DEVICE_TYPE, device_type_responses
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssAddress, LssMaster
 from tipforce.host.network.nmt import command_and_wait
@@ -191,6 +191,7 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
 def count_nodes(connection: Bus) -> Counter[int]:
     """Request 1000h from every node-id; return the number of responses by node-id. Two: a duplicate node-id."""
     frames = device_type_responses(connection, range(1, codes.NODE_ID_MASK + 1), FIND_S)
+    frames = frames[(frames["data"][:, 1:4] == DEVICE_TYPE).all(axis=1)]  # not those that another master requested
     answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
     return Counter(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
 

@@ -16,7 +16,9 @@ from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient, Identity
 
-_READ_DEVICE_TYPE = bytes((0x40, 0x00, 0x10, 0, 0, 0, 0, 0))
+DEVICE_TYPE = (0x00, 0x10, 0x00)
+"""1000h:00 in bytes 1 to 3 of a request, and of its response or abort."""
+_READ_DEVICE_TYPE = bytes((0x40, *DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
 
 
