@@ -200,3 +200,37 @@ def test_run_feeds_the_watchdog_and_sleeps_shortly() -> None:
         node.run(sleep, lambda: fed.append(clock.now_us))
     assert len(fed) > 5000
     assert bus.sent.count((0x705, b"\x7f")) == 3  # heartbeat each second
+
+
+class Trial:
+    """A program on trial: what the loop asks of it."""
+
+    def __init__(self) -> None:
+        self.on_trial = True
+
+    def confirm(self) -> None:
+        self.on_trial = False
+
+
+@pytest.mark.parametrize(
+    ("heard_at_s", "confirmed_at_s", "restarts_at_s"),
+    [(0, 5, None), (4, 5, None), (20, 20, None), (59, 59, None), (None, None, 60)],
+    ids=["at once", "before 5 s", "later", "just in time", "never"],
+)
+def test_a_program_on_trial_is_confirmed_after_5_s_and_a_frame_and_given_up_after_60_s(
+    heard_at_s: int | None, confirmed_at_s: int | None, restarts_at_s: int | None
+) -> None:
+    clock, trial, restarts = fakes.FakeClock(0), Trial(), []
+    node, bus = firmware_on(clock, fakes.MemorySlots())
+    node._programs = trial  # type: ignore[assignment]
+    node._restart = lambda: restarts.append(clock.now_us)
+    confirmed: int | None = None
+    for second in range(62):
+        clock.now_us = 1_000_000 * second
+        if second == heard_at_s:
+            bus.coming.append((0x123, b""))
+        node.poll()
+        if confirmed is None and not trial.on_trial:
+            confirmed = second
+    assert confirmed == confirmed_at_s
+    assert restarts[:1] == ([] if restarts_at_s is None else [1_000_000 * restarts_at_s])

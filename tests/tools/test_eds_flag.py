@@ -132,6 +132,17 @@ def test_layouts_follow_the_sdo_traffic_of_the_log(
     ]
 
 
+def test_monitor_by_the_names_of_the_file(eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "run.log").write_text(LOG + REMAP + "(1.600000) can0 295#FDFFFFFF\n(1.610000) can0 185#370200\n")
+    words = ["monitor", str(tmp_path / "run.log"), "--eds", f"5={eds}"]
+    assert main([*words, "--json", "--once", "9"]) == 0
+    (row,) = json.loads(capsys.readouterr().out)["buses"][0]["nodes"]
+    values = {name: one["value"] for name, one in row["readings"].items()}
+    assert (values["Statusword"], values["Velocity_actual_value"]) == (0x237, -3)
+    assert main(words) == 0
+    assert "Statusword=567" in capsys.readouterr().out
+
+
 def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "lamp.eds"
     path.write_text(text(var("1021", 0xF, "ro"), var("2000", 6, "rw", "500", ParameterName="Brightness")))

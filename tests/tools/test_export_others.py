@@ -56,21 +56,82 @@ def test_xdd_has_each_entry(tmp_path: Path) -> None:
         (("xdd", "--eds", str(tmp_path / "a.eds")), None),
     ):
         root = ET.parse(exported(tmp_path / "a.xdd", *words)).getroot()
-        objects = root.findall(f".//{SPACE}CANopenObject")
+        objects = root.findall(".//CANopenObject")
         found = read_eds(eds or tmp_path / "a.eds", 5)
         assert [int(one.attrib["index"], 16) for one in objects] == sorted(found.objects)
         subs = {
             (int(one.attrib["index"], 16), int(sub.attrib["subIndex"], 16)): sub.attrib
             for one in objects
-            for sub in one.findall(f"{SPACE}CANopenSubObject")
+            for sub in one.findall("CANopenSubObject")
         }
         assert subs[0x1800, 1]["defaultValue"] == "$NODEID+0x40000180"
         assert subs[0x7130, 1]["dataType"] == "0004" or subs[0x7130, 1]["PDOmapping"] == "TPDO"
         for entry in found.entries():
             if set(found.objects[entry.index].entries) != {0}:
                 assert subs[entry.index, entry.sub]["name"] == entry.name
-        rates = [one.attrib["value"] for one in root.iter(f"{SPACE}supportedBaudRate")]
+        rates = [one.attrib["value"] for one in root.iter("supportedBaudRate")]
         assert rates[-1] == "1000 Kbps"
+
+
+OBJECT = {"name", "objectType", "dataType", "accessType", "lowLimit", "highLimit", "defaultValue", "PDOmapping"}
+BODY = {"formatName", "formatVersion", "fileName", "fileCreator", "fileCreationDate", "fileVersion"}
+CHILDREN: dict[str, tuple[list[str], set[str]]] = {  # CiA 311: element -> children in order, attributes
+    "co:ISO15745ProfileContainer": (["co:ISO15745Profile"], set()),
+    "co:ISO15745Profile": (["ProfileHeader", "ProfileBody"], set()),
+    "ProfileHeader": (
+        [
+            "ProfileIdentification", "ProfileRevision", "ProfileName", "ProfileSource", "ProfileClassID",
+            "ISO15745Reference",
+        ],
+        set(),
+    ),
+    "ISO15745Reference": (["ISO15745Part", "ISO15745Edition", "ProfileTechnology"], set()),
+    "ProfileBody": (
+        ["co:DeviceIdentity", "co:DeviceFunction", "ApplicationLayers", "TransportLayers", "NetworkManagement"],
+        {*BODY, "supportedLanguages"},
+    ),
+    "co:DeviceIdentity": (["co:vendorName", "co:vendorID", "co:productName", "co:productID"], set()),
+    "co:DeviceFunction": (["co:capabilities"], set()),
+    "co:capabilities": (["co:characteristicsList"], set()),
+    "co:characteristicsList": (["co:characteristic"], set()),
+    "co:characteristic": (["co:characteristicName", "co:characteristicContent"], set()),
+    "co:characteristicName": (["label"], set()),
+    "co:characteristicContent": (["label"], set()), "label": ([], {"lang"}),
+    "ApplicationLayers": (["co:CANopenObjectList", "dummyUsage"], set()),
+    "co:CANopenObjectList": (["CANopenObject"], {"mandatoryObjects", "optionalObjects", "manufacturerObjects"}),
+    "CANopenObject": (["CANopenSubObject"], {"index", "subNumber", *OBJECT}),
+    "CANopenSubObject": ([], {"subIndex", *OBJECT}),
+    "dummyUsage": (["dummy"], set()), "dummy": ([], {"entry"}),
+    "TransportLayers": (["PhysicalLayer"], set()), "PhysicalLayer": (["baudRate"], set()),
+    "baudRate": (["supportedBaudRate"], {"defaultValue"}), "supportedBaudRate": ([], {"value"}),
+    "NetworkManagement": (["CANopenGeneralFeatures"], set()),
+    "CANopenGeneralFeatures": (
+        [], {"granularity", "nrOfRxPDO", "nrOfTxPDO", "bootUpSlave", "layerSettingServiceSlave"}
+    ),
+}  # fmt: skip
+ALLOWED = {"accessType": {"const", "ro", "wo", "rw"}, "PDOmapping": {"no", "default", "optional", "TPDO", "RPDO"}}
+
+
+def test_xdd_has_the_structure_of_cia_311(tmp_path: Path) -> None:
+    root = ET.parse(exported(tmp_path / "a.xdd", "xdd", "--programs", "--simulated")).getroot()
+    for one in root.iter():
+        name = one.tag.replace(SPACE, "co:")
+        children, attributes = CHILDREN.get(name, ([], set()))
+        found = [child.tag.replace(SPACE, "co:") for child in one]
+        assert [children.index(child) for child in found] == sorted(children.index(child) for child in found), name
+        assert {key for key in one.attrib if not key.startswith("{")} <= attributes, name
+        for key, allowed in ALLOWED.items():
+            assert one.attrib.get(key, "no" if key == "PDOmapping" else "ro") in allowed
+    assert {"1F50", "1F57"} <= {one.attrib["index"] for one in root.iter("CANopenObject")}
+
+
+def test_programs_are_in_the_formats_that_list_objects(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (("eds",), ("dcf", "--node-id", "5")):
+        found = read_eds(exported(tmp_path / f"a.{words[0]}", *words, "--programs"), 5)
+        assert 0x1F50 in found.objects
+        assert found.warnings == []
+    assert main(["export", "c", "--programs", "-o", str(tmp_path)]) == 2
+    assert "the exported C has no program slots" in capsys.readouterr().err
 
 
 def test_ros2_canopen_bus_of_a_hand(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

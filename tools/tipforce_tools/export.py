@@ -26,6 +26,9 @@ FORMATS = {
 }
 
 
+_NO_PROGRAMS = "the exported C has no program slots, and other formats list no objects"
+
+
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce export`."""
     parser.epilog = (
@@ -55,7 +58,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--bits", type=int, choices=(16, 24), default=16, help="converter resolution (default 16)")
     parser.add_argument("--simulated", action="store_true", help="eds, dcf: add 2200h and 2201h of a simulated node")
     parser.add_argument(
-        "--programs", action="store_true", help="eds: add 1F50h to 1F57h of firmware with program slots"
+        "--programs", action="store_true", help="eds, dcf, xdd: add 1F50h to 1F57h of firmware with program slots"
     )
     parser.add_argument("--prefix", default="", metavar="TEXT", help="mjcf: in front of every name")
     parser.add_argument("--rigid", action="store_true", help="mjcf: no springs, the tip is fixed to the fixture")
@@ -70,6 +73,10 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.dictionary import table
     from tipforce.output_file import DBC, EDS, MJCF, XDD, new_file
 
+    if args.programs and args.format not in ("eds", "dcf", "xdd"):
+        raise InputError(f"export {args.format}: --programs is for eds, dcf and xdd; {_NO_PROGRAMS}")
+    if args.programs and args.eds:
+        raise InputError("--programs: the objects are those of the file of --eds; leave one out")
     converter = table.CONVERTER_24 if args.bits == 24 else table.CONVERTER_16
     if args.format == "c":
         return _write_c(args, converter)
@@ -105,7 +112,9 @@ def _text(args: argparse.Namespace, converter: Converter) -> str:
     elif args.node_id is None:
         raise InputError("--node-id: a DCF belongs to one node; add it, for example --node-id 5")
     else:
-        text = dcf_text(args.gauges, args.node_id, _values(args), args.simulated, converter=converter)
+        text = dcf_text(
+            args.gauges, args.node_id, _values(args), args.simulated, converter=converter, programs=args.programs
+        )
     return lely_dialect(text) if args.dialect == "lely" else text
 
 
@@ -121,7 +130,7 @@ def _xdd(args: argparse.Namespace, converter: Converter) -> str:
         for warning in found.warnings:
             common.note(args, f"warning: {warning}")
         return xdd_text(found)
-    text = eds_text(args.gauges, args.simulated, converter)
+    text = eds_text(args.gauges, args.simulated, converter, args.programs)
     path = Path(file_name(args.gauges, args.simulated, bits=converter[0]))
     return xdd_text(describe(parse(text), path, text.encode(), 1))
 

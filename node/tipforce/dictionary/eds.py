@@ -60,6 +60,7 @@ def dcf_text(
     node_name: str = "",
     last_eds: str | None = None,
     converter: Converter = table.CONVERTER_16,
+    programs: bool = False,
 ) -> str:
     """The DCF of node ``node_id`` (1..127): its EDS with a ParameterValue for each (index, sub) of ``values``.
 
@@ -69,10 +70,10 @@ def dcf_text(
         raise InputError(f"node-id {node_id}: allowed are 1 to 127")
     if bit_rate_kbit_s not in BIT_RATES_KBIT_S:
         raise InputError(f"bit rate {bit_rate_kbit_s} kbit/s: allowed are {BIT_RATES_KBIT_S}")
-    known = rows(n, simulated)
+    known = rows(n, simulated, programs)
     for place, value in values.items():
         _check(known.get(place), place, value, n)
-    found = objects(n, simulated, converter)
+    found = objects(n, simulated, converter, programs)
     lines = _file_info(n, simulated, "dcf", converter)
     lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated, bits=converter[0])}")
     lines += _device_info(n, simulated, converter) + _commissioning(node_id, bit_rate_kbit_s, node_name)

@@ -24,30 +24,48 @@ _HEADER = """\
       </ISO15745Reference>
     </ProfileHeader>
 """
+_FUNCTION = """\
+      <co:DeviceFunction>
+        <co:capabilities>
+          <co:characteristicsList>
+            <co:characteristic>
+              <co:characteristicName><label lang="en">Protocol</label></co:characteristicName>
+              <co:characteristicContent><label lang="en">CANopen</label></co:characteristicContent>
+            </co:characteristic>
+          </co:characteristicsList>
+        </co:capabilities>
+      </co:DeviceFunction>
+"""
 _DATE = "2026-01-01"  # the text is the same at each run
 _LIST = {"mandatoryObjects": 0, "optionalObjects": 1, "manufacturerObjects": 2}
 _KBIT = 1000
 
 
 def xdd_text(found: Description) -> str:
-    """Return the XDD of a device; values with $NODEID are written with it."""
+    """Return the XDD of a device; values with $NODEID are written with it.
+
+    As in the schema, elements that it declares globally have the namespace, those below a type have none.
+    """
     name = quoteattr(found.path.stem + ".xdd")
-    body = f'fileName={name} fileCreator="tipforce" fileCreationDate="{_DATE}" fileVersion="1"'
+    body = f'formatName="CANopen" formatVersion="1.0" fileName={name} fileCreator="tipforce"'
+    body += f' fileCreationDate="{_DATE}" fileVersion="1"'
     lines = [
         '<?xml version="1.0" encoding="UTF-8"?>\n',
-        f'<ISO15745ProfileContainer xmlns="{_NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n',
-        "  <ISO15745Profile>\n",
+        f'<co:ISO15745ProfileContainer xmlns:co="{_NAMESPACE}" xmlns:xsi="http://www.w3.org/2001/XMLSchema-instance">\n',
+        "  <co:ISO15745Profile>\n",
         _HEADER.format(identification="CANopen device profile", kind="Device"),
-        f'    <ProfileBody xsi:type="ProfileBody_Device_CANopen" {body} supportedLanguages="en">\n',
+        f'    <ProfileBody xsi:type="co:ProfileBody_Device_CANopen" {body} supportedLanguages="en">\n',
         *_identity(found),
-        "    </ProfileBody>\n  </ISO15745Profile>\n  <ISO15745Profile>\n",
+        _FUNCTION,
+        "    </ProfileBody>\n  </co:ISO15745Profile>\n  <co:ISO15745Profile>\n",
         _HEADER.format(identification="CANopen communication network profile", kind="CommunicationNetwork"),
-        f'    <ProfileBody xsi:type="ProfileBody_CommunicationNetwork_CANopen" {body}>\n',
+        f'    <ProfileBody xsi:type="co:ProfileBody_CommunicationNetwork_CANopen" {body}>\n',
         "      <ApplicationLayers>\n",
         *_objects(found),
+        *_dummies(found),
         "      </ApplicationLayers>\n",
         *_transport(found),
-        "    </ProfileBody>\n  </ISO15745Profile>\n</ISO15745ProfileContainer>\n",
+        "    </ProfileBody>\n  </co:ISO15745Profile>\n</co:ISO15745ProfileContainer>\n",
     ]
     return "".join(lines)
 
@@ -55,15 +73,25 @@ def xdd_text(found: Description) -> str:
 def _identity(found: Description) -> list[str]:
     identity = [found.entry(communication.IDENTITY, sub) for sub in (1, 2)]
     vendor, product = (f"0x{int(one.default):08X}" if one is not None else "" for one in identity)
-    lines = ["      <DeviceIdentity>\n"]
+    lines = ["      <co:DeviceIdentity>\n"]
     for name, text in (
         ("vendorName", found.vendor_name),
         ("vendorID", vendor),
         ("productName", found.product_name),
         ("productID", product),
     ):
-        lines.append(f"        <{name}>{_escaped(text)}</{name}>\n")
-    return [*lines, "      </DeviceIdentity>\n"]
+        lines.append(f"        <co:{name}>{_escaped(text)}</co:{name}>\n")
+    return [*lines, "      </co:DeviceIdentity>\n"]
+
+
+def _dummies(found: Description) -> list[str]:
+    """Return the data types that an RPDO may map as placeholders."""
+    if found.dummies is None:
+        return []
+    entries = "".join(
+        f'          <dummy entry="Dummy{code:04X}={int(code in found.dummies)}"/>\n' for code in range(1, 8)
+    )
+    return [f"        <dummyUsage>\n{entries}        </dummyUsage>\n"]
 
 
 def _escaped(text: str) -> str:
@@ -76,10 +104,10 @@ def _objects(found: Description) -> list[str]:
         own = communication.FIRST_MANUFACTURER <= index <= communication.LAST_MANUFACTURER
         groups[0 if index in communication.MANDATORY else 2 if own else 1] += 1
     counts = " ".join(f'{name}="{groups[number]}"' for name, number in _LIST.items())
-    lines = [f"        <CANopenObjectList {counts}>\n"]
+    lines = [f"        <co:CANopenObjectList {counts}>\n"]
     for _, one in sorted(found.objects.items()):
         lines += _object(one, found.node_id)
-    return [*lines, "        </CANopenObjectList>\n"]
+    return [*lines, "        </co:CANopenObjectList>\n"]
 
 
 def _object(one: Object, node_id: int) -> list[str]:

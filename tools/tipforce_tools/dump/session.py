@@ -70,23 +70,13 @@ class Session:
         if self._left is not None:
             block = block.head(self._left)
             self._left -= len(block)
-        for part in self._parts(block):
-            self._print(part)
+        if self.decoder is None:
+            self._print(block)
+        else:
+            followed = [one.parts(block.frames) for one in (self.decoder, self._counted) if one is not None]
+            for (start, end), *_ in zip(*followed, strict=True):
+                self._print(block if (start, end) == (0, len(block.frames)) else block.between(start, end))
         return self._left is None or self._left > 0
-
-    def _parts(self, block: CandumpBlock) -> Iterator[CandumpBlock]:
-        """Split a block where the SDO traffic changes the layout of a PDO."""
-        changes = [] if self.decoder is None else self.decoder.changes(block.frames)
-        start = 0
-        for row in sorted({change.row for change in changes}):
-            yield block.between(start, row)
-            for change in changes:
-                if change.row == row:
-                    for decoder in (self.decoder, self._counted):
-                        if decoder is not None:
-                            decoder.apply(change)
-            start = row
-        yield block.between(start, len(block.frames)) if start else block
 
     def _print(self, block: CandumpBlock) -> None:
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}

@@ -4,6 +4,7 @@ import argparse
 import math
 
 from tipforce_tools.cli import common
+from tipforce_tools.cli.eds_flag import add_eds_argument
 
 DESCRIPTION = """\
 Show the active nodes, one row each: samples per second, their regularity, the age of the last one, contact, status,
@@ -41,6 +42,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--speed", type=_speed, default=math.inf, metavar="X", help="log: times recorded speed (default: no waiting)"
     )
     parser.add_argument("--follow", action="store_true", help="log: wait for more lines at the end")
+    add_eds_argument(parser)
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)
 

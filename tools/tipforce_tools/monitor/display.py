@@ -49,9 +49,10 @@ def cells(node: NodeView) -> tuple[str, ...]:
     emergency = node.emergency
     emcy = f"{emergency.code:04X}h {emergency.text}, {_seconds(emergency.age_s)} ago" if emergency else "-"
     nmt = f"{node.nmt}, heartbeat lost" if node.nmt_lost else node.nmt or "no heartbeat"
-    readings = (shown(node.readings[name]) for name in QUANTITIES)
+    readings = (shown(node.readings[name]) if name in node.readings else "-" for name in QUANTITIES)
+    values = (f"{name}={_value(one)}" for name, one in node.readings.items() if name not in QUANTITIES)
     # A silent node has no present status, either.
-    status = "STALE" if node.stale else " ".join(node.status) or "-"
+    status = "STALE" if node.stale else " ".join((*node.status, *values)) or "-"
     return shown_id(node.node_id), f"{node.rate_hz:.1f}", regular, age, *readings, status, nmt, emcy, str(node.lost)
 
 
@@ -60,6 +61,13 @@ def shown(reading: Reading) -> str:
     if reading.value is not None:
         return f"{reading.value:.{_DIGITS.get(reading.unit, 3)}f} {_UNITS.get(reading.unit, reading.unit)}"
     return f"STALE, {reading.reason}" if reading.stale else f"unknown: {reading.reason}"
+
+
+def _value(reading: Reading) -> str:
+    """Return a value of a node with an EDS: `-2 rpm`."""
+    if reading.value is None:
+        return "STALE" if reading.stale else "unknown"
+    return f"{reading.value:.9g} {reading.unit}".rstrip()
 
 
 def _seconds(seconds: float) -> str:

@@ -24,6 +24,7 @@ from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 from tipforce.dictionary.table import FAULT_BITS, STATUS_BITS
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.contacts import status_of
+from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
 from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.sample_counter import SampleCounters
@@ -63,7 +64,10 @@ class Emergency:
 
 @dataclass(frozen=True, slots=True)
 class NodeView:
-    """One row. ``age_s``: age of the last sample, None without one."""
+    """One row. ``age_s``: age of the last sample, None without one.
+
+    ``readings``: P, phi and theta; of a node with an EDS the signals of its TPDOs.
+    """
 
     node_id: int
     rate_hz: float
@@ -105,10 +109,15 @@ class _Node:
 class BusMonitor:
     """One bus. ``node_ids`` None monitors all nodes; only those that have sent frames get a row."""
 
-    def __init__(self, name: str = "", gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
+    def __init__(
+        self, name: str = "", gauges: int = 3, node_ids: Iterable[int] | None = None, eds: EdsFiles = ()
+    ) -> None:
+        """``eds``: nodes of other manufacturers. Raises InputError for a file that is no EDS."""
         self.name = name
         self._watched = frozenset(range(1, 128) if node_ids is None else node_ids)
-        self._decoder = Decoder(gauges, sorted(self._watched))
+        self._described = frozenset(node_id for node_id, _ in eds)
+        self._decoder = Decoder(gauges, sorted(self._watched - self._described))
+        self._of_eds = Layouts(nodes=tuple(self._watched), eds=eds).decoder() if eds else None
         self._counters = SampleCounters()
         self._health = Health()
         self._modulus = SyncModulus()
@@ -130,6 +139,11 @@ class BusMonitor:
             for (node_id, name), samples in found.items():
                 self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
             self._health.take(part, found.values())
+        if self._of_eds is not None:
+            for start, end in self._of_eds.parts(frames):
+                for (node_id, name), samples in self._of_eds.decode(frames[start:end]).items():
+                    if name.startswith("TPDO"):  # not what a master sends to the node
+                        self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
         for node_id in self._health.nodes:
             if node_id in self._nodes:
                 faults, _ = self._health.now(node_id)
@@ -182,18 +196,22 @@ class BusMonitor:
         """Return the state at a time on the clock of the frames."""
         frames_hz, least, worst = self._traffic.sums(now_ns)
         lost = self._counters.lost_by_node()
-        nodes = tuple(_view(key, self._nodes[key], lost.get(key, 0), now_ns) for key in sorted(self._nodes))
+        nodes = tuple(
+            _view(key, self._nodes[key], lost.get(key, 0), now_ns, described=key in self._described)
+            for key in sorted(self._nodes)
+        )
         return BusView(self.name, frames_hz, least, worst, self._sync.rate_hz(now_ns), self._errors, nodes)
 
 
-def _view(node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
+def _view(node_id: int, node: _Node, lost: int, now_ns: int, *, described: bool) -> NodeView:
     periods, last_ns = node.samples.periods(), node.samples.last_ns
     age_s = None if last_ns is None else max(now_ns - last_ns, 0) * 1e-9
     limit_s = max(STALE_NS * 1e-9, 3e-3 * periods.p50_ms if periods else 0.0)
     stale = age_s is not None and age_s > limit_s
     told = {"calibrated": True, "contact": True} | node.flags
     bits = int(status_of({name: np.array(is_set) for name, is_set in told.items()}, ()))
-    readings = {name: _reading(node, number, bits, now_ns, limit_s) for number, name in enumerate(QUANTITIES)}
+    names = tuple(node.values) if described else QUANTITIES
+    readings = {name: _reading(node, name, bits, now_ns, limit_s) for name in names}
     status = tuple(name.removeprefix("fault_") for name in FLAGS if node.flags.get(name))
     emergency = None
     if node.emergency is not None:
@@ -206,8 +224,7 @@ def _view(node_id: int, node: _Node, lost: int, now_ns: int) -> NodeView:
     )  # fmt: skip
 
 
-def _reading(node: _Node, number: int, status: int, now_ns: int, limit_s: float) -> Reading:
-    name = QUANTITIES[number]
+def _reading(node: _Node, name: str, status: int, now_ns: int, limit_s: float) -> Reading:
     if name not in node.values:
         return Reading(None, "", "not sent")
     value, unit, t_ns = node.values[name]
@@ -216,7 +233,7 @@ def _reading(node: _Node, number: int, status: int, now_ns: int, limit_s: float)
     if not np.isnan(value):
         return Reading(value, unit)
     reasons = status_words.why_no_force(status)
-    if not reasons and number:
+    if not reasons and name in QUANTITIES[1:]:
         reasons = [status_words.why_no_angle(status, theta=name == "theta")]
     return Reading(None, unit, next(filter(None, reasons), status_words.UNKNOWN_TO_THE_NODE))
 
@@ -240,8 +257,8 @@ def _nmt(node: _Node, now_ns: int) -> tuple[str, bool]:
 class Monitor:
     """All buses of a source by interface name."""
 
-    def __init__(self, gauges: int = 3, node_ids: Iterable[int] | None = None) -> None:
-        self._gauges = gauges
+    def __init__(self, gauges: int = 3, node_ids: Iterable[int] | None = None, eds: EdsFiles = ()) -> None:
+        self._gauges, self._eds = gauges, eds
         self._node_ids = None if node_ids is None else tuple(node_ids)
         self._buses: dict[str, BusMonitor] = {}
         self.newest_ns: int | None = None
@@ -258,7 +275,7 @@ class Monitor:
         for number in np.unique(channel).tolist():
             name = known[number] if number < len(known) else ""
             if name not in self._buses:
-                self._buses[name] = BusMonitor(name, self._gauges, self._node_ids)
+                self._buses[name] = BusMonitor(name, self._gauges, self._node_ids, self._eds)
             self._buses[name].feed(frames[channel == number])
 
     def views(self, now_ns: int | None = None) -> tuple[BusView, ...]:

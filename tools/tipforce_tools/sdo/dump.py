@@ -86,7 +86,17 @@ def _readable(args: argparse.Namespace, sdo: SdoChannel) -> list[Row]:
                 f"node {common.shown_id(args.node)} is not a fingertip: only the objects of CiA 301 are read "
                 "(--gauges N: all objects of a fingertip)",
             )
-    return [row for row in rows(gauges, True).values() if row.access != "wo" and row.index < below and row.index != EDS]
+    programs = below > communication.PROGRAM_DATA and _has(sdo, communication.PROGRAM_DATA)
+    found = rows(gauges, True, programs).values()
+    return [row for row in found if row.access != "wo" and row.index < below and row.index != EDS]
+
+
+def _has(sdo: SdoChannel, index: int) -> bool:
+    try:
+        sdo.upload(index, 0)
+    except SdoAbortError:
+        return False
+    return True
 
 
 def _rows_of(found: Description) -> list[Row]:

@@ -168,6 +168,16 @@ class Decoder:
             self._messages[change.key] = change.message
         self._plans.clear()
 
+    def parts(self, frames: FrameArray) -> Iterator[tuple[int, int]]:
+        """Yield start and end of the parts of frames (k,) with the same layouts; each applies until the next."""
+        changes, start = self.changes(frames), 0
+        for end in sorted({*(change.row for change in changes), len(frames)}):
+            yield start, end
+            for change in changes:
+                if change.row == end:
+                    self.apply(change)
+            start = end
+
     def messages(self) -> dict[Key, tuple[int, Message]]:
         """Return by (node-id, message name) the identifier, 0 for none, and the layout."""
         return dict(self._messages)
