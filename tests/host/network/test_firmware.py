@@ -62,6 +62,8 @@ def test_the_command_shows_versions(tmp_path: Path, capsys: pytest.CaptureFixtur
     with board_on(channel):
         assert command(channel) == 0
         assert capsys.readouterr().out == "   5 (0x05)  0.1.0  0x00000000\n"
+        assert main(["sdo", "dump", str(NODE_ID), "--json", "-q", "-i", "virtual", "-c", channel]) == 0
+        assert '"index":"0x1F57"' in capsys.readouterr().out.replace(" ", "")
         assert command(channel, written(tmp_path, content), "--json") == 0
         record = json.loads(capsys.readouterr().out)
         crc = Firmware.of(content).header.crc
