@@ -15,7 +15,7 @@ import pytest
 
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import writers
-from tools.decode.logs import decode, log_lines, records_of, rows_of, write_log
+from tools.decode.logs import decode, log_lines, rows_of, write_log
 
 DECODE = [sys.executable, "-m", "tipforce_tools.cli.main", "decode"]
 
@@ -59,24 +59,6 @@ def test_a_directory_with_files_is_not_touched(log: Path, tmp_path: Path, capsys
     assert "--force" in capsys.readouterr().err
     assert decode(log, "-o", place, "--force") == 0
     assert sorted(path.name for path in place.iterdir()) == ["node=1", "node=5", "node=9", "notes.txt"]
-
-
-def test_mcap_is_read_by_its_reader(log: Path, tmp_path: Path) -> None:
-    reader = pytest.importorskip("mcap.reader")
-    assert decode(log, "-o", tmp_path / "run.mcap") == 0
-    assert decode(log, "-o", tmp_path / "run.jsonl") == 0
-    expected = records_of((tmp_path / "run.jsonl").read_text())
-    with (tmp_path / "run.mcap").open("rb") as stream:
-        found = [
-            (schema, channel, message)
-            for schema, channel, message in reader.make_reader(stream).iter_messages(log_time_order=False)
-        ]
-    assert [json.loads(message.data) for _, _, message in found] == expected
-    for schema, channel, message in found:
-        record = json.loads(message.data)
-        assert channel.topic == f"/tipforce/vcan0/node_{record['node']}"
-        assert message.log_time == round(record["t_s"] * 1e6) * 1000
-        assert set(record) <= set(json.loads(schema.data)["properties"])
 
 
 def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

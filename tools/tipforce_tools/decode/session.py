@@ -8,12 +8,14 @@ from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import cast
 
 from tipforce.errors import InputError, WriteError
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import Piece, Progress, Reading, StrictError
-from tipforce.host.decoding.recording import Recording, Told
+from tipforce.host.decoding.recording import Recording, Tap, Told
 from tipforce.host.decoding.sample_table import Column, Table
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import is_plain, line_borders
 from tipforce.host.logs.reader import log_kind
 from tipforce_tools.cli import common
@@ -22,7 +24,7 @@ from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.events import events_path, write_events
 from tipforce_tools.decode.progress import ProgressBar
-from tipforce_tools.decode.writers import format_of, open_writer
+from tipforce_tools.decode.writers import FrameWriter, Writer, format_of, open_writer
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is decoded before processes start
 _LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
@@ -43,11 +45,12 @@ def decode(args: Namespace) -> int:
     recording = Recording(reading)
     summary = summaries.Summary()
     bar = ProgressBar(names, args)
-    tables: Iterable[Table] = summary.passing(steps.contact(_tables(args, names, reading, recording, bar)))
+    frames = _Frames() if kind == "mcap" else None
+    tables: Iterable[Table] = summary.passing(steps.contact(_tables(args, names, reading, recording, bar, frames)))
     tables = steps.resampled(tables)
     code, complete = 0, False
     try:
-        _write_all(args, kind, tables, steps, recording.told)
+        _write_all(args, kind, tables, steps, recording.told, frames)
         complete = True
     except StrictError as error:
         bar.close()
@@ -107,10 +110,23 @@ class _Steps:
         return tables if self._resampler is None else self._resampler.tables(tables)
 
 
+class _Frames:
+    """The frames of the logs, for a writer that keeps them, too."""
+
+    def __init__(self) -> None:
+        self.writer: FrameWriter | None = None
+
+    def __call__(self, frames: FrameArray, channels: Sequence[str]) -> None:
+        if self.writer is not None:
+            self.writer.frames(frames, channels)
+
+
 def _tables(
-    args: Namespace, names: list[str], reading: Reading, recording: Recording, bar: ProgressBar
+    args: Namespace, names: list[str], reading: Reading, recording: Recording, bar: ProgressBar, frames: Tap | None
 ) -> Iterator[Table]:
     progress: Progress | None = bar if bar.wanted else None
+    if frames is not None:
+        return recording.tables_of_logs(names, progress, frames)
     if args.scheduler is not None and reading.layouts.eds:
         raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
     if args.scheduler is not None:
@@ -156,7 +172,9 @@ def _cores() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps, told: Told) -> None:
+def _write_all(
+    args: Namespace, kind: str, tables: Iterable[Table], steps: _Steps, told: Told, frames: _Frames | None
+) -> None:
     if args.summary and args.output is None:
         for _ in tables:
             pass
@@ -165,14 +183,13 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     base = () if steps.rate_hz is not None else ("counter",)
     inputs = [name for name in choice.logs(args.logs) if name != "-"]
     writer = open_writer(args.output, kind, force=args.force, rate_base=base, inputs=inputs)
+    if frames is not None:
+        frames.writer = cast(FrameWriter, writer)
     live = args.follow or args.output in {None, "-"}
     try:
         for table in tables if live else _looked_ahead(tables):
             writer.write(table)
-        _check_readable(args, told)
-        writer.close()
-        if args.output not in {None, "-"}:
-            write_events(args.output, told.events())
+        _complete(args, writer, told, frames)
     except OSError as error:
         writer.abort()
         if args.output in {None, "-"}:
@@ -184,6 +201,15 @@ def _write_all(args: Namespace, kind: str, tables: Iterable[Table], steps: _Step
     left_out = getattr(writer, "left_out", None)
     if left_out:
         common.note(args, f"not in the CSV, because they appeared after its header: {', '.join(sorted(left_out))}")
+
+
+def _complete(args: Namespace, writer: Writer, told: Told, frames: _Frames | None) -> None:
+    _check_readable(args, told)
+    if frames is not None and frames.writer is not None:
+        frames.writer.events(told.events())
+    writer.close()
+    if args.output not in {None, "-"}:
+        write_events(args.output, told.events())
 
 
 def _check_readable(args: Namespace, told: Told) -> None:
@@ -248,6 +274,11 @@ def _nothing(args: Namespace, told: Told) -> str:
 
 def check(args: Namespace) -> None:
     """Check for incompatible flags. Raises InputError."""
+    if format_of(args.output, args.format) == "mcap":
+        given = {"--dbc": args.dbc, "--eds": args.eds, "--signals": args.signals, "--scheduler": args.scheduler}
+        for flag, value in given.items():
+            if value:
+                raise InputError(f"{flag}: MCAP has whole contacts and all frames; for {flag} write .csv or .parquet")
     if args.jobs is not None and args.jobs < 1:
         raise InputError(f"--jobs {args.jobs}: allowed is 1 or more")
     if args.follow and len(args.logs) > 1:

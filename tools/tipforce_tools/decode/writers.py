@@ -13,6 +13,8 @@ import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.decoding.sample_table import Column, Table
+from tipforce.host.decoding.services import BusEvent
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, NewFile
 from tipforce_tools.decode import text_rows
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
@@ -37,6 +39,16 @@ class Writer(Protocol):
 
     def abort(self) -> None:
         """Abort: remove partial files."""
+
+
+class FrameWriter(Writer, Protocol):
+    """Keeps the frames and the events, too."""
+
+    def frames(self, frames: FrameArray, channels: Sequence[str]) -> None:
+        """Append FRAME (n,); ``channels`` are the interfaces by number. Raises OSError."""
+
+    def events(self, events: Iterable[BusEvent]) -> None:
+        """Append EMCYs and changes of NMT states. Raises OSError."""
 
 
 def format_of(output: str | None, wanted: str | None) -> str:
@@ -87,7 +99,7 @@ def open_writer(
     if kind == "mcap":
         from tipforce_tools.decode.mcap_file import McapWriter
 
-        return McapWriter(Path(output), base, inputs)
+        return McapWriter(Path(output), inputs)
     if kind == "csv":
         return CsvWriter(Path(output), base, inputs)
     return LinesWriter(Path(output), kind, base, inputs)

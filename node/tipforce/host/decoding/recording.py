@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -30,6 +30,9 @@ from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.decoding.sync_modulus import SAMPLES
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
+
+Tap = Callable[[FrameArray, Sequence[str]], None]
+"""Takes FRAME (n,) and the interfaces by number."""
 
 
 class Counters:
@@ -108,12 +111,16 @@ class Recording:
         self._counters, self._health = Counters(), HealthRows(reading.signals)
         self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
 
-    def tables_of_logs(self, names: Iterable[str], progress: Progress | None = None) -> Iterator[Table]:
-        """Read logs in this process as if they were one."""
+    def tables_of_logs(
+        self, names: Iterable[str], progress: Progress | None = None, tap: Tap | None = None
+    ) -> Iterator[Table]:
+        """Read logs in this process as if they were one. ``tap`` gets the selected frames before their samples."""
         for name in names:
             source = Source(Piece(name), self._reading, progress)
             try:
                 for block in source:
+                    if tap is not None:
+                        tap(block, source.channels)
                     yield from self._add(self._numbered(block, source.channels), source.log.timed)
             finally:
                 self.told.notes.append(source.notes)

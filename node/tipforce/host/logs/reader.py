@@ -1,4 +1,4 @@
-"""Read any log as blocks of frames: candump text by the bulk reader, pcap, and every other format by python-can."""
+"""Read any log as blocks of frames: candump text in bulk, pcap, MCAP, and every other format by python-can."""
 
 from __future__ import annotations
 
@@ -21,6 +21,7 @@ MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")
 
 _BLOCK_FRAMES = 40_000  # decoding a block costs about as much per node as a thousand frames
 _ROOM_FRAMES = 65_536
+MCAP_MAGIC = b"\x89MCAP"
 _PCAP_STARTS = (b"\xa1\xb2\xc3\xd4", b"\xd4\xc3\xb2\xa1", b"\xa1\xb2\x3c\x4d", b"\x4d\x3c\xb2\xa1", b"\x0a\x0d\x0d\x0a")
 
 
@@ -51,6 +52,10 @@ class LogReader(LogNotes):
         if source is None or kind == "text":
             self._lines = LineBlocks(source, self, follow, part)
             self._blocks = self._text_blocks(self._lines, deltas)
+        elif kind == "mcap":
+            from tipforce.host.logs.mcap_frames import mcap_blocks
+
+            self._blocks = mcap_blocks(source, self)
         elif kind == "pcap":
             from tipforce.host.logs.pcap import pcap_blocks
 
@@ -190,13 +195,15 @@ def open_log(
 
 
 def log_kind(path: Path) -> str:
-    """Return the type of a log: "text", "pcap" or "messages" (python-can). Raises InputError if it cannot be opened."""
+    """Return the type of a log: "text", "pcap", "mcap", "messages" (python-can). Raises InputError if it can't open."""
     if path.is_fifo():  # opening and closing a pipe would end it
         return "text"
     with open_file(path) as file:
         start = first_bytes(file)
     if start[:4] in _PCAP_STARTS:
         return "pcap"
+    if start.startswith(MCAP_MAGIC):
+        return "mcap"
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     if suffixes[-1:] == [".gz"]:
         suffixes.pop()

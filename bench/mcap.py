@@ -1,0 +1,152 @@
+"""MCAP of `tipforce decode` beside the same samples as JSON messages: size and processor time, interleaved in one run.
+
+python -m bench.mcap                                  200 000 frames of five fingers, three times each
+python -m bench.mcap --picture docs/figures/foxglove-scene.svg
+                                                      draws a scene update of a file, as its reader gives it
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mcap.writer
+from bench.decode_log import hand_traffic, write_log
+from mcap.reader import make_reader
+
+from tipforce.device.codes import TPDO_BASES
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.log_part import Reading
+from tipforce.host.decoding.recording import Recording
+from tipforce_tools.cli.main import main as tipforce
+from tipforce_tools.decode import text_rows
+
+_BASE = ("t_s", "node", "counter")
+
+
+def as_ros2(log: Path, output: Path) -> None:
+    """Write what `tipforce decode -o run.mcap` writes."""
+    assert tipforce(["decode", "-q", str(log), "-o", str(output)]) == 0
+
+
+def as_json(log: Path, output: Path) -> None:
+    """Write one JSON message for each sample, on one channel for each node."""
+    with output.open("wb") as stream:
+        writer = mcap.writer.Writer(stream)
+        writer.start(profile="", library="tipforce")
+        schema = writer.register_schema("tipforce.Sample", "jsonschema", b'{"type": "object"}')
+        channels: dict[int, int] = {}
+        for table in Recording(Reading(Layouts(3))).tables_of_logs([str(log)]):
+            lines = text_rows.json_rows(table, _BASE).splitlines()
+            for line, t_ns, key in zip(lines, table.t_ns.tolist(), table.key.tolist(), strict=True):
+                if key not in channels:
+                    channels[key] = writer.register_channel(f"/tipforce/node_{key}", "json", schema)
+                writer.add_message(channels[key], t_ns, line, t_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+
+
+def as_csv(log: Path, output: Path) -> None:
+    """Write CSV."""
+    assert tipforce(["decode", "-q", str(log), "-o", str(output), "--jobs", "1"]) == 0
+
+
+METHODS: dict[str, tuple[Callable[[Path, Path], None], str]] = {
+    "ROS 2 messages, drawing and frames": (as_ros2, ".mcap"),
+    "JSON messages": (as_json, ".mcap"),
+    "CSV": (as_csv, ".csv"),
+}
+
+
+def compare(log: Path, samples: int, repeats: int) -> list[dict[str, Any]]:
+    """Return of each method bytes and processor microseconds for each sample; the methods take turns."""
+    found: dict[str, dict[str, Any]] = {name: {"method": name, "us": []} for name in METHODS}
+    with tempfile.TemporaryDirectory() as folder:
+        for repeat in range(repeats):
+            for name, (write, suffix) in METHODS.items():
+                output = Path(folder, f"{len(found)}-{repeat}-{len(name)}{suffix}")
+                begun_s = time.process_time()
+                write(log, output)
+                found[name]["us"].append(1e6 * (time.process_time() - begun_s) / samples)
+                found[name]["bytes"] = output.stat().st_size / samples
+                output.unlink()
+    return [{**one, "us": min(one["us"])} for one in found.values()]
+
+
+def scene_log(folder: Path) -> Path:
+    """Return the log of the shipped scene of a grasp."""
+    log = folder / "grasp.log"
+    assert tipforce(["run", "grasp", "-q", "-o", str(log)]) == 0
+    return log
+
+
+def draw(recording: Path, output: Path) -> None:
+    """Draw the scene update with the largest force in a file, by the fields of foxglove.SceneUpdate alone."""
+    import matplotlib as mpl
+
+    mpl.use("svg")
+    import matplotlib.pyplot as plt
+
+    mpl.rcParams["svg.hashsalt"] = "tipforce"
+    with recording.open("rb") as stream:
+        messages = make_reader(stream).iter_messages(topics=["/tipforce/scene"])
+        scenes = [json.loads(message.data)["entities"] for _, _, message in messages]
+    scene = max(scenes, key=lambda entities: sum(a["shaft_length"] for one in entities for a in one["arrows"]))
+    figure, axes = plt.subplots(figsize=(9, 2.6), layout="constrained")
+    for entity in scene:
+        for line in entity["lines"]:
+            at, points = line["pose"]["position"], line["points"]
+            axes.plot([at["x"] + p["x"] for p in points], [at["y"] + p["y"] for p in points], color=_rgb(line), lw=2)
+        for arrow in entity["arrows"]:
+            at, turn, length = arrow["pose"]["position"], arrow["pose"]["orientation"], _length(arrow)
+            c, s = turn["w"] ** 2 - turn["z"] ** 2, 2.0 * turn["w"] * turn["z"]
+            axes.annotate(
+                "", (at["x"] + length * c, at["y"] + length * s), (at["x"], at["y"]),
+                arrowprops={"color": _rgb(arrow), "width": 1.5, "headwidth": 7, "headlength": 8},
+            )  # fmt: skip
+        for text in entity["texts"]:
+            at = text["pose"]["position"]
+            axes.text(at["x"], at["y"], text["text"], ha="center", va="top", fontsize=9, color=_rgb(text))
+    axes.set_aspect("equal")
+    axes.axis("off")
+    axes.margins(0.05, 0.25)
+    figure.savefig(output, metadata={"Date": None})
+
+
+def _length(arrow: dict[str, Any]) -> float:
+    return float(arrow["shaft_length"] + arrow["head_length"])
+
+
+def _rgb(thing: dict[str, Any]) -> tuple[float, float, float]:
+    color = thing["color"]
+    return color["r"], color["g"], color["b"]
+
+
+def main() -> None:
+    """Run."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--frames", type=int, default=200_000)
+    parser.add_argument("--repeats", type=int, default=3)
+    parser.add_argument("--picture", type=Path, metavar="FILE.svg")
+    args = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        log = Path(folder, "run.log")
+        if args.picture:
+            log = scene_log(Path(folder))
+            as_ros2(log, log.with_suffix(".mcap"))
+            draw(log.with_suffix(".mcap"), args.picture)
+            return
+        frames = hand_traffic(args.frames, 5, variable=True, seed=1)
+        write_log(log, frames)
+        samples = int((frames["can_id"] & 0x780 == TPDO_BASES[1]).sum())
+        print(f"{samples} samples of five fingers, log: {log.stat().st_size / samples:.0f} bytes a sample")
+        for one in compare(log, samples, args.repeats):
+            print(f"{one['method']:36} {one['bytes']:6.0f} bytes {one['us']:6.1f} us a sample")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,76 @@
+"""Read the CAN frames in an MCAP file: can_msgs/Frame of ROS 2, as ros2_socketcan and `tipforce decode` write them."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from itertools import islice
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.errors import EnvironmentLackError, LogError
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
+
+SCHEMA = "can_msgs/msg/Frame"
+_BLOCK_MESSAGES = 8192
+_PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
+_HEAD = {0: struct.Struct(">iII"), 1: struct.Struct("<iII")}  # stamp, length of frame_id; by the byte order of CDR
+_REST = {0: struct.Struct(">I???B8s"), 1: struct.Struct("<I???B8s")}
+_CDR_HEADER = 4
+
+
+def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
+    """Yield blocks of frames in the order of the file. A damaged file is noted as bad.
+
+    Raises EnvironmentLackError without the package mcap, LogError for a file that has no CAN frames.
+    """
+    try:
+        from mcap.reader import NonSeekingReader
+    except ImportError:
+        raise EnvironmentLackError(f"{path} is MCAP: `pip install 'tipforce[mcap]'`") from None
+    found = False
+    with path.open("rb") as stream:
+        messages = _messages(NonSeekingReader(stream))
+        while True:
+            rows, count = bytearray(), 0
+            try:
+                for channel, log_time_ns, data in islice(messages, _BLOCK_MESSAGES):
+                    count += 1
+                    rows += _row(path, notes, channel, log_time_ns, data)
+            except Exception as error:  # the reader raises various exceptions for a damaged file
+                notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
+                count = 0
+            found = found or bool(rows)
+            if rows:
+                yield np.frombuffer(rows, dtype=FRAME)
+            if not count:
+                break
+    if not found and not notes.bad:
+        raise LogError(f"{path}: no CAN frames ({SCHEMA}) in it; `tipforce decode run.log -o run.mcap` writes them")
+
+
+def _messages(reader: Any) -> Iterator[tuple[str, int, bytes]]:
+    for schema, channel, message in reader.iter_messages(log_time_order=False):
+        if schema is not None and schema.name == SCHEMA and channel.message_encoding == "cdr":
+            yield channel.topic, message.log_time, message.data
+
+
+def _row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes) -> bytes:
+    """Return one FRAME. Raises struct.error and IndexError for a message that is too short."""
+    order = data[1] & 1
+    sec, nanosec, size = _HEAD[order].unpack_from(data, _CDR_HEADER)
+    start = _CDR_HEADER + _HEAD[order].size
+    name = data[start : start + size - 1].decode() or topic
+    end = start + size
+    can_id, remote, extended, error, length, payload = _REST[order].unpack_from(data, end + -end % 4)
+    channel = notes.channel(name)
+    if channel is None:
+        notes.note_bad("interface", f"{path}: more than {len(notes.channels)} different channels")
+        return b""
+    can_id |= (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0) | (ERROR_FLAG if error else 0)
+    t_ns = sec * 1_000_000_000 + nanosec
+    return _PACK(t_ns or log_time_ns, can_id, min(length, 8), channel, 0, payload)
