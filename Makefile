@@ -60,6 +60,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.hand
 	$(PYTHON) -m bench.row_model --sequences 10000
 	$(PYTHON) -m bench.view
+	$(PYTHON) -m bench.twin
 	$(PYTHON) -m bench.soak
 	$(PYTHON) -m bench.endurance
 	$(PYTHON) -m bench.tshark

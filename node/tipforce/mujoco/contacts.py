@@ -14,8 +14,8 @@ try:
 except ImportError:
     raise EnvironmentLackError('MuJoCo is not installed: pip install "tipforce[mujoco]"') from None
 
-Wrench = list[float]
-"""Force and moment about the site, world axes, and the sum of the magnitudes of the contact forces: 7 numbers."""
+Wrench = tuple[float, float, float, float, float, float, float, int]
+"""Force and moment about the site, world axes, the sum of the magnitudes of the contact forces, and their number."""
 
 
 class TipContacts:
@@ -27,62 +27,53 @@ class TipContacts:
         self._owners = _owners(model, list(sites), self.sites)
         self._force = np.zeros(6)
 
-    def wrenches(self, data: mujoco.MjData) -> list[tuple[Wrench, int] | None]:
-        """Return for each finger the wrench and the number of its contacts; None for one without a contact.
+    def wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
+        """Return the wrench on each finger; None for one without a contact.
 
         Torque of a contact (``condim`` 4 and 6) counts. A contact of two fingers loads both, with opposite signs.
         """
-        found: list[tuple[Wrench, int] | None] = [None] * len(self.sites)
-        if not data.ncon:
+        found: list[Wrench | None] = [None] * len(self.sites)
+        count = data.ncon
+        if not count:
             return found
         contacts, owners = data.contact, self._owners
-        frames = positions = None
-        for k, (geom_1, geom_2) in enumerate(contacts.geom.tolist()):
+        model, buffer, contact_force = self._model, self._force, mujoco.mj_contactForce
+        geoms, frames, positions = contacts.geom.tolist(), contacts.frame.tolist(), contacts.pos.tolist()
+        for k in range(count):
+            geom_1, geom_2 = geoms[k]
             one, two = owners[geom_1], owners[geom_2]
             if one == two:
                 continue
-            if frames is None or positions is None:
-                frames, positions = contacts.frame.tolist(), contacts.pos.tolist()
-            mujoco.mj_contactForce(self._model, data, k, self._force)
-            force = self._force.tolist()
-            if one >= 0:  # the frame's x points from geom 1 to geom 2; the force is that on geom 2
-                _add(found, one, data.site_xpos[self.sites[one]].tolist(), force, frames[k], positions[k], -1.0)
-            if two >= 0:
-                _add(found, two, data.site_xpos[self.sites[two]].tolist(), force, frames[k], positions[k], 1.0)
+            contact_force(model, data, k, buffer)
+            force, frame, position = buffer.tolist(), frames[k], positions[k]
+            if two >= 0:  # the frame's x points from geom 1 to geom 2; the force is that on geom 2
+                found[two] = _added(found[two], data.site_xpos[self.sites[two]].tolist(), force, frame, position)
+            if one >= 0:
+                force = [-component for component in force]
+                found[one] = _added(found[one], data.site_xpos[self.sites[one]].tolist(), force, frame, position)
         return found
 
 
-def _add(
-    found: list[tuple[Wrench, int] | None],
-    finger: int,
-    origin: list[float],
-    force: list[float],
-    frame: list[float],
-    position: list[float],
-    sign: float,
-) -> None:
-    """Add one contact to the wrench of a finger."""
+def _added(
+    before: Wrench | None, origin: list[float], force: list[float], frame: list[float], position: list[float]
+) -> Wrench:
+    """Return a wrench with one contact added: ``force`` on the tip, and its torque, along the contact's ``frame``."""
     n, s, t, turn, roll_1, roll_2 = force
     a, b, c, d, e, f, g, h, i = frame
+    x, y, z = position
     ox, oy, oz = origin
-    px, py, pz = position
-    size = sqrt(n * n + s * s + t * t)
-    n, s, t = sign * n, sign * s, sign * t
+    x, y, z = x - ox, y - oy, z - oz
     fx, fy, fz = a * n + d * s + g * t, b * n + e * s + h * t, c * n + f * s + i * t
-    x, y, z = px - ox, py - oy, pz - oz
     mx, my, mz = y * fz - z * fy, z * fx - x * fz, x * fy - y * fx
     if turn or roll_1 or roll_2:
-        turn, roll_1, roll_2 = sign * turn, sign * roll_1, sign * roll_2
         mx += a * turn + d * roll_1 + g * roll_2
         my += b * turn + e * roll_1 + h * roll_2
         mz += c * turn + f * roll_1 + i * roll_2
-    before = found[finger]
+    size = sqrt(n * n + s * s + t * t)
     if before is None:
-        found[finger] = [fx, fy, fz, mx, my, mz, size], 1
-    else:
-        w = before[0]
-        total = [w[0] + fx, w[1] + fy, w[2] + fz, w[3] + mx, w[4] + my, w[5] + mz, w[6] + size]
-        found[finger] = total, before[1] + 1
+        return fx, fy, fz, mx, my, mz, size, 1
+    gx, gy, gz, nx, ny, nz, total, count = before
+    return gx + fx, gy + fy, gz + fz, nx + mx, ny + my, nz + mz, total + size, count + 1
 
 
 def _site(model: mujoco.MjModel, finger: str, site: str) -> int:

@@ -4,36 +4,49 @@ from __future__ import annotations
 
 from math import hypot, sqrt
 
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from tipforce.mujoco.contacts import Wrench
+
 Vector = tuple[float, float, float]
 
 
 class Load:
-    """The load on one tip at one time step.
+    """The load on one tip at one time step; vectors (3,) are along x, y and z of the site (``tipforce.mujoco.mjcf``).
 
-    ``force_newtons`` is the sum of the contact forces on the tip, ``moment_newton_metres`` their moment about the site,
-    both (3,) along x, y and z of the site (``tipforce.mujoco.mjcf``). ``F_newtons`` are F1, F2, F3, equation (16) of
-    the paper: all that the gauges see. ``contacts`` counts the contacts, ``sum_newtons`` adds up their magnitudes.
+    ``F_newtons`` are F1, F2, F3, equation (16) of the paper: all that the gauges see.
     """
 
-    __slots__ = (
-        "F_newtons", "_axes", "_rows", "_wrench", "contacts", "force_newtons", "sum_newtons",
-    )  # fmt: skip
+    __slots__ = ("F_newtons", "_axes", "_rows", "_wrench")
 
-    def __init__(
-        self, axes: list[float], wrench: list[float], r_m: float, strain_per_newton: list[Vector], contacts: int
-    ) -> None:
-        """``axes``: the site's rotation by rows; ``wrench``: force, moment (both world) and the sum of magnitudes."""
+    def __init__(self, axes: list[float], wrench: Wrench, r_m: float, strain_per_newton: list[Vector]) -> None:
+        """``axes``: the site's rotation by rows."""
         a, b, c, d, e, f, g, h, i = self._axes = axes
-        fx, fy, fz, mx, my, mz, self.sum_newtons = self._wrench = wrench
-        x, y = a * fx + d * fy + g * fz, b * fx + e * fy + h * fz
-        self.force_newtons: Vector = x, y, c * fx + f * fy + i * fz
-        self.F_newtons: Vector = y, (c * mx + f * my + i * mz) / r_m, x
-        self.contacts = contacts
+        fx, fy, fz, mx, my, mz, _total, _count = self._wrench = wrench
+        self.F_newtons: Vector = b * fx + e * fy + h * fz, (c * mx + f * my + i * mz) / r_m, a * fx + d * fy + g * fz
         self._rows = strain_per_newton
 
     @property
+    def contacts(self) -> int:
+        """Contacts on the tip."""
+        return self._wrench[7]
+
+    @property
+    def sum_newtons(self) -> float:
+        """The magnitudes of the contact forces, added up."""
+        return self._wrench[6]
+
+    @property
+    def force_newtons(self) -> Vector:
+        """The sum of the contact forces."""
+        F = self.F_newtons
+        c, f, i = self._axes[2::3]
+        fx, fy, fz = self._wrench[:3]
+        return F[2], F[0], c * fx + f * fy + i * fz
+
+    @property
     def moment_newton_metres(self) -> Vector:
-        """See the class."""
+        """Their moment about the site."""
         a, b, c, d, e, f, g, h, i = self._axes
         mx, my, mz = self._wrench[3:6]
         return a * mx + d * my + g * mz, b * mx + e * my + h * mz, c * mx + f * my + i * mz
@@ -47,7 +60,7 @@ class Load:
     @property
     def P_newtons(self) -> float:
         """The force in the sensor's plane."""
-        return hypot(self.force_newtons[0], self.force_newtons[1])
+        return hypot(self.F_newtons[0], self.F_newtons[2])
 
     @property
     def unseen_newtons(self) -> float:

@@ -53,15 +53,16 @@ _GRASP = f"""<mujoco model="grasp">
 </mujoco>"""
 
 
-def grasp_model() -> mujoco.MjModel:
+def grasp_model(rigid: bool = False) -> mujoco.MjModel:
     """Return a gripper with two fingertips, sites ``thumb_tip`` and ``index_tip``, before a ball of 60 g on a plate.
 
     Actuators: ``grip_left`` and ``grip_right`` close it, newtons; ``lift``, metres. Its joints have friction of 0.3 N,
-    so that the force at the ball is not that of the motors.
+    so that the force at the ball is not that of the motors. ``rigid``: without the springs of the tips, which allows
+    longer time steps.
     """
     spec = mujoco.MjSpec.from_string(_GRASP)
     for finger in FINGERS[:2]:
-        _attach(spec, f"{finger}_flange", finger)
+        _attach(spec, finger, rigid)
     return spec.compile()
 
 
@@ -96,10 +97,10 @@ def hand_model() -> mujoco.MjModel:
         </body></worldbody><actuator>{actuators}</actuator></mujoco>"""
     spec = mujoco.MjSpec.from_string(text)
     for finger in FINGERS:
-        _attach(spec, f"{finger}_flange", finger)
+        _attach(spec, finger, rigid=False)
     return spec.compile()
 
 
-def _attach(spec: mujoco.MjSpec, frame: str, finger: str) -> None:
-    tip = mujoco.MjSpec.from_string(fingertip_mjcf())
-    spec.frame(frame).attach_body(tip.body("fixture"), f"{finger}_", "")
+def _attach(spec: mujoco.MjSpec, finger: str, rigid: bool) -> None:
+    tip = mujoco.MjSpec.from_string(fingertip_mjcf(rigid=rigid))
+    spec.frame(f"{finger}_flange").attach_body(tip.body("fixture"), f"{finger}_", "")

@@ -21,7 +21,7 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.contacts import Contact, Status
-from tipforce.mujoco.contacts import TipContacts
+from tipforce.mujoco.contacts import TipContacts, Wrench
 from tipforce.mujoco.load import Load, Vector
 from tipforce.scene.simulated_bus import beam_calibration
 from tipforce.sensor.contact import scalar
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from tipforce.fingertip.sample import Sample
 
 _NAN = float("nan")
-_NO_LOAD = [0.0] * 7
+_NO_LOAD: Wrench = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
 _NO_TURN = [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]
 
 
@@ -188,10 +188,8 @@ class Fingertips:
             assert self._data is not None
             axes, r_m, rows = self._data.site_xmat, FABRICATED.r_m, self._rows
             self._loads = [
-                Load(_NO_TURN, _NO_LOAD, r_m, rows, 0)
-                if found is None
-                else Load(axes[site].tolist(), found[0], r_m, rows, found[1])
-                for site, found in zip(self._contacts.sites, self._contacts.wrenches(self._data), strict=True)
+                Load(_NO_TURN, _NO_LOAD, r_m, rows) if wrench is None else Load(axes[site].tolist(), wrench, r_m, rows)
+                for site, wrench in zip(self._contacts.sites, self._contacts.wrenches(self._data), strict=True)
             ]
         return self._loads
 
