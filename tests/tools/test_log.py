@@ -200,7 +200,7 @@ def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> Non
         (["-o", "run.xyz"], "allowed are .asc, "),
         (["-o", "run.blf.gz"], "allowed are .asc, "),
         (["-o", "run"], "allowed are .asc, "),
-        (["-o", "missing/run.log"], "missing/run.log: No such file"),
+        (["-o", "missing/run.log"], "the directory missing does not exist; create it first"),
         (["there.log"], "allowed are buses"),
     ],
 )

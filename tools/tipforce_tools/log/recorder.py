@@ -13,6 +13,7 @@ from typing import Self
 
 from tipforce.errors import InputError, WriteError
 from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.output_file import check_output
 from tipforce_tools.log.writers import LogWriter, format_suffix, open_writer
 
 
@@ -70,6 +71,7 @@ class Recorder:
         if self._limit_bytes is not None or self._limit_s is not None:
             stem, dot, suffixes = path.name.partition(".")
             path = path.with_name(f"{stem}-{len(self.paths) + 1:04d}{dot}{suffixes}")
+        check_output(path)
         if path.exists() and not self._overwrite:
             raise InputError(f"{path} exists: choose another name, or add --overwrite")
         # The suffix selects the format.

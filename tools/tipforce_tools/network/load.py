@@ -42,6 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Run; return 0, 1 if the worst case of a planned hand exceeds the limit, 5 if a live bus had no frame."""
     common.set_up_logging(args)
+    bit_rate = getattr(args, "bitrate", None)
+    if bit_rate is not None and bit_rate < 1:
+        raise InputError(f"--bitrate {bit_rate}: allowed are whole numbers from 1, in bit/s")
     return _live(args) if args.nodes is None else _paper(args)
 
 

@@ -89,6 +89,8 @@ def _require_output(directory: Path) -> None:
         pass
     try:
         directory.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"--output {directory}: is a file; name a directory") from None
     except OSError as error:
         raise InputError(f"--output {directory}: {error.strerror}") from None
 
