@@ -109,6 +109,20 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         text(var("2000", 6, "ro // fixed")), r"AccessType=ro // fixed: the text after // is",
         lambda found: found.find(0x2000).access, "ro",
     ),
+    "negative real": (text(var("2000", 3, "rw", "-5.0")), r"read as the integer -5", value(0x2000), -5),
+    "0x and h": (text(var("2000", 6, "rw", "0x1Fh")), r"read as hexadecimal", value(0x2000), 0x1F),
+    "object type in words": (
+        text(record("2000", var("2000sub0", 5, "ro", "1"), var("2000sub1", 5, "rw", "3"), code="Array")),
+        r"ObjectType=Array: the form is a number; read as 0x8", lambda found: found.objects[0x2000].code, 8,
+    ),
+    "data type in words": (
+        text(var("2000", 6).replace("DataType=0x0006", "DataType=Integer16")), r"the form is a number; read as 0x0003",
+        lambda found: found.find(0x2000).letter, "h",
+    ),
+    "mapping in words": (
+        text(var("2000", 6, PDOMapping="yes")), r"PDOMapping=yes: the form is 0 or 1",
+        lambda found: found.find(0x2000).mappable, True,
+    ),
     "key with a blank": (
         text().replace("SupportedObjects=3", "Supported Objects=3"), r"Supported Objects: a key has no blanks",
         value(0x1018), 1,

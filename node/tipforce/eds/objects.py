@@ -13,6 +13,8 @@ from tipforce.eds.uploads import file_content
 _ACCESS = ("ro", "wo", "rw", "rwr", "rww", "const")
 _OBJECT_CODES = (eds.NULL, eds.DOMAIN, eds.DEFTYPE, eds.DEFSTRUCT, eds.VAR, eds.ARRAY, eds.RECORD)
 _MOST_COMPACT = 254
+_CODE_OF_WORD = {"domain": eds.DOMAIN, "var": eds.VAR, "array": eds.ARRAY, "record": eds.RECORD}
+_CODE_OF_TYPE = {kind.name.lower(): kind.code for kind in TYPES.values()}
 _UNKNOWN_TYPE = "o"
 _BIT_FLAGS = ("0", "1")
 
@@ -62,7 +64,7 @@ class _Object:
         if section is None:
             self._into.add(self._own.line, f"[{self._own.name}]: no section [{self._index:04X}]; read as a RECORD")
             return eds.RECORD
-        code = self._number(section, "ObjectType") if section.get("ObjectType") else None
+        code = self._object_type(section)
         compact = bool(self._compact())
         if code is not None and code not in _OBJECT_CODES:
             self._say("ObjectType", "allowed are 0x0, 0x2, 0x5 to 0x9")
@@ -82,6 +84,15 @@ class _Object:
             self._say("SubNumber", "the object has no section of a sub-index; left out")
             return eds.NULL
         return code
+
+    def _object_type(self, section: Section) -> int | None:
+        """Return the object code, also where the file has its name."""
+        text = section.get("ObjectType") or ""
+        code = _CODE_OF_WORD.get(text.lower())
+        if code is not None:
+            self._into.findings.append(section.finding("ObjectType", f"the form is a number; read as 0x{code:X}"))
+            return code
+        return self._number(section, "ObjectType") if text else None
 
     def _compact(self) -> int:
         section = self._section
@@ -106,7 +117,7 @@ class _Object:
             if not name:
                 name = f"{found.name} {sub}"
                 self._into.findings.append(section.finding("ParameterName", f"called {name!r}"))
-            code = self._number(section, "ObjectType") if section.get("ObjectType") else eds.VAR
+            code = self._object_type(section) if section.get("ObjectType") else eds.VAR
             if code not in (eds.VAR, eds.DOMAIN):
                 self._into.findings.append(section.finding("ObjectType", "a sub-index is a VAR; read as one"))
             found.entries[sub] = self._entry(sub, section, name, code == eds.DOMAIN, inherited)
@@ -201,9 +212,13 @@ class _Object:
     def _letter(self, sub: int, section: Section, is_domain: bool, parent: Section | None) -> str:
         expected = standard.standard_letter(self._index, sub)
         text = section.get("DataType") or ("" if sub == 0 or parent is None else parent.get("DataType") or "")
-        code = values.integer(text).value if text else None
-        if code is not None and text == section.get("DataType"):
-            self._number(section, "DataType")
+        code = _CODE_OF_TYPE.get(text.lower())
+        if code is not None:
+            self._into.findings.append(section.finding("DataType", f"the form is a number; read as 0x{code:04X}"))
+        elif text:
+            code = values.integer(text).value
+            if code is not None and text == section.get("DataType"):
+                self._number(section, "DataType")
         letter = LETTER_OF_CODE.get(code or 0) or self._defined(code)
         if letter is None and is_domain and not text:
             return "D"

@@ -15,6 +15,8 @@ from tipforce.dictionary.types import DataType, Value
 _DECIMAL, _OCTAL = re.compile(r"0|[1-9][0-9]*"), re.compile(r"0[0-7]+")
 _HEX, _BARE_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE), re.compile(r"[0-9a-f]+h?", re.IGNORECASE)
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
+_WORDS = {"true": 1, "false": 0, "yes": 1, "no": 0}
+_READ = "{}"  # in a remark: the number with its sign
 _COMMENT = re.compile(r";|#|//")
 _MOST_DIGITS = 40
 
@@ -64,7 +66,10 @@ def _number(text: str) -> tuple[int | None, str]:
     if len(digits) > _MOST_DIGITS:
         return None, f"{len(digits)} characters are no number"
     value, remark = _unsigned(digits)
-    return (-value if negative and value is not None else value), remark
+    if value is None:
+        return None, remark
+    number = -value if negative else value
+    return number, remark.replace(_READ, str(number))
 
 
 def _unsigned(digits: str) -> tuple[int | None, str]:
@@ -74,11 +79,13 @@ def _unsigned(digits: str) -> tuple[int | None, str]:
         return int(digits), ""
     if _OCTAL.fullmatch(digits):
         value = int(digits, 8)
-        return value, "" if value == int(digits) else f"read as octal: {value}"
+        return value, "" if value == int(digits) else f"read as octal: {_READ}"
     if digits.isascii() and digits.isdigit():
-        return int(digits), f"a leading 0 is octal in CiA 306; read as decimal {int(digits)}"
-    if digits.lower() in ("true", "false"):
-        return int(digits.lower() == "true"), "the form is 0 or 1"
+        return int(digits), f"a leading 0 is octal in CiA 306; read as decimal {_READ}"
+    if digits.lower() in _WORDS:
+        return _WORDS[digits.lower()], "the form is 0 or 1"
+    if _HEX.fullmatch(digits[:-1]) and digits[-1] in "hH":
+        return int(digits[:-1], 16), "0x and h: read as hexadecimal"
     if _BARE_HEX.fullmatch(digits):
         return int(digits.rstrip("hH"), 16), "0x is missing; read as hexadecimal"
     try:
@@ -86,7 +93,7 @@ def _unsigned(digits: str) -> tuple[int | None, str]:
     except ValueError:
         return None, "not a number"
     if math.isfinite(number) and number == int(number):
-        return int(number), f"read as the integer {int(number)}"
+        return int(number), f"read as the integer {_READ}"
     return None, "not an integer"
 
 

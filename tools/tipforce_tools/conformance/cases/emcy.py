@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, case, check
+from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
 from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, START, Dut
 from tipforce_tools.conformance.setups import INVALID, break_sync, cure_error, make_error
 
@@ -145,8 +145,15 @@ def history_reset(dut: Dut, command: int, _name: str) -> None:
 # --- 1014h ------------------------------------------------------------------------------------------------
 
 
+def check_on(dut: Dut) -> None:
+    """End a case about a device that sends no EMCY by default."""
+    if dut.integer("I", 0x1014) & INVALID:
+        raise NotApplicableError("1014h: EMCY is switched off")
+
+
 @case("CiA 301 7.5.2.17", "the default CAN-ID is 080h + node-id", needs=NEEDS)
 def default(dut: Dut) -> None:
+    check_on(dut)
     dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
 
 
@@ -164,6 +171,7 @@ def switched_off(dut: Dut) -> None:
 
 @case("CiA 301 7.5.2.17", "another CAN-ID while the object exists: 06090030h", needs=NEEDS)
 def moved_while_valid(dut: Dut) -> None:
+    check_on(dut)
     dut.refuses("I", 0x1014, 0, 0x390, INVALID_VALUE)
     dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
 
