@@ -1,4 +1,4 @@
-"""How long a start takes: a node up to its boot-up frame, `tipforce --help`, and what each part of the node costs.
+"""How long a start takes: a node up to its boot-up frame, `tipforce --help`, and what the node's imports cost.
 
     python bench/startup.py                            without a bus
     tipforce vcan -- python bench/startup.py           the boot-up frame on vcan0, too
@@ -27,63 +27,18 @@ from tipforce.socketcan import CAN_FRAME
 NODE_ID = 5
 BOOT_UP = 0x700 + NODE_ID
 GIVE_UP_S = 30.0
-
-# `tipforce node` as main() runs it, with a clock between its stages and a port that is no bus. Stages are in
-# nanoseconds of the monotonic clock, which all processes share, from the start that the parent took.
-STAGES_CODE = f"""
-import sys, time
-marks = [("interpreter", time.monotonic_ns())]
-def mark(name):
-    marks.append((name, time.monotonic_ns()))
-import tipforce_tools.cli.main
-mark("import main")
-import argparse
-import tipforce_tools.node.command as node
-parser = argparse.ArgumentParser()
-mark("import argparse, node command")
-import can.cli
-mark("import python-can")
-node.add_arguments(parser)
-args = parser.parse_args(["--node-id", "{NODE_ID}", "-q"])
-mark("flags")
-from tipforce.fingertip import loop
-import tipforce.fingertip.node
-import tipforce.running.store
-mark("import device, fingertip")
-import numpy
-mark("import numpy")
-import msgspec
-mark("import msgspec")
-import tipforce_tools.cli.layout_file, tipforce.sensor.structure.strain
-mark("import sensor")
-from tipforce.dictionary.eds import eds_text
-mark("import dictionary")
-eds_text(3, simulated=True)
-mark("EDS text")
-device = node._device(args)
-mark("construct (EDS again)")
-frames, _ = device.step(loop.now_us())
-mark("first step")
-assert frames[0] == ({BOOT_UP}, bytes(1)), frames
-before = int(sys.argv[1])
-found = []
-for name, ns in marks:
-    found.append((name, (ns - before) * 1e-6))
-    before = ns
-import json
-print(json.dumps(found))
-"""
+SHOWN_IMPORTS = 8
 
 # The whole command, as it is; only the socket is replaced, by a port that tells when the boot-up frame reaches it.
 NO_BUS_CODE = f"""
-import sys, time
-import tipforce_tools.cli.main, tipforce_tools.node.command
+import os, sys, time
+import tipforce_tools.cli.main, tipforce_tools.cli.port
 class Port:
     def send(self, frames):
         if {BOOT_UP} in [can_id for can_id, _ in frames]:
-            print(time.monotonic_ns())
-            raise KeyboardInterrupt
-tipforce_tools.node.command._port = lambda _args: (Port(), "no bus")
+            print(time.monotonic_ns(), flush=True)
+            os._exit(0)
+tipforce_tools.cli.port.open_port = lambda _args: (Port(), "no bus")
 sys.exit(tipforce_tools.cli.main.main(["node", "--node-id", "{NODE_ID}", "-q"]))
 """
 
@@ -133,11 +88,17 @@ def boot_up_on_bus_ms(interface: str) -> float:
                 process.terminate()
 
 
-def stages_ms() -> list[tuple[str, float]]:
-    """What each stage of `tipforce node` costs, in order."""
-    start_ns = time.monotonic_ns()
-    found: list[tuple[str, float]] = json.loads(run_python("-c", STAGES_CODE, str(start_ns)))
-    return found
+def imports_ms(*words: str) -> list[tuple[str, float]]:
+    """What the packages cost that ``python WORDS`` imports, without those that they import in turn; largest first."""
+    run = [sys.executable, "-X", "importtime", *words]
+    lines = subprocess.run(run, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True).stderr
+    found: dict[str, float] = {}
+    for line in lines.splitlines():
+        cost_us, _, name = line.removeprefix("import time:").split("|")
+        if cost_us.strip().isdigit():
+            package = name.strip().partition(".")[0]
+            found[package] = found.get(package, 0.0) + int(cost_us) / 1000
+    return sorted(found.items(), key=lambda item: -item[1])[:SHOWN_IMPORTS]
 
 
 def has_interface(name: str) -> bool:
@@ -162,13 +123,10 @@ def measure(runs: int, interface: str) -> dict[str, list[float]]:
     for figure in figures.values():
         figure()  # compiles what has no bytecode yet, and fills the disk's cache
     found: dict[str, list[float]] = {name: [] for name in figures}
-    stages: dict[str, list[float]] = {}
     for _ in range(runs):
         for name, figure in figures.items():
             found[name].append(figure())
-        for name, cost_ms in stages_ms():
-            stages.setdefault(f"  {name}", []).append(cost_ms)
-    return found | stages
+    return found
 
 
 def machine() -> dict[str, str]:
@@ -203,14 +161,15 @@ def main() -> int:
         parser.error(f"-n {args.runs}: allowed is 1 or more")
     found = measure(args.runs, args.interface)
     if args.json:
-        print(json.dumps({"machine": machine(), "unit": "ms", "runs": found}))
+        print(json.dumps({"machine": machine(), "unit": "ms", "runs": found, "imports": imports_ms("-c", NO_BUS_CODE)}))
         return 0
     print(", ".join(f"{name} {value}" for name, value in machine().items()))
     print(f"\n{args.runs} runs, milliseconds{'':26}{'min':>8}{'median':>8}{'max':>8}")
     for name, values in found.items():
-        if name == "  interpreter":
-            print("stages of `tipforce node`, each from the end of the one before:")
         print(f"{name:46}{min(values):8.1f}{statistics.median(values):8.1f}{max(values):8.1f}")
+    print("imports of `tipforce node`, once, with the cost of measuring:")
+    for name, cost_ms in imports_ms("-c", NO_BUS_CODE):
+        print(f"  {name:44}{cost_ms:8.1f}")
     return 0
 
 
