@@ -202,12 +202,7 @@ def test_a_value_that_may_be_that_of_a_restarted_count_waits_for_the_next_sync()
 
 
 def test_the_model_sees_a_value_in_another_row(monkeypatch: pytest.MonkeyPatch) -> None:
-    take = Collector._take
-    monkeypatch.setattr(
-        Collector, "_take", lambda self, slot, words, last, number, *more: take(
-            self, slot, words, last, number * 0, *more
-        )
-    )  # fmt: skip
+    monkeypatch.setattr(Collector, "_row_of", lambda self, _counter, _number: self._last)
     assert row_model.failures(2)
 
 

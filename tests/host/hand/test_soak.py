@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 import pytest
 from bench.soak import Soak
 from bench.soak_fingers import stored_fingers
@@ -28,16 +27,8 @@ def test_without_faults_nothing_is_missing() -> None:
 
 
 def test_a_value_in_another_row_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    take = Collector._take
-
-    def by_order(
-        self: Collector, slot: np.ndarray, words: np.ndarray, last: np.ndarray, number: np.ndarray,
-        doubted: np.ndarray, reachable: np.ndarray,
-    ) -> None:  # fmt: skip
-        take(self, slot, words, last, number * 0, doubted, reachable)
-
     faults = Faults(drop=0.05, delay=0.2, delay_s=0.025)
     fingers = stored_fingers(3, 7)
     assert Soak(fingers, seed=7, faults=faults).run(20.0).breaks == []
-    monkeypatch.setattr(Collector, "_take", by_order)
+    monkeypatch.setattr(Collector, "_row_of", lambda self, _counter, _number: self._last)
     assert Soak(stored_fingers(3, 7), seed=7, faults=faults).run(20.0).breaks

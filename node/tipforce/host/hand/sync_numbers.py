@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-import numpy.typing as npt
-
 LARGEST = 240
 """Largest value of 1019h: the numbers are 1 to 1019h."""
 
@@ -35,20 +32,11 @@ class SyncNumbers:
         """An answer may be less than this many SYNCs late: half the numbers, so that late and early differ."""
         return self.modulus // 2
 
-    def reachable(self, t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-        """Return (n,) the number that a count which restarted after the last SYNC can have reached; 0: it cannot."""
+    def reachable(self, t_ns: int) -> int:
+        """Return the number that a count which restarted after the last SYNC can have reached at a time; 0: none."""
         if self._own or not self._period_ns:
-            return np.zeros(len(t_ns), dtype=np.int64)
-        return np.rint((t_ns - self.last_ns) / self._period_ns).astype(np.int64)
-
-    def consecutive(self, numbers: npt.NDArray[np.int64], t_ns: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-        """Return (n,) whether SYNCs with these numbers (0: none), received after the last, surely follow each other."""
-        before = np.concatenate(([self.number], numbers[:-1]))
-        following = (before > 0) & (numbers == before % self.modulus + 1)
-        if not self._own:
-            following &= np.diff(t_ns, prepend=self.last_ns) < 1.5 * self._period_ns
-        found: npt.NDArray[np.bool_] = following | ((before == 0) & (numbers == 0))
-        return found
+            return 0
+        return round((t_ns - self.last_ns) / self._period_ns)
 
     def step(self, number: int, t_ns: int) -> int:
         """Return the distance of the SYNC with ``number`` (0: none) at ``t_ns`` from the last; RESTARTED if unknown."""
