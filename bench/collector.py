@@ -61,7 +61,7 @@ def beside(checkout: Path) -> list[float]:
     """One round of another checkout in a process of its own."""
     path = os.pathsep.join(str(checkout / part) for part in ("node", "tools"))
     here = str(Path(__file__).parents[1])
-    code = f"import json, sys; sys.path.append({here!r}); from bench import collector; print(json.dumps(collector.measure()))"
+    code = f"import sys; sys.path.append({here!r}); from bench import collector; print(collector.measure())"
     run = [sys.executable, "-c", code]
     out = subprocess.run(run, check=True, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": path}).stdout
     found: list[float] = json.loads(out)
