@@ -33,7 +33,7 @@ from tipforce.host.network.sdo import SdoChannel
 
 STEPS = ("find", "identity", "configure", "verify", "calibrate", "start")
 FIND_S = 0.25  # for the responses of all nodes to one request each
-HEALTH_MS = 500
+HEALTH_MS = 300
 """Event timer of the health PDO: 2126h comes at least so often."""
 
 NOT_CALIBRATED = "not calibrated: P, phi and theta are unknown; the hand file names no calibration"
