@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
@@ -105,11 +106,13 @@ def test_a_foreign_change_is_refused(tmp_path: Path, change: Callable[[Bus], Non
         assert set(np.round(seen.shown(), 1)) == {3.0}  # never what it means now
         rows = next(seen.hand.blocks(5.0))
         assert np.isnan(rows.columns["P"][:, 1]).all()
-        following = seen.hand.rows(5.0)
-        reasons = {next(following)["finger 2"].reason for _ in range(20)}
+        found = list(itertools.islice(seen.hand.rows(5.0), 20))
+        reasons = {row["finger 2"].reason for row in found}
         assert REASONS[4] in reasons
         assert reasons <= {REASONS[1], REASONS[4]}  # on a loaded machine an answer may be missing
-        assert row["finger 1"].P_newtons == pytest.approx(2.0, abs=5e-3)
+        known = [row["finger 1"].P_newtons for row in found if not row["finger 1"].reason]
+        assert known == pytest.approx([2.0] * len(known), abs=5e-3)
+        assert known
 
 
 @pytest.mark.parametrize(("change", "text"), CHANGES)
