@@ -71,6 +71,6 @@ def _grid(grid: Grid) -> str:
         return f"{told}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)
     return (
-        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows wrong values as ok; "
-        "the reasons are known and listed. In the other cases none does."
+        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows more of them than "
+        "allowed (1 in 10,000, or one row); the reasons are known and listed."
     )
