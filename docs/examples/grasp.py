@@ -1,8 +1,7 @@
 """Two fingers grasp a ball in MuJoCo and lift it; grasp_controller.py sees their forces as frames on a CAN bus only.
 
-python grasp.py                            both, on a bus inside this process; no display, the same run each time
-python grasp.py socketcan vcan0            the gripper alone, for a controller in another process, until Ctrl-C
-python grasp.py udp_multicast 239.0.0.1    the same without kernel CAN
+python grasp.py                    both, on a bus inside this process; no display, the same run each time
+python grasp.py socketcan vcan0    the gripper alone, for a controller in another process, until Ctrl-C
 """
 
 from __future__ import annotations
