@@ -26,7 +26,7 @@ NEEDS = {
     "a bus": r"\bv?can0\b|^tipforce (vcan|firmware|ros2)\b",
     "a browser": r"^tipforce (view|demo --view)\b",
     "many seconds": r"^python -m bench|^tipforce report|^tipforce design table all -o|^make\b|--cost\b|--speed 1\b",
-    "a package of others": r"^duckdb|^python (-c .import polars|ros2_bridge)",
+    "a package of others": r"^duckdb|^python -c .import polars|^ros2 |^pip install",
     "root, or the home of the user": r"^(install|mkdir|systemctl|journalctl) |/etc/|~/|fpath",
     "a key": r"program\.key",
 }
