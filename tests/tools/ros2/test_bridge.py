@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ import rosless
 
 from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
+from tipforce_tools.cli.main import main
 from tipforce_tools.cli.shipped import shipped_folder
 from tipforce_tools.monitor.sources import LogSource
 from tipforce_tools.ros2 import definitions
@@ -106,6 +108,19 @@ def test_topics_types_and_profiles(log: Path) -> None:
     reports = [message for _, message in topics.messages["/diagnostics"] if len(message.status) == 3]
     assert [one.name for one in reports[-1].status] == ["tipforce: bus", "tipforce: thumb", "tipforce: finger_5"]
     assert START_US < topics.messages["/diagnostics"][0][0] // 1000 < START_US + 3_000_000
+
+
+def test_the_command_publishes_a_log(
+    log: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = Topics()
+    monkeypatch.setattr("tipforce_tools.ros2.dds.RosDomain", lambda _domain: topics)
+    assert main(["ros2", str(log), "--speed", "inf", "--nodes", "5", "--namespace", "left", "--json"]) == 0
+    out, err = capsys.readouterr()
+    count = len(topics.messages["/left/finger_5/wrench"])
+    assert json.loads(out) == {"rows": 600, "wrenches": {"finger_5": count}}
+    assert f"600 rows, {count} wrenches of 1 finger published" in err
+    assert "left: finger_5: emcy: " in err
 
 
 def test_two_fingers_of_one_name_are_refused(log: Path) -> None:

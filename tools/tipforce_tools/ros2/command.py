@@ -111,10 +111,12 @@ def _publish(args: argparse.Namespace, feed: Feed, bridge: Bridge) -> None:
 
 
 def _say_end(args: argparse.Namespace, bridge: Bridge) -> None:
+    from tipforce_tools.cli.listening import counted
+
     found = {tip.name: tip.wrenches for tip in bridge.tips.values()}
     if args.json:
         common.print_json({"rows": bridge.rows, "wrenches": found})
-    common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {len(found)} fingers published")
+    common.note(args, f"{bridge.rows} rows, {bridge.wrenches} wrenches of {counted(len(found), 'finger')} published")
 
 
 @contextmanager
