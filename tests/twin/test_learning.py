@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from gymnasium.utils.env_checker import check_env
 
 import tipforce
 from tipforce.errors import InputError
+from tipforce.host import Decoder, open_log
 from tipforce.learning import Observations, observation, observation_space, recorded_observations
 from tipforce.mujoco import GraspEnv
 from tipforce_tools.cli.main import main
@@ -67,10 +69,25 @@ def test_the_grasp_is_an_environment_of_gymnasium() -> None:
 
 
 @pytest.fixture(scope="module")
-def log(tmp_path_factory: pytest.TempPathFactory) -> tipforce.Log:
-    path = tmp_path_factory.mktemp("recording") / "run.log"
-    assert main(["run", "grasp", "--duration", "1", "-o", str(path), "-q"]) == 0
+def path(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    found = tmp_path_factory.mktemp("recording") / "run.log"
+    assert main(["run", "grasp", "--duration", "1", "-o", str(found), "-q"]) == 0
+    return found
+
+
+@pytest.fixture(scope="module")
+def log(path: Path) -> tipforce.Log:
     return tipforce.read_log(path)
+
+
+def test_decoded_frames_give_dlpack_without_copies(path: Path) -> None:
+    decoder = Decoder(3, [1, 2])
+    with open_log(str(path)) as reader:
+        decoded = decoder.decode(next(iter(reader)))
+    assert set(decoded) == {(1, "Contact"), (2, "Contact")}
+    for samples in decoded.values():
+        for array in (samples.t_ns, *samples.columns.values()):
+            assert np.shares_memory(np.from_dlpack(array), array)
 
 
 def test_a_log_gives_dlpack_without_copies(log: tipforce.Log) -> None:
