@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import resource
+import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -67,13 +68,18 @@ WRITES: list[tuple[str, str, bytes]] = [
 
 @contextmanager
 def full_disk(limit_bytes: int = 64) -> Iterator[None]:
-    """No file of this process may become longer: a write fails as on a full disk, with another error number."""
+    """No file of this process may become longer: a write fails as on a full disk, with another error number.
+
+    Python before 3.14 keeps the truncated byte code of a module that it imports meanwhile: none may be written.
+    """
     soft, hard = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
-    try:
-        yield
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "dont_write_bytecode", True)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (limit_bytes, hard))
+        try:
+            yield
+        finally:
+            resource.setrlimit(resource.RLIMIT_FSIZE, (soft, hard))
 
 
 @pytest.fixture(scope="module")

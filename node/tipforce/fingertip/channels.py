@@ -90,7 +90,7 @@ class Channels:
         sample = self._fingertip.sample
         if sample.reading is None:
             return scalar.NAN
-        return (sample.values or sample.find_values())[sub - 1]
+        return (sample.values if sub <= len(sample.values) else sample.find_values(sub))[sub - 1]
 
     def _overload(self, sub: int) -> int:
         """1 or -1 for a saturated gauge whose reading is live, 0 for all else."""
@@ -109,7 +109,8 @@ class Channels:
             sample = fingertip.sample
             if sample.reading is None:
                 return unknown
-            value = (sample.values or sample.find_values())[sub - 1]
+            values = sample.values
+            value = (values if sub <= len(values) else sample.find_values(sub))[sub - 1]
             if value == value:  # noqa: PLR0124 (false for NaN alone)
                 scaled = value * per_unit[sub - 1]
                 if -highest < scaled < highest:

@@ -71,7 +71,7 @@ class Sample:
         self._contact: "tuple[float, float, float, float] | None" = None
         self._uncertainty: "tuple[float, float, float] | None" = None
         self._covariance: "Covariance | None" = None
-        self.values: "list[float] | None" = None  # of ``find_values``
+        self.values: "list[float]" = []  # of ``find_values``
         self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
         self.filtered = filtered
@@ -200,24 +200,30 @@ class Sample:
                 self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
-    def find_values(self) -> "list[float]":
-        """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown."""
-        unknown = self.unknown()
-        found = self.microstrains[:]
-        for k, over in enumerate(self.overloads):
-            if over or unknown & scalar.UNKNOWN_GAUGES:
-                found[k] = NAN
-        self.values = found
-        if unknown & scalar.UNKNOWN_FORCE:
-            found += [NAN] * 6
-            return found
-        f1, f2, f3 = self.force()
-        P, phi, theta, _miss = self.contact()
-        found += (
-            f1, f2, f3, P,
-            NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
-            NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
-        )  # fmt: skip
+    def find_values(self, sub: int) -> "list[float]":
+        """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown.
+
+        The gauges alone, the forces too, or the contact too: what channel ``sub`` needs and no more.
+        """
+        found, n = self.values, len(self.microstrains)
+        if not found:
+            found += self.microstrains
+            for k, over in enumerate(self.overloads):
+                if over or self.unknown_early() & scalar.UNKNOWN_GAUGES:
+                    found[k] = NAN
+        if sub > n and len(found) == n:
+            found += (NAN, NAN, NAN) if self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
+        if sub > n + 3 and len(found) == n + 3:
+            unknown = self.unknown()
+            if unknown & scalar.UNKNOWN_FORCE:
+                found += (NAN, NAN, NAN)
+                return found
+            P, phi, theta, _miss = self.contact()
+            found += (
+                P,
+                NAN if unknown & scalar.UNKNOWN_PHI else phi * scalar.DEGREES,
+                NAN if unknown & scalar.UNKNOWN_THETA else theta * scalar.DEGREES,
+            )
         return found
 
     def _early_status(self) -> int:
