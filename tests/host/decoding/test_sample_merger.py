@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -11,11 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.decoding import log_part, recording
+from tipforce.host.decoding.counters import Counters
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import lost_samples
-from tipforce.host.decoding.log_part import Edge, End, Item, Notes, Piece, Reading, part_items
-from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import FRAME, FrameArray
@@ -80,41 +77,6 @@ def test_blocks_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[
     assert pieces.tally == whole.tally
 
 
-def parts(frames: FrameArray, edges: list[int]) -> list[list[Item]]:
-    """What part_items does, of frames instead of logs."""
-    found: list[list[Item]] = []
-    for start, end in pairwise(edges):
-        one = merger()
-        head, rest = one.head(frames[start:end])
-        items: list[Item] = [Edge(head, ("can0",))]
-        table = one.add(rest)
-        items += [] if table is None else [table]
-        found.append([*items, End(Edge(one.held, ("can0",)), one.tally, Notes("", channels=("can0",)))])
-    return found
-
-
-@given(STREAMS, st.lists(st.integers(0, 30), max_size=4))
-@settings(max_examples=120, deadline=None)
-def test_parts_do_not_matter(made: list[tuple[str, int, int, int]], cuts: list[int]) -> None:
-    frames = frames_of(made)
-    edges = [0, *sorted(min(cut, len(frames)) for cut in cuts), len(frames)]
-    whole, expected = Recording(Reading(Layouts())), list[Table | None]()
-    expected += whole.tables_of_parts([[Edge(frames, ("can0",), whole=True)]])
-    joined = Recording(Reading(Layouts()))
-    items = parts(frames, edges)
-    for one, (start, end) in zip(items, pairwise(edges), strict=True):
-        if len(one) == 2:  # nothing behind its start: what a short log gives
-            last = one[1]
-            assert isinstance(last, End)
-            one[:] = [Edge(frames[start:end], ("can0",), whole=True), replace(last, tail=Edge(frames[:0], ("can0",)))]
-            last = one[1]
-            assert isinstance(last, End)
-            last.tally.messages.clear()
-    found: list[Table | None] = [*joined.tables_of_parts(items)]
-    assert sorted(map(repr, rows(found))) == sorted(map(repr, rows(expected)))
-    assert joined.told.tally.messages == whole.told.tally.messages
-
-
 @given(STREAMS)
 @settings(max_examples=100, deadline=None)
 def test_each_frame_is_in_one_row(made: list[tuple[str, int, int, int]]) -> None:
@@ -170,13 +132,6 @@ def test_lost_samples_over_borders(counters: list[int], cuts: list[int]) -> None
     assert lost == lost_samples(counters)
 
 
-@pytest.fixture
-def small_heads(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Parts whose start is decided after few frames, so that small logs have a middle."""
-    monkeypatch.setattr(log_part, "_HEAD_FRAMES", 400)
-
-
-@pytest.mark.usefixtures("small_heads")
 @pytest.mark.parametrize("jobs", [1, 3])
 def test_many_files_equal_one(tmp_path: Path, jobs: int) -> None:
     lines = log_lines(1500, (1, 5), health=70)
@@ -187,34 +142,6 @@ def test_many_files_equal_one(tmp_path: Path, jobs: int) -> None:
     assert decode(tmp_path / "whole.log", "-o", tmp_path / "whole.csv") == 0
     assert decode(tmp_path / "part-*.log", "-o", tmp_path / "parts.csv", "--jobs", jobs) == 0
     assert (tmp_path / "parts.csv").read_bytes() == (tmp_path / "whole.csv").read_bytes()
-
-
-@pytest.mark.usefixtures("small_heads")
-def test_parts_of_logs_equal_the_whole(tmp_path: Path) -> None:
-    lines = log_lines(1200, (1, 2, 9))
-    names = [
-        str(write_log(tmp_path / f"{start}.log", lines[start : start + 2001])) for start in range(0, len(lines), 2001)
-    ]
-    reading = Reading(Layouts())
-    one, other = Recording(reading), Recording(reading)
-    expected = rows([*one.tables_of_logs(names)])
-    found = [list(part_items(Piece(name), reading)) for name in names]
-    assert any(isinstance(item, Table) for items in found for item in items)
-    assert rows([*other.tables_of_parts(found)]) == expected
-    assert other.told.tally == one.told.tally
-
-
-def test_dask_equals_local(tmp_path: Path) -> None:
-    distributed = pytest.importorskip("distributed")
-    lines = log_lines(300, (1, 5))
-    names = [write_log(tmp_path / f"{k}.log", lines[k * 500 : (k + 1) * 500]) for k in range(3)]
-    assert decode(*names, "-o", tmp_path / "local.csv") == 0
-    with distributed.LocalCluster(
-        n_workers=1, threads_per_worker=1, processes=False, dashboard_address=None, protocol="inproc://"
-    ) as cluster:
-        words = ["-o", tmp_path / "dask.csv", "--scheduler", cluster.scheduler_address]
-        assert decode(*names, *words) == 0
-    assert (tmp_path / "dask.csv").read_bytes() == (tmp_path / "local.csv").read_bytes()
 
 
 def test_nodes_of_two_buses_stay_apart(tmp_path: Path) -> None:
@@ -235,7 +162,7 @@ def test_nodes_of_two_buses_stay_apart(tmp_path: Path) -> None:
 
 
 def test_counters_go_on() -> None:
-    counters = recording.Counters()
+    counters = Counters()
     one = merger()
     made = [("contact", 1, k & 0xFF, 1) for k in range(700)]
     tables = [one.add(frames_of(made)[start : start + 99]) for start in range(0, 700, 99)]

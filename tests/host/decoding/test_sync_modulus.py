@@ -5,14 +5,10 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 import tipforce
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.log_part import Piece, Reading, part_items
-from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
 from tipforce.host.frames.frame_array import FrameArray, frame_array
@@ -70,20 +66,6 @@ def test_blocks_of_any_size(name: str, size: int) -> None:
         for part in modulus.parts(frames[start : start + size]):
             counters.add(decoder.decode(part), modulus.modulus)
     assert counters.lost_by_node() == {5: lost}
-
-
-def test_a_log_in_parts_counts_as_the_whole(tmp_path: Path) -> None:
-    sent = cycles(count(100, 1000, 240), frozenset({500}))
-    path = log_file(tmp_path, sent)
-    middle = path.read_text().index("\n", path.stat().st_size // 2) + 1
-    reading = Reading(Layouts())
-    pieces = [Piece(str(path), 0, middle), Piece(str(path), middle, path.stat().st_size)]
-    recording = Recording(reading)
-    parts = [part_items(piece, reading, first=k == 0) for k, piece in enumerate(pieces)]
-    tables = list(recording.tables_of_parts(parts))
-    counter = np.concatenate([table.counter for table in tables])
-    assert sorted(counter.tolist()) == [100 + k for k in range(1000) if k != 500]
-    assert sum(recording.told.tally.lost().values()) == 1
 
 
 def test_modulus() -> None:

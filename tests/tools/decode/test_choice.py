@@ -221,9 +221,9 @@ def test_layout_of_a_dcf(tmp_path: Path) -> None:
 def test_what_is_not_usable_is_said(
     log: Path, words: list[str], says: str, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from tipforce_tools.decode import parallel
+    from tipforce_tools.decode import cluster
 
-    monkeypatch.setattr(parallel, "CONNECT_S", 1)
+    monkeypatch.setattr(cluster, "CONNECT_S", 1)
     assert main(["decode", str(log), *words]) == 2
     out, err = capsys.readouterr()
     assert says in err

@@ -26,39 +26,45 @@ def log(tmp_path: Path) -> Path:
 
 
 def test_directory_is_a_table_for_all(log: Path, tmp_path: Path) -> None:
-    assert decode(log, "-o", f"{tmp_path}/parts/") == 0
+    """pyarrow, Polars, DuckDB and pandas read it and prune by its partitions."""
+    import duckdb
+    import pandas as pd
+    import polars
+
+    data = tmp_path / "data"
+    assert decode(log, "-o", f"{data}/") == 0
     assert decode(log, "-o", tmp_path / "run.parquet") == 0
-    names = sorted(str(path.relative_to(tmp_path)) for path in tmp_path.glob("parts/*/*"))
-    assert names == [f"parts/node={node}/part-0.parquet" for node in (1, 5, 9)]
+    assert {str(path.parent.relative_to(data)) for path in data.glob("hand=*/*/*/*")} == {
+        f"hand=vcan0/date=2023-11-14/node={node}" for node in (1, 5, 9)
+    }
     whole = pq.read_table(tmp_path / "run.parquet").sort_by([("node", "ascending"), ("t_s", "ascending")])
-    parts = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
+    parts = pyarrow.dataset.dataset(data, partitioning="hive", exclude_invalid_files=True).to_table()
     parts = parts.sort_by([("node", "ascending"), ("t_s", "ascending")])
     for name in whole.column_names:
         assert parts[name].to_pylist() == whole[name].to_pylist(), name
-
-
-def test_polars_and_duckdb_read_it(log: Path, tmp_path: Path) -> None:
-    assert decode(log, "-o", f"{tmp_path}/parts/") == 0
-    expected = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
-    forces = sorted(value for value in expected["P_N"].to_pylist() if value is not None)
-    polars = pytest.importorskip("polars")
-    frame = polars.read_parquet(f"{tmp_path}/parts/*/*.parquet", hive_partitioning=True)
-    assert sorted(frame["P_N"].drop_nulls().to_list()) == forces
-    assert sorted(frame["node"].unique().to_list()) == [1, 5, 9]
-    duckdb = pytest.importorskip("duckdb")
-    query = f"select P_N, node from '{tmp_path}/parts/*/*.parquet' where P_N is not null order by P_N"
-    assert [row[0] for row in duckdb.sql(query).fetchall()] == forces
+    forces = sorted(
+        p for p, node in zip(whole["P_N"].to_pylist(), whole["node"].to_pylist(), strict=True) if p and node == 5
+    )
+    names = f"{data}/**/*.parquet"
+    frame = polars.scan_parquet(names, hive_partitioning=True).filter(polars.col("node") == 5).collect()
+    assert sorted(p for p in frame["P_N"].to_list() if p) == forces
+    query = f"select P_N from read_parquet('{names}', hive_partitioning = true) where node = 5 and P_N > 0 order by P_N"
+    rows = duckdb.sql(query).fetchall()
+    assert [row[0] for row in rows] == [p for p in forces if p > 0]
+    found = pd.read_parquet(data, filters=[("node", "==", 5)], columns=["P_N"])["P_N"]
+    assert sorted(p for p in found.dropna().tolist() if p) == forces
 
 
 def test_a_directory_with_files_is_not_touched(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     place = tmp_path / "parts"
-    (place / "node=77").mkdir(parents=True)
-    (place / "node=77" / "part-0.parquet").write_text("old")
+    place.mkdir()
     (place / "notes.txt").write_text("mine")
     assert decode(log, "-o", place) == 2
-    assert "--force" in capsys.readouterr().err
-    assert decode(log, "-o", place, "--force") == 0
-    assert sorted(path.name for path in place.iterdir()) == ["node=1", "node=5", "node=9", "notes.txt"]
+    assert "not a dataset" in capsys.readouterr().err
+    assert [path.name for path in place.iterdir()] == ["notes.txt"]
+    for words in (["--resample", "10"], ["--calibration", "a.toml"]):
+        assert decode(log, "-o", f"{tmp_path}/data/", *words) == 2
+    assert decode(log, "-o", tmp_path / "a.csv", "--hand", "left") == 2
 
 
 def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -68,7 +74,7 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     lines = [line for line in log_lines(100, (5,), loss=0.0) if " 285#" in line]
     later = [line.replace("170000000", "170000001") for line in log_lines(100, (5,), loss=0.0, bus="vcan1")]
     names = [write_log(tmp_path / "a.log", lines), write_log(tmp_path / "b.log", later)]
-    for output in ("run.csv", "run.parquet", "parts/"):
+    for output in ("run.csv", "run.parquet"):
         assert decode(*names, "-j", 1, "-o", f"{tmp_path}/{output}") == 0
     rows = rows_of(tmp_path / "run.csv")
     assert [row["channel"] for row in rows] == ["vcan0"] * 100 + ["vcan1"] * 100
@@ -77,20 +83,17 @@ def test_columns_that_come_late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch)
     assert table.column_names == list(rows[0])
     assert table["channel"].to_pylist() == [row["channel"] for row in rows]
     assert [value is None for value in table["SG2_ue"].to_pylist()] == [not row["SG2_ue"] for row in rows]
-    parts = pyarrow.dataset.dataset(tmp_path / "parts", partitioning="hive").to_table()
-    assert parts["channel"].to_pylist() == table["channel"].to_pylist()
 
 
 BEFORE = {"out.csv": b"a,b\n", "out.jsonl": b"{}\n", "out.parquet": b"PAR1", "out.mcap": b"\x89MCAP"}
 
 
-@pytest.mark.parametrize("name", [*BEFORE, "out/"])
+@pytest.mark.parametrize("name", BEFORE)
 def test_no_partial_output_stays(
     log: Path, name: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     place = log.parent / name
-    if not name.endswith("/"):
-        place.write_bytes(BEFORE[name])
+    place.write_bytes(BEFORE[name])
     opened = writers.open_writer
 
     def failing(*words: object, **options: object) -> writers.Writer:
@@ -107,10 +110,8 @@ def test_no_partial_output_stays(
     monkeypatch.setattr("tipforce_tools.decode.session.open_writer", failing)
     assert decode(log, "-o", f"{log.parent}/{name}") == 1
     assert "No space left" in capsys.readouterr().err
-    assert sorted(path.name for path in log.parent.iterdir()) == sorted(
-        {"run.log", *([name] if name[-1] != "/" else [])}
-    )
-    assert name.endswith("/") or place.read_bytes() == BEFORE[name]
+    assert sorted(path.name for path in log.parent.iterdir()) == sorted({"run.log", name})
+    assert place.read_bytes() == BEFORE[name]
 
 
 def test_strict_ends_at_the_first_bad_line(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -45,6 +45,7 @@ COMMANDS = {
     "budget": ("tipforce_tools.budget.command", "compute the error budget of P, phi and theta by cause"),
     "dump": ("tipforce_tools.dump.command", "print frames as candump does; with --decode also their contact values"),
     "decode": ("tipforce_tools.decode.command", "convert logs to contact: text, CSV, JSON lines, Parquet, MCAP"),
+    "dataset": ("tipforce_tools.dataset.command", "show, check, compact and query a dataset of `tipforce decode`"),
     "log": ("tipforce_tools.log.command", "record frames to a file that canplayer and Wireshark read"),
     "replay": ("tipforce_tools.replay.command", "send the frames of a log with their recorded timing"),
     "plot": ("tipforce_tools.plot.command", "plot the contact, gauges and faults of a log"),

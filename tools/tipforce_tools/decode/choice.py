@@ -12,6 +12,8 @@ from datetime import datetime
 from pathlib import Path
 
 from tipforce.errors import InputError
+from tipforce.host.dataset.manifest import is_dataset
+from tipforce.host.dataset.store import is_url
 from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
 from tipforce.host.decoding.log_part import Reading, When, start_of
 from tipforce_tools.cli.eds_flag import eds_files
@@ -27,7 +29,7 @@ def logs(words: Sequence[str]) -> list[str]:
         raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
     found: list[str] = []
     for word in words or [STDIN]:
-        if word == STDIN or Path(word).exists() or not glob.has_magic(word):
+        if word == STDIN or is_url(word) or Path(word).exists() or not glob.has_magic(word):
             found.append(word)
             continue
         matches = sorted(glob.glob(word, recursive=True), key=_natural)
@@ -35,9 +37,9 @@ def logs(words: Sequence[str]) -> list[str]:
             raise InputError(f"{word}: no file matches")
         found += matches
     for name in found:
-        if name != STDIN and not Path(name).exists():
+        if name != STDIN and not is_url(name) and not Path(name).exists():
             raise InputError(f"{name}: no such file")
-        if name != STDIN and Path(name).is_dir():
+        if name != STDIN and Path(name).is_dir() and not is_dataset(name):
             raise InputError(f"{name}: is a directory; name its logs: {name.rstrip('/')}/*.log")
     if found.count(STDIN) and len(found) > 1:
         raise InputError("-: stdin cannot be decoded together with files")

@@ -20,13 +20,14 @@ exit codes: 0 ok, 1 a bad line with --strict, a full disk, a damaged log or one 
   tipforce decode run.log                                    text
   tipforce decode run.log -o run.csv
   tipforce decode run.log.gz --signals P,theta --nodes 1,2,5-9 --from 10 --to 12.5 -o part.csv
-  tipforce decode 'logs/*.log' -o day/ --json                Parquet, one file per node; a summary
+  tipforce decode 'logs/*.log' -o data/ --json                a dataset of Parquet files that grows; a summary
   tipforce decode run.log --summary
   tipforce decode run.log --resample 50 -o slow.parquet
   tipforce decode run.log --calibration 5=thumb.toml --signals P,phi,theta,u_P,u_phi,u_theta -o contact.csv
   candump -L can0 | tipforce decode - --format jsonl | jq .P_N
-  tipforce decode 'logs/*.log' --scheduler tcp://10.0.0.1:8786 -o day.parquet
-  duckdb -c "select node, max(P_N) from 'day/*/*.parquet' group by node"
+  tipforce decode run.log --follow -o data/                  fill it while the log is recorded
+  tipforce decode 'logs/*.log' --scheduler tcp://10.0.0.1:8786 -o data/
+  tipforce dataset data/ --sql "select node, max(P_N) from samples group by node"
 """
 
 
@@ -35,13 +36,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.description = DESCRIPTION
     parser.epilog = EPILOG
     parser.add_argument("logs", nargs="*", metavar="LOG", help="files and globs; default or -: stdin")
-    parser.add_argument("-o", "--output", metavar="FILE", help=".csv .jsonl .parquet .mcap, or DIR/ for one per node")
+    parser.add_argument("-o", "--output", metavar="FILE", help=".csv .jsonl .parquet .mcap, or DIR/, a dataset")
     parser.add_argument("--format", choices=("text", "csv", "jsonl", "parquet", "mcap"), help="default: by the suffix")
-    parser.add_argument("--force", action="store_true", help="replace old parts in DIR/")
     parser.add_argument("--summary", action="store_true", help="print the contents per node; no rows without -o")
     parser.add_argument("--strict", action="store_true", help="exit with 1 at the first bad line")
     parser.add_argument("--follow", action="store_true", help="wait for more lines at the end of the log")
     parser.add_argument("--deltas", action="store_true", help="timestamps are differences (candump -td)")
+    parser.add_argument("--hand", metavar="NAME", help="partition of DIR/ (default: the name of the interface)")
     _add_choice(parser.add_argument_group("choice"))
     _add_layouts(parser.add_argument_group("layouts (default: the dictionary's PDOs)"))
     group = parser.add_argument_group("work")
@@ -50,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--jobs",
         type=int,
         metavar="N",
-        help="processes (default: one per core and log; if given, a large log is also split)",
+        help="processes that decode and write parts of the logs (default: one per core)",
     )
     group.add_argument("--scheduler", metavar="ADDRESS", help="decode on a Dask cluster that can read the files")
     common.add_output_arguments(parser)

@@ -29,12 +29,16 @@ def write_events(output: str, events: Sequence[BusEvent]) -> None:
     Raises InputError for a file of another kind, WriteError.
     """
     path = events_path(output)
-    if not events and not path.exists():
-        return
+    if events or path.exists():
+        write_file(path, events_text(events), _KIND)
+
+
+def events_text(events: Sequence[BusEvent]) -> str:
+    """Return the events as CSV."""
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
     for event in events:
         t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
         rows.writerow((t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text))
-    write_file(path, text.getvalue(), _KIND)
+    return text.getvalue()

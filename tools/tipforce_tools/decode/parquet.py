@@ -1,8 +1,8 @@
-"""Write tables as Parquet: one file, or a directory with a file per node that query engines read as one table."""
+"""Write tables as Parquet."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -13,14 +13,15 @@ import pyarrow.parquet as pq
 
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce.output_file import PARQUET, NewFile
-from tipforce_tools.decode.files import NewDirectory
+from tipforce_tools.decode import parquet_join
+from tipforce_tools.decode.files import append_bytes
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
 ROW_GROUP_ROWS = 1 << 18
 _TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(), "word": pa.string()}
 _BASE = {TIME: pa.timestamp("ns"), NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
-_OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
+OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
 
 
 def schema_of(shape: Shape) -> pa.Schema:
@@ -93,7 +94,7 @@ class FileWriter:
         """Raises InputError."""
         self._file = NewFile(path, PARQUET, inputs)
         self._shape = Shape(base)
-        self._parts = _Parts(self._file.partial)
+        self._parts = Parts(self._file.partial)
 
     def write(self, table: Table) -> None:
         """Append the rows of a table."""
@@ -111,46 +112,40 @@ class FileWriter:
         self._file.drop()
 
 
-class DirectoryWriter:
-    """Files ``DIR/node=5/part-0.parquet``, partitioned in the Hive style."""
-
-    def __init__(self, path: Path, base: tuple[str, ...], *, force: bool) -> None:
-        """Raises InputError."""
-        self._directory = NewDirectory(path, force=force)
-        self._shape = Shape(base)
-        self._parts: dict[int, _Parts] = {}
-
-    def write(self, table: Table) -> None:
-        """Append the rows of a table."""
-        self._shape.fits(table)
-        order = np.argsort(table.node, kind="stable")
-        node = table.node[order]
-        rows = arrow_table(self._shape.of(table).take(order), schema_of(self._shape)).drop_columns([NODE])
-        starts = np.flatnonzero(np.append(True, node[1:] != node[:-1]))
-        for start, end in zip(starts.tolist(), [*starts[1:].tolist(), len(node)], strict=True):
-            number = int(node[start])
-            if number not in self._parts:
-                place = self._directory.partial / f"node={number}"
-                place.mkdir()
-                self._parts[number] = _Parts(place / "part-0.parquet")
-            self._parts[number].add(rows.slice(start, end - start))
-
-    def close(self) -> None:
-        """Complete the directory."""
-        schema = schema_of(self._shape)
-        schema = schema.remove(schema.get_field_index(NODE))
-        for parts in self._parts.values():
-            parts.finish(schema, self._shape.channel)
-        self._directory.keep()
-
-    def abort(self) -> None:
-        """Remove the directory."""
-        for parts in self._parts.values():
-            parts.abort()
-        self._directory.drop()
+def write_part(path: Path, tables: Iterable[Table], shape: Shape) -> None:
+    """Write one file with at least the columns of ``shape``, which grows by those of the tables. Raises OSError."""
+    parts = Parts(path)
+    try:
+        for table in tables:
+            shape.fits(table)
+            parts.add(arrow_table(shape.of(table), schema_of(shape)))
+        parts.finish(schema_of(shape), shape.channel)
+    except BaseException:
+        parts.abort()
+        raise
 
 
-class _Parts:
+def join(paths: Sequence[Path], output: Path, shape: Shape) -> None:
+    """Join files to one with the columns of ``shape``, and remove them. Raises OSError."""
+    schema = schema_of(shape)
+    if all(pq.read_schema(path) == schema for path in paths):
+        with output.open("wb") as out:
+            parquet_join.join(paths, out, append_bytes)
+        for path in paths:
+            path.unlink()
+        return
+    with _open(output, schema) as writer:
+        for path in paths:
+            _copy_widened(path, writer, schema, shape.channel)
+
+
+def _copy_widened(path: Path, writer: Any, schema: Any, channel: str) -> None:
+    for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
+        writer.write_table(_widened(pa.Table.from_batches([batch]), schema, channel))
+    path.unlink()
+
+
+class Parts:
     """One file being written. New columns begin a new part; at the end the parts are merged."""
 
     def __init__(self, path: Path) -> None:
@@ -200,9 +195,7 @@ class _Parts:
         whole = self._path.with_name(f"{self._path.name}.whole")
         with _open(whole, schema) as writer:
             for part in self._paths:
-                for batch in pq.ParquetFile(part).iter_batches(ROW_GROUP_ROWS):
-                    writer.write_table(_widened(pa.Table.from_batches([batch]), schema, channel))
-                part.unlink()
+                _copy_widened(part, writer, schema, channel)
         whole.replace(self._path)
 
     def abort(self) -> None:
@@ -214,7 +207,7 @@ class _Parts:
 
 
 def _open(path: Path, schema: Any) -> Any:
-    options = dict(_OPTIONS)
+    options = dict(OPTIONS)
     options["use_dictionary"] = [name for name in (CHANNEL, NODE) if name in schema.names]
     # Increasing values are smaller as differences, and faster to write.
     options["column_encoding"] = {name: "DELTA_BINARY_PACKED" for name in (TIME, COUNTER) if name in schema.names}

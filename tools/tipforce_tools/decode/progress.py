@@ -8,6 +8,8 @@ from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
 
+from tipforce.host.decoding.log_part import Piece
+
 _WIDTH = 30
 _EVERY_S = 0.1
 
@@ -43,6 +45,11 @@ class ProgressBar:
             done, total = (self._before + position) / 1e6, self._total / 1e6
             print(f"\r[{bar:{_WIDTH}}] {done:.1f} of {total:.1f} MB", end="", file=sys.stderr, flush=True)
             self._shown = True
+
+    def add(self, piece: Piece) -> None:
+        """Count a whole piece."""
+        end = Path(piece.name).stat().st_size if piece.end is None else piece.end
+        self(self._here + end - piece.start)
 
     def close(self) -> None:
         """Clear the bar."""

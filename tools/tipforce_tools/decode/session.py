@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+import time
 from argparse import Namespace
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
+from itertools import pairwise
 from pathlib import Path
-from typing import cast
+from typing import TYPE_CHECKING, cast
 
 from tipforce.errors import InputError, WriteError
 from tipforce.host.decoding import status_words
-from tipforce.host.decoding.log_part import Piece, Progress, Reading, StrictError
-from tipforce.host.decoding.recording import Recording, Tap, Told
+from tipforce.host.decoding.log_part import Piece, Reading, StrictError
+from tipforce.host.decoding.recording import Recording, Told
 from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.lines import is_plain, line_borders
@@ -24,7 +26,17 @@ from tipforce_tools.decode import choice
 from tipforce_tools.decode import summary as summaries
 from tipforce_tools.decode.events import events_path, write_events
 from tipforce_tools.decode.progress import ProgressBar
-from tipforce_tools.decode.writers import FrameWriter, Writer, format_of, open_writer
+from tipforce_tools.decode.text_rows import COUNTER, NODE, TIME
+from tipforce_tools.decode.writers import FrameWriter, Shape, Writer, format_of, is_directory, open_writer
+
+if TYPE_CHECKING:
+    from tipforce_tools.decode.parts import Sink, Workers, Written
+
+_FOLLOW_S = 2.0  # between looks at a growing log
+_FOLLOWED_BYTES = 16_000_000  # of a part that is written again while its log grows
+_DATASET_PIECE_BYTES = 64_000_000  # a file per node of some megabytes
+_JOINED = ("csv", "jsonl", "parquet")
+"""Formats whose parts can be written apart."""
 
 _SMALL_BYTES = 4_000_000  # of all logs: less is decoded before processes start
 _LEAST_PIECE_BYTES = 8_000_000  # minimum size of a piece
@@ -46,11 +58,18 @@ def decode(args: Namespace) -> int:
     summary = summaries.Summary()
     bar = ProgressBar(names, args)
     frames = _Frames() if kind == "mcap" else None
-    tables: Iterable[Table] = summary.passing(steps.contact(_tables(args, names, reading, recording, bar, frames)))
-    tables = steps.resampled(tables)
+    directory = args.output is not None and is_directory(args.output)
+    pieces = [] if directory else _in_parts(args, kind, names)
     code, complete = 0, False
     try:
-        _write_all(args, kind, tables, steps, recording.told, frames)
+        if directory:
+            recording.told = _write_dataset(args, names, reading, summary, bar)
+        elif pieces:
+            _write_parts(args, kind, pieces, reading, recording, summary, bar)
+        else:
+            tables = recording.tables_of_logs(names, bar if bar.wanted else None, frames)
+            tables = steps.resampled(summary.passing(steps.contact(tables)))
+            _write_all(args, kind, tables, steps, recording.told, frames)
         complete = True
     except StrictError as error:
         bar.close()
@@ -121,28 +140,111 @@ class _Frames:
             self.writer.frames(frames, channels)
 
 
-def _tables(
-    args: Namespace, names: list[str], reading: Reading, recording: Recording, bar: ProgressBar, frames: Tap | None
-) -> Iterator[Table]:
-    progress: Progress | None = bar if bar.wanted else None
-    if frames is not None:
-        return recording.tables_of_logs(names, progress, frames)
-    if args.scheduler is not None and reading.layouts.eds:
-        raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
+def _in_parts(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
+    """Return the parts that workers decode and write themselves; none for rows that pass through this process."""
+    live = args.output in {None, "-"} or args.follow or "-" in names
+    if live or kind not in _JOINED or args.resample is not None or args.calibration:
+        return []
+    if args.eds:  # their SDO traffic is followed in sequence
+        return []
+    jobs = args.jobs or _cores()
+    if args.scheduler is None and (jobs < 2 or (args.jobs is None and sum(map(os.path.getsize, names)) < _SMALL_BYTES)):
+        return []
     if args.scheduler is not None:
-        from tipforce_tools.decode.parallel import parts_of_dask
-
         names = [os.path.abspath(name) for name in names]
-        return recording.tables_of_parts(parts_of_dask(names, reading, args.scheduler))
-    jobs = 1 if args.follow or reading.layouts.eds else args.jobs or _cores()  # SDO traffic is followed in sequence
-    if args.jobs is None and sum(os.path.getsize(name) for name in names if name != "-") < _SMALL_BYTES:
-        jobs = 1
     pieces = pieces_of(args, names, jobs)
-    if jobs > 1 and len(pieces) > 1:
-        from tipforce_tools.decode.parallel import parts_of_processes
+    return pieces if len(pieces) > 1 or args.scheduler is not None else []
 
-        return recording.tables_of_parts(parts_of_processes(pieces, reading, jobs, progress))
-    return recording.tables_of_logs(names, progress)
+
+def _write_parts(
+    args: Namespace, kind: str, pieces: list[Piece], reading: Reading, recording: Recording,
+    summary: summaries.Summary, bar: ProgressBar,
+) -> None:  # fmt: skip
+    """Write all parts by workers. Raises as ``_write_all`` does."""
+    from tipforce_tools.decode.part_files import JoinedFile
+    from tipforce_tools.decode.parts import InOrder
+
+    shape = Shape((TIME, NODE, COUNTER))
+    inputs = [piece.name for piece in pieces]
+    output = JoinedFile(Path(args.output), kind, shape, inputs)
+    workers = _workers(args, reading, output.sink, len(pieces))
+    try:
+        for written in InOrder(pieces, recording, shape, workers, asked=reading.signals):
+            summary.append(written.summary)
+            output.add(written)
+            bar.add(written.piece)
+        _check_readable(args, recording.told)
+        output.close()
+        write_events(args.output, recording.told.events())
+    except OSError as error:
+        output.abort()
+        raise WriteError(f"{args.output}: {error.strerror or error}; an old file is unchanged") from error
+    except BaseException:
+        output.abort()
+        raise
+
+
+def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Workers:
+    if args.scheduler is not None:
+        from tipforce_tools.decode.cluster import Cluster
+
+        return Cluster(args.scheduler, reading, sink)
+    from tipforce_tools.decode.processes import Processes
+
+    return Processes(min(args.jobs or _cores(), parts), reading, sink)
+
+
+def _write_dataset(
+    args: Namespace, names: list[str], reading: Reading, summary: summaries.Summary, bar: ProgressBar
+) -> Told:
+    """Add the logs to a dataset; return what they told. Raises InputError, WriteError."""
+    from tipforce_tools.decode.dataset_run import DatasetRun
+
+    def cut(name: str, start: int) -> list[Piece]:
+        return pieces_from(args, name, start)
+
+    def workers(sink: Sink, parts: int) -> Workers:
+        jobs = min(args.jobs or _cores(), parts)
+        if args.scheduler is None and (jobs < 2 or args.follow or args.eds):
+            from tipforce_tools.decode.parts import Here
+
+            return Here(reading, sink)
+        return _workers(args, reading, sink, parts)
+
+    def each(written: Written) -> None:
+        summary.append(written.summary)
+        bar.add(written.piece)
+
+    if args.scheduler is not None:
+        names = [os.path.abspath(name) for name in names]
+    reading = replace(reading, follow=False)  # a growing log is read again and again
+    run = DatasetRun(args.output, reading, args.hand)
+    try:
+        while True:
+            run.add(names, cut, workers, each)
+            if not args.follow:
+                break
+            time.sleep(_FOLLOW_S)
+    except OSError as error:
+        raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
+    if run.added:
+        _check_readable(args, run.told)
+    else:
+        common.note(args, f"{args.output}: nothing new in {counted(len(names), 'log')}")
+    return run.told
+
+
+def pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
+    """Return a log from a byte on in pieces that are parts of a dataset; whole if it cannot be cut."""
+    size = os.path.getsize(name)
+    path = Path(name)
+    if args.deltas or args.eds or log_kind(path) != "text" or not is_plain(path):
+        return [Piece(name)]
+    count = max(-(-(size - start) // (_FOLLOWED_BYTES if args.follow else _DATASET_PIECE_BYTES)), 1)
+    jobs = args.jobs or _cores()
+    count = max(count, min(jobs, (size - start) // _LEAST_PIECE_BYTES))
+    borders = line_borders(path, count, start)
+    return [Piece(name, begin, end) for begin, end in pairwise(borders)]
 
 
 def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
@@ -153,8 +255,7 @@ def pieces_of(args: Namespace, names: Sequence[str], jobs: int) -> list[Piece]:
     shown = args.output in {None, "-"} or args.summary or args.json
     found: list[Piece] = []
     for name in names:
-        # Only on request: the gain depends on the machine, and it needs memory.
-        whole = name == "-" or args.jobs is None or jobs < 2 or args.deltas or (args.strict and shown)
+        whole = name == "-" or jobs < 2 or args.deltas or (args.strict and shown)
         size = 0 if whole else os.path.getsize(name)
         count = max(size // _LEAST_PIECE_BYTES, 1)
         if count > 1:
@@ -182,7 +283,7 @@ def _write_all(
         return
     base = () if steps.rate_hz is not None else ("counter",)
     inputs = [name for name in choice.logs(args.logs) if name != "-"]
-    writer = open_writer(args.output, kind, force=args.force, rate_base=base, inputs=inputs)
+    writer = open_writer(args.output, kind, rate_base=base, inputs=inputs)
     if frames is not None:
         frames.writer = cast(FrameWriter, writer)
     live = args.follow or args.output in {None, "-"}
@@ -253,14 +354,15 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
         return
     for line in summaries.event_lines(told):
         common.note(args, line)
-    if complete and not summary.samples:
+    if complete and not summary.samples and told.notes:
         common.note(args, _nothing(args, told))
     for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
         common.note(args, line)
-    if complete and args.output not in {None, "-"} and not args.json:
+    directory = args.output is not None and is_directory(args.output)
+    if complete and args.output not in {None, "-"} and not args.json and not (directory and not told.notes):
         lost = sum(told.tally.lost().values())
         common.note(args, f"{args.output}: {summary.samples} samples of {len(summary.nodes())} nodes, {lost} lost")
-        if events := told.events():
+        if (events := told.events()) and not directory:
             common.note(args, f"{events_path(args.output)}: {counted(len(events), 'event')}")
 
 
@@ -285,5 +387,31 @@ def check(args: Namespace) -> None:
         raise InputError("--follow: allowed is one log")
     if args.follow and args.scheduler:
         raise InputError("--follow: a growing log is decoded locally; leave out --scheduler")
-    if args.scheduler and not [name for name in args.logs if name != "-"]:
+    _check_dataset(args)
+    _check_scheduler(args)
+
+
+def _check_dataset(args: Namespace) -> None:
+    directory = args.output is not None and is_directory(args.output)
+    if directory and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs):
+        raise InputError(
+            f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
+            "--resample and stdin; apply a calibration when reading it"
+        )
+    if args.hand is not None and not directory:
+        raise InputError("--hand: is a partition of a dataset; name one with --output DIR/")
+
+
+def _check_scheduler(args: Namespace) -> None:
+    if not args.scheduler:
+        return
+    rows_pass_here = args.output in {None, "-"} or args.calibration or args.resample is not None
+    if rows_pass_here or format_of(args.output, args.format) not in _JOINED:
+        raise InputError(
+            "--scheduler: its workers write .csv, .jsonl, .parquet or DIR/: name one with --output, and leave out "
+            "--calibration and --resample"
+        )
+    if args.eds:
+        raise InputError("--scheduler: --eds follows the SDO traffic of the logs in sequence; leave one out")
+    if not [name for name in args.logs if name != "-"]:
         raise InputError("--scheduler: name log files that its workers can read")

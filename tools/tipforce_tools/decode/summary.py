@@ -60,6 +60,18 @@ class NodeSummary:
                 found[name] = reasons
         return found
 
+    def append(self, other: NodeSummary) -> None:
+        """Add the statistics of other samples."""
+        self.samples += other.samples
+        self.first_ns = min((t for t in (self.first_ns, other.first_ns) if t is not None), default=None)
+        self.last_ns = max((t for t in (self.last_ns, other.last_ns) if t is not None), default=None)
+        for column, count in other.present.items():
+            self.present[column] = self.present.get(column, 0) + count
+        for column, reasons in other.told.items():
+            mine = self.told.setdefault(column, {})
+            for reason, count in reasons.items():
+                mine[reason] = mine.get(reason, 0) + count
+
     def record(self, told: Told) -> dict[str, Any]:
         """Return the JSON record."""
         place = self.channel, self.node
@@ -120,6 +132,12 @@ class Summary:
                 for number, key in enumerate(nodes):
                     nodes[key].present[column.name] = nodes[key].present.get(column.name, 0) + int(there[number])
                 self._add_missing(column, table, nodes)
+
+    def append(self, other: Summary) -> None:
+        """Add the statistics of other tables."""
+        self.samples += other.samples
+        for place, node in other._nodes.items():
+            self._nodes.setdefault(place, NodeSummary(*place)).append(node)
 
     def _add_missing(self, column: Column, table: Table, nodes: dict[int, NodeSummary]) -> None:
         missing = np.isnan(table.values[column.name])

@@ -57,21 +57,25 @@ def format_of(output: str | None, wanted: str | None) -> str:
         return wanted
     if output is None or output == "-":
         return "text"
-    if output.endswith("/") or Path(output).is_dir():
+    if is_directory(output):
         return "parquet"
     suffix = Path(output).suffix.lower()
     if suffix not in _SUFFIXES:
         known = ", ".join(sorted(_SUFFIXES))
         raise InputError(f"--output {output}: unknown suffix: allowed are {known}, a name that ends in / "
-                         "for one Parquet file per node, or --format")  # fmt: skip
+                         "for a dataset, or --format")  # fmt: skip
     return _SUFFIXES[suffix]
+
+
+def is_directory(output: str) -> bool:
+    """Return whether an output is a directory: a dataset."""
+    return output.endswith("/") or Path(output).is_dir()
 
 
 def open_writer(
     output: str | None,
     kind: str,
     *,
-    force: bool,
     rate_base: tuple[str, ...] = (COUNTER,),
     inputs: Sequence[str] = (),
 ) -> Writer:
@@ -93,8 +97,6 @@ def open_writer(
     if kind == "parquet":
         from tipforce_tools.decode import parquet
 
-        if output.endswith("/") or Path(output).is_dir():
-            return parquet.DirectoryWriter(Path(output.rstrip("/") or "/"), base, force=force)
         return parquet.FileWriter(Path(output), base, inputs)
     if kind == "mcap":
         from tipforce_tools.decode.mcap_file import McapWriter
@@ -111,21 +113,30 @@ class Shape:
     def __init__(self, base: tuple[str, ...]) -> None:
         self.base = base
         self.columns: tuple[Column, ...] = ()
-        self.channel_at: int | None = None  # number of columns before `channel`, if it was added later
         self.channel = ""
         self._begun = False
 
+    def copy(self) -> Shape:
+        """Return a shape that grows on its own."""
+        found = Shape(self.base)
+        found.columns, found.channel, found._begun = self.columns, self.channel, self._begun
+        return found
+
     def fits(self, table: Table) -> bool:
         """Add the columns of a table; return False if there are new ones after the first table."""
+        return self.take(table.columns, table.channels)
+
+    def take(self, columns: Iterable[Column], channels: Sequence[str]) -> bool:
+        """Add columns of a table with these channels; return as ``fits`` does."""
         known = {column.name for column in self.columns}
-        new = tuple(column for column in table.columns if column.name not in known)
-        several = len(table.channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
+        new = tuple(column for column in columns if column.name not in known)
+        several = len(channels) > 1 and CHANNEL not in self.base and CHANNEL not in known
         begun, self._begun = self._begun, True
         self.columns += new
         if several and not begun:
             self.base = (self.base[0], CHANNEL, *self.base[1:])
         elif several:
-            self.channel = table.channels[0]
+            self.channel = channels[0]
             self.columns += (Column(CHANNEL, CHANNEL, "word", None, "", 0),)
         return not begun or not (new or several)
 
@@ -227,16 +238,10 @@ class CsvWriter:
 
     def _write_again(self) -> None:
         wider = self._file.partial.with_suffix(".wide")
-        names = [column.name for column in self._shape.columns]
         try:
-            with self._file.partial.open("rb") as old, wider.open("wb") as new:
+            with wider.open("wb") as new:
                 new.write(text_rows.csv_header(self._shape.base, self._shape.columns))
-                ends = [where for where, _ in self._pieces[1:]] + [None]
-                for (where, count), end in zip(self._pieces, ends, strict=True):
-                    fill = [self._shape.channel if name == CHANNEL else "" for name in names[count:]]
-                    old.seek(where)
-                    for block in _blocks(old, None if end is None else end - where):
-                        new.write(block.replace(b"\n", "".join(f",{text}" for text in fill).encode() + b"\n"))
+                copy_widened(self._file.partial, self._pieces, self._shape, new)
             wider.replace(self._file.partial)
         finally:
             wider.unlink(missing_ok=True)
@@ -245,6 +250,18 @@ class CsvWriter:
         """Remove the file."""
         _close_quietly(self._stream.close)
         self._file.drop()
+
+
+def copy_widened(part: Path, pieces: Sequence[tuple[int, int]], shape: Shape, out: BinaryIO) -> None:
+    """Append rows of a CSV file; ``pieces``: from which offset on they have how many columns."""
+    names = [column.name for column in shape.columns]
+    ends = [where for where, _ in pieces[1:]] + [None]
+    with part.open("rb") as old:
+        for (where, count), end in zip(pieces, ends, strict=True):
+            fill = "".join(f",{shape.channel if name == CHANNEL else ''}" for name in names[count:]).encode()
+            old.seek(where)
+            for block in _blocks(old, None if end is None else end - where):
+                out.write(block.replace(b"\n", fill + b"\n") if fill else block)
 
 
 def _blocks(stream: BinaryIO, count: int | None) -> Iterator[bytes]:

@@ -26,6 +26,7 @@ NAMES = {f"SG{k + 1}_fault": k for k in range(table.MAX_GAUGES)} | {f"fault_{n}"
 EMCY_LENGTH = 8
 MOST_KEPT = 4096
 """Changes of one node that are kept: more than a block of frames has."""
+_BEFORE = -1 << 63
 _OF_BIT = {table.EMCY_TEMPERATURE: table.FAULT_TEMPERATURE, table.EMCY_OVERLOAD: table.FAULT_OVERLOAD}
 
 
@@ -74,8 +75,11 @@ class Health:
     Times are integers that do not decrease from call to call: nanoseconds, or places in a log.
     """
 
-    def __init__(self) -> None:
-        self._told: dict[int, list[tuple[int, int, int]]] = {}  # node -> (time, faults, seen), the last MOST_KEPT
+    def __init__(self, told: Mapping[int, tuple[int, int]] | None = None, unknown: tuple[int, int] = (0, 0)) -> None:
+        """``told``: (faults, seen) by node before the first time; ``unknown``: of all other nodes."""
+        self._unknown = unknown
+        # node -> (time, faults, seen), the last MOST_KEPT
+        self._told = {node: [(_BEFORE, *state)] for node, state in (told or {}).items()}
 
     @property
     def nodes(self) -> list[int]:
@@ -85,7 +89,7 @@ class Health:
     def now(self, node: int) -> tuple[int, int]:
         """(faults, seen) at present."""
         told = self._told.get(node)
-        return (0, 0) if told is None else told[-1][1:]
+        return self._unknown if told is None else told[-1][1:]
 
     def at(self, node: int, times: npt.NDArray[np.int64]) -> tuple[IntArray, IntArray]:
         """(faults, seen) of a node at some times, (k,) each."""
@@ -97,6 +101,10 @@ class Health:
         """A TPDO4 tells the bits of ``mask``."""
         before, seen = self.now(node)
         self._tell(node, time, before & ~mask | faults, seen | mask)
+
+    def set(self, node: int, faults: int, seen: int) -> None:
+        """Set the state at present, without a past."""
+        self._told[node] = [(_BEFORE, faults, seen)]
 
     def boot(self, node: int, time: int) -> None:
         """A node that has booted tells each fault again."""

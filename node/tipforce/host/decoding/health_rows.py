@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -11,7 +12,7 @@ from tipforce.arrays import BoolArray, IntArray
 from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.host.decoding import status_words
-from tipforce.host.decoding.health import EMCY_LENGTH, NAMES, Health
+from tipforce.host.decoding.health import ALL, EMCY_LENGTH, NAMES, Health
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NO_FLAG,
@@ -46,27 +47,48 @@ def with_services(signals: tuple[str, ...] | None) -> tuple[str, ...] | None:
 
 
 class HealthRows:
-    """Joins table after table. ``asked``: the signals that are shown; None: all."""
+    """Joins table after table. ``asked``: the signals that are shown; None: all.
 
-    def __init__(self, asked: tuple[str, ...] | None = None) -> None:
+    ``told``: (faults, seen) by key before the first table.
+    """
+
+    def __init__(self, asked: tuple[str, ...] | None = None, told: Mapping[int, tuple[int, int]] | None = None) -> None:
         self._asked = asked
-        self._health = Health()
+        self._health = Health(told)
         self._rows = 0
-        self._sampled: dict[int, tuple[str, int]] = {}
+        self.sampled: dict[int, tuple[str, int]] = {}
+
+    @property
+    def told(self) -> dict[int, tuple[int, int]]:
+        """(faults, seen) by key now."""
+        return {key: self._health.now(key) for key in self._health.nodes}
+
+    def skip(
+        self, changes: Mapping[int, Change], sampled: Iterable[int], numbers: Sequence[int], channels: Sequence[str]
+    ) -> None:
+        """Take what the tables of a part tell, whose channels have these ``numbers`` here."""
+        for key, change in changes.items():
+            mine = with_channel(key, numbers)
+            faults, seen = self._health.now(mine)
+            told = change.faults_set | faults & change.faults_kept, change.seen_set | seen & change.seen_kept
+            self._health.set(mine, *told)
+        for key in sampled:
+            mine = with_channel(key, numbers)
+            self.sampled[mine] = channels[mine >> NODE_BITS], mine & ((1 << NODE_BITS) - 1)
 
     @property
     def unseen(self) -> list[tuple[str, int]]:
         """Channel and node-id of the nodes with samples of which nothing told any of bits 12 to 15."""
         seen = {key for key in self._health.nodes if self._health.now(key)[1] & status_words.JUDGED}
-        return sorted(place for key, place in self._sampled.items() if key not in seen)
+        return sorted(place for key, place in self.sampled.items() if key not in seen)
 
     def joined(self, table: Table) -> Table:
         """The table with the columns of 2124h in all rows where they are known, and without rows of other messages."""
         place = self._rows + np.arange(len(table))
         self._rows += len(table)
         service = self._take(table, place)
-        keys = np.unique(table.key[~service & (table.counter != NO_COUNTER)]).tolist()
-        self._sampled |= {key: (table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)) for key in keys}
+        for key in _sampled_keys(table, service):
+            self.sampled[key] = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
         if self._health.nodes:
             table = self._with_faults(table, place)
         if not service.any() and EMCY not in table.values and STATE not in table.values:
@@ -79,23 +101,7 @@ class HealthRows:
 
     def _take(self, table: Table, place: IntArray) -> BoolArray:
         """Take what the rows tell; (k,): the rows of EMCY and heartbeats."""
-        values, none = table.values, np.zeros(len(table), dtype=np.bool_)
-        emcy = none if EMCY not in values else values[EMCY] != NO_INTEGER
-        state = none if STATE not in values else values[STATE] != NO_INTEGER
-        names = [name for name in NAMES if name in values]
-        told = none if not names else np.logical_or.reduce([values[name] != NO_FLAG for name in names])
-        mask = sum(1 << NAMES[name] for name in names)
-        for row in np.flatnonzero(emcy | state | told).tolist():
-            key, time = int(table.key[row]), int(place[row])
-            if emcy[row]:
-                self._health.emcy(key, time, int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True))
-            elif state[row]:
-                if int(values[STATE][row]) & NODE_ID_MASK == INITIALISING:
-                    self._health.boot(key, time)
-            else:
-                faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
-                self._health.pdo(key, time, faults, mask)
-        return emcy | state
+        return _take(table, place, (self._health,))
 
     def _with_faults(self, table: Table, place: IntArray) -> Table:
         faults, seen = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
@@ -116,3 +122,82 @@ class HealthRows:
         absent = {name: rows for name, rows in absent.items() if rows.any()}
         ordered = in_order(columns.values(), self._asked)
         return replace(table, columns=ordered, values={**table.values, **new}, absent=absent)
+
+
+class Change(NamedTuple):
+    """What messages do to the (faults, seen) before them: bits that are set after them, and bits that stay."""
+
+    faults_set: int
+    faults_kept: int
+    seen_set: int
+    seen_kept: int
+    seen_ever: int
+    """Bits told by any of them."""
+
+
+class HealthChanges:
+    """What the tables of a part do to an unknown state before them: each operation acts on single bits."""
+
+    def __init__(self) -> None:
+        self._from = Health(), Health(unknown=(ALL, ALL))
+        self._ever: dict[int, int] = {}
+        self._rows = 0
+        self.sampled: set[int] = set()
+
+    def take(self, table: Table) -> None:
+        """Take the messages of the next table."""
+        place = self._rows + np.arange(len(table))
+        self._rows += len(table)
+        service = _take(table, place, self._from)
+        self.sampled.update(_sampled_keys(table, service))
+        nothing = self._from[0]
+        for key in nothing.nodes:
+            rows = place[table.key == key]
+            if len(rows):
+                seen = nothing.at(key, rows)[1]
+                self._ever[key] = self._ever.get(key, 0) | int(np.bitwise_or.reduce(seen))
+
+    @property
+    def found(self) -> dict[int, Change]:
+        """By key the change over all tables."""
+        nothing, everything = self._from
+        keys = {*nothing.nodes, *everything.nodes}
+        return {
+            key: Change(
+                nothing.now(key)[0], everything.now(key)[0], nothing.now(key)[1], everything.now(key)[1],
+                self._ever.get(key, 0),
+            )
+            for key in keys
+        }  # fmt: skip
+
+
+def _sampled_keys(table: Table, service: BoolArray) -> list[int]:
+    keys: list[int] = np.unique(table.key[~service & (table.counter != NO_COUNTER)]).tolist()
+    return keys
+
+
+def _take(table: Table, place: IntArray, healths: Sequence[Health]) -> BoolArray:
+    """Tell each of ``healths`` what the rows tell; (k,): the rows of EMCY and heartbeats."""
+    values, none = table.values, np.zeros(len(table), dtype=np.bool_)
+    emcy = none if EMCY not in values else values[EMCY] != NO_INTEGER
+    state = none if STATE not in values else values[STATE] != NO_INTEGER
+    names = [name for name in NAMES if name in values]
+    told = none if not names else np.logical_or.reduce([values[name] != NO_FLAG for name in names])
+    mask = sum(1 << NAMES[name] for name in names)
+    for row in np.flatnonzero(emcy | state | told).tolist():
+        key, time = int(table.key[row]), int(place[row])
+        for health in healths:
+            if emcy[row]:
+                health.emcy(key, time, int(values[EMCY][row]).to_bytes(EMCY_LENGTH, "little", signed=True))
+            elif state[row]:
+                if int(values[STATE][row]) & NODE_ID_MASK == INITIALISING:
+                    health.boot(key, time)
+            else:
+                faults = sum(1 << NAMES[name] for name in names if values[name][row] == 1)
+                health.pdo(key, time, faults, mask)
+    return emcy | state
+
+
+def with_channel(key: int, numbers: Sequence[int]) -> int:
+    """Return the key of the same node where its channel has another number."""
+    return numbers[key >> NODE_BITS] << NODE_BITS | key & ((1 << NODE_BITS) - 1)

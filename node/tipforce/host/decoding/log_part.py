@@ -1,4 +1,4 @@
-"""Decode one log as a part of a recording: all rows independent of the other parts, and the open rows at both ends."""
+"""A log, or a part of one, as blocks of the selected frames, with notes on what else it holds."""
 
 from __future__ import annotations
 
@@ -12,16 +12,10 @@ from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health_rows import joins, with_services
-from tipforce.host.decoding.sample_merger import SampleMerger
-from tipforce.host.decoding.sample_rows import GAP_FRAMES
-from tipforce.host.decoding.sample_table import Table
 from tipforce.host.decoding.services import BusEvents
-from tipforce.host.decoding.tally import Tally
-from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLine
 from tipforce.host.logs.reader import LogReader, open_log
-
-_HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the preceding part
 
 
 class StrictError(InputError):
@@ -116,29 +110,6 @@ def numbered_from(lines: int, bad: BadLine) -> BadLine:
     return replace(bad, number=lines + bad.number)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Edge:
-    """Frames at an end of a part. ``whole``: at its start, if there are no further frames.
-
-    ``moduli``: of their counters, by index of the channel (SyncModulus).
-    """
-
-    frames: FrameArray
-    channels: tuple[str, ...]
-    whole: bool = False
-    moduli: tuple[tuple[int, int], ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class End:
-    """The end of a part: its open frames, and its counts."""
-
-    tail: Edge
-    tally: Tally
-    notes: Notes
-
-
-Item = Edge | Table | End
 Progress = Callable[[int], None]
 
 
@@ -226,56 +197,15 @@ def _position(log: LogReader) -> int:
 
 
 def start_of(name: str) -> int | None:
-    """Return the time of the first frame of a log; None if it has none. Raises InputError if it cannot be opened."""
+    """Return the time of the first frame of a log; None if it has none. Raises InputError if it cannot be opened.
+
+    Of a dataset it is the time of the first row.
+    """
+    from tipforce.host.dataset.manifest import is_dataset
+
+    if is_dataset(name):
+        from tipforce.host.dataset import reader
+
+        return reader.first_ns(reader.opened(name)[1])
     with open_log(name) as log:
         return next((int(block["t_ns"][0]) for block in log), None)
-
-
-def part_items(
-    piece: Piece, reading: Reading, progress: Progress | None = None, *, first: bool = False
-) -> Iterator[Item]:
-    """Decode one log, or a part of one, independently: an Edge at its start, tables, and the End.
-
-    ``Recording`` joins parts to the result of one log with all their frames. ``first``: no part precedes this one, so
-    there is no Edge.
-    """
-    source = Source(piece, reading, progress)
-    merger = SampleMerger(reading.decoder, source.channels, reading.wanted)
-    blocks = iter(source)
-    begun, complete = (np.zeros(0, dtype=FRAME), True) if first else _beginning(blocks, merger, source)
-    tail = begun[:0]
-    if not complete:
-        yield _edge(begun, source, merger, whole=True)
-    else:
-        head, rest = merger.head(begun)
-        if not first:
-            yield _edge(head, source, merger)
-        for block in _chain(rest, blocks):
-            merger.channels = source.channels
-            merger.timed = source.log.timed
-            yield from merger.tables(block)
-        tail = merger.held
-    yield End(_edge(tail, source, merger), merger.tally, source.notes)
-
-
-def _edge(frames: FrameArray, source: Source, merger: SampleMerger, *, whole: bool = False) -> Edge:
-    return Edge(frames, tuple(source.channels), whole, tuple(merger.sync.of.items()))
-
-
-def _beginning(blocks: Iterator[FrameArray], merger: SampleMerger, source: Source) -> tuple[FrameArray, bool]:
-    """Return the first frames, and whether they are enough to separate those that depend on the part before."""
-    found, count = [np.zeros(0, dtype=FRAME)], 0
-    for block in blocks:
-        merger.channels = source.channels
-        merger.sync.look(block)
-        found.append(merger.decodable(block))
-        count += len(found[-1])
-        if count > _HEAD_FRAMES:
-            return np.concatenate(found), True
-    return np.concatenate(found), False
-
-
-def _chain(first: FrameArray, others: Iterator[FrameArray]) -> Iterator[FrameArray]:
-    if len(first):
-        yield first
-    yield from others

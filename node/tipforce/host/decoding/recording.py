@@ -3,84 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoder import unwrap_counter
+from tipforce.host.decoding.counters import Counters
+from tipforce.host.decoding.decoded_part import Ends, Start
 from tipforce.host.decoding.health_rows import HealthRows, joins
-from tipforce.host.decoding.log_part import (
-    Edge,
-    End,
-    Item,
-    Notes,
-    Piece,
-    Progress,
-    Reading,
-    Source,
-    StrictError,
-    numbered_from,
-)
+from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source, StrictError, numbered_from
 from tipforce.host.decoding.sample_merger import SampleMerger
-from tipforce.host.decoding.sample_rows import IntArray
-from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
+from tipforce.host.decoding.sample_table import NODE_BITS, Table
 from tipforce.host.decoding.services import BusEvent, BusEvents
-from tipforce.host.decoding.sync_modulus import SAMPLES
-from tipforce.host.decoding.tally import Tally
-from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
+from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
+from tipforce.host.decoding.tally import Tally, TallyRow
+from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 
 Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
-
-
-class Counters:
-    """Unwrap the counters of consecutive tables."""
-
-    def __init__(self) -> None:
-        self._last: dict[int, tuple[int, int]] = {}  # by key: unwrapped, and as sent
-
-    def unwrapped(self, table: Table) -> Table:
-        """Return the table with each node's counter continued from its first value.
-
-        An event-driven PDO in its own row belongs to the last latch: it gets the nearest count. Before
-        the first PDO that follows SYNC its counter is unchanged.
-        """
-        raw = table.counter
-        counter = raw.copy()
-        moduli = dict(table.moduli)
-        order = np.argsort(table.key, kind="stable")
-        key = table.key[order]
-        for rows in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1) if len(key) else []:
-            of = int(table.key[rows[0]])
-            modulus = moduli.get(table.channels[of >> NODE_BITS], SAMPLES) if moduli else SAMPLES
-            counter[rows] = self._of_node(of, raw[rows], table.cyclic[rows], modulus)
-        return replace(table, counter=counter)
-
-    def _of_node(
-        self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_], modulus: int
-    ) -> npt.NDArray[np.int64]:
-        last = self._last.get(key)
-        steady = raw[cyclic]
-        found = raw.copy()
-        counts = np.zeros(0, dtype=np.int64)
-        if len(steady):
-            seed = steady[:0] if last is None else np.array([last[1]])
-            counts = unwrap_counter(np.concatenate((seed, steady)), modulus)
-            counts += 0 if last is None else last[0] - last[1]
-            counts = counts[len(seed) :]
-            found[cyclic] = counts
-            self._last[key] = int(counts[-1]), int(steady[-1])
-        if len(steady) < len(raw):
-            event: IntArray = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
-            before = np.cumsum(cyclic)[event]
-            known = np.concatenate(([-1 if last is None else last[0]], counts))[before]
-            sent = np.concatenate(([0 if last is None else last[1]], steady))[before]
-            half = modulus // 2
-            nearest = known + (raw[event] - sent + half) % modulus - half
-            found[event] = np.where(known < 0, raw[event], nearest)
-        return found
 
 
 @dataclass(slots=True)
@@ -91,75 +32,185 @@ class Told:
     notes: list[Notes]
     unseen: list[tuple[str, int]] = field(default_factory=list)
     """Channel and node-id of the nodes of which nothing told bits 12 to 15 of 2124h; empty where none was asked for."""
+    bus: BusEvents = field(default_factory=BusEvents)
 
     def events(self) -> list[BusEvent]:
         """Return the EMCYs and the changes of NMT states of the whole recording, in order."""
-        joined = BusEvents()
-        for notes in self.notes:
-            for event in notes.events.found:
-                joined.append(event)
-        return joined.found
+        return self.bus.found
+
+
+@dataclass(slots=True)
+class State:
+    """What a recording knows between two parts: numbers and texts only, so that it can be sent and stored."""
+
+    channels: list[str]
+    timed: bool
+    held: bytes
+    """FRAME records of open rows."""
+    held_number: list[int]
+    syncs: list[tuple[int, int, int, int]]
+    counters: dict[int, tuple[int, int]]
+    health: dict[int, tuple[int, int]]
+    sampled: list[int]
+    nmt: list[tuple[str, int, int]]
+    """NMT state by channel and node-id."""
+    tally: list[TallyRow]
+    short: list[tuple[str, int, str, int]]
 
 
 class Recording:
     """Tables of a recording, from consecutive logs or from parts that were decoded separately."""
 
-    def __init__(self, reading: Reading) -> None:
+    def __init__(self, reading: Reading, state: State | None = None) -> None:
+        """``state`` as ``state()`` returned it after the parts in front."""
         self._reading = reading
         self.channels: list[str] = []
         self.told = Told(Tally(), [])
         self._counters, self._health = Counters(), HealthRows(reading.signals)
         self._merger = SampleMerger(reading.decoder, self.channels, reading.wanted, follows=bool(reading.layouts.eds))
+        if state is not None:
+            self._set(state)
+
+    def resume(self, state: State, notes: Iterable[Notes]) -> None:
+        """Take over from a recording that began with this one's state and read the next part."""
+        for one in notes:
+            self._take_notes(one)
+        self._set(state)
+        if joins(self._reading.signals):
+            self.told.unseen = self._health.unseen
+
+    def _set(self, state: State) -> None:
+        self.channels[:] = state.channels
+        merger = self._merger
+        merger.timed, merger.sync = state.timed, SyncModulus(state.syncs)
+        held: FrameArray = np.frombuffer(state.held, dtype=FRAME).copy()
+        merger.hold(held, np.array(state.held_number, dtype=np.int64))
+        self._counters, self._health = Counters(state.counters), HealthRows(self._reading.signals, state.health)
+        for key in state.sampled:
+            self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
+        self.told.bus.states = {(channel, node): code for channel, node, code in state.nmt}
+        self.told.tally, merger.tally = Tally(), Tally()
+        self.told.tally.set_rows(state.tally, state.short)
+
+    def state(self) -> State:
+        """Return what the next part of the recording depends on."""
+        frames, number = self._merger.held
+        self._take_tally()
+        tally, short = self.told.tally.rows()
+        return State(
+            list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), self._merger.sync.state,
+            dict(self._counters.last), self._health.told, list(self._health.sampled),
+            [(*place, code) for place, code in self.told.bus.states.items()], tally, short,
+        )  # fmt: skip
 
     def tables_of_logs(
         self, names: Iterable[str], progress: Progress | None = None, tap: Tap | None = None
     ) -> Iterator[Table]:
-        """Read logs in this process as if they were one. ``tap`` gets the selected frames before their samples."""
+        """Read logs in this process as if they were one; a dataset gives the rows that it has.
+
+        ``tap`` gets the selected frames before their samples.
+        """
+        from tipforce.host.dataset.manifest import is_dataset
+
         for name in names:
-            source = Source(Piece(name), self._reading, progress)
-            try:
-                for block in source:
-                    if tap is not None:
-                        tap(block, source.channels)
-                    yield from self._add(self._numbered(block, source.channels), source.log.timed)
-            finally:
-                self.told.notes.append(source.notes)
-        yield from self._finish()
+            if is_dataset(name):
+                yield from self._tables_of_dataset(name)
+            else:
+                yield from self.tables_of_piece(Piece(name), progress, tap)
+        yield from self.finish()
 
-    def tables_of_parts(self, parts: Iterable[Iterable[Item]]) -> Iterator[Table]:
-        """Join the parts from ``part_items``."""
-        for part in parts:
-            for item in self._strictly(part):
-                if isinstance(item, Table):
-                    yield from self._finished(self._renamed(item))
-                elif isinstance(item, End):
-                    self._take_counts(item)
-                    self._take_moduli(item.tail)
-                    yield from self._add(self._numbered(item.tail.frames, item.tail.channels), item.notes.timed)
-                else:
-                    yield from self._join(item)
-        yield from self._finish()
+    def _tables_of_dataset(self, name: str) -> Iterator[Table]:
+        """Read what was decoded before, and what it tells."""
+        from tipforce.host.dataset import reader
 
-    def _strictly(self, part: Iterable[Item]) -> Iterator[Item]:
-        """Yield the items; for a part with a bad line, raise it with its number in the whole log."""
+        _, manifest = reader.opened(name)
+        self.told.notes.append(reader.notes(name, manifest))
+        self.told.tally.append(reader.tally(manifest))
+        for table in reader.tables(name, self._reading):
+            self._numbers(table.channels)
+            yield table
+
+    def tables_of_piece(
+        self, piece: Piece, progress: Progress | None = None, tap: Tap | None = None
+    ) -> Iterator[Table]:
+        """Read the next log, or part of one, in this process. Raises InputError, StrictError."""
+        source = Source(piece, self._reading, progress)
+        before = self._merger.timed or not source.notes.goes_on
         try:
-            yield from part
+            for block in source:
+                if tap is not None:
+                    tap(block, source.channels)
+                self._merger.timed = before and source.log.timed
+                for table in self._merger.tables(self._numbered(block, source.channels)):
+                    yield from self._finished(table)
         except StrictError as error:
-            before = self.told.notes[-1] if error.goes_on and self.told.notes else None
-            if before is None or error.bad is None:
-                raise
-            raise StrictError(f"{before.source}: {numbered_from(before.lines, error.bad)}") from None
+            raise self.numbered(error) from None
+        finally:
+            self._take_notes(source.notes)
 
-    def _join(self, edge: Edge) -> Iterator[Table]:
-        self._take_moduli(edge)
-        frames = self._numbered(edge.frames, edge.channels)
-        yield from self._add(frames, self._merger.timed)
-        if not edge.whole:
-            yield from self._flush()
+    def numbered(self, error: StrictError) -> StrictError:
+        """Return the error of a part with the line's number in the whole log."""
+        before = self.told.notes[-1] if error.goes_on and self.told.notes else None
+        if before is None or error.bad is None:
+            return error
+        return StrictError(f"{before.source}: {numbered_from(before.lines, error.bad)}")
 
-    def _take_moduli(self, edge: Edge) -> None:
-        numbers = self._numbers(list(edge.channels))
-        self._merger.sync.of |= {int(numbers[channel]): modulus for channel, modulus in edge.moduli}
+    def finish(self) -> Iterator[Table]:
+        """Yield the rows that are still open: the recording ends."""
+        yield from self._flush()
+        self._take_tally()
+        if joins(self._reading.signals):
+            self.told.unseen = self._health.unseen
+
+    def follow(self, ends: Ends, *, last: bool = False) -> Start | None:
+        """Take a part that was decoded separately as the next one, and return what completes its rows.
+
+        None, without a change, for a part that must be decoded after the ones in front: by ``tables_of_piece`` of a
+        recording with the present ``state``. ``last``: the recording ends with this part.
+        """
+        if not ends.separable or ends.head is None or ends.tail is None or not self._fits(ends):
+            return None
+        numbers = self._numbers(ends.channels).tolist()
+        merger, counted = self._merger, len(self.told.bus.found)
+        merger.timed = timed = merger.timed or not ends.notes.goes_on
+        seen, _ = ends.looked[0]
+        self._look(seen, numbers)
+        table = merger.add(self._numbered(ends.head.frames, ends.channels), number=ends.head.number)
+        before = [*(self._finished(table) if table is not None else ()), *self._flush()]
+        start = Start(
+            tuple(self.channels), numbers, dict(self._counters.last), self._health.told, timed, before, [], []
+        )
+        for seen, _ in ends.looked[1:]:
+            self._look(seen, numbers)
+        self._counters.skip(ends.counters, numbers)
+        self._health.skip(ends.health, ends.sampled, numbers, self.channels)
+        self._take_tally()
+        self.told.tally.append(ends.tally)
+        self._take_notes(ends.notes)
+        merger.timed = timed and ends.notes.timed
+        merger.hold(self._numbered(ends.tail.frames, ends.channels), ends.tail.number)
+        start.after += list(self.finish()) if last else []
+        start.events += self.told.bus.found[counted:]
+        return start
+
+    def _fits(self, ends: Ends) -> bool:
+        """Return whether the part has found the same moduli of counters as it does after the parts in front."""
+        numbers = self._numbers(ends.channels).tolist()
+        here = SyncModulus(self._merger.sync.state)
+        for seen in ends.looked[0][0]:
+            if (here.of.get(numbers[seen.channel], SAMPLES) != SAMPLES) != seen.numbered:
+                return False
+        for seen_now, moduli in ends.looked:
+            for seen in seen_now:
+                here.take(seen._replace(channel=numbers[seen.channel]))
+            found = {numbers[channel]: modulus for channel, modulus in moduli.items()}
+            if any(found.get(k, SAMPLES) != here.of.get(k, SAMPLES) for k in {*found, *here.of}):
+                return False
+        return True
+
+    def _look(self, seen: Iterable[Syncs], numbers: Sequence[int]) -> None:
+        for one in seen:
+            self._merger.sync.take(one._replace(channel=numbers[one.channel]))
 
     def _flush(self) -> Iterator[Table]:
         table = self._merger.finish()
@@ -171,26 +222,17 @@ class Recording:
         if len(joined):
             yield joined
 
-    def _finish(self) -> Iterator[Table]:
-        yield from self._flush()
+    def _take_tally(self) -> None:
         self.told.tally.append(self._merger.tally)
         self._merger.tally = Tally()
-        if joins(self._reading.signals):
-            self.told.unseen = self._health.unseen
 
-    def _take_counts(self, end: End) -> None:
-        self.told.tally.append(self._merger.tally)  # of the frames before this part
-        self._merger.tally = Tally()
-        self.told.tally.append(end.tally)
-        if end.notes.goes_on and self.told.notes:
-            self.told.notes[-1].append(end.notes)
+    def _take_notes(self, notes: Notes) -> None:
+        for event in notes.events.found:
+            self.told.bus.append(event)
+        if notes.goes_on and self.told.notes and self.told.notes[-1].source == notes.source:
+            self.told.notes[-1].append(notes)
         else:
-            self.told.notes.append(end.notes)
-
-    def _add(self, frames: FrameArray, timed: bool) -> Iterator[Table]:
-        self._merger.timed = timed
-        for table in self._merger.tables(frames):
-            yield from self._finished(table)
+            self.told.notes.append(notes)
 
     def _numbers(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
         for name in names:
@@ -208,11 +250,3 @@ class Recording:
         frames = frames.copy()
         frames["channel"] = numbers[frames["channel"]]
         return frames
-
-    def _renamed(self, table: Table) -> Table:
-        numbers = self._numbers(table.channels)
-        if (numbers == np.arange(len(numbers))).all():
-            return replace(table, channels=tuple(self.channels))
-        node = table.key & ((1 << NODE_BITS) - 1)
-        key = (numbers[table.channel].astype(np.uint16) << NODE_BITS | node).astype(np.uint16)
-        return replace(table, key=key, channels=tuple(self.channels))

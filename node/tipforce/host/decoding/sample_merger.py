@@ -21,13 +21,15 @@ from tipforce.host.decoding.sample_table import (
     in_order,
     missing_of,
 )
-from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
+from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
 from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
 _LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to this type a PDO follows SYNC
 
 _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
+Looked = tuple[list[Syncs], dict[int, int]]
+"""SYNCs, and the modulus of each channel's counters behind them."""
 _Found = list[tuple[int, Samples]]  # (channel, samples), their rows indexed in the whole block
 _Piece = tuple[IntArray, Samples, BoolArray | slice]  # rows of the table, and the samples for them
 
@@ -36,7 +38,7 @@ class SampleMerger:
     """Convert each block to a table. Frames of an incomplete row are kept for the next block.
 
     ``channels`` are the names of the frames' channels and may grow. ``signals`` None means all. ``tally`` counts the
-    returned samples.
+    returned samples. ``looked``, if it is a list, gets the SYNCs that were looked at.
     """
 
     def __init__(
@@ -64,13 +66,15 @@ class SampleMerger:
         self.timed = True
         self.sync = SyncModulus()
         self.tally = Tally()
+        self.looked: list[Looked] | None = None
 
     def tables(self, frames: FrameArray) -> Iterator[Table]:
         """Yield the samples that are complete now, apart where numbers of SYNCs begin or end, and layouts change."""
         changes = self._changes(frames)
         start = 0
-        for end in sorted({*self.sync.cuts(frames), *(row for row, _, _ in changes), len(frames)}):
-            yield from self._part(frames[start:end], begins=start > 0)
+        cuts = {*self.sync.cuts(frames), *(row for row, _, _ in changes)} - {len(frames)}
+        for number, end in enumerate([*sorted(cuts), len(frames)]):
+            yield from self._part(frames[start:end], begins=number > 0)
             here = [(decoder, change) for row, decoder, change in changes if row == end]
             rest = self.finish() if here else None
             if rest is not None:
@@ -81,7 +85,9 @@ class SampleMerger:
 
     def _part(self, frames: FrameArray, *, begins: bool) -> Iterator[Table]:
         rest = self.finish() if begins else None
-        self.sync.look(frames)
+        seen = self.sync.look(frames)
+        if self.looked is not None:
+            self.looked.append((seen, dict(self.sync.of)))
         yield from (table for table in (rest, self.add(frames)) if table is not None)
 
     def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
@@ -93,13 +99,19 @@ class SampleMerger:
             found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames[rows])]
         return found
 
-    def add(self, frames: FrameArray, *, last: bool = False) -> Table | None:
-        """Return the samples that are complete now; with ``last`` all of them. None if there are none."""
+    def add(
+        self, frames: FrameArray, *, last: bool = False, number: npt.NDArray[np.int64] | None = None
+    ) -> Table | None:
+        """Return the samples that are complete now; with ``last`` all of them. None if there are none.
+
+        ``number``: of each frame, all of which are decodable, counted from the first decodable frame after ``hold``.
+        """
         before = len(self._held)
         block = np.concatenate((self._held.view(_PLAIN), frames.view(_PLAIN))).view(FRAME) if before else frames
         found = self._decoded(block)
         decoded, index = _places(len(block), found)
-        arrived = _arrived(found, index, self._number(before, decoded))
+        numbered = self._number(before, decoded) if number is None else np.concatenate((self._held_number, number))
+        arrived = _arrived(found, index, numbered)
         sorted_out = runs(arrived)
         end = len(decoded) if last or not len(decoded) else open_from(arrived, sorted_out)
         table = self._table(arrived, sorted_out, found, index, end)
@@ -111,25 +123,32 @@ class SampleMerger:
         """Return the remaining samples."""
         return self.add(np.zeros(0, dtype=FRAME), last=True)
 
-    def head(self, frames: FrameArray) -> tuple[FrameArray, FrameArray]:
-        """Split the start of a recording's part: frames of rows that depend on the part before, and all others."""
+    def head(self, frames: FrameArray) -> tuple[FrameArray, npt.NDArray[np.bool_]]:
+        """Split the start of a recording's part: the decodable frames, and which depend on the part before."""
         found = self._decoded(frames)
         decoded, index = _places(len(frames), found)
         if not len(decoded):
-            return frames[:0], frames[:0]
+            return frames[:0], np.zeros(0, dtype=np.bool_)
         arrived = _arrived(found, index, np.arange(len(decoded)))
         sorted_out = runs(arrived)
-        mine = sorted_out.start < certain_from(arrived, sorted_out)
-        return frames[decoded[mine]], frames[decoded[~mine]]
+        return frames[decoded], sorted_out.start < certain_from(arrived, sorted_out)
 
     def decodable(self, frames: FrameArray) -> FrameArray:
         """Return the frames to decode; all others are skipped and, if too short, counted."""
         return frames[_places(len(frames), self._decoded(frames))[0]]
 
     @property
-    def held(self) -> FrameArray:
-        """The frames of incomplete rows."""
-        return self._held
+    def held(self) -> tuple[FrameArray, npt.NDArray[np.int64]]:
+        """The frames of incomplete rows, and their numbers relative to the next decodable frame."""
+        return self._held, self._held_number - self._count
+
+    def hold(self, frames: FrameArray, number: npt.NDArray[np.int64]) -> None:
+        """Begin with these frames, as ``held`` returned them."""
+        self._held, self._held_number, self._count = frames, number, 0
+
+    def skip(self, count: int) -> None:
+        """Number the next decodable frames from ``count``."""
+        self._count = count
 
     def _number(self, before: int, decoded: IntArray) -> npt.NDArray[np.int64]:
         new = len(decoded) - before

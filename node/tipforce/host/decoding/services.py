@@ -99,22 +99,27 @@ class Services:
 
 
 class BusEvents:
-    """Collect EMCYs and changes of NMT states of ``node_ids`` (None: all); parts of a recording can be joined."""
+    """Collect EMCYs and changes of NMT states of ``node_ids`` (None: all); parts of a recording can be joined.
+
+    ``states``: the last NMT state by channel and node-id.
+    """
 
     def __init__(self, node_ids: Iterable[int] | None = None) -> None:
         self._node_ids = None if node_ids is None else frozenset(node_ids)
-        self._states: dict[tuple[str, int], int] = {}
+        self.states: dict[tuple[str, int], int] = {}
         self.found: list[BusEvent] = []
 
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
-        functions = frames["can_id"] & ~np.uint32(codes.NODE_ID_MASK)
-        chosen = frames[(functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)]
+        can_id = np.ascontiguousarray(frames["can_id"])
+        functions = can_id & ~np.uint32(codes.NODE_ID_MASK)
+        few = np.flatnonzero((functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE))
+        chosen = frames[few[can_id[few] & codes.NODE_ID_MASK != 0]]  # SYNC is EMCY's function with node-id 0
         data = chosen["data"].tobytes()
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
         for k, (t_ns, can_id, length, channel) in enumerate(zip(*columns, strict=True)):
             node_id = can_id & codes.NODE_ID_MASK
-            if node_id and (self._node_ids is None or node_id in self._node_ids):
+            if self._node_ids is None or node_id in self._node_ids:
                 told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
                 if told is not None:
                     self.append(BusEvent(t_ns, channels[channel], node_id, *told))
@@ -122,10 +127,10 @@ class BusEvents:
     def append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state of its node."""
         place = event.channel, event.node_id
-        if event.kind == "state" and self._states.get(place) == event.code:
+        if event.kind == "state" and self.states.get(place) == event.code:
             return
         if event.kind in ("state", "boot_up"):
-            self._states[place] = event.code
+            self.states[place] = event.code
         self.found.append(event)
 
 

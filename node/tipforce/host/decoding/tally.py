@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,6 +13,8 @@ from tipforce.host.decoding.sync_modulus import SAMPLES
 
 Place = tuple[str, int, str]
 """Channel, node-id, message name."""
+TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
+"""A place and the fields of its MessageCount."""
 
 
 @dataclass(slots=True)
@@ -28,6 +31,8 @@ class MessageCount:
     def add(self, frames: int, counter: npt.NDArray[np.uint8] | None, modulus: int) -> None:
         """Count frames with their counters, of ``modulus``; None if their counter cannot show losses."""
         self.frames += frames
+        if counter is not None and modulus != SAMPLES:
+            counter = counter[counter > 0]  # 0 is no SYNC's latch, see lost_samples
         if counter is None or not len(counter):
             return
         inside = 0 if (np.diff(counter) == 1).all() else lost_samples(counter, modulus)
@@ -73,6 +78,20 @@ class Tally:
             self.messages.setdefault(place, MessageCount()).append(count)
         for place, frames in other.short.items():
             self.short[place] = self.short.get(place, 0) + frames
+
+    def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
+        """Return both counts as rows."""
+        rows = [
+            (*place, count.frames, count.lost, count.first, count.last, *count.moduli)
+            for place, count in self.messages.items()
+        ]
+        return rows, [(*place, frames) for place, frames in self.short.items()]
+
+    def set_rows(self, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> None:
+        """Set both counts from ``rows``."""
+        for channel, node, name, frames, lost, first, last, *moduli in messages:
+            self.messages[channel, node, name] = MessageCount(frames, lost, first, last, (moduli[0], moduli[1]))
+        self.short |= {(channel, node, name): frames for channel, node, name, frames in short}
 
     def lost(self) -> dict[tuple[str, int], int]:
         """Return lost samples by channel and node: the maximum over its messages, which have one counter."""

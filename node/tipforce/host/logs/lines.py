@@ -161,16 +161,16 @@ class LineBlocks:
         self._notes.note_bad(TOO_LONG, text)
 
 
-def line_borders(path: Path, count: int) -> list[int]:
+def line_borders(path: Path, count: int, start: int = 0) -> list[int]:
     """Return line starts that split a plain file into ``count`` parts of similar size, fewer if lines are long.
 
-    The first is 0, the last the size of the file. Raises InputError for a file that can't be opened.
+    The first is ``start``, the last the size of the file. Raises InputError for a file that can't be opened.
     """
     with open_file(path) as file:
         size = os.fstat(file.fileno()).st_size
-        borders = [0]
+        borders = [start]
         for number in range(1, count):
-            place = size * number // count
+            place = start + (size - start) * number // count
             behind = os.pread(file.fileno(), BLOCK_BYTES, place).find(b"\n") + 1
             if behind and borders[-1] < place + behind < size:
                 borders.append(place + behind)

@@ -1,0 +1,1 @@
+"""Datasets: the samples of many logs as Parquet files that a manifest lists."""

@@ -1,0 +1,184 @@
+"""The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues.
+
+It is one JSON file per generation in ``DIR/_tipforce``. A new generation is created only if nobody else created it, so
+of two writers one commits and the other one merges its changes, or gives up if both changed the same log.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any
+
+import msgspec
+
+from tipforce.errors import InputError, WriteError
+from tipforce.host.dataset.store import Store
+from tipforce.host.decoding.recording import State
+from tipforce.host.decoding.sample_table import Column
+
+FOLDER = "_tipforce"
+FORMAT = 1
+_KEPT_GENERATIONS = 2  # for readers that have just listed them
+
+
+class DataFile(msgspec.Struct, frozen=True, array_like=True):
+    """One Parquet file: rows of one node on one UTC day. Times in nanoseconds of the epoch."""
+
+    path: str
+    node: int
+    rows: int
+    bytes: int
+    sha256: str
+    first_ns: int
+    last_ns: int
+
+
+class Part(msgspec.Struct, frozen=True):
+    """What was written at a time: bytes ``start`` to ``end`` of a log (None: all of a log that cannot be cut)."""
+
+    id: str
+    source: str
+    start: int
+    end: int | None
+    frames: int
+    bad: dict[str, int]
+    files: list[DataFile]
+    events: DataFile | None = None
+
+    @property
+    def rows(self) -> int:
+        """Rows in all files."""
+        return sum(file.rows for file in self.files)
+
+
+class Source(msgspec.Struct, frozen=True):
+    """One log. ``size``: its bytes that are in the dataset; hashes of its first ``head_bytes`` and of the last ones."""
+
+    id: str
+    name: str
+    head_bytes: int
+    head_sha256: str
+    size: int
+    tail_sha256: str
+    options: str
+    """How it was decoded: layouts, signals, buses."""
+    version: str
+    """Of tipforce."""
+    after: str | None
+    """The log that this one continues."""
+    flushed: bool
+    """The rows that were open at its end are written; they are written again with what follows."""
+    last_part_start: int
+    before_last_part: State | None
+    end: State
+
+
+class Manifest(msgspec.Struct):
+    """Everything that a dataset holds."""
+
+    format: int = FORMAT
+    generation: int = 0
+    sources: list[Source] = []
+    parts: list[Part] = []
+    columns: list[Column] = []
+    """Of all files, in order."""
+
+    def source(self, source_id: str) -> Source | None:
+        """Return a log by its id."""
+        return next((one for one in self.sources if one.id == source_id), None)
+
+    def files(self) -> Iterable[DataFile]:
+        """Yield the Parquet files of all parts."""
+        for part in self.parts:
+            yield from part.files
+
+    def lost(self) -> dict[tuple[str, int], int]:
+        """Return the lost samples by channel and node: the counts of the last log of each recording."""
+        from tipforce.host.decoding.tally import Tally
+
+        followed = {one.after for one in self.sources}
+        found: dict[tuple[str, int], int] = {}
+        for one in self.sources:
+            if one.id not in followed:
+                tally = Tally()
+                tally.set_rows(one.end.tally, one.end.short)
+                for place, lost in tally.lost().items():
+                    found[place] = found.get(place, 0) + lost
+        return found
+
+
+@dataclass(slots=True)
+class Change:
+    """What a writer adds to a manifest. ``expected``: the logs as it has read them, None for new ones."""
+
+    expected: dict[str, Source | None] = field(default_factory=dict)
+    sources: dict[str, Source] = field(default_factory=dict)
+    removed: set[str] = field(default_factory=set)
+    """Ids of parts."""
+    parts: list[Part] = field(default_factory=list)
+    columns: list[Column] = field(default_factory=list)
+
+    def applied(self, manifest: Manifest) -> Manifest:
+        """Return the manifest with the change. Raises WriteError if another writer changed the same logs."""
+        for source_id, before in self.expected.items():
+            now = manifest.source(source_id)
+            if (now and (now.size, now.flushed)) != (before and (before.size, before.flushed)):
+                name = (now or before or self.sources[source_id]).name
+                raise WriteError(f"{name}: another run has added it meanwhile; run again to add what is still missing")
+        known = {column.name for column in manifest.columns}
+        sources = [self.sources.get(one.id, one) for one in manifest.sources]
+        old = {one.id for one in sources}
+        return Manifest(
+            FORMAT, manifest.generation + 1,
+            sources + [one for one in self.sources.values() if one.id not in old],
+            [part for part in manifest.parts if part.id not in self.removed] + self.parts,
+            manifest.columns + [column for column in self.columns if column.name not in known],
+        )  # fmt: skip
+
+
+def read_manifest(store: Store) -> Manifest | None:
+    """Return the newest generation; None for a directory that is no dataset. Raises InputError for a damaged one."""
+    for _ in range(3):  # an old generation may vanish between the list and the read
+        names = generations(store)
+        if not names:
+            return None
+        try:
+            text = store.read(f"{FOLDER}/{names[-1]}")
+        except FileNotFoundError:
+            continue
+        try:
+            found = msgspec.json.decode(text, type=Manifest)
+        except msgspec.MsgspecError as error:
+            raise InputError(f"{store.name}/{FOLDER}/{names[-1]}: not a manifest of a dataset: {error}") from error
+        if found.format != FORMAT:
+            raise InputError(f"{store.name}: format {found.format} of a newer tipforce; this one reads {FORMAT}")
+        return found
+    raise InputError(f"{store.name}: its manifest changes too fast to be read")
+
+
+def generations(store: Store) -> list[str]:
+    """Return the names of the manifests, the newest last."""
+    return sorted(name for name in store.names(FOLDER) if name.startswith("manifest-") and name.endswith(".json"))
+
+
+def commit(store: Store, change: Change) -> Manifest:
+    """Add a change as the next generation. Raises WriteError as ``Change.applied`` does, OSError."""
+    while True:
+        manifest = change.applied(read_manifest(store) or Manifest())
+        name = f"{FOLDER}/manifest-{manifest.generation:010d}.json"
+        if store.create(name, msgspec.json.encode(manifest)):
+            break
+    for old in generations(store)[:-_KEPT_GENERATIONS]:
+        store.remove(f"{FOLDER}/{old}")
+    return manifest
+
+
+def is_dataset(name: Any) -> bool:
+    """Return whether a path or URL is a dataset."""
+    from pathlib import Path
+
+    text = str(name)
+    if "://" not in text:
+        return (Path(text) / FOLDER).is_dir() and bool(generations(Store(text)))
+    return text.endswith("/") and bool(generations(Store(text)))

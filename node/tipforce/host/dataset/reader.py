@@ -1,0 +1,167 @@
+"""Read a dataset as a log is read: tables of samples, only of the files and columns that are needed."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.dataset.manifest import Manifest, Part, read_manifest
+from tipforce.host.dataset.store import Store
+from tipforce.host.decoding.log_part import Notes, Reading, When
+from tipforce.host.decoding.sample_table import (
+    NO_COUNTER,
+    NODE_BITS,
+    Column,
+    Table,
+    Values,
+    in_order,
+    is_missing,
+    missing_of,
+)
+from tipforce.host.decoding.tally import Tally
+
+_FOREVER = np.iinfo(np.int64).max
+
+
+def opened(name: str) -> tuple[Store, Manifest]:
+    """Return a dataset's files and its manifest. Raises InputError, EnvironmentLackError without pyarrow."""
+    try:
+        import pyarrow.parquet  # noqa: F401
+    except ImportError:
+        raise EnvironmentLackError(f"{name}: a dataset needs pyarrow: `pip install 'tipforce[parquet]'`") from None
+    store = Store(name)
+    manifest = read_manifest(store)
+    if manifest is None:
+        raise InputError(f"{name}: is not a dataset of `tipforce decode -o DIR/`")
+    return store, manifest
+
+
+def first_ns(manifest: Manifest) -> int | None:
+    """Return the time of the first row."""
+    return min((file.first_ns for file in manifest.files()), default=None)
+
+
+def tally(manifest: Manifest) -> Tally:
+    """Return the counts of all logs."""
+    found = Tally()
+    followed = {one.after for one in manifest.sources}
+    for one in manifest.sources:
+        if one.id not in followed:
+            recording = Tally()
+            recording.set_rows(one.end.tally, one.end.short)
+            found.append(recording)
+    return found
+
+
+def notes(name: str, manifest: Manifest) -> Notes:
+    """Return the counts of frames and bad lines of all parts."""
+    found = Notes(name)
+    for part in manifest.parts:
+        found.frames += part.frames
+        for reason, count in part.bad.items():
+            found.bad[reason] = found.bad.get(reason, 0) + count
+    return found
+
+
+def tables(name: str, reading: Reading) -> Iterator[Table]:
+    """Yield the samples of each part in the order of their times: those that ``reading`` selects."""
+    store, manifest = opened(name)
+    origin = first_ns(manifest) or 0
+    start = _limit(reading.start, reading.origin_ns or origin, -_FOREVER)
+    end = _limit(reading.end, reading.origin_ns or origin, _FOREVER)
+    wanted = [one for one in manifest.columns if reading.signals is None or one.signal in reading.signals]
+    channels: list[str] = []
+    for part in sorted(manifest.parts, key=lambda one: min((file.first_ns for file in one.files), default=0)):
+        found = _part_table(store, part, reading, wanted, channels, (start, end))
+        if found is not None and len(found):
+            yield found
+
+
+def _limit(when: When | None, origin_ns: int, otherwise: int) -> int:
+    if when is None:
+        return otherwise
+    return when.ns + (origin_ns if when.relative else 0)
+
+
+def _part_table(
+    store: Store, part: Part, reading: Reading, wanted: list[Column], channels: list[str], span: tuple[int, int]
+) -> Table | None:
+    import pyarrow as pa
+
+    nodes = reading.layouts.nodes
+    read = []
+    for file in part.files:
+        if file.last_ns < span[0] or file.first_ns >= span[1] or (nodes is not None and file.node not in nodes):
+            continue
+        rows = _rows(store, file.path, [column.name for column in wanted], span)
+        read.append(rows.append_column("node", pa.array(np.full(len(rows), file.node, dtype=np.uint8))))
+    if not read:
+        return None
+    rows = pa.concat_tables(read, promote_options="default")
+    timed = rows["t_s"].null_count == 0
+    t_ns = rows["t_s"].fill_null(0).to_numpy().astype("datetime64[ns]").astype(np.int64)
+    found = _table(rows, wanted, channels, t_ns, timed).take(np.argsort(t_ns, kind="stable"))
+    if reading.signals is not None:  # a row of another PDO alone has neither them nor a sample's counter
+        there = [~is_missing(column, found.values[column.name]) for column in found.columns]
+        found = found.take(np.flatnonzero(np.logical_or.reduce([found.counter != NO_COUNTER, *there])))
+    if reading.buses is None:
+        return found
+    keep = np.array([name in reading.buses for name in found.channels])[found.channel]
+    return found.take(np.flatnonzero(keep))
+
+
+def _rows(store: Store, path: str, names: list[str], span: tuple[int, int]) -> Any:
+    """Return the rows of a file in a time span; row groups outside are not read."""
+    import pyarrow as pa
+    import pyarrow.compute as pc
+    import pyarrow.parquet as pq
+
+    file = pq.ParquetFile(store.open(path) if store.filesystem is not None else store.path(path))
+    there = file.schema_arrow.names
+    columns = [name for name in ("t_s", "channel", "counter", *names) if name in there]
+    if span == (-_FOREVER, _FOREVER):
+        return file.read(columns)
+    at = there.index("t_s")
+    groups = []
+    for number in range(file.num_row_groups):
+        statistics = file.metadata.row_group(number).column(at).statistics
+        known = statistics is not None and statistics.has_min_max
+        low, high = (_ns(statistics.min), _ns(statistics.max)) if known else (-_FOREVER, _FOREVER)
+        if high >= span[0] and low < span[1]:
+            groups.append(number)
+    rows = file.read_row_groups(groups, columns)
+    t_s = rows["t_s"].cast(pa.int64())
+    return rows.filter(pc.and_(pc.greater_equal(t_s, span[0]), pc.less(t_s, span[1])))
+
+
+def _ns(value: Any) -> int:
+    return int(np.datetime64(value, "ns").astype(np.int64)) if not hasattr(value, "value") else int(value.value)
+
+
+def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: Values, timed: bool) -> Table:
+    names = rows["channel"].combine_chunks().dictionary_encode()
+    here = names.dictionary.to_pylist()
+    channels += [name for name in here if name not in channels]
+    numbers = np.array([channels.index(name) for name in here], dtype=np.uint16)
+    key = (numbers[names.indices.to_numpy()] << NODE_BITS | rows["node"].to_numpy()).astype(np.uint16)
+    counter = rows["counter"].fill_null(NO_COUNTER).to_numpy()
+    columns = in_order([column for column in wanted if column.name in rows.column_names])
+    values = {column.name: _values(rows[column.name], column) for column in columns}
+    return Table(t_ns, key, counter, counter != NO_COUNTER, columns, values, {}, tuple(channels), timed)
+
+
+def _values(array: Any, column: Column) -> Values:
+    """Return the values as a decoder has them, with its marks for missing ones."""
+    mark = missing_of(column, 1)
+    if column.kind == "word":
+        return np.array([(text or "").encode() for text in array.to_pylist()])
+    if column.kind == "flag":
+        import pyarrow as pa
+
+        array = array.cast(pa.int8())
+    filled = array.fill_null(mark[0].item()) if array.null_count else array
+    found: Values = filled.to_numpy()
+    return found.astype(mark.dtype, copy=False)

@@ -1,0 +1,123 @@
+"""The files of a dataset in a directory of this machine, or behind any URL that fsspec opens (object store, memory)."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import uuid
+from contextlib import suppress
+from pathlib import Path
+from typing import Any, BinaryIO
+
+from tipforce.errors import EnvironmentLackError
+
+
+def is_url(name: str) -> bool:
+    """Return whether a name is a URL."""
+    return "://" in name
+
+
+class Store:
+    """Files by their paths relative to ``name``. A file appears complete or not at all."""
+
+    def __init__(self, name: str) -> None:
+        """Raises EnvironmentLackError for a URL without fsspec."""
+        self.name = name.rstrip("/") or "/"
+        self._fs: Any = None
+        self._root = self.name if is_url(name) else os.path.abspath(self.name)
+        if is_url(name):
+            self._fs, self._root = filesystem(self.name)
+
+    @property
+    def local(self) -> Path | None:
+        """The directory; None behind a URL."""
+        return Path(self._root) if self._fs is None else None
+
+    def path(self, relative: str) -> str:
+        """Return the full path of a file, for ``filesystem``."""
+        return f"{self._root}/{relative}"
+
+    @property
+    def filesystem(self) -> Any:
+        """The fsspec file system; None for a directory of this machine."""
+        return self._fs
+
+    def names(self, folder: str) -> list[str]:
+        """Return the names in a folder; none if it does not exist."""
+        with suppress(FileNotFoundError, NotADirectoryError):
+            if self._fs is None:
+                return os.listdir(self.path(folder))
+            self._fs.invalidate_cache()
+            return [str(path).rsplit("/", 1)[-1] for path in self._fs.ls(self.path(folder), detail=False)]
+        return []
+
+    def read(self, relative: str) -> bytes:
+        """Return the content of a file. Raises FileNotFoundError, OSError."""
+        with self.open(relative) as file:
+            return file.read()
+
+    def open(self, relative: str) -> BinaryIO:
+        """Open a file. Raises FileNotFoundError, OSError."""
+        if self._fs is None:
+            return Path(self.path(relative)).open("rb")
+        opened: BinaryIO = self._fs.open(self.path(relative), "rb")
+        return opened
+
+    def create(self, relative: str, content: bytes) -> bool:
+        """Create a file; return False, without a change, if there is one. Raises OSError."""
+        if self._fs is not None:
+            if self._fs.exists(self.path(relative)):
+                return False
+            try:
+                with self._fs.open(self.path(relative), "xb") as file:
+                    file.write(content)
+            except FileExistsError:
+                return False
+            except (ValueError, NotImplementedError):  # a file system without exclusive creation
+                self._fs.pipe_file(self.path(relative), content)
+            return True
+        path = Path(self.path(relative))
+        path.parent.mkdir(parents=True, exist_ok=True)
+        partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
+        try:
+            partial.write_bytes(content)
+            os.link(partial, path)  # unlike a rename it fails if there is a file
+        except FileExistsError:
+            return False
+        finally:
+            partial.unlink(missing_ok=True)
+        return True
+
+    def put(self, file: Path, relative: str) -> None:
+        """Move a complete local file here. Raises OSError."""
+        if self._fs is None:
+            path = Path(self.path(relative))
+            path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                file.replace(path)
+            except OSError:  # of another file system
+                partial = path.with_name(f".{path.name}.part")
+                shutil.copyfile(file, partial)
+                partial.replace(path)
+            return
+        self._fs.makedirs(self.path(relative).rsplit("/", 1)[0], exist_ok=True)
+        self._fs.put_file(str(file), self.path(relative))
+        file.unlink()
+
+    def remove(self, relative: str) -> None:
+        """Remove a file if it is there."""
+        with suppress(FileNotFoundError):
+            if self._fs is None:
+                os.unlink(self.path(relative))
+            else:
+                self._fs.rm_file(self.path(relative))
+
+
+def filesystem(url: str) -> tuple[Any, str]:
+    """Return fsspec's file system of a URL, and the path in it. Raises EnvironmentLackError without fsspec."""
+    try:
+        import fsspec.core
+    except ImportError:
+        raise EnvironmentLackError(f"{url}: a URL needs fsspec: `pip install 'tipforce[remote]'`") from None
+    found = fsspec.core.url_to_fs(url)
+    return found[0], str(found[1]).rstrip("/")

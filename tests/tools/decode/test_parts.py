@@ -1,0 +1,206 @@
+"""A recording in parts, decoded by workers in any order, some of which die: the rows are those of one pass."""
+
+from __future__ import annotations
+
+import os
+import random
+import struct
+from collections.abc import Iterable
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from tipforce.host.decoding.decoded_part import Start
+from tipforce.host.decoding.decoded_pdos import Layouts
+from tipforce.host.decoding.log_part import Piece, Reading
+from tipforce.host.decoding.recording import Recording, State
+from tipforce.host.decoding.sample_table import NODE_BITS, Table, is_missing
+from tipforce_tools.decode.parts import Event, InOrder, Work
+from tipforce_tools.decode.writers import Shape
+from tools.decode.logs import decode, log_lines, write_log
+
+READING = Reading(Layouts(4, (1, 2)))
+KINDS = ("gauges", "contact", "contact", "gauges", "health", "emcy", "heartbeat", "boot", "sync", "bad")
+EMCY_CODES = (0x5000, 0xFF10, 0x0000, 0x4200)
+STEPS = st.tuples(
+    st.sampled_from(KINDS),
+    st.integers(0, 2),  # node and bus
+    st.sampled_from([0, 0, 0, 1, 1, 2, 254]),  # of the counter
+    st.sampled_from([0, 1, 1, 20, 100, 210, 700]),  # ms
+)
+
+
+def lines_of(steps: list[tuple[str, int, int, int]], modulus: int) -> list[str]:
+    """Lines of candump -L. ``modulus`` of the SYNC numbers; 0: none, or from the middle of the log on."""
+    t_us, counters, number, lines = 1_700_000_000_000_000, [7, 7, 250], 0, list[str]()
+    for place, (kind, which, step, ms) in enumerate(steps):
+        t_us += 1000 * ms + 1
+        node, bus = (1, 2, 1)[which], ("can0", "can0", "can1")[which]
+        counters[which] = (counters[which] + step) % 256
+        count, value = counters[which], place % 3000
+        frame = {
+            "gauges": f"{0x180 + node:03X}#{struct.pack('<hhhBB', value, -value, 5, 3, count).hex()}",
+            "contact": f"{0x280 + node:03X}#{struct.pack('<hhhBB', value, 100, -32768, 3, count).hex()}",
+            "health": f"{0x480 + node:03X}#{struct.pack('<hhhBB', value, 20, 0x1001 * (place % 2), count, 0).hex()}",
+            "emcy": f"{0x080 + node:03X}#{struct.pack('<HBHHB', EMCY_CODES[place % 4], 1, 1 + place % 3, 0, 0).hex()}",
+            "heartbeat": f"{0x700 + node:03X}#{(5, 127)[place % 2]:02X}",
+            "boot": f"{0x700 + node:03X}#00",
+            "sync": "080#",
+            "bad": "28Z#",
+        }[kind]
+        if kind == "sync" and modulus and (modulus > 3 or place > len(steps) // 2):
+            number = number % modulus + 1
+            frame += f"{number:02X}"
+        lines.append(f"({t_us // 1_000_000}.{t_us % 1_000_000:06d}) {bus} {frame}")
+    return lines
+
+
+class Rows:
+    """Keeps the rows of each part as text."""
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> list[str]:
+        """The rows."""
+        del number
+        return [text for table in tables if shape.fits(table) is not None for text in texts(table)]
+
+
+def texts(table: Table) -> list[str]:
+    """Each row by its values, without those that are missing."""
+    found = [
+        f"{table.channels[key >> NODE_BITS]} {key & 127} {t_ns} {counter}"
+        for t_ns, key, counter in zip(table.t_ns.tolist(), table.key.tolist(), table.counter.tolist(), strict=True)
+    ]
+    for column in sorted(table.columns, key=lambda column: column.name):
+        values = table.values[column.name]
+        for row, (missing, value) in enumerate(zip(is_missing(column, values), values.tolist(), strict=True)):
+            found[row] += "" if missing else f" {column.name}={value}"
+    return found
+
+
+class Shuffled:
+    """Workers of this process whose events come in any order; some of them die once, and their work is repeated."""
+
+    def __init__(self, slots: int, order: random.Random, sink: Rows) -> None:
+        self._slots, self._order, self._sink = slots, order, sink
+        self._works: dict[int, Work] = {}
+        self._events: list[Event] = []
+        self._pieces: dict[int, Piece] = {}
+
+    @property
+    def free(self) -> int:
+        """As Workers."""
+        return self._slots - len(self._works)
+
+    def decode(self, number: int, piece: Piece) -> None:
+        """As Workers."""
+        self._pieces[number] = piece
+        self._works[number] = Work(number, piece, READING)
+        self._events.append(Event(number, self._works[number].decode()))
+
+    def _maybe_dies(self, number: int) -> None:
+        if self._order.random() < 0.3:
+            self._works[number] = Work(number, self._pieces[number], READING)
+            self._works[number].decode()
+
+    def write(self, number: int, start: Start, shape: Shape) -> None:
+        """As Workers."""
+        self._maybe_dies(number)
+        self._events.append(Event(number, self._works.pop(number).write(start, shape, self._sink)))
+
+    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
+        """As Workers."""
+        self._maybe_dies(number)
+        self._events.append(Event(number, self._works.pop(number).alone(state, shape, last, self._sink)))
+
+    def next(self) -> Event:
+        """As Workers."""
+        return self._events.pop(self._order.randrange(len(self._events)))
+
+    def close(self) -> None:
+        """As Workers."""
+
+
+def in_parts(log: Path, cuts: list[int], slots: int, order: random.Random) -> tuple[list[str], Recording, int]:
+    """The rows, the recording, and how many parts were decoded before the ones in front were known."""
+    text = log.read_bytes()
+    starts = [0, *(k + 1 for k, byte in enumerate(text) if byte == 10 and k + 1 < len(text))]
+    edges = sorted({0, *(starts[cut % len(starts)] for cut in cuts), len(text)})
+    pieces = [Piece(str(log), start, end) for start, end in pairwise(edges)]
+    recording = Recording(READING)
+    parts = list(InOrder(pieces, recording, Shape(("t_s",)), Shuffled(slots, order, Rows())))
+    assert [part.number for part in parts] == list(range(len(pieces)))
+    return [row for part in parts for row in part.record], recording, sum(not part.notes for part in parts)
+
+
+def one_pass(log: Path) -> tuple[list[str], Recording]:
+    """The rows and the recording of one pass."""
+    recording = Recording(READING)
+    return [row for table in recording.tables_of_logs([str(log)]) for row in texts(table)], recording
+
+
+@given(
+    st.lists(STEPS, min_size=20, max_size=160), st.sampled_from([0, 0, 3, 20, 240]),
+    st.lists(st.integers(0, 159), max_size=5), st.integers(1, 4), st.randoms(use_true_random=False),
+)  # fmt: skip
+@settings(max_examples=40, deadline=None)
+def test_the_rows_are_those_of_one_pass(
+    tmp_path_factory: pytest.TempPathFactory, steps: list[Any], modulus: int, cuts: list[int], slots: int,
+    order: random.Random,
+) -> None:  # fmt: skip
+    log = write_log(tmp_path_factory.getbasetemp() / f"any-{os.getpid()}.log", lines_of(steps, modulus))
+    expected, whole = one_pass(log)
+    found, joined, _ = in_parts(log, cuts, slots, order)
+    assert sorted(found) == sorted(expected)
+    assert joined.told.tally == whole.told.tally
+    assert joined.told.events() == whole.told.events()
+    assert joined.told.unseen == whole.told.unseen
+    assert [(note.bad, note.first_bad, note.frames) for note in joined.told.notes] == [
+        (note.bad, note.first_bad, note.frames) for note in whole.told.notes
+    ]
+
+
+def test_parts_are_decoded_apart(tmp_path: Path) -> None:
+    """The test above would prove nothing if each part waited for the ones in front."""
+    order = random.Random(3)
+    steps = [(order.choice(KINDS), order.randrange(3), order.choice([0, 0, 1, 1, 2]), 30) for _ in range(1200)]
+    for modulus in (0, 240):
+        log = write_log(tmp_path / "run.log", lines_of(steps, modulus))
+        expected, _ = one_pass(log)
+        found, _, apart = in_parts(log, [200, 400, 600, 800, 1000], 3, order)
+        assert apart >= (3 if modulus else 6)
+        assert sorted(found) == sorted(expected)
+
+
+def test_a_worker_that_is_killed_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    from tipforce_tools.decode import part_files, session
+
+    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(session, "_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(session, "_SMALL_BYTES", 0)
+    log = write_log(tmp_path / "run.log", log_lines(3000, (1, 5)))
+    assert decode(log, "-j", 1, "-o", tmp_path / "one.csv") == 0
+    write = part_files.PartFile.write
+
+    def dies(self: part_files.PartFile, number: int, *rest: Any) -> Any:
+        marker = tmp_path / "died"
+        if number == 2 and (always or not marker.exists()):
+            marker.touch()
+            os._exit(9)
+        return write(self, number, *rest)
+
+    monkeypatch.setattr(part_files.PartFile, "write", dies)
+    always = False
+    assert decode(log, "-j", 2, "-o", tmp_path / "two.csv") == 0
+    assert (tmp_path / "died").exists()
+    assert (tmp_path / "two.csv").read_bytes() == (tmp_path / "one.csv").read_bytes()
+    always = True
+    before = sorted(path.name for path in tmp_path.iterdir())
+    assert decode(log, "-j", 2, "-o", tmp_path / "two.csv") != 0
+    assert "3 times" in capsys.readouterr().err
+    assert sorted(path.name for path in tmp_path.iterdir()) == before

@@ -1,0 +1,1 @@
+"""`tipforce dataset`: what a dataset holds, whether it is whole, and questions to it."""

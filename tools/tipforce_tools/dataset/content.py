@@ -1,0 +1,96 @@
+"""What a dataset holds, by its manifest, and which of its files are not as the manifest says."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from tipforce.host.dataset.manifest import FOLDER, Manifest
+from tipforce.host.dataset.store import Store
+
+_MB = 1_000_000
+
+
+def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
+    """Return by path what is wrong with a file: it is missing, or (with ``hashes``) its content differs."""
+    found = {}
+    for part in manifest.parts:
+        for file in (*part.files, *((part.events,) if part.events else ())):
+            try:
+                with store.open(file.path) as stream:
+                    if hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256:
+                        found[file.path] = "differs from what was written"
+            except OSError as error:
+                found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
+    return found
+
+
+def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str, Any]:
+    """Return the content as a JSON record."""
+    lost = manifest.lost()
+    return {
+        "dataset": store.name,
+        "generation": manifest.generation,
+        "rows": sum(part.rows for part in manifest.parts),
+        "files": sum(len(part.files) for part in manifest.parts),
+        "bytes": sum(file.bytes for file in manifest.files()),
+        "lost": sum(lost.values()),
+        "nodes": [
+            {"hand": hand, "node": node, "rows": rows, "days": days, "first_s": first / 1e9, "last_s": last / 1e9}
+            for (hand, node), (rows, days, first, last) in sorted(_nodes(manifest).items())
+        ],
+        "logs": [
+            {
+                "name": one.name,
+                "bytes": one.size,
+                "decoded": one.options,
+                "version": one.version,
+                "complete": one.flushed or any(other.after == one.id for other in manifest.sources),
+                "parts": sum(part.source == one.id for part in manifest.parts),
+                "bad": sum(sum(part.bad.values()) for part in manifest.parts if part.source == one.id),
+            }
+            for one in manifest.sources
+        ],
+        "unfinished_runs": len(_runs(store)),
+        "wrong": wrong,
+    }
+
+
+def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int]]:
+    """Return by hand and node-id: rows, days, first and last time in nanoseconds."""
+    found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
+    for file in manifest.files():
+        hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[:2])
+        rows, days, first, last = found.get((hand, file.node), (0, set(), file.first_ns, file.last_ns))
+        found[hand, file.node] = rows + file.rows, days | {date}, min(first, file.first_ns), max(last, file.last_ns)
+    return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}
+
+
+def _runs(store: Store) -> list[str]:
+    return [name for name in store.names(FOLDER) if name.endswith(".run")]
+
+
+def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[str]:
+    """Yield the content as text."""
+    found = record(store, manifest, wrong)
+    yield (
+        f"{store.name}: {found['rows']} samples, {found['lost']} lost, {found['files']} files, "
+        f"{found['bytes'] / _MB:.1f} MB, generation {manifest.generation}"
+    )
+    for node in found["nodes"]:
+        first, last = (str(np.datetime64(int(node[name] * 1000), "ms")) for name in ("first_s", "last_s"))
+        yield (
+            f"{node['hand']} node {node['node']} (0x{node['node']:02X}): {node['rows']} samples on "
+            f"{node['days']} days, {first} to {last}"
+        )
+    for log in found["logs"]:
+        bad = f", {log['bad']} bad lines" if log["bad"] else ""
+        state = "" if log["complete"] else ", the rest is missing: run `tipforce decode` again"
+        yield f"{log['name']}: {log['bytes']} bytes in {log['parts']} parts{bad}{state}"
+    if found["unfinished_runs"]:
+        yield f"runs that write now, or were ended: {found['unfinished_runs']}"
+    for path, what in wrong.items():
+        yield f"{path}: {what}"

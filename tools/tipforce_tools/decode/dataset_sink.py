@@ -1,0 +1,123 @@
+"""Write parts of a recording into a dataset: ``hand=/date=/node=``, one Parquet file each."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.host.dataset.manifest import FOLDER, DataFile
+from tipforce.host.dataset.store import Store
+from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
+from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
+from tipforce_tools.decode.writers import Shape
+
+BASE = (TIME, CHANNEL, NODE, COUNTER)
+NO_DATE = "__HIVE_DEFAULT_PARTITION__"
+"""Of a log without times; query engines read it as null."""
+_DAY_NS = 86_400 * 10**9
+
+
+class FilesOfPart(NamedTuple):
+    """The files of one part, and the columns that these have."""
+
+    files: list[DataFile]
+    columns: tuple[Column, ...]
+
+
+class DatasetSink:
+    """Writes files whose names contain ``token``, which no other run has. It can be sent to another process."""
+
+    def __init__(self, directory: str, token: str, hand: str | None) -> None:
+        """``hand``: value of the first partition; None: the name of the interface."""
+        self._directory, self._token, self._hand = directory, token, hand
+        self.names: list[str] = []
+        """Of the parts by number."""
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
+        """Write the rows of a part; each file appears when it is complete."""
+        from tipforce_tools.decode.parquet import Parts
+
+        store = Store(self._directory)
+        scratch = self._scratch(store)
+        writing: dict[str, _Open] = {}
+        try:
+            for table in tables:
+                shape.fits(table)
+                for place, rows in _partitions(table, self._hand):
+                    if place not in writing:
+                        file = scratch / f"{self.names[number]}-{len(writing)}"
+                        writing[place] = _Open(file, Parts(file), int(table.node[rows[0]]))
+                    writing[place].add(table.take(rows), shape)
+            return FilesOfPart([one.kept(store, place, self.names[number], shape) for place, one in writing.items()],
+                               shape.columns)  # fmt: skip
+        except BaseException:
+            for one in writing.values():
+                one.parts.abort()
+            raise
+
+    def _scratch(self, store: Store) -> Path:
+        import tempfile
+
+        local = store.local
+        if local is None:
+            return Path(tempfile.mkdtemp(prefix="tipforce-"))
+        folder = local / FOLDER / self._token
+        folder.mkdir(parents=True, exist_ok=True)
+        return folder
+
+
+class _Open:
+    """One file being written."""
+
+    def __init__(self, file: Path, parts: object, node: int) -> None:
+        from tipforce_tools.decode.parquet import Parts
+
+        assert isinstance(parts, Parts)
+        self.file, self.parts, self.node = file, parts, node
+        self.rows = 0
+        self.first_ns, self.last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
+
+    def add(self, table: Table, shape: Shape) -> None:
+        """Append the rows of a table."""
+        from tipforce_tools.decode.parquet import arrow_table, schema_of
+
+        self.rows += len(table)
+        self.first_ns = min(self.first_ns, int(table.t_ns.min()))
+        self.last_ns = max(self.last_ns, int(table.t_ns.max()))
+        self.parts.add(arrow_table(table, schema_of(shape)).drop_columns([NODE]))
+
+    def kept(self, store: Store, place: str, name: str, shape: Shape) -> DataFile:
+        """Complete the file and give it its name."""
+        from tipforce_tools.decode.parquet import schema_of
+
+        schema = schema_of(shape)
+        self.parts.finish(schema.remove(schema.get_field_index(NODE)), shape.channel)
+        with self.file.open("rb") as stream:
+            digest = hashlib.file_digest(stream, "sha256").hexdigest()
+        size = os.path.getsize(self.file)
+        store.put(self.file, path := f"{place}/{name}.parquet")
+        return DataFile(path, self.node, self.rows, size, digest, self.first_ns, self.last_ns)
+
+
+def _partitions(table: Table, hand: str | None) -> Iterator[tuple[str, npt.NDArray[np.intp]]]:
+    """Yield the folders of a table's rows, and the rows of each."""
+    day = table.t_ns // _DAY_NS if table.timed else np.zeros(len(table), dtype=np.int64)
+    order = np.argsort(table.key, kind="stable") if (day == day[0]).all() else np.lexsort((day, table.key))
+    key, day = table.key[order], day[order]
+    cuts = np.flatnonzero((key[1:] != key[:-1]) | (day[1:] != day[:-1])) + 1
+    for rows in np.split(order, cuts):
+        first = rows[0]
+        channel, node = table.channels[int(table.key[first]) >> NODE_BITS], int(table.key[first]) & (1 << NODE_BITS) - 1
+        date = str(np.datetime64(int(table.t_ns[first]), "ns"))[:10] if table.timed else NO_DATE
+        yield f"hand={_folder(hand or channel)}/date={date}/node={node}", rows
+
+
+def _folder(name: str) -> str:
+    """Return a name without characters that a path or a partition cannot have."""
+    return "".join(mark if mark.isalnum() or mark in "-_." else "_" for mark in name) or "_"

@@ -1,0 +1,183 @@
+"""Join Parquet files of one schema without decoding them: their row groups are copied, and one footer names all.
+
+The footer is a FileMetaData of Thrift's compact protocol (parquet.thrift of the Parquet format). It is read as plain
+structures; only the offsets of the column chunks are moved, and the row groups are put into one list.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, BinaryIO
+
+_MAGIC = b"PAR1"
+_TRUE, _FALSE, _BYTE, _DOUBLE, _BINARY, _LIST, _STRUCT = 1, 2, 3, 7, 8, 9, 12
+_INTEGERS = (4, 5, 6)
+
+Struct = dict[int, tuple[int, Any]]
+"""By field: its Thrift type and its value; a list's value is (type, values)."""
+
+# Fields of FileMetaData, RowGroup, ColumnChunk and ColumnMetaData.
+_NUM_ROWS, _ROW_GROUPS = 3, 4
+_COLUMNS, _GROUP_OFFSET, _ORDINAL = 1, 5, 7
+_CHUNK_OFFSET, _META_DATA = 2, 3
+_CHUNK_INDEXES = (4, 5, 6, 7)
+_PAGE_OFFSETS = (9, 10, 11)
+_BLOOM_FILTER = (14, 15)
+
+
+def join(paths: Sequence[Path], out: BinaryIO, copy: Callable[[Path, int, int, BinaryIO], None]) -> None:
+    """Write one file with the row groups of all; their schemas must be equal.
+
+    ``copy(path, start, end, out)`` appends bytes of a file. Raises ValueError for a file that is not Parquet.
+    """
+    out.write(_MAGIC)
+    whole: Struct | None = None
+    groups: list[Struct] = []
+    rows = 0
+    place = len(_MAGIC)
+    for path in paths:
+        footer, end = _footer(path)
+        out.flush()
+        copy(path, len(_MAGIC), end, out)
+        for group in footer[_ROW_GROUPS][1][1]:
+            _move(group, place - len(_MAGIC), len(groups))
+            groups.append(group)
+        rows += footer[_NUM_ROWS][1]
+        place += end - len(_MAGIC)
+        whole = whole or footer
+    assert whole is not None
+    whole[_NUM_ROWS] = whole[_NUM_ROWS][0], rows
+    whole[_ROW_GROUPS] = _LIST, (_STRUCT, groups)
+    text = _struct_bytes(whole)
+    out.write(text + struct.pack("<I", len(text)) + _MAGIC)
+
+
+def _footer(path: Path) -> tuple[Struct, int]:
+    """Return the footer and where it begins."""
+    with path.open("rb") as file:
+        size = file.seek(0, 2)
+        file.seek(max(size - 8, 0))
+        length, magic = struct.unpack("<I4s", file.read(8).rjust(8, b"\0"))
+        if magic != _MAGIC or length + 12 > size:
+            raise ValueError(f"{path}: not a whole Parquet file")
+        file.seek(size - 8 - length)
+        return _Reader(file.read(length)).struct(), size - 8 - length
+
+
+def _move(group: Struct, by: int, ordinal: int) -> None:
+    """Move the offsets of a row group. Page indexes and Bloom filters, which stay behind, are left out."""
+    for chunk in group[_COLUMNS][1][1]:
+        _add(chunk, (_CHUNK_OFFSET,), by)
+        for index in _CHUNK_INDEXES:
+            chunk.pop(index, None)
+        meta: Struct = chunk[_META_DATA][1]
+        _add(meta, _PAGE_OFFSETS, by)
+        for index in _BLOOM_FILTER:
+            meta.pop(index, None)
+    _add(group, (_GROUP_OFFSET,), by)
+    if _ORDINAL in group:
+        group[_ORDINAL] = group[_ORDINAL][0], ordinal
+
+
+def _add(fields: Struct, which: Sequence[int], by: int) -> None:
+    for field in which:
+        if field in fields and fields[field][1] > 0:  # 0: no such place
+            fields[field] = fields[field][0], fields[field][1] + by
+
+
+class _Reader:
+    """Read values of the compact protocol."""
+
+    def __init__(self, data: bytes) -> None:
+        self._data, self._at = data, 0
+
+    def _byte(self) -> int:
+        self._at += 1
+        return self._data[self._at - 1]
+
+    def _varint(self) -> int:
+        found = shift = 0
+        while True:
+            byte = self._byte()
+            found |= (byte & 0x7F) << shift
+            if byte < 0x80:
+                return found
+            shift += 7
+
+    def _zigzag(self) -> int:
+        number = self._varint()
+        return number >> 1 ^ -(number & 1)
+
+    def _bytes(self, count: int) -> bytes:
+        self._at += count
+        return self._data[self._at - count : self._at]
+
+    def struct(self) -> Struct:
+        """Read fields up to the stop."""
+        found: Struct = {}
+        field = 0
+        while head := self._byte():
+            field = field + (head >> 4) if head >> 4 else self._zigzag()
+            kind = head & 15
+            found[field] = kind, kind == _TRUE if kind in (_TRUE, _FALSE) else self._value(kind)
+        return found
+
+    def _value(self, kind: int) -> Any:
+        if kind in _INTEGERS:
+            return self._zigzag()
+        if kind == _BINARY:
+            return self._bytes(self._varint())
+        if kind == _STRUCT:
+            return self.struct()
+        if kind == _LIST:
+            head = self._byte()
+            count = head >> 4 if head >> 4 < 15 else self._varint()
+            return head & 15, [self._value(head & 15) for _ in range(count)]
+        if kind == _DOUBLE:
+            return self._bytes(8)
+        if kind in (_TRUE, _FALSE, _BYTE):
+            return self._byte()
+        raise ValueError(f"Thrift type {kind} in a Parquet footer")
+
+
+def _struct_bytes(fields: Struct) -> bytes:
+    out = bytearray()
+    before = 0
+    for field, (given, value) in sorted(fields.items()):
+        kind = (_TRUE if value else _FALSE) if given in (_TRUE, _FALSE) else given
+        step = field - before
+        out += bytes([step << 4 | kind]) if 0 < step < 16 else bytes([kind]) + _zigzag_bytes(field)
+        before = field
+        if kind not in (_TRUE, _FALSE):
+            out += _value_bytes(kind, value)
+    return bytes(out) + b"\0"
+
+
+def _value_bytes(kind: int, value: Any) -> bytes:
+    if kind in _INTEGERS:
+        return _zigzag_bytes(value)
+    if kind == _BINARY:
+        return _varint_bytes(len(value)) + bytes(value)
+    if kind == _STRUCT:
+        return _struct_bytes(value)
+    if kind == _LIST:
+        of, values = value
+        count = len(values)
+        head = bytes([count << 4 | of]) if count < 15 else bytes([0xF0 | of]) + _varint_bytes(count)
+        return head + b"".join(_value_bytes(of, one) for one in values)
+    return bytes(value) if kind == _DOUBLE else bytes([value])
+
+
+def _zigzag_bytes(number: int) -> bytes:
+    return _varint_bytes(number << 1 if number >= 0 else (-number << 1) - 1)
+
+
+def _varint_bytes(number: int) -> bytes:
+    out = bytearray()
+    while number > 0x7F:
+        out.append(number & 0x7F | 0x80)
+        number >>= 7
+    out.append(number)
+    return bytes(out)

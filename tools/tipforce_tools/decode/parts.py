@@ -1,0 +1,261 @@
+"""Decode the parts of a recording with any number of workers, each of which writes the rows of its parts itself.
+
+A worker decodes a part and keeps its rows; the parts' ends come here, where a pass in order (``Recording.follow``)
+finds what each part cannot know; then the worker completes and writes its rows. What comes back is a record of what
+was written, never a row. A part is repeated if its worker dies.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple, Protocol
+
+from tipforce.errors import TipforceError
+from tipforce.host.decoding.decoded_part import DecodedPart, Ends, Start
+from tipforce.host.decoding.health import NAMES
+from tipforce.host.decoding.health_rows import EMCY, STATE, with_channel
+from tipforce.host.decoding.log_part import Notes, Piece, Reading, StrictError
+from tipforce.host.decoding.recording import Recording, State
+from tipforce.host.decoding.sample_table import Column, Table, flag, in_order
+from tipforce.host.decoding.services import BusEvent
+from tipforce.host.decoding.tally import Tally
+from tipforce_tools.decode.summary import Summary
+from tipforce_tools.decode.writers import Shape
+
+
+class Sink(Protocol):
+    """Writes the rows of a part; it can be sent to another process."""
+
+    def write(self, number: int, tables: Iterable[Table], shape: Shape) -> Any:
+        """Write the rows of part ``number`` with the columns of ``shape``; return a record. Raises OSError."""
+
+
+@dataclass(slots=True)
+class Written:
+    """What was written of a part. ``shape``: its columns, and those of the parts in front."""
+
+    number: int
+    piece: Piece
+    record: Any
+    shape: Shape
+    summary: Summary
+    state: State | None = None
+    """Of the recording after it."""
+    notes: list[Notes] = field(default_factory=list)
+    """Of a part that was decoded after the ones in front."""
+    frames: int = 0
+    bad: dict[str, int] = field(default_factory=dict)
+    """Bad lines by reason."""
+    events: list[BusEvent] = field(default_factory=list)
+
+
+class Event(NamedTuple):
+    """What a worker says of part ``number``: its Ends, what was Written, or an error."""
+
+    number: int
+    told: Ends | Written | Exception
+
+
+class Workers(Protocol):
+    """Workers for a sequence of parts."""
+
+    @property
+    def free(self) -> int:
+        """How many parts can be begun now."""
+
+    def decode(self, number: int, piece: Piece) -> None:
+        """Begin to decode a part."""
+
+    def write(self, number: int, start: Start, shape: Shape) -> None:
+        """Complete and write a decoded part."""
+
+    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
+        """Decode and write a part after the ones in front."""
+
+    def next(self) -> Event:
+        """Wait for the next event. Raises EnvironmentLackError if a part cannot be finished."""
+
+    def close(self) -> None:
+        """End all work."""
+
+
+class Work:
+    """What a worker does with one part, in whatever process."""
+
+    def __init__(self, number: int, piece: Piece, reading: Reading) -> None:
+        self._number, self._piece, self._reading = number, piece, reading
+        self._part: DecodedPart | None = None
+
+    def decode(self) -> Ends:
+        """Decode the part and keep its rows. Raises TipforceError, OSError."""
+        self._part = DecodedPart(self._piece, self._reading)
+        return self._part.ends
+
+    def write(self, start: Start, shape: Shape, sink: Sink) -> Written:
+        """Complete and write the rows. Raises OSError."""
+        assert self._part is not None
+        return self._written(self._part.rows(start), shape, sink)
+
+    def alone(self, state: State, shape: Shape, last: bool, sink: Sink) -> Written:
+        """Decode and write the part where the parts in front of it are known. Raises TipforceError, OSError."""
+        recording = Recording(self._reading, state)
+        found = self._written(self._tables(recording, last), shape, sink)
+        found.state, found.notes = recording.state(), recording.told.notes
+        found.events = recording.told.bus.found
+        found.frames, found.bad = recording.told.notes[0].frames, dict(recording.told.notes[0].bad)
+        return found
+
+    def _tables(self, recording: Recording, last: bool) -> Iterator[Table]:
+        yield from recording.tables_of_piece(self._piece)
+        if last:
+            yield from recording.finish()
+
+    def _written(self, tables: Iterable[Table], shape: Shape, sink: Sink) -> Written:
+        summary = Summary()
+        record = sink.write(self._number, summary.passing(tables), shape)
+        return Written(self._number, self._piece, record, shape, summary)
+
+
+class Here:
+    """This process as the only worker: each part is decoded after the ones in front."""
+
+    def __init__(self, reading: Reading, sink: Sink) -> None:
+        self._reading, self._sink = reading, sink
+        self._pieces: dict[int, Piece] = {}
+        self._events: list[Event] = []
+
+    @property
+    def free(self) -> int:
+        """1 while no part is in work."""
+        return int(not self._pieces)
+
+    def decode(self, number: int, piece: Piece) -> None:
+        """Do nothing yet."""
+        self._pieces[number] = piece
+        self._events.append(Event(number, Ends((), Tally(), Notes(piece.name))))
+
+    def write(self, number: int, start: Start, shape: Shape) -> None:
+        """Do nothing: no part is decoded on its own."""
+
+    def alone(self, number: int, state: State, shape: Shape, last: bool) -> None:
+        """Decode and write a part."""
+        work = Work(number, self._pieces.pop(number), self._reading)
+        try:
+            self._events.append(Event(number, work.alone(state, shape, last, self._sink)))
+        except (TipforceError, OSError) as error:
+            self._events.append(Event(number, error))
+
+    def next(self) -> Event:
+        """Return the next event."""
+        return self._events.pop(0)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class _Followed(NamedTuple):
+    state: State
+    frames: int
+    bad: dict[str, int]
+    events: list[BusEvent]
+
+
+class InOrder:
+    """The pass over the parts of a recording in order, while workers decode and write them."""
+
+    def __init__(
+        self,
+        pieces: Sequence[Piece],
+        recording: Recording,
+        shape: Shape,
+        workers: Workers,
+        *,
+        asked: Sequence[str] | None = None,
+        ends: bool = True,
+    ) -> None:
+        """``asked``: the signals that are shown; ``ends``: the recording ends with the last part."""
+        self._pieces, self._recording, self._shape = pieces, recording, shape
+        self._workers, self._asked, self._ends = workers, asked, ends
+        self._known: dict[int, Ends | Exception] = {}
+        self._written: dict[int, Written] = {}
+        self._followed_parts: dict[int, _Followed] = {}
+        self._begun = self._followed = self._given = 0
+        self._alone = False
+
+    def __iter__(self) -> Iterator[Written]:
+        """Yield what was written, in order. Raises the errors of the decoding and the writing in order, too."""
+        try:
+            while self._given < len(self._pieces):
+                while self._begun < len(self._pieces) and self._workers.free:
+                    self._workers.decode(self._begun, self._pieces[self._begun])
+                    self._begun += 1
+                self._take(self._workers.next())
+                self._follow()
+                while self._given in self._written:
+                    found = self._written.pop(self._given)
+                    self._complete(found)
+                    self._given += 1
+                    yield found
+        finally:
+            self._workers.close()
+
+    def _take(self, event: Event) -> None:
+        number, told = event
+        if not isinstance(told, Written):
+            if number >= self._followed:
+                self._known[number] = told
+            if self._alone and isinstance(told, Exception):
+                self._raise(told)
+            elif isinstance(told, Exception) and number < self._followed:
+                raise told
+            return
+        self._written[number] = told
+        if told.state is not None and number == self._followed:
+            self._recording.resume(told.state, told.notes)
+            self._shape = told.shape.copy()
+            self._known.pop(number, None)
+            self._followed, self._alone = number + 1, False
+
+    def _follow(self) -> None:
+        """Tell the parts whose turn it is what the parts in front leave."""
+        while not self._alone and self._followed in self._known:
+            number, ends = self._followed, self._known.pop(self._followed)
+            if isinstance(ends, Exception):
+                self._raise(ends)
+                return
+            last = self._ends and number == len(self._pieces) - 1
+            counts = ends.notes.frames, dict(ends.notes.bad)
+            start = self._recording.follow(ends, last=last)
+            if start is None:
+                self._alone = True
+                self._workers.alone(number, self._recording.state(), self._shape.copy(), last)
+                return
+            self._shape.take(columns_of(ends, start, self._asked), start.channels)
+            self._followed_parts[number] = _Followed(self._recording.state(), *counts, start.events)
+            self._followed += 1
+            self._workers.write(number, start, self._shape.copy())
+
+    def _complete(self, found: Written) -> None:
+        followed = self._followed_parts.pop(found.number, None)
+        if followed is not None:
+            found.state, found.frames, found.bad, found.events = followed
+
+    def _raise(self, error: Exception) -> None:
+        raise self._recording.numbered(error) if isinstance(error, StrictError) else error
+
+
+def columns_of(ends: Ends, start: Start, asked: Sequence[str] | None) -> tuple[Column, ...]:
+    """Return the columns of a part's rows, in order: those that its frames carry, and the faults told before it."""
+    found = {column.name: column for column in ends.columns if column.name not in (EMCY, STATE)}
+    for table in (*start.before, *start.after):
+        found |= {column.name: column for column in table.columns if column.name not in found}
+    seen = 0
+    for change in ends.health.values():
+        seen |= change.seen_ever
+    for key in ends.keys:
+        seen |= start.health.get(with_channel(key, start.numbers), (0, 0))[1]
+    for name, bit in NAMES.items():
+        if seen >> bit & 1 and (asked is None or name in asked):
+            found.setdefault(name, flag(name))
+    return in_order(found.values(), asked)
