@@ -258,3 +258,25 @@ def lamp_of_the_page() -> Iterator[Names]:
     page = (Path(__file__).parents[2] / "docs" / "simulate.md").read_text(encoding="utf-8")
     Path("lamp.eds").write_text(page.split("```ini\n")[1].split("```")[0])
     yield {}
+
+
+@setup("scale.md")
+def two_days_of_two_fingers() -> Iterator[Names]:
+    """Logs of nodes 1 and 2 on two days, at 10 Hz for 30 s: grips of 2 s, a drift of SG1, lost samples, a boot-up."""
+    for day in range(2):
+        lines = []
+        for k in range(300):
+            t = 1_700_000_000 + 86_400 * day + k / 10
+            lines.append(f"({t:.6f}) can0 080#")
+            for node in (1, 2):
+                touched = k % 100 < 20 * node
+                if (day, node) == (1, 2) and k in (50, 51):
+                    continue
+                contact = (1000 * node + k, 9000, 4500, 0x03) if touched else (0, -32768, -32768, 0x02)
+                gauges = (300 * node if touched else 20 * day * node, 10, -10, contact[3])
+                for base, words in ((0x180, gauges), (0x280, contact)):
+                    data = struct.pack("<hhhBB", *words, (k + 300 * day) % 256).hex().upper()
+                    lines.append(f"({t + 0.0001 * node:.6f}) can0 {base + node:03X}#{data}")
+        lines.append(f"({t + 1:.6f}) can0 702#00")
+        Path(f"day-{day + 1}.log").write_text("\n".join(lines) + "\n")
+    yield {}

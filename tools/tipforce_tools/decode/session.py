@@ -67,7 +67,7 @@ def decode(args: Namespace) -> int:
         elif pieces:
             _write_parts(args, kind, pieces, reading, recording, summary, bar)
         else:
-            tables = recording.tables_of_logs(names, bar if bar.wanted else None, frames)
+            tables: Iterable[Table] = recording.tables_of_logs(names, bar if bar.wanted else None, frames)
             tables = steps.resampled(summary.passing(steps.contact(tables)))
             _write_all(args, kind, tables, steps, recording.told, frames)
         complete = True
