@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
+from itertools import pairwise
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -41,19 +42,26 @@ class DatasetSink:
 
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
         """Write the rows of a part; each file appears when it is complete."""
-        from tipforce_tools.decode.parquet import Parts
+        from tipforce_tools.decode.parquet import Parts, arrow_table, schema_of
 
         store = Store(self._directory)
         scratch = self._scratch(store)
         writing: dict[str, _Open] = {}
+        schema: Any = None
         try:
             for table in tables:
                 shape.fits(table)
-                for place, rows in _partitions(table, self._hand):
+                if schema is None or len(schema) != len(shape.base) + len(shape.columns):
+                    schema = schema_of(shape)
+                order, cuts = _partitions(table)
+                ordered = table.take(order)
+                rows = arrow_table(ordered, schema).drop_columns([NODE])
+                for start, end in pairwise(cuts):
+                    place = _place(ordered, start, self._hand)
                     if place not in writing:
                         file = scratch / f"{self.names[number]}-{len(writing)}"
-                        writing[place] = _Open(file, Parts(file), int(table.node[rows[0]]))
-                    writing[place].add(table.take(rows), shape)
+                        writing[place] = _Open(file, Parts(file), int(ordered.node[start]))
+                    writing[place].add(rows.slice(start, end - start), ordered.t_ns[start:end])
             return FilesOfPart([one.kept(store, place, self.names[number], shape) for place, one in writing.items()],
                                shape.columns)  # fmt: skip
         except BaseException:
@@ -83,14 +91,11 @@ class _Open:
         self.rows = 0
         self.first_ns, self.last_ns = np.iinfo(np.int64).max, np.iinfo(np.int64).min
 
-    def add(self, table: Table, shape: Shape) -> None:
-        """Append the rows of a table."""
-        from tipforce_tools.decode.parquet import arrow_table, schema_of
-
-        self.rows += len(table)
-        self.first_ns = min(self.first_ns, int(table.t_ns.min()))
-        self.last_ns = max(self.last_ns, int(table.t_ns.max()))
-        self.parts.add(arrow_table(table, schema_of(shape)).drop_columns([NODE]))
+    def add(self, rows: Any, t_ns: npt.NDArray[np.int64]) -> None:
+        """Append rows with these times."""
+        self.rows += len(rows)
+        self.first_ns, self.last_ns = min(self.first_ns, int(t_ns.min())), max(self.last_ns, int(t_ns.max()))
+        self.parts.add(rows)
 
     def kept(self, store: Store, place: str, name: str, shape: Shape) -> DataFile:
         """Complete the file and give it its name."""
@@ -105,17 +110,19 @@ class _Open:
         return DataFile(path, self.node, self.rows, size, digest, self.first_ns, self.last_ns)
 
 
-def _partitions(table: Table, hand: str | None) -> Iterator[tuple[str, npt.NDArray[np.intp]]]:
-    """Yield the folders of a table's rows, and the rows of each."""
+def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
+    """Return the order of rows by node and day, and where each of these begins and the last one ends."""
     day = table.t_ns // _DAY_NS if table.timed else np.zeros(len(table), dtype=np.int64)
     order = np.argsort(table.key, kind="stable") if (day == day[0]).all() else np.lexsort((day, table.key))
     key, day = table.key[order], day[order]
     cuts = np.flatnonzero((key[1:] != key[:-1]) | (day[1:] != day[:-1])) + 1
-    for rows in np.split(order, cuts):
-        first = rows[0]
-        channel, node = table.channels[int(table.key[first]) >> NODE_BITS], int(table.key[first]) & (1 << NODE_BITS) - 1
-        date = str(np.datetime64(int(table.t_ns[first]), "ns"))[:10] if table.timed else NO_DATE
-        yield f"hand={_folder(hand or channel)}/date={date}/node={node}", rows
+    return order, [0, *cuts.tolist(), len(key)]
+
+
+def _place(table: Table, row: int, hand: str | None) -> str:
+    key = int(table.key[row])
+    date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else NO_DATE
+    return f"hand={_folder(hand or table.channels[key >> NODE_BITS])}/date={date}/node={key & (1 << NODE_BITS) - 1}"
 
 
 def _folder(name: str) -> str:
