@@ -12,7 +12,7 @@ bounds() {
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
 extras = project["optional-dependencies"]
-wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "zstd", "mcap", "ros2") for one in extras[name]]
+wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "zstd", "mcap", "ros2", "multicast") for one in extras[name]]
 for name, bound in sorted({re.match(r"([\w-]+)>=([\d.]+)", one).groups() for one in wanted}):
     print(f"{name}=={bound}")
 END
@@ -27,11 +27,14 @@ esac
 shift
 "$python" -m venv "$venv"
 "$venv/bin/pip" install --quiet --upgrade --upgrade-strategy eager -c "$venv/bounds" \
-    '.[report,parquet,zstd,mcap,ros2]' $(dev)
+    '.[report,parquet,zstd,mcap,ros2,multicast]' $(dev)
 "$venv/bin/pip" list --format=freeze 2>/dev/null | grep -iE "^($(bounds | sed 's/==.*//; s/-/[-_]/' | paste -sd'|'))==" | paste -sd' '
 [ $# -gt 0 ] || set -- tests/sensor tests/dictionary tests/device tests/fingertip tests/host tests/scene tests/sources \
     tests/running tests/api tests/tools --ignore=tests/tools/view/test_browser.py \
-    --deselect tests/api/test_public_names.py::test_a_checker_sees_the_type_of_every_name
+    --deselect tests/api/test_public_names.py::test_a_checker_sees_the_type_of_every_name \
+    --deselect "tests/api/test_public_names.py::test_every_public_name_is_there_and_has_a_docstring[tipforce.mujoco]" \
+    --deselect tests/tools/report/test_estimators.py::test_micropython_gives_the_same_as_the_node \
+    --deselect tests/tools/report/test_estimators.py::test_code_that_fails_on_micropython_is_told_shortly
 # The oldest versions use what newer ones of their own dependencies deprecate.
 if [ -s "$venv/bounds" ]; then set -- -W ignore::DeprecationWarning "$@"; fi
 # "pythonpath" of pyproject.toml names the tests' own folders only: tipforce itself is the installed one.

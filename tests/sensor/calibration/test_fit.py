@@ -57,7 +57,7 @@ def test_without_faults_it_is_ordinary_least_squares() -> None:
     sim = simulated(1)
     fit = fit_calibration(readings(sim), PLAIN)
     G = np.column_stack((force_vector(sim.P_newtons, sim.phi_rad, sim.theta_rad), np.ones(77)))
-    beta, *_ = np.linalg.lstsq(G, sim.strain)
+    beta, *_ = np.linalg.lstsq(G, sim.strain, rcond=None)
     residual = sim.strain - G @ beta
     S = residual.T @ residual / (77 - 4)
     np.testing.assert_allclose(fit.A, beta[:3].T, rtol=1e-9, atol=1e-12)

@@ -37,7 +37,8 @@ def area_with_chords(outline: Outline, mesh: Triangles) -> float:
     rectangles = sum((part.right_m - part.left_m) * (part.upper_m - part.lower_m) for part in outline.rectangles())
     on_arc = np.isclose(np.hypot(x, y), outline.tip_radius_m, rtol=1e-12, atol=0.0) & (y > outline.tip_bottom_m)
     along = np.sort(x[on_arc])
-    tip = float(np.trapezoid(outline.tip_top_m(along) - outline.tip_bottom_m, along))
+    heights = outline.tip_top_m(along) - outline.tip_bottom_m
+    tip = float(np.diff(along) @ (heights[1:] + heights[:-1])) / 2.0
     fillets = 0.0
     for corner in outline.corners().values():
         if corner.radius_m > 0.0:

@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
 from typing import TYPE_CHECKING
 
-from tipforce_tools.cli.common import add_output_arguments, console, note, print_json, print_table, set_up_logging
+from tipforce_tools.cli.common import add_output_arguments, note, print_json, print_table, progress, set_up_logging
 from tipforce_tools.view.command import add_server_arguments
 
 if TYPE_CHECKING:
@@ -36,18 +35,13 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if every error is inside its bound and the host agrees with the nodes, otherwise 1."""
     if args.view:
         return _view(args)
-    from rich.progress import Progress
-
     from tipforce_tools.demo.job import CASES, grooves, run_demo
 
     set_up_logging(args)
     started_s = time.monotonic()
     results: list[Result] = []
-    with Progress(
-        transient=True, disable=args.quiet or not sys.stderr.isatty(), console=console(args, stderr=True)
-    ) as progress:
-        task = progress.add_task("loads", total=2 * len(grooves()))
-        for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), lambda: progress.advance(task)):
+    with progress(args, "loads", 2 * len(grooves())) as advance:
+        for result in run_demo(args.seed, args.spoil, lambda line: note(args, line), advance):
             results.append(result)
             if args.json:
                 print_json(_record(result))

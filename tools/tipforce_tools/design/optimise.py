@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import argparse
 import math
-import sys
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -120,7 +118,7 @@ def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcom
 
     axis: Objective = "theta" if args.objective == "condition" else args.objective
     starts = len(configurations(args.gauges, limits.upper_face)) * max(args.starts, 0)
-    with _Progress(args, 2 * starts + (_FROM + 1) * len(TRADE_OFF_STEPS)) as done:
+    with common.progress(args, "starts", 2 * starts + (_FROM + 1) * len(TRADE_OFF_STEPS)) as done:
         best = search(args.gauges, axis, limits, loads, starts=args.starts, seed=args.seed, done=done)
         least = search(args.gauges, "condition", limits, loads, starts=args.starts, seed=args.seed, done=done)[0]
         between = trade_off(best[0], best[1:_FROM], least, axis, loads, limits, done)
@@ -160,26 +158,6 @@ class _Judge:
         from tipforce.sensor.design.assessment import assess
 
         return assess(name, design.geometry, design.gauges, **self.options)
-
-
-class _Progress:
-    """Show a progress bar on stderr if it is a terminal; yield the function that advances it by one."""
-
-    def __init__(self, args: argparse.Namespace, total: int) -> None:
-        from rich.progress import Progress
-
-        self._bar = Progress(
-            transient=True, disable=args.quiet or not sys.stderr.isatty(), console=common.console(args, stderr=True)
-        )
-        self._total = total
-
-    def __enter__(self) -> Callable[[], None]:
-        self._bar.start()
-        task = self._bar.add_task("starts", total=self._total)
-        return lambda: self._bar.advance(task)
-
-    def __exit__(self, *_: object) -> None:
-        self._bar.stop()
 
 
 def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:

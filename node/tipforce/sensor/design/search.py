@@ -8,6 +8,7 @@ starts, with exact derivatives (a complex step through the formulas of Table 1, 
 from __future__ import annotations
 
 import math
+import warnings
 from collections.abc import Callable, Sequence
 from typing import Literal
 
@@ -86,7 +87,9 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
         "fun": lambda z: problem.constraints((z * scale)[np.newaxis])[0],
         "jac": lambda z: problem.constraints(z * scale + step).imag.T / 1e-30,
     }
-    with np.errstate(all="ignore"):
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # SLSQP of scipy 1.11 leaves the bounds by rounding, and clips.
+        warnings.filterwarnings("ignore", "Values in x were outside bounds", RuntimeWarning)
         found = minimize(
             scored, x / scale, jac=True, method="SLSQP", bounds=problem.bounds / scale[:, np.newaxis],
             constraints=[constraint], options={"maxiter": 300, "ftol": 1e-9},
