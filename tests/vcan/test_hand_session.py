@@ -35,7 +35,7 @@ SYNC_HZ = 25
 # that, too. Where others do, all nodes stand still together for more than the 250 ms after which they would be lost.
 HEARTBEAT_MS = 200
 BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
-LATE = ("heartbeat_lost", "heartbeat_back")
+LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent")
 RECOVERED_MS = 2000
 NOT_OF_THIS_SYNC_NEWTONS = 0.5 * NEWTONS_PER_S / SYNC_HZ  # an answer to the SYNC before is off by twice as much
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12
@@ -135,7 +135,11 @@ class Session:
 
     def kinds(self) -> list[tuple[str, int]]:
         """What happened since the last call."""
-        return [(event.kind, event.node_id) for event in self.hand.events()]
+        silent = "was silent"  # what follows a lost heartbeat
+        return [
+            (f"{event.kind}: {event.text}" if event.text == silent else event.kind, event.node_id)
+            for event in self.hand.events()
+        ]
 
 
 def of_others(kinds: list[tuple[str, int]], node_id: int = -1) -> list[tuple[str, int]]:
