@@ -116,7 +116,7 @@ def _half_cylinder_vertices(g: Geometry) -> list[float]:
     for k in range(FACETS + 1):
         angle = math.pi * k / FACETS
         for z in (-0.5 * g.width_m, 0.5 * g.width_m):
-            found += (g.r_m * math.cos(angle), g.r_m * math.sin(angle), z)
+            found += (round(g.r_m * math.cos(angle), 12), round(g.r_m * math.sin(angle), 12), z)
     return found
 
 
