@@ -21,7 +21,7 @@ from bench.device import machine
 from bench.live_load import Load
 
 PAGE = Path(__file__).parents[1] / "docs" / "live-performance.md"
-FULL_SECONDS = 60.0
+FULL_SECONDS = 20.0
 RATES_HZ = (5000, 30_000)
 LOGGER_HZ = 10_000
 
