@@ -178,11 +178,11 @@ def test_parts_are_decoded_apart(tmp_path: Path) -> None:
 def test_a_worker_that_is_killed_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    from tipforce_tools.decode import part_files, session
+    from tipforce_tools.decode import part_files, part_session
 
-    monkeypatch.setattr(session, "_LEAST_PIECE_BYTES", 100_000)
-    monkeypatch.setattr(session, "_PIECE_BYTES", 100_000)
-    monkeypatch.setattr(session, "_SMALL_BYTES", 0)
+    monkeypatch.setattr(part_session, "_LEAST_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(part_session, "_PIECE_BYTES", 100_000)
+    monkeypatch.setattr(part_session, "_SMALL_BYTES", 0)
     log = write_log(tmp_path / "run.log", log_lines(3000, (1, 5)))
     assert decode(log, "-j", 1, "-o", tmp_path / "one.csv") == 0
     write = part_files.PartFile.write

@@ -80,6 +80,8 @@ def _base_array(name: str, table: Table) -> Any:
         return _as_array(table.t_ns, _BASE[TIME]) if table.timed else pa.nulls(len(table), _BASE[TIME])
     if name == NODE:
         return _as_array(table.node, _BASE[NODE])
+    if name == CHANNEL and len(table.channels) == 1:
+        return pa.repeat(pa.scalar(table.channels[0], pa.string()), len(table))
     if name == CHANNEL:
         indices = _as_array(table.channel, pa.int32())
         return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(pa.string())

@@ -8,6 +8,8 @@ from contextlib import suppress
 from multiprocessing import connection
 from typing import Any
 
+import numpy as np
+
 from tipforce.errors import EnvironmentLackError, TipforceError
 from tipforce.host.decoding.decoded_part import Start
 from tipforce.host.decoding.log_part import Piece, Reading
@@ -15,6 +17,7 @@ from tipforce.host.decoding.recording import State
 from tipforce_tools.decode.parts import Event, Sink, Work, Written
 from tipforce_tools.decode.writers import Shape
 
+_KEPT_BYTES = 31 << 20  # glibc keeps twice as much
 _TRIES = 3
 """Of a part whose worker dies."""
 
@@ -113,6 +116,7 @@ def _serve(pipe: Any, inherited: list[Any], reading: Reading, sink: Sink) -> Non
     """Work on one part after another, until the other end of the pipe is closed."""
     for other in inherited:
         other.close()
+    np.empty(_KEPT_BYTES, dtype=np.uint8)  # as in host.logs.lines: the memory of a part is kept for the next one
     work: Work | None = None
     with suppress(KeyboardInterrupt, EOFError, BrokenPipeError):
         while True:

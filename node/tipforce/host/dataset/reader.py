@@ -75,7 +75,10 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
     wanted = [one for one in manifest.columns if reading.signals is None or one.signal in reading.signals]
     channels: list[str] = []
     for part in sorted(manifest.parts, key=lambda one: min((file.first_ns for file in one.files), default=0)):
-        found = _part_table(store, part, reading, wanted, channels, (start, end))
+        try:
+            found = _part_table(store, part, reading, wanted, channels, (start, end))
+        except FileNotFoundError as error:
+            raise InputError(f"{name}: a run has replaced a part meanwhile; read it again ({error})") from error
         if found is not None and len(found):
             yield found
 
