@@ -259,4 +259,4 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
 
 def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> None:
     """A hundred instants: `make long`."""
-    killed_runs(tmp_path, lines, int(os.environ.get("TIPFORCE_KILLS", "3")), 5)
+    killed_runs(tmp_path, lines, int(os.environ.get("TIPFORCE_KILLS", "2")), 5)

@@ -146,7 +146,7 @@ def one_pass(log: Path) -> tuple[list[str], Recording]:
     st.lists(STEPS, min_size=20, max_size=160), st.sampled_from([0, 0, 3, 20, 240]),
     st.lists(st.integers(0, 159), max_size=5), st.integers(1, 4), st.randoms(use_true_random=False),
 )  # fmt: skip
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_the_rows_are_those_of_one_pass(
     tmp_path_factory: pytest.TempPathFactory, steps: list[Any], modulus: int, cuts: list[int], slots: int,
     order: random.Random,
