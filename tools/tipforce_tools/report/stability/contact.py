@@ -30,7 +30,7 @@ def cases() -> list[Case]:
         Case("contact.overflow", "P = 2.4e308 N, beyond the largest float", "flagged",
              "P is infinite, never a wrong number, and both angles are right", _overflow),
         Case("contact.not_finite", "NaN or an infinity in one of F1, F2, F3, among 1000 good rows", "flagged",
-             "all five results of that row are NaN, the other rows do not change, no exception", _not_finite),
+             "all five results of that row are NaN, the others change by rounding at most, no exception", _not_finite),
         Case("contact.exactly_tangential", "|F2| = P exactly: (3, 5, 4) N times 2^-1000 to 2^1000, both signs", "pass",
              "theta is phi -+ 90 degrees to rounding, the load counts as on the tip", _exactly_tangential),
         Case("contact.nearly_tangential", "|F2| = P (1 - 2^-k), k to 52, force along an axis", "pass",
@@ -102,7 +102,9 @@ def _not_finite() -> Observed:
     bad[:900:100] = True
     names = ("P_newtons", "phi_rad", "theta_rad", "delta_rad", "miss_newtons")
     unknown = all(np.isnan(getattr(found, name)[bad]).all() for name in names)
-    same = all(np.array_equal(getattr(found, name)[~bad], getattr(good, name)[~bad]) for name in names)
+    # The last bit of numpy 1.26's arctan2 depends on the places of its operands in memory.
+    pairs = [(getattr(found, name)[~bad], getattr(good, name)[~bad]) for name in names]
+    same = all(np.allclose(one, other, rtol=1e-15, atol=0.0) for one, other in pairs)
     node = all(
         math.isnan(value) for row in spoilt[bad].tolist() for value in scalar.contact(row[0], row[1], row[2], False)
     )
