@@ -84,12 +84,12 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         first, last = (str(np.datetime64(int(node[name] * 1000), "ms")) for name in ("first_s", "last_s"))
         yield (
             f"{node['hand']} node {node['node']} (0x{node['node']:02X}): {node['rows']} samples on "
-            f"{node['days']} days, {first} to {last}"
+            f"{node['days']} day{'s' * (node['days'] != 1)}, {first} to {last}"
         )
     for log in found["logs"]:
         bad = f", {log['bad']} bad lines" if log["bad"] else ""
         state = "" if log["complete"] else ", the rest is missing: run `tipforce decode` again"
-        yield f"{log['name']}: {log['bytes']} bytes in {log['parts']} parts{bad}{state}"
+        yield f"{log['name']}: {log['bytes']} bytes in {log['parts']} part{'s' * (log['parts'] != 1)}{bad}{state}"
     if found["unfinished_runs"]:
         yield f"runs that write now, or were ended: {found['unfinished_runs']}"
     for path, what in wrong.items():
