@@ -57,7 +57,6 @@ WRITES: list[tuple[str, str, bytes]] = [
     ("decode run.log -o x.txt", "x.txt", b"node   5 (0x05)\n"),
     ("decode run.log -o x.parquet", "x.parquet", b"PAR1 old"),
     ("decode run.log -o x.mcap", "x.mcap", b"\x89MCAP old"),
-    ("decode run.log -o parts/ --force", "parts/node=5/part-0.parquet", b"PAR1 old"),
     ("run scene.toml -o x.log", "x.log", b"(1.000000) vcan0 123#\n"),
     ("run table.toml", "table.csv", CSV),
     ("run plot.toml", "scene.svg", SVG),
@@ -123,6 +122,19 @@ def test_a_failed_write_leaves_the_old_file(
     assert Path(name).name in last or name.split("/", maxsplit=1)[0] in last
     assert "File too large" in last
     assert "Traceback" not in err
+
+
+def test_a_failed_write_leaves_the_dataset(
+    inputs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "other.log").write_text(LOG.replace("(17", "(18"))
+    assert main(["decode", str(inputs / "run.log"), "-q", "-o", "parts/"]) == 0
+    before = files(tmp_path)
+    with full_disk():
+        code = main(["decode", "other.log", "-q", "-o", "parts/"])
+    assert (code, files(tmp_path)) == (1, before)
+    assert "File too large" in capsys.readouterr().err
 
 
 def test_a_recording_that_replaces_another_is_kept_beside_it(
