@@ -359,8 +359,8 @@ class Hand:
 
     def _lost(self, error: EnvironmentLackError) -> None:
         """Reopen the bus as soon as that works after a fault, and check every finger."""
+        self._supervisor.forget()  # before the event: whoever sees it finds the hand not settled
         self._delivery.event(Event(time.monotonic(), 0, "bus_down", str(error)))
-        self._supervisor.forget()
         self._end_sync()
         if not self._own_link:
             raise error
