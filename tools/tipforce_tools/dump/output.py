@@ -7,7 +7,8 @@ from typing import Any, Protocol
 
 from tipforce.device.codes import ERROR_FLAG, REMOTE_FLAG
 from tipforce.dictionary.signals import Signal
-from tipforce.host.decoding.decoder import Key, Samples
+from tipforce.host.decoding.decoder import Samples
+from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.services import Service
 from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE
 from tipforce.host.frames.frame_block import CandumpBlock

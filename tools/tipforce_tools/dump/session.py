@@ -11,8 +11,9 @@ from typing import TYPE_CHECKING
 from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
-from tipforce.host.decoding.decoder import Decoder, Key, Samples
+from tipforce.host.decoding.decoder import Decoder, Samples
 from tipforce.host.decoding.object_names import eds_names, fingertip_names
+from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.decoding.services import Services
 from tipforce.host.decoding.sync_modulus import SyncModulus

@@ -5,25 +5,20 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import STANDARD_MASK
-from tipforce.dictionary.signals import Message, Signal, mapping_signals, tpdo_messages
+from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.columns import Column, columns_of
-from tipforce.host.decoding.packed_rows import ROW, TIME, PackRow, packed_row
+from tipforce.host.decoding.packed_rows import ROW, TIME
+from tipforce.host.decoding.plan import MAX_COB_ID, Few, Group, Key, Plan, make_plan, slots_of
 from tipforce.host.frames.frame_array import FrameArray
 
-MAX_COB_ID = STANDARD_MASK
 _NO_SLOT = 0
 _ALL = slice(None)
 _WORD = np.dtype("<u8")
-
-Key = tuple[int, str]  # node-id, message name
-
 
 FEW = 64
 """To this number of frames, one after another costs less than a numpy call per signal (bench.live)."""
@@ -82,41 +77,7 @@ class Change:
     message: tuple[int, Message] | None
 
 
-@dataclass(frozen=True, slots=True)
-class _Group:
-    """Slots ``first`` .. ``first + len(node_ids) - 1``: the nodes that share one layout, decoded together."""
-
-    message: Message
-    signals: tuple[Signal, ...]
-    first: int
-    node_ids: tuple[int, ...]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Plan:
-    """Slots of the identifiers, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
-
-    slot_of_id: npt.NDArray[np.uint16]  # (MAX_COB_ID + 2,), the last entry is for all larger identifiers
-    extended_ids: npt.NDArray[np.uint32]  # (e,) sorted, with EXTENDED_FLAG: of foreign messages
-    extended_slots: npt.NDArray[np.uint16]  # (e,)
-    length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
-    keys: tuple[Key, ...]  # of slot 1, 2, ...
-    groups: tuple[_Group, ...]
-    few: dict[int, _Few]  # by identifier
-
-
-class _Few(NamedTuple):
-    """One message of one node, for the decoding of single frames."""
-
-    slot: int
-    key: Key
-    message: Message
-    names: tuple[str, ...]
-    pack: PackRow
-    dtype: np.dtype[np.void]
-
-
-_Run = tuple[_Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Column]]
+_Run = tuple[Group, npt.NDArray[np.uint16], npt.NDArray[np.intp], dict[str, Column]]
 
 
 class Decoder:
@@ -132,7 +93,7 @@ class Decoder:
         self._messages: dict[Key, tuple[int, Message]] = {}
         self._given: dict[int, Key] = {}  # identifiers set by remap
         self._remapped: dict[tuple[str, tuple[tuple[int, int, int], ...]], Message] = {}
-        self._plans: dict[frozenset[str] | None, _Plan] = {}
+        self._plans: dict[frozenset[str] | None, Plan] = {}
         self.malformed: dict[Key, int] = {}
         messages = tpdo_messages(n)
         for node_id in node_ids:
@@ -222,10 +183,10 @@ class Decoder:
         plan = self._plan(signals)
         return self._decode_few(frames, plan) if len(frames) <= FEW else self._decode_many(frames, plan)
 
-    def _decode_few(self, frames: FrameArray, plan: _Plan) -> dict[Key, Samples]:
+    def _decode_few(self, frames: FrameArray, plan: Plan) -> dict[Key, Samples]:
         rows: dict[int, list[bytes]] = {}
         few_of_id = plan.few
-        members: dict[int, _Few] = {}
+        members: dict[int, Few] = {}
         for row, (t_ns, can_id, length, word) in enumerate(_FIELDS.iter_unpack(frames.tobytes())):
             if can_id not in few_of_id:
                 continue
@@ -244,7 +205,7 @@ class Decoder:
             found[one.key] = Samples(one.key[0], one.message, record[TIME], record[ROW], columns)
         return found
 
-    def _decode_many(self, frames: FrameArray, plan: _Plan) -> dict[Key, Samples]:
+    def _decode_many(self, frames: FrameArray, plan: Plan) -> dict[Key, Samples]:
         found: dict[Key, Samples] = {}
         for group, slot, row, columns in self._runs(frames, plan):
             ends = np.searchsorted(slot, np.arange(group.first, group.first + len(group.node_ids) + 1))
@@ -257,9 +218,9 @@ class Decoder:
                     found[node_id, group.message.name] = Samples(node_id, group.message, t_ns[rows], row[rows], of_node)
         return found
 
-    def _runs(self, frames: FrameArray, plan: _Plan) -> Iterator[_Run]:
+    def _runs(self, frames: FrameArray, plan: Plan) -> Iterator[_Run]:
         """Yield the samples layout by layout, the nodes one after another."""
-        slot = _slots(plan, frames["can_id"])
+        slot = slots_of(plan, frames["can_id"])
         self._drop_short(plan, slot, frames["length"])
         # Slots of one layout are consecutive: after a stable sort each layout is one run.
         order = np.argsort(slot, kind="stable")
@@ -272,7 +233,7 @@ class Decoder:
                 words = frames["data"].view(_WORD)[:, 0][row]
                 yield group, slot[low:high], row, columns_of(words, group.signals)
 
-    def _drop_short(self, plan: _Plan, slot: npt.NDArray[np.uint16], length: npt.NDArray[np.uint8]) -> None:
+    def _drop_short(self, plan: Plan, slot: npt.NDArray[np.uint16], length: npt.NDArray[np.uint8]) -> None:
         short = length < plan.length_of_slot[slot]
         if not short.any():
             return
@@ -282,12 +243,12 @@ class Decoder:
             self.malformed[key] = self.malformed.get(key, 0) + int(counts[number])
         slot[short] = _NO_SLOT
 
-    def _plan(self, signals: Iterable[str] | None) -> _Plan:
+    def _plan(self, signals: Iterable[str] | None) -> Plan:
         wanted = None if signals is None else frozenset(signals)
         if wanted not in self._plans:
             if len(self._plans) > 64:  # a caller with new signals in each call must not fill the memory
                 self._plans.clear()
-            self._plans[wanted] = _make_plan(self._messages, self._given, wanted)
+            self._plans[wanted] = make_plan(self._messages, self._given, wanted)
         return self._plans[wanted]
 
 
@@ -313,49 +274,3 @@ def lost_samples(counter: npt.ArrayLike, modulus: int = 256) -> int:
     values = np.asarray(counter, dtype=np.int64)
     steps = np.diff(values if modulus == 256 else values[values > 0]) % modulus
     return int(np.maximum(steps - 1, 0).sum())
-
-
-def _make_plan(
-    messages: Mapping[Key, tuple[int, Message]], given: Mapping[int, Key], wanted: frozenset[str] | None
-) -> _Plan:
-    alike = {id(message): message for _, message in messages.values()}
-    known = {signal.name for message in alike.values() for signal in message.signals}
-    if wanted is not None and not wanted <= known:
-        missing = ", ".join(sorted(wanted - known))
-        raise InputError(f"no message has the signal {missing}: allowed are {', '.join(sorted(known))}")
-    layouts: dict[int, tuple[Message, list[tuple[int, int]]]] = {}  # one Message object per layout, shared by its nodes
-    for key, (can_id, message) in messages.items():
-        if can_id and given.get(can_id, key) == key:
-            layouts.setdefault(id(message), (message, []))[1].append((key[0], can_id))
-    groups: list[_Group] = []
-    slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint16)
-    extended: dict[int, int] = {}
-    lengths, keys = [0], list[Key]()
-    few: dict[int, _Few] = {}
-    for message, members in layouts.values():
-        signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
-        if not signals:
-            continue
-        names, (pack, dtype) = tuple(signal.name for signal in signals), packed_row(signals)
-        groups.append(_Group(message, signals, len(lengths), tuple(node_id for node_id, _ in members)))
-        for node_id, can_id in members:
-            few[can_id] = _Few(len(lengths), (node_id, message.name), message, names, pack, dtype)
-            if can_id <= MAX_COB_ID:
-                slot_of_id[can_id] = len(lengths)
-            else:
-                extended[can_id] = len(lengths)
-            lengths.append(message.length_bytes)
-            keys.append((node_id, message.name))
-    ids = np.array(sorted(extended), dtype=np.uint32)
-    slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint16)
-    return _Plan(slot_of_id, ids, slots, np.array(lengths, dtype=np.uint8), tuple(keys), tuple(groups), few)
-
-
-def _slots(plan: _Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16]:
-    """Return the slot of each identifier (k,): flags and larger identifiers are beyond MAX_COB_ID."""
-    slot: npt.NDArray[np.uint16] = plan.slot_of_id[np.minimum(can_id, MAX_COB_ID + 1)]
-    if len(plan.extended_ids):
-        place = np.minimum(np.searchsorted(plan.extended_ids, can_id), len(plan.extended_ids) - 1)
-        found = plan.extended_ids[place] == can_id
-        slot[found] = plan.extended_slots[place[found]]
-    return slot

@@ -15,7 +15,8 @@ from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
 from tipforce.eds.sections import EdsFile, read
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoder import MAX_COB_ID, Decoder, Key
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.plan import MAX_COB_ID, Key
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage

@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.decoder import Key, Samples, lost_samples, unwrap_counter
+from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
+from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.sync_modulus import SAMPLES
 
 COUNTER = "counter"

@@ -8,7 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.host.decoding.decoded_pdos import COUNTER, has_signal
-from tipforce.host.decoding.decoder import Change, Decoder, Key, Samples
+from tipforce.host.decoding.decoder import Change, Decoder, Samples
+from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
