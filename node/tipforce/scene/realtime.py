@@ -50,13 +50,31 @@ class _Heard(FrameBuffer):
         self.failure = exc
         time.sleep(_AFTER_ERROR_S)
 
-    def settle(self) -> None:
-        """Wait until no frame arrives: on a busy machine nodes and reception may be late."""
+    def settle(self, answered: Callable[[], bool]) -> None:
+        """Wait until the nodes have answered and no frame arrives: on a busy machine both may be late."""
         for _ in range(_MOST_SETTLES):
             before = self.count
             time.sleep(_SETTLE_S)
-            if self.count == before:
+            if self.count == before and answered():
                 return
+
+
+class _NodesPort:
+    """The nodes' port; ``answered`` counts the SYNCs whose answers were sent."""
+
+    def __init__(self, port: loop.Port) -> None:
+        self._port = port
+        self._sync = False
+        self.answered = 0
+        self.send, self.request = port.send, port.request
+
+    def receive(self, timeout_s: float) -> loop.Frame | None:
+        """Return the next frame; the loop has answered the one before."""
+        self.answered += self._sync
+        self._sync = False
+        frame = self._port.receive(timeout_s)
+        self._sync = frame is not None and frame[0] == SYNC_COB_ID
+        return frame
 
 
 class _Master:
@@ -67,6 +85,7 @@ class _Master:
         self._heard = heard
         self._said: list[tuple[int, int, bytes]] = []
         self._refused = 0
+        self.syncs = 0
         self._error: can.CanError | None = None  # of the last frame
         self.epoch_ns = time.time_ns()
 
@@ -84,6 +103,7 @@ class _Master:
             self._refused += 1
         else:
             self._said.append((t_ns, can_id, data))
+            self.syncs += can_id == SYNC_COB_ID
             self._error = None
 
     def record(self, recording: Recording) -> None:
@@ -119,7 +139,7 @@ def run_on_bus(
     options = _bus_options(scene.bus)
     with ExitStack() as opened:
         host = opened.enter_context(open_bus(**options))
-        port = _port(options, opened)
+        port = _NodesPort(_port(options, opened))
         heard = _Heard()
         master = _Master(host, heard)
         opened.callback(master.record, recording)  # after the reception; also after an error or Ctrl-C
@@ -136,7 +156,7 @@ def run_on_bus(
                 act()
                 advance(1e-6 * t_us)
             _wait_until(start_s + duration_s)
-            heard.settle()
+            heard.settle(lambda: port.answered >= master.syncs)
     master.check()
 
 

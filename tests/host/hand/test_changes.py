@@ -6,6 +6,7 @@ import contextlib
 import itertools
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import Any
 
 import can
 import numpy as np
@@ -20,6 +21,7 @@ from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.meaning import write_back
 from tipforce.host.hand.rows import REASONS, Rows
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
@@ -120,6 +122,22 @@ def test_a_foreign_change_is_undone(tmp_path: Path, change: Callable[[Bus], None
     with watched(tmp_path, "restore") as (seen, _):
         change(seen.master)
         assert text in seen.told("restored")
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+        assert set(np.round(seen.shown(), 1)) == {3.0}
+
+
+def test_a_change_while_the_hand_restores_is_undone_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    with watched(tmp_path, "restore") as (seen, _):
+        others = [remap]
+
+        def and_again(*words: Any) -> None:
+            write_back(*words)
+            while others:
+                others.pop()(seen.master)
+
+        monkeypatch.setattr("tipforce.host.hand.recovery.write_back", and_again)
+        offset(seen.master)
+        assert "tpdo2.mapping:1" in seen.told("restored")
         assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
         assert set(np.round(seen.shown(), 1)) == {3.0}
 

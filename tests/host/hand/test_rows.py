@@ -290,6 +290,19 @@ def test_values_after_a_change_are_not_shown_until_it_is_verified() -> None:
     assert stream.collector.tally.changed.tolist() == [2, 0]
 
 
+def test_a_change_during_a_verification_is_not_overlooked() -> None:
+    stream = Stream(1)
+    stream.collector.verify(1, 255)
+    stream.add(health(1, 0), sync(1), answer(1, 1))
+    stream.collector.verify(1, 255)  # what was read before that change
+    stream.add(sync(2), answer(1, 2))
+    assert stream.collector.changes == [1]
+    stream.collector.verify(1, 1)  # its health PDO is late
+    stream.add(sync(3), answer(1, 3))
+    assert stream.reasons == [[CHANGED], [CHANGED], [PRESENT]]
+    assert stream.collector.changes == []
+
+
 def test_values_after_a_boot_up_are_not_shown() -> None:
     stream = Stream(1)
     stream.collector.verify(1, 3)

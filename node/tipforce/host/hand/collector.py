@@ -32,6 +32,7 @@ _UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is r
 _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_ANSWER, PRESENT, DOUBTFUL, CHANGED)  # by state
 _NOT_WATCHED, _BOOTED = -1, -2  # in place of a verified 2126h
+_NEWER = 128  # 2126h counts to 255: a value less than this ahead is a later one
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
@@ -97,10 +98,16 @@ class Collector:
         self._nothing = self._emit(0)
 
     def verify(self, node_id: int, counter: int) -> None:
-        """Show the values of a finger only while its 2126h is ``counter``. For any thread."""
+        """Show the values of a finger only while its 2126h is ``counter``. For any thread.
+
+        If its health PDO said meanwhile that it is beyond, the values stay hidden: that change is to be verified, too.
+        """
         k = self.node_ids.index(node_id)
         with self._lock:
-            self._verified[k] = self._seen[k] = counter
+            self._verified[k] = counter
+            if self._seen[k] >= 0 and 0 < self._seen[k] - counter & 0xFF < _NEWER:
+                return
+            self._seen[k] = counter
             self.changes = [one for one in self.changes if one != node_id]
 
     def notice(self, node_id: int, counter: int) -> bool:
@@ -204,7 +211,7 @@ class Collector:
             if self._verified[k] != _NOT_WATCHED:
                 self._change(k, word >> self._change_shift & 0xFF)
         elif not word & 0xFF and self._verified[k] != _NOT_WATCHED:
-            self._verified[k] = _BOOTED
+            self._verified[k], self._seen[k] = _BOOTED, _NOT_WATCHED
 
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""

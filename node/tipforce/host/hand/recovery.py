@@ -155,7 +155,10 @@ class Recovery:
         if policy == "restore":
             try:
                 write_back(FingertipClient(sdo), known, changes, self._file.calibration(self._plans[node_id]))
-                self._learn(node_id)
+                found = self._read(node_id)
+                if differences(known, found):
+                    return False  # changed again meanwhile
+                self._show(node_id, found)
                 self._say(node_id, "restored", f"another master had changed {text}")
                 return True
             except RefusedError as error:
