@@ -56,6 +56,10 @@ class Few(NamedTuple):
 def make_plan(
     messages: Mapping[Key, tuple[int, Message]], given: Mapping[int, Key], wanted: frozenset[str] | None
 ) -> Plan:
+    """Return the plan for the signals ``wanted`` (None: all); ``given``: identifiers that one message alone has.
+
+    Raises InputError for a signal that no message has.
+    """
     alike = {id(message): message for _, message in messages.values()}
     known = {signal.name for message in alike.values() for signal in message.signals}
     if wanted is not None and not wanted <= known:
