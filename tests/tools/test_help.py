@@ -8,22 +8,10 @@ import sys
 import pytest
 
 from tipforce_tools.cli.main import COMMANDS
+from tools import heavy
 from tools.command_lines import LINES
 
-HEAVY = (
-    "numpy",
-    "can",
-    "canopen",
-    "cantools",
-    "msgspec",
-    "rich",
-    "shtab",
-    "websockets",
-    "matplotlib",
-    "scipy",
-    "pyarrow",
-    "importlib.metadata",
-)
+HEAVY = (*heavy.OF_ALL, "matplotlib", "scipy", "pyarrow", "importlib.metadata")
 PATHS = [tuple(path.split()[1:]) for path in LINES]
 CODE = f"""\
 import contextlib, io, sys

@@ -24,20 +24,9 @@ from tipforce.errors import (
 )
 from tipforce_tools.cli import main as module
 from tipforce_tools.cli.main import COMMANDS, EXIT_CODES, command_parser, main
+from tools import heavy
 
-HEAVY = (
-    "numpy",
-    "can",
-    "canopen",
-    "cantools",
-    "msgspec",
-    "rich",
-    "shtab",
-    "websockets",
-    "hypothesis",
-    "cyclonedds",
-    "mcap",
-)
+HEAVY = (*heavy.OF_ALL, "hypothesis", "cyclonedds", "mcap")
 
 
 def run_python(code: str, *words: str) -> subprocess.CompletedProcess[str]:

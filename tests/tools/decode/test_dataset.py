@@ -21,7 +21,7 @@ import pytest
 
 import tipforce
 from tipforce.host.dataset import manifest as manifests
-from tipforce.host.dataset.reader import opened
+from tipforce.host.dataset.reader import opened, tally
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import part_session
@@ -82,7 +82,7 @@ def test_a_log_that_grows(tmp_path: Path, lines: list[str], jobs: int) -> None:
     assert rows_of_dataset(data) == rows_of_logs(log)
     assert decode(log, "-o", f"{data}/") == 0
     assert opened(str(data))[1].generation == before  # the same log again is a no-op
-    assert sum(manifest.lost().values()) == sum(tipforce.read_log(log).lost.values())
+    assert sum(tally(manifest).lost().values()) == sum(tipforce.read_log(log).lost.values())
 
 
 def test_a_day_is_added_and_counters_go_on(tmp_path: Path, lines: list[str]) -> None:

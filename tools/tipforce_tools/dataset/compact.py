@@ -76,12 +76,12 @@ def _joined_file(store: Store, files: list[DataFile], path: str) -> DataFile:
         with store.open(file.path) as stream:
             tables.append(pq.ParquetFile(stream).read())
     rows = pa.concat_tables(tables, promote_options="default")
-    scratch = Path(tempfile.mkdtemp(prefix="tipforce-")) / "joined.parquet"
-    pq.write_table(rows, scratch, row_group_size=ROW_GROUP_ROWS, **OPTIONS)
-    digest = hashlib.sha256(scratch.read_bytes()).hexdigest()
-    size = os.path.getsize(scratch)
-    store.put(scratch, path)
-    scratch.parent.rmdir()
+    with tempfile.TemporaryDirectory(prefix="tipforce-") as folder:
+        scratch = Path(folder) / "joined.parquet"
+        pq.write_table(rows, scratch, row_group_size=ROW_GROUP_ROWS, **OPTIONS)
+        digest = hashlib.sha256(scratch.read_bytes()).hexdigest()
+        size = os.path.getsize(scratch)
+        store.put(scratch, path)
     first, last = min(file.first_ns for file in files), max(file.last_ns for file in files)
     return DataFile(path, files[0].node, len(rows), size, digest, first, last)
 

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from tipforce.host.dataset.manifest import FOLDER, Manifest
+from tipforce.host.dataset.reader import tally
 from tipforce.host.dataset.store import Store
+from tipforce_tools.cli.listening import counted
 
 _MB = 1_000_000
 
@@ -30,7 +32,7 @@ def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, 
 
 def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str, Any]:
     """Return the content as a JSON record."""
-    lost = manifest.lost()
+    lost = tally(manifest).lost()
     return {
         "dataset": store.name,
         "generation": manifest.generation,
@@ -84,12 +86,12 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         first, last = (str(np.datetime64(int(node[name] * 1000), "ms")) for name in ("first_s", "last_s"))
         yield (
             f"{node['hand']} node {node['node']} (0x{node['node']:02X}): {node['rows']} samples on "
-            f"{node['days']} day{'s' * (node['days'] != 1)}, {first} to {last}"
+            f"{counted(node['days'], 'day')}, {first} to {last}"
         )
     for log in found["logs"]:
         bad = f", {log['bad']} bad lines" if log["bad"] else ""
         state = "" if log["complete"] else ", the rest is missing: run `tipforce decode` again"
-        yield f"{log['name']}: {log['bytes']} bytes in {log['parts']} part{'s' * (log['parts'] != 1)}{bad}{state}"
+        yield f"{log['name']}: {log['bytes']} bytes in {counted(log['parts'], 'part')}{bad}{state}"
     if found["unfinished_runs"]:
         yield f"runs that write now, or were ended: {found['unfinished_runs']}"
     for path, what in wrong.items():

@@ -93,20 +93,6 @@ class Manifest(msgspec.Struct):
         for part in self.parts:
             yield from part.files
 
-    def lost(self) -> dict[tuple[str, int], int]:
-        """Return the lost samples by channel and node: the counts of the last log of each recording."""
-        from tipforce.host.decoding.tally import Tally
-
-        followed = {one.after for one in self.sources}
-        found: dict[tuple[str, int], int] = {}
-        for one in self.sources:
-            if one.id not in followed:
-                tally = Tally()
-                tally.set_rows(one.end.tally, one.end.short)
-                for place, lost in tally.lost().items():
-                    found[place] = found.get(place, 0) + lost
-        return found
-
 
 @dataclass(slots=True)
 class Change:
