@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import contextlib
 import itertools
+import time
+from collections import deque
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -18,10 +20,12 @@ from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.meaning import write_back
+from tipforce.host.hand.recovery import Recovery
 from tipforce.host.hand.rows import REASONS, Rows
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
@@ -126,6 +130,27 @@ def test_a_foreign_change_is_undone(tmp_path: Path, change: Callable[[Bus], None
         assert set(np.round(seen.shown(), 1)) == {3.0}
 
 
+@pytest.mark.parametrize("change", [replaced, remap, offset])
+def test_frames_that_wait_while_the_hand_restores_are_not_shown(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, change: Callable[[Bus], None]
+) -> None:
+    """On a busy machine the answers before the restoration are processed after it."""
+    with watched(tmp_path, "restore") as (seen, _):
+        receive, waiting = seen.hand._link.receive, deque[tuple[float, FrameArray]]()
+
+        def late(timeout_s: float) -> FrameArray:
+            waiting.append((time.monotonic(), receive(timeout_s)))
+            due = len(waiting) and waiting[0][0] < time.monotonic() - 0.4
+            return waiting.popleft()[1] if due else np.zeros(0, dtype=FRAME)
+
+        monkeypatch.setattr(seen.hand._link, "receive", late)
+        change(seen.master)
+        seen.told("restored")
+        count = len(seen.shown())
+        until(lambda: len(seen.shown()) > count + 60, "its values should be shown again")
+        assert set(np.round(seen.shown(), 1)) == {3.0}
+
+
 def test_a_change_while_the_hand_restores_is_undone_too(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with watched(tmp_path, "restore") as (seen, _):
         others = [remap]
@@ -178,6 +203,31 @@ def test_the_hands_own_tare_is_no_foreign_change(tmp_path: Path) -> None:
         assert "changed" not in seen.kinds()
         with pytest.raises(InputError, match="the hand has finger 1"):
             seen.hand.tare("ring")
+
+
+def test_the_hands_own_tare_does_not_accept_a_foreign_change(tmp_path: Path) -> None:
+    with watched(tmp_path) as (seen, _):
+        offset(seen.master)
+        seen.told("refused")
+        seen.hand.tare(2)
+        until(lambda: seen.kinds().count("refused") == 2, "it should be refused again")
+        latest(seen.hand, 1)
+        assert np.isnan(next(seen.hand.blocks(5.0)).columns["P"][:, 1]).all()
+
+
+def test_a_change_between_bring_up_and_start_is_undone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    prepare, done = Recovery.prepare, list[int]()
+
+    def changed_before(self: Recovery, node_id: int) -> None:
+        if node_id == 2 and not done:
+            done.append(node_id)
+            replaced(self._connection())
+        prepare(self, node_id)
+
+    monkeypatch.setattr(Recovery, "prepare", changed_before)
+    with watched(tmp_path) as (seen, _):
+        assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
+        assert set(np.round(seen.shown(), 1)) == {3.0}
 
 
 @pytest.mark.parametrize("command", ["preop", "stop"])

@@ -285,7 +285,7 @@ def test_values_after_a_change_are_not_shown_until_it_is_verified() -> None:
     stream.add(health(1, 4), sync(4), answer(1, 4), answer(2, 4))
     assert stream.collector.changes == [1]
     stream.collector.verify(1, 4)
-    stream.add(health(1, 4), sync(5), answer(1, 5), answer(2, 5))
+    stream.add(sync(5), answer(1, 5), answer(2, 5))
     assert stream.reasons[3:] == [[CHANGED, PRESENT], [PRESENT, PRESENT]]
     assert stream.collector.tally.changed.tolist() == [2, 0]
 
@@ -297,10 +297,17 @@ def test_a_change_during_a_verification_is_not_overlooked() -> None:
     stream.collector.verify(1, 255)  # what was read before that change
     stream.add(sync(2), answer(1, 2))
     assert stream.collector.changes == [1]
-    stream.collector.verify(1, 1)  # its health PDO is late
-    stream.add(sync(3), answer(1, 3))
-    assert stream.reasons == [[CHANGED], [CHANGED], [PRESENT]]
-    assert stream.collector.changes == []
+    assert stream.reasons == [[CHANGED], [CHANGED]]
+
+
+def test_answers_before_the_verification_are_not_shown_when_they_are_processed_after_it() -> None:
+    stream = Stream(1)
+    stream.collector.verify(1, 3)
+    stream.add(sync(1), answer(1, 1), health(1, 4), sync(2), answer(1, 2))
+    stream.collector.verify(1, 6)
+    stream.add(sync(3), answer(1, 3), health(1, 5), sync(4), answer(1, 4))
+    stream.add((0x581, bytes.fromhex("4f2621000600 0000")), sync(5), answer(1, 5))
+    assert stream.reasons == [[PRESENT], [CHANGED], [CHANGED], [CHANGED], [PRESENT]]
 
 
 def test_values_after_a_boot_up_are_not_shown() -> None:

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import HEARTBEAT_BASE, SYNC_COB_ID
+from tipforce.device.codes import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from tipforce.dictionary import objects
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.hand.pdo_columns import PdoColumns, health_places
@@ -31,8 +32,8 @@ AHEAD = LARGEST // 2
 _UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is right
 _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_ANSWER, PRESENT, DOUBTFUL, CHANGED)  # by state
-_NOT_WATCHED, _BOOTED = -1, -2  # in place of a verified 2126h
-_NEWER = 128  # 2126h counts to 255: a value less than this ahead is a later one
+_UNKNOWN, _HIDDEN = -1, -2  # in place of a 2126h; both unknown: nothing is watched
+_COUNTER_READ = 0x4F | objects.CONFIGURATION_COUNTER.index << 8  # an SDO response: 2126h:00, one byte
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
@@ -90,39 +91,35 @@ class Collector:
         self._absent: set[int] = set()  # fingers for which no row waits
         self._unsettled = [True] * fingers  # missing in the last row; matters without numbers
         self._last_counter = [-1] * fingers
-        self._verified = [_NOT_WATCHED] * fingers  # 2126h for which the hand knows what the values mean
-        self._seen = [_NOT_WATCHED] * fingers  # the last 2126h; its values are shown while it is the verified one
+        self._verified = [_UNKNOWN] * fingers  # 2126h for which the hand knows what the values mean
+        self._seen = [_UNKNOWN] * fingers  # the last 2126h; its values are shown while it is the verified one
         self._health_s: dict[int, float] = {}  # by finger: when its health PDO came, or its 2126h was asked for
         self.changes: list[int] = []
         """Node-ids of fingers whose configuration counter (2126h) changed; the caller empties it."""
         self._nothing = self._emit(0)
 
-    def verify(self, node_id: int, counter: int) -> None:
-        """Show the values of a finger only while its 2126h is ``counter``. For any thread.
+    def hide(self, node_id: int) -> None:
+        """Show no values of a finger before it is verified. For any thread."""
+        with self._lock:
+            self._verified[self.node_ids.index(node_id)] = _HIDDEN
 
-        If its health PDO said meanwhile that it is beyond, the values stay hidden: that change is to be verified, too.
+    def verify(self, node_id: int, counter: int) -> None:
+        """Show the values of a finger only after its 2126h was ``counter``, and until it is another. For any thread.
+
+        A health PDO or an SDO response says what 2126h was, in its place between the answers: those that came before
+        are processed later on a busy host. Before the first SYNC it is ``counter``.
         """
         k = self.node_ids.index(node_id)
         with self._lock:
             self._verified[k] = counter
-            if self._seen[k] >= 0 and 0 < self._seen[k] - counter & 0xFF < _NEWER:
-                return
-            self._seen[k] = counter
-            self.changes = [one for one in self.changes if one != node_id]
+            if self._last < 0:
+                self._seen[k] = counter
+            if self._seen[k] == counter:
+                self.changes = [one for one in self.changes if one != node_id]
 
-    def notice(self, node_id: int, counter: int) -> bool:
-        """Hide the values of a finger whose 2126h was read; return False if that change is known. For any thread."""
-        k = self.node_ids.index(node_id)
-        with self._lock:
-            return self._change(k, counter)
-
-    def _change(self, k: int, counter: int) -> bool:
-        if self._seen[k] == counter:
-            return False
-        self._seen[k] = counter
-        if self._verified[k] != counter:
-            self.changes.append(self.node_ids[k])
-        return True
+    def seen(self, node_id: int) -> int:
+        """Return the last 2126h of a finger in the frames processed; negative: none."""
+        return self._seen[self.node_ids.index(node_id)]
 
     def unwatched(self, now_s: float, limit_s: float) -> list[int]:
         """Return the fingers whose values are shown although their health PDO did not come for ``limit_s``."""
@@ -158,7 +155,7 @@ class Collector:
                 elif can_id in self._health:
                     k, least = self._health[can_id]
                     if length >= least:
-                        self._watch(k, can_id >= HEARTBEAT_BASE, word, now_s)
+                        self._watch(k, can_id, word, now_s)
             count = self._ready(now_s) - self._first
             return self._emit(count) if count else self._nothing
 
@@ -204,14 +201,24 @@ class Collector:
 
     # --- answers ----------------------------------------------------------------------------------------------------
 
-    def _watch(self, k: int, heartbeat: bool, word: int, now_s: float) -> None:
-        """A health PDO or a heartbeat: after another 2126h, or a boot-up, the finger's values are doubtful."""
-        if not heartbeat:
+    def _watch(self, k: int, can_id: int, word: int, now_s: float) -> None:
+        """A frame that may say what 2126h is, or a heartbeat: after another, or a boot-up, values are doubtful."""
+        if self._verified[k] == _UNKNOWN:
+            return
+        if can_id >= HEARTBEAT_BASE:
+            if not word & 0xFF:
+                self._verified[k], self._seen[k] = _HIDDEN, _UNKNOWN
+        elif can_id < SDO_RESPONSE_BASE:
             self._health_s[k] = now_s
-            if self._verified[k] != _NOT_WATCHED:
-                self._change(k, word >> self._change_shift & 0xFF)
-        elif not word & 0xFF and self._verified[k] != _NOT_WATCHED:
-            self._verified[k], self._seen[k] = _BOOTED, _NOT_WATCHED
+            self._change(k, word >> self._change_shift & 0xFF)
+        elif word & 0xFFFFFFFF == _COUNTER_READ:
+            self._change(k, word >> 32 & 0xFF)
+
+    def _change(self, k: int, counter: int) -> None:
+        if self._seen[k] != counter:
+            self._seen[k] = counter
+            if self._verified[k] != counter:
+                self.changes.append(self.node_ids[k])
 
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""

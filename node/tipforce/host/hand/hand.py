@@ -280,7 +280,7 @@ class Hand:
             state = self._link.connection.heartbeats.state(node_id)
             if state is not None:
                 self._supervisor.know(node_id, state, time.monotonic())
-                if state != OPERATIONAL:
+                if state != OPERATIONAL or node_id not in self._recovery.meaning:
                     self._queue.need([node_id])
 
     # --- the receiving thread -----------------------------------------------------------------------------------

@@ -15,6 +15,7 @@ from tipforce.dictionary.types import Value
 from tipforce.errors import RefusedError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences
+from tipforce.host.configuration.settings import same
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import SdoChannel
 
@@ -51,20 +52,23 @@ def meaning_entries(wanted: Configuration, gauges: int) -> list[Entry[Value]]:
     return found + [entry for entry in pdos if entry.index > communication.LAST_TPDO or entry.sub <= 2]
 
 
-def read_meaning(sdo: SdoChannel, entries: list[Entry[Value]], known: Configuration) -> Meaning:
-    """Read the entries, without those ``known``, which were compared just before. Raises as SdoChannel.
-
-    Raises RefusedError for a finger that is changed again and again meanwhile.
-    """
+def read_meaning(sdo: SdoChannel, entries: list[Entry[Value]]) -> Meaning:
+    """Read the entries. Raises as SdoChannel, and RefusedError for a finger that is changed again and again."""
     for _ in range(_TRIES):
         counter = sdo.read(objects.CONFIGURATION_COUNTER)
-        values: Configuration = {}
-        for entry in entries:
-            place = entry.index, entry.sub
-            values[place] = known[place] if place in known else (entry, sdo.read(entry))
+        values: Configuration = {(entry.index, entry.sub): (entry, sdo.read(entry)) for entry in entries}
         if sdo.read(objects.CONFIGURATION_COUNTER) == counter:
             return Meaning(counter, values)
     raise RefusedError(f"node {sdo.node_id}: its configuration changes while it is read; stop the other master")
+
+
+def as_wanted(found: Meaning, wanted: Configuration, calibration: Calibration | None) -> bool:
+    """Return whether the settings read are those ``wanted``, and the calibration is this one (None: any)."""
+    asked = [
+        (entry, value, found.values[place][1]) for place, (entry, value) in wanted.items() if place in found.values
+    ]
+    known = calibration is None or found.values[_CALIBRATION][1] == calibration.crc32()
+    return known and all(same(*one) for one in asked)
 
 
 def differences(before: Meaning, after: Meaning) -> list[Difference]:
@@ -80,6 +84,11 @@ def in_words(changes: list[Difference]) -> str:
         for entry, old, new in changes
     ]
     return ", ".join(shown[:3]) + (f" and {len(shown) - 3} more" if len(shown) > 3 else "")
+
+
+def only_tare(changes: list[Difference]) -> bool:
+    """Return whether nothing but the tare is another."""
+    return all((entry.index, entry.sub) in _TARE for entry, _, _ in changes)
 
 
 def of_pdos(changes: list[Difference]) -> bool:

@@ -9,7 +9,6 @@ from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.errors import RefusedError, TipforceError
-from tipforce.host.configuration.configuration_file import Configuration
 from tipforce.host.hand.bring_up import FingerReport, assign, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
@@ -17,10 +16,12 @@ from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.meaning import (
     IN_WORDS,
     Meaning,
+    as_wanted,
     differences,
     in_words,
     meaning_entries,
     of_pdos,
+    only_tare,
     read_meaning,
     set_overflow,
     write_back,
@@ -62,7 +63,11 @@ class Recovery:
             return False
 
     def prepare(self, node_id: int) -> None:
-        """Number the SYNC of a finger that is up, and learn what its values mean. Raises as SdoChannel."""
+        """Number the SYNC of a finger that is up, and learn what its values mean. Raises as SdoChannel.
+
+        One that is not as in the hand file is to be set up.
+        """
+        self._collector.hide(node_id)
         self._number(FingertipClient(self._connection().sdo(node_id)))
         self._learn(node_id)
 
@@ -80,7 +85,10 @@ class Recovery:
             F1, F2, F3 = client.tare_state().force_newtons
         finally:
             if before is not None:
-                self._learn(node_id)
+                found = self._read(node_id)
+                self.meaning[node_id] = before
+                if only_tare(differences(before, found)):  # else another's change is still to be decided on
+                    self._show(node_id, found)
         return f"tare: F1 {F1:+.3f} N, F2 {F2:+.3f} N, F3 {F3:+.3f} N are subtracted"
 
     def silent(self, node_id: int) -> None:
@@ -106,8 +114,8 @@ class Recovery:
         report = FingerReport(self._plans[node_id])
         set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
         if report.ok:
-            self._learn(node_id, self._wanted[node_id])
-        return report.ok or self._supervisor.states[node_id] < 0
+            return self._learn(node_id)
+        return self._supervisor.states[node_id] < 0
 
     def _has_booted(self, node_id: int) -> bool:
         """Return whether a finger that was silent lost its boot-up message too: its 2126h began again."""
@@ -122,13 +130,17 @@ class Recovery:
             before = set_overflow(client.sdo, self.overflow)
             self._overflow_before.setdefault(client.node_id, before)
 
-    def _learn(self, node_id: int, known: Configuration | None = None) -> None:
-        """Read what the values of a finger mean, and show them."""
-        self._show(node_id, self._read(node_id, known))
+    def _learn(self, node_id: int) -> bool:
+        """Read what the values of a finger mean, and show them; return False if that is not as in the hand file."""
+        plan, found = self._plans[node_id], self._read(node_id)
+        if not as_wanted(found, self._wanted[node_id], self._file.calibration(plan)):
+            return False
+        self._show(node_id, found)
+        return True
 
-    def _read(self, node_id: int, known: Configuration | None = None) -> Meaning:
+    def _read(self, node_id: int) -> Meaning:
         entries = meaning_entries(self._wanted[node_id], self._plans[node_id].gauges)
-        return read_meaning(self._connection().sdo(node_id), entries, known or {})
+        return read_meaning(self._connection().sdo(node_id), entries)
 
     def _show(self, node_id: int, meaning: Meaning) -> None:
         self.meaning[node_id] = meaning
@@ -138,12 +150,13 @@ class Recovery:
     def _verify(self, node_id: int) -> bool:
         """Compare what the values of a finger mean with what the hand knows, and decide by ``foreign_changes``."""
         sdo, known = self._connection().sdo(node_id), self.meaning[node_id]
+        seen = self._collector.seen(node_id)
         counter = sdo.read(objects.CONFIGURATION_COUNTER)
         if counter == known.counter:
             self._show(node_id, known)
             return True
-        if self._collector.notice(node_id, counter):
-            return True  # its health PDO did not say so: verified when the other master is done
+        if counter != seen:
+            return True  # the collector sees this response, too: verified when the other master is done
         found = self._read(node_id)
         changes, policy = differences(known, found), self._file.hand.foreign_changes
         text = in_words(changes)
