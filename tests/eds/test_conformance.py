@@ -28,12 +28,21 @@ LIMITED = text(
 )  # fmt: skip
 CASES = [
     case
-    for pattern in ("emcy.*", "identity.*", "pdo_parameters.*", "sync.*", "tpdo.*", "sdo.*", "error_control.consumer*")
+    for pattern in (
+        "emcy.*",
+        "identity.*",
+        "pdo_parameters.*",
+        "sync.*",
+        "tpdo.*",
+        "sdo.*",
+        "error_control.consumer*",
+        "lss.node_id_*",
+    )
     for case in matching(pattern)
-]
+]  # fmt: skip
 
 
-@pytest.mark.parametrize("content", [PLAIN, LIMITED], ids=["plain", "limited"])
+@pytest.mark.parametrize("content", [text(), PLAIN, LIMITED], ids=["least", "plain", "limited"])
 def test_no_case_fails(content: str, tmp_path: Path) -> None:
     path = tmp_path / "any.eds"
     path.write_text(content)

@@ -66,8 +66,32 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         lambda found: found.objects[0x2000].name, "2000h",
     ),
     "access": (
-        text(var("2000", 5, "read")), r"AccessType=read: allowed are ro, wo", lambda f: f.find(0x2000).access, "rw"
+        text(var("2000", 5, "any")), r"AccessType=any: allowed are ro, wo", lambda f: f.find(0x2000).access, "rw"
     ),
+    "access in words": (text(var("2000", 5, "Read only")), r"read as ro", lambda f: f.find(0x2000).access, "ro"),
+    "comment behind a section": (
+        text(var("2000", 5, "rw", "7")).replace("[2000]", "[2000] // lamp"),
+        r"'\[2000\] // lamp': the text after \] is taken as a comment", value(0x2000), 7,
+    ),
+    "open section": (
+        text(var("2000", 5, "rw", "7")).replace("[2000]", "[2000"), r"'\[2000': \] is missing", value(0x2000), 7,
+    ),
+    "section of no form": (
+        text(var("2000sub1h", 5)), r"\[2000sub1h\]: the forms are \[2000\] and \[2000sub1\]; .* skipped",
+        lambda found: 0x2000 in found.objects, False,
+    ),
+    "colon": (
+        text(var("2000", 5, "rw", "7")).replace("DefaultValue=7", "DefaultValue: 7"), r"the form is key=value; read so",
+        value(0x2000), 7,
+    ),
+    "quotes": (text(var("2000", 7, "rw", '"0x10"')), r"quotes and brackets are no part", value(0x2000), 0x10),
+    "brackets": (text(var("2000", 7, "rw", "($NODEID+0x180)")), r"read without", value(0x2000), 0x185),
+    "string outside Latin-1": (text(var("2000", 9, "rw", "\u65e5")), r"not in VISIBLE_STRING", value(0x2000), "?"),
+    "limit of no number": (
+        text(var("2000", 8, "rw", "1", HighLimit="3.5e38")), r"HighLimit=3.5e38: not in REAL32; the limit does not",
+        lambda found: found.find(0x2000).high is None, True,
+    ),
+    "a long value": (text(var("2000", 5, "rw", "9" * 999)), r"DefaultValue=9{80}\.\.\.: ", value(0x2000), 0),
     "sub number": (
         text(record("2000", var("2000sub0", 5, "ro", "1"), var("2000sub1", 5)).replace("SubNumber=2", "SubNumber=9")),
         r"SubNumber=9: the file has 2 sections", lambda found: len(found.objects[0x2000].entries), 2,
@@ -121,6 +145,10 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
     ),
     "mapping in words": (
         text(var("2000", 6, PDOMapping="yes")), r"PDOMapping=yes: the form is 0 or 1",
+        lambda found: found.find(0x2000).mappable, True,
+    ),
+    "mapping as in an XDD": (
+        text(var("2000", 6, PDOMapping="optional")), r"PDOMapping=optional: the form is 0 or 1; read as 1",
         lambda found: found.find(0x2000).mappable, True,
     ),
     "key with a blank": (
@@ -192,6 +220,10 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
     "stored EDS as a number": (
         text(var("1021", 7, "ro")), r"\[1021\] DataType=0x0007: CiA 301 has DOMAIN; read as it",
         lambda found: found.find(0x1021).letter, "D",
+    ),
+    "mapping as a large number": (
+        text(pdo(0x1800, "$NODEID+0x180", 255), var("1A01", 7, "rw", "0x20000008")),
+        r"\[1A01\] DataType=0x0007: CiA 301 has UNSIGNED8; read as it", value(0x1A01), 255,
     ),
     "stored EDS with sub-indices": (
         text(record("1021", var("1021sub0", 5, "ro", "1"), var("1021sub1", 8, "ro", "1.5"))),

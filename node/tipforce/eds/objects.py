@@ -17,6 +17,8 @@ _CODE_OF_WORD = {"domain": eds.DOMAIN, "var": eds.VAR, "array": eds.ARRAY, "reco
 _CODE_OF_TYPE = {kind.name.lower(): kind.code for kind in TYPES.values()}
 _UNKNOWN_TYPE = "o"
 _BIT_FLAGS = ("0", "1")
+_MAPPABLE = ("optional", "default", "tpdo", "rpdo", "on", "y")  # in words, as an XDD has it
+_ACCESS_WORDS = {"r": "ro", "w": "wo", "read": "ro", "write": "wo", "constant": "const"}
 
 
 def read_objects(file: EdsFile, into: Description) -> None:
@@ -229,6 +231,7 @@ class _Object:
             self._into.findings.append(section.finding("DataType", f"{told}; read as {how}"))
         elif expected is not None and (
             (standard.is_needed_integer(self._index, sub) and not _is_unsigned(letter))
+            or (sub == 0 and letter != expected and standard.is_mapping(self._index))  # the device counts to it
             or (self._index == communication.STORED_EDS and TYPES[letter].size is not None)
         ):
             self._into.findings.append(section.finding("DataType", f"CiA 301 has {TYPES[expected].name}; read as it"))
@@ -251,7 +254,8 @@ class _Object:
             if remark:
                 self._into.findings.append(section.finding("AccessType", remark))
             return access
-        access = "ro" if sub == 0 and parent is not None else "rw"
+        word = access.replace(" ", "").replace("only", "")
+        access = _ACCESS_WORDS.get(word, "ro" if sub == 0 and parent is not None else "rw")
         self._into.findings.append(section.finding("AccessType", f"allowed are {', '.join(_ACCESS)}; read as {access}"))
         return access
 
@@ -259,7 +263,13 @@ class _Object:
         text = section.get("PDOMapping")
         if not text or text in _BIT_FLAGS:
             return text == "1"
-        return bool(self._number(section, "PDOMapping"))
+        value, _, remark = values.integer(text)
+        if value is None:
+            value = int(text.lower() in _MAPPABLE)
+            remark = f"the form is 0 or 1; read as {value}"
+        if remark:
+            self._into.findings.append(section.finding("PDOMapping", remark))
+        return bool(value)
 
     def _read_values(self, entry: Entry, section: Section) -> None:
         entry.has_default = bool(section.get("DefaultValue"))
@@ -300,8 +310,10 @@ class _Object:
     def _limit(self, entry: Entry, section: Section, key: str) -> int | float | None:
         if not section.get(key):
             return None
-        value, _ = self._value(entry, section, key)
-        return value if isinstance(value, int | float) else None
+        value, remark = values.limit(entry.type, section.get(key) or "", self._into.node_id)
+        if remark:
+            self._into.findings.append(section.finding(key, remark))
+        return value
 
     def _number(self, section: Section, key: str) -> int | None:
         """Return an integer key, None for what is none; a remark becomes a finding, once."""

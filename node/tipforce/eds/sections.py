@@ -12,7 +12,9 @@ from tipforce.errors import InputError
 _OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})", re.IGNORECASE)
 _SUB = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*sub\s*(?:0x)?([0-9a-f]{1,2})", re.IGNORECASE)
 _LIST = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*(name|value|denotation)", re.IGNORECASE)
+_NEAR_OBJECT = re.compile(r"(?:0x)?[0-9][0-9a-f]{3}(?!.*objectlinks$)", re.IGNORECASE)
 _MOST_BYTES = 32 << 20
+_SHOWN_CHARACTERS = 80
 
 
 class Finding(NamedTuple):
@@ -47,12 +49,17 @@ class Section:
     def complaint(self, key: str, what: str) -> str:
         """``[name] key=value: what``."""
         value = self.get(key)
-        shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={value}"
+        shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
         return f"[{self.name}] {shown}: {what}"
 
     def finding(self, key: str, what: str) -> Finding:
         """The complaint with its line."""
         return Finding(self.line_of(key), self.complaint(key, what))
+
+
+def shortened(text: str) -> str:
+    """Return a text as a message shows it."""
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
 
 
 @dataclass(slots=True)
@@ -67,6 +74,10 @@ class EdsFile:
     subs: dict[int, dict[int, Section]] = field(default_factory=dict)
     lists: dict[int, dict[str, Section]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+
+    def add(self, line: int, text: str) -> None:
+        """Note what is wrong at ``line``."""
+        self.findings.append(Finding(line, text))
 
     @property
     def complaints(self) -> list[str]:
@@ -124,16 +135,32 @@ def parse(text: str) -> EdsFile:
         line = raw.strip(" \t\x00\x1a\ufeff")
         if not line or line.startswith((";", "#")):
             continue
-        head = line.partition(";")[0].rstrip()
-        if head.startswith("[") and head.endswith("]"):
-            section = _open(found, head[1:-1].strip(), number)
-        elif "=" not in line:
-            found.findings.append(Finding(number, f"{line!r}: allowed are [section], key=value and ; comment; skipped"))
+        if line.startswith("["):
+            section = _open(found, _heading(found, line, number), number)
         elif section is None:
-            found.findings.append(Finding(number, f"{line!r}: a key needs a [section] above it; skipped"))
+            found.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
+        elif "=" in line:
+            _add(found, section, line.partition("="), number)
+        elif ":" in line:
+            found.add(number, f"{_shown(line)}: the form is key=value; read so")
+            _add(found, section, line.partition(":"), number)
         else:
-            _add(found, section, line, number)
+            found.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
     return found
+
+
+def _heading(found: EdsFile, line: str, number: int) -> str:
+    """Return the name of the section that a line opens."""
+    name, closed, behind = line[1:].partition("]")
+    if not closed:
+        found.add(number, f"{_shown(line)}: ] is missing; read as a section")
+    elif behind and not behind.lstrip().startswith(";"):
+        found.add(number, f"{_shown(line)}: the text after ] is taken as a comment")
+    return name.partition(";")[0].strip()
+
+
+def _shown(line: str) -> str:
+    return repr(shortened(line))
 
 
 def _open(found: EdsFile, name: str, number: int) -> Section:
@@ -141,9 +168,7 @@ def _open(found: EdsFile, name: str, number: int) -> Section:
     key = "".join(name.lower().split())
     if key in found.sections:
         first = found.sections[key].line
-        found.findings.append(
-            Finding(number, f"[{name}]: the section is already there at line {first}; the first one applies")
-        )
+        found.add(number, f"[{shortened(name)}]: the section is already there at line {first}; the first one applies")
         return section
     match = _OBJECT.fullmatch(name) or _SUB.fullmatch(name) or _LIST.fullmatch(name)
     index = int(match[1], 16) if match else 0
@@ -155,23 +180,25 @@ def _open(found: EdsFile, name: str, number: int) -> Section:
         known = found.objects.setdefault(index, section) if match else section
     if known is not None and known is not section:  # [018] and [0018]
         told = f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies"
-        found.findings.append(Finding(number, told))
+        found.add(number, told)
         return section
+    if match is None and _NEAR_OBJECT.match(name):
+        found.add(number, f"[{shortened(name)}]: the forms are [2000] and [2000sub1]; the section is skipped")
     found.sections[key] = section
     return section
 
 
-def _add(found: EdsFile, section: Section, line: str, number: int) -> None:
-    left, _, value = line.partition("=")
+def _add(found: EdsFile, section: Section, parts: tuple[str, str, str], number: int) -> None:
+    left, _, value = parts
     name = left.strip()
     key = "".join(name.lower().split())
     if key != name.lower():
-        found.findings.append(Finding(number, f"[{section.name}] {name}: a key has no blanks; read without"))
+        found.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")
     if key in section.keys:
         told = (
             f"[{section.name}] {name}: the key is already there at line {section.line_of(key)}; the first one applies"
         )
-        found.findings.append(Finding(number, told))
+        found.add(number, told)
         return
     section.keys[key] = value.strip()
     section.written[key] = name

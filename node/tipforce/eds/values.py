@@ -16,6 +16,8 @@ _DECIMAL, _OCTAL = re.compile(r"0|[1-9][0-9]*"), re.compile(r"0[0-7]+")
 _HEX, _BARE_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE), re.compile(r"[0-9a-f]+h?", re.IGNORECASE)
 _NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
 _WORDS = {"true": 1, "false": 0, "yes": 1, "no": 0}
+_AROUND = "\"'() "  # what some tools write around a number
+_AS_ZERO = "read as 0"
 _READ = "{}"  # in a remark: the number with its sign
 _COMMENT = re.compile(r";|#|//")
 _MOST_DIGITS = 40
@@ -30,11 +32,13 @@ class Read(NamedTuple):
 
 
 def uncommented(text: str) -> tuple[str, str]:
-    """Return a value without a comment behind it, and a remark; CiA 306-1 has comments on lines of their own."""
+    """Return a value without quotes and a comment behind it, and a remark; CiA 306-1 has comments on own lines."""
     match = _COMMENT.search(text)
-    if match is None:
-        return text.strip(), ""
-    return text[: match.start()].strip(), f"the text after {match[0]} is taken as a comment"
+    plain = (text if match is None else text[: match.start()]).strip()
+    bare = plain.strip(_AROUND)
+    if match is not None:
+        return bare, f"the text after {match[0]} is taken as a comment"
+    return bare, "" if bare == plain else "quotes and brackets are no part of a value; read without"
 
 
 def integer(text: str, node_id: int = 0) -> Read:
@@ -105,9 +109,25 @@ def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
         value, remark = _real(kind, text)
         return value, False, remark
     if kind.python is str:
-        return text, False, ""
+        value, remark = _string(kind, text)
+        return value, False, remark
     data, remark = _bytes(kind, text)
     return data, False, remark
+
+
+def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
+    """Read a limit of a numeric type, and a remark; None for what is no such number."""
+    value, _, remark = typed(kind, text, node_id)
+    if remark.endswith(_AS_ZERO) or not isinstance(value, int | float):
+        return None, remark.replace(_AS_ZERO, "the limit does not apply")
+    return value, remark
+
+
+def _string(kind: DataType, text: str) -> tuple[str, str]:
+    if kind.letter == "u":
+        return text, ""
+    found = text.encode("latin-1", "replace").decode("latin-1")
+    return found, "" if found == text else f"not in {kind.name}; read with ? for other characters"
 
 
 def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
@@ -115,7 +135,7 @@ def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
         return 0, False, ""
     value, has_node_id, remark = integer(text, node_id)
     if value is None:
-        return 0, False, f"{remark}; read as 0"
+        return 0, False, f"{remark}; {_AS_ZERO}"
     if kind.limits is None or kind.size is None:
         raise AssertionError(kind.name)
     low, high = kind.limits
@@ -139,7 +159,7 @@ def _real(kind: DataType, text: str) -> tuple[float, str]:
         size = kind.size or 4
         bits = int(plain, 16)
         if bits >> 8 * size:
-            return 0.0, f"more than the {8 * size} bits of {kind.name}; read as 0"
+            return 0.0, f"more than the {8 * size} bits of {kind.name}; {_AS_ZERO}"
         return float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0]), remark
     if "," in plain:
         remark, plain = "the decimal sign is a point", plain.replace(",", ".")
@@ -147,7 +167,7 @@ def _real(kind: DataType, text: str) -> tuple[float, str]:
         value = float(plain)
         struct.pack("<" + kind.letter, value)
     except (ValueError, OverflowError):
-        return 0.0, f"not in {kind.name}; read as 0"
+        return 0.0, f"not in {kind.name}; {_AS_ZERO}"
     return value, remark
 
 
@@ -167,4 +187,4 @@ def _bytes(kind: DataType, text: str) -> tuple[bytes, str]:
     number = integer(text).value
     if number is not None and 0 <= number < 1 << 8 * kind.size:
         return number.to_bytes(kind.size, "little"), ""
-    return bytes(kind.size), f"not {kind.size} bytes; read as 0"
+    return bytes(kind.size), f"not {kind.size} bytes; {_AS_ZERO}"
