@@ -23,7 +23,7 @@ HIGHEST, HIGHER = var("1800sub0", 5, "const", "5"), var("1800sub0", 5, "const", 
 INHIBIT, START = var("1800sub3", 6, "rw", "0"), var("1800sub6", 5, "rw", "0")
 LIMITED = text(
     HISTORY, CONSUMER, var("1005", 7, "rw", "0x80", LowLimit="0x80", HighLimit="0x400000FF"), var("1017", 6, "rw", "0"),
-    var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 7), pdo(0x1400, "$NODEID+0x200", 255, 0x20000020),
+    var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 7), var("5FFF", 7), pdo(0x1400, "$NODEID+0x200", 255, 0x20000020),
     pdo(0x1800, "$NODEID+0x180", 255, 0x99990020).replace(INHIBIT, START).replace(HIGHEST, HIGHER),
 )  # fmt: skip
 CASES = [

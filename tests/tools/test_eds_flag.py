@@ -6,6 +6,7 @@ import json
 import shutil
 import struct
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -98,27 +99,54 @@ def sdo(at_s: float, index: int, sub: int, value: int, size: int) -> str:
     return f"({at_s:.6f}) can0 605#{request}\n({at_s + 0.0001:.6f}) can0 585#60{place}00000000\n"
 
 
-REMAP = (
-    sdo(1.1, 0x1801, 1, 0x80000285, 4) + sdo(1.2, 0x1A01, 0, 0, 1) + sdo(1.3, 0x1A01, 1, 0x606C0020, 4)
-    + sdo(1.4, 0x1A01, 0, 1, 1) + sdo(1.5, 0x1801, 1, 0x295, 4)
-)  # fmt: skip
+def exchange(at_s: float, *frames: str) -> str:
+    """Requests of a client and responses of node 5, in turn."""
+    return "".join(
+        f"({at_s + k / 1e4:.6f}) can0 {('605', '585')[k % 2]}#{frame.ljust(16, '0')}\n"
+        for k, frame in enumerate(frames)
+    )
+
+
+def segmented(at_s: float, index: int, sub: int, value: int, size: int) -> str:
+    """The same, segmented."""
+    place, data = struct.pack("<HB", index, sub).hex(), value.to_bytes(size, "little").hex()
+    return exchange(at_s, f"21{place}{size:02x}", f"60{place}", f"{7 - size << 1 | 1:02x}{data}", "20")
+
+
+def block(at_s: float, index: int, sub: int, value: int, size: int) -> str:
+    """The same, as a block."""
+    place, data = struct.pack("<HB", index, sub).hex(), value.to_bytes(size, "little").hex()
+    end = f"{0xC1 | 7 - size << 2:02x}"
+    return exchange(at_s, f"c2{place}{size:02x}", f"a0{place}7f", f"81{data}", "a2017f", end, "a1")
+
+
+def remap(written: Callable[[float, int, int, int, int], str]) -> str:
+    """TPDO2 becomes the velocity alone, on 295h."""
+    return (
+        written(1.1, 0x1801, 1, 0x80000285, 4) + written(1.2, 0x1A01, 0, 0, 1) + written(1.3, 0x1A01, 1, 0x606C0020, 4)
+        + written(1.4, 0x1A01, 0, 1, 1) + written(1.5, 0x1801, 1, 0x295, 4)
+    )  # fmt: skip
+
+
+REMAP = remap(sdo)
 STORE = sdo(1.8, 0x1010, 1, int.from_bytes(b"save", "little"), 4)
 BOOT = "(1.900000) can0 705#00\n"
 LATER = "(2.000000) can0 285#E8030000FEFFFFFF\n(2.100000) can0 295#FDFFFFFF\n"
 
 
 @pytest.mark.parametrize(
-    ("between", "after"),
+    ("changed", "after"),
     [
-        ("", {"Velocity_actual_value": -3}), (STORE + BOOT, {"Velocity_actual_value": -3}),
-        (BOOT, {"Position_actual_value": 1000, "Velocity_actual_value": -2}),
+        (REMAP, {"Velocity_actual_value": -3}), (REMAP + STORE + BOOT, {"Velocity_actual_value": -3}),
+        (REMAP + BOOT, {"Position_actual_value": 1000, "Velocity_actual_value": -2}),
+        (remap(segmented), {"Velocity_actual_value": -3}), (remap(block), {"Velocity_actual_value": -3}),
     ],
-    ids=["written", "stored", "lost by a reset"],
+    ids=["written", "stored", "lost by a reset", "segmented", "block"],
 )  # fmt: skip
 def test_layouts_follow_the_sdo_traffic_of_the_log(
-    between: str, after: dict[str, int], eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    changed: str, after: dict[str, int], eds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    (tmp_path / "run.log").write_text(LOG + REMAP + between + LATER)
+    (tmp_path / "run.log").write_text(LOG + changed + LATER)
     words = [str(tmp_path / "run.log"), "--eds", f"5={eds}"]
     assert main(["decode", *words, "--format", "jsonl", "-q"]) == 0
     rows = [json.loads(line) for line in capsys.readouterr().out.splitlines()]

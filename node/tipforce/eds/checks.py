@@ -156,7 +156,7 @@ def _check_pdos(found: Description, first: int, last: int, direction: int) -> No
         if valid and cob_id & codes.EXTENDED_COB_ID:
             found.add(line, f"[{index:04X}sub1] {cob_id:#x}: a 29-bit identifier, which is not supported; inactive")
         elif valid and codes.restricted(can_id):
-            hint = "" if entry is None or entry.has_node_id else f"; $NODEID+0x{can_id:X} may be meant"
+            hint = "" if entry is None or entry.has_node_id or not can_id else f"; $NODEID+0x{can_id:X} may be meant"
             found.add(line, f"[{index:04X}sub1] 0x{can_id:X}: a restricted identifier (CiA 301, 7.3.5); inactive{hint}")
         elif valid and can_id in used:
             found.add(line, f"[{index:04X}sub1] 0x{can_id:X}: also the identifier of 0x{used[can_id]:04X}")

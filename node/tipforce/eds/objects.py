@@ -236,6 +236,9 @@ class _Object:
         ):
             self._into.findings.append(section.finding("DataType", f"CiA 301 has {TYPES[expected].name}; read as it"))
             return expected
+        elif expected not in (None, letter) and standard.is_needed_integer(self._index, sub):
+            told = f"CiA 301 has {TYPES[expected].name}; the type stays"
+            self._into.findings.append(section.finding("DataType", told))
         return letter
 
     def _defined(self, code: int | None) -> str | None:

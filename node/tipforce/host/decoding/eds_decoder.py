@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterable, Iterator
 
 import numpy as np
@@ -13,17 +12,17 @@ from tipforce.eds.description import Description
 from tipforce.eds.reader import read_eds
 from tipforce.host.decoding.decoder import Change, Decoder
 from tipforce.host.decoding.eds_layout import RANGES, pdo_message, pdo_values
+from tipforce.host.decoding.sdo_conversation import SdoConversation
 from tipforce.host.frames.frame_array import FrameArray
 
-_EXPEDITED, _WRITTEN = 0x22, 0x60  # the initiate download request with the expedited bit, and its response
-_REQUEST_BITS = 0xE2
+_MOST_BYTES = 4  # of a PDO parameter
 _STORED_GROUPS = (1, 2)  # sub-indices of 1010h and 1011h with the communication parameters
 
 
 class EdsDecoder(Decoder):
     """Decode the PDOs of (node-id, EDS or DCF), from the layout after power-on.
 
-    ``changes`` finds the acknowledged expedited writes of PDO parameters in the frames, and boot-ups, after which the
+    ``changes`` finds the confirmed SDO writes of PDO parameters in the frames, and boot-ups, after which the
     stored parameters apply: those at the last write of "save", otherwise those of the file.
     """
 
@@ -46,18 +45,14 @@ class EdsDecoder(Decoder):
         return found
 
     def _services(self, frames: FrameArray) -> Iterator[tuple[int, int, tuple[int, bytes]]]:
-        """Yield (row, node-id, (function code, data)) of SDO frames about PDOs and 1010h, 1011h, and of boot-ups."""
+        """Yield (row, node-id, (function code, data)) of SDO frames and of boot-ups."""
         can_id = frames["can_id"]
         node = can_id & codes.NODE_ID_MASK
         kind = can_id & ~np.uint32(codes.NODE_ID_MASK)
-        data = frames["data"]
-        index = data[:, 1].astype(np.uint16) | data[:, 2].astype(np.uint16) << 8
-        about = (index >= communication.RPDO) & (index <= communication.LAST_TPDO_MAPPING)
-        about |= (index == communication.STORE_PARAMETERS) | (index == communication.RESTORE_DEFAULTS)
-        asked = (kind == codes.SDO_REQUEST_BASE) & (data[:, 0] & _REQUEST_BITS == _EXPEDITED)
-        told = (kind == codes.SDO_RESPONSE_BASE) & (data[:, 0] == _WRITTEN)
-        booted = (kind == codes.HEARTBEAT_BASE) & (frames["length"] == 1) & (data[:, 0] == codes.INITIALISING)
-        chosen = (((asked | told) & about & (frames["length"] == 8)) | booted) & np.isin(node, list(self._devices))
+        data, length = frames["data"], frames["length"]
+        sdo = ((kind == codes.SDO_REQUEST_BASE) | (kind == codes.SDO_RESPONSE_BASE)) & (length == 8)
+        booted = (kind == codes.HEARTBEAT_BASE) & (length == 1) & (data[:, 0] == codes.INITIALISING)
+        chosen = (sdo | booted) & np.isin(node, list(self._devices))
         for row in np.flatnonzero(chosen).tolist():
             yield row, int(node[row]), (int(kind[row]), data[row].tobytes())
 
@@ -69,7 +64,7 @@ class _Device:
         self._described = described
         self._initial = pdo_values(described)
         self._values, self._stored = dict(self._initial), dict(self._initial)
-        self._asked: tuple[int, int, int] | None = None
+        self._sdo = SdoConversation(described.node_id, lambda *_: None)
         self._made: dict[tuple[object, ...], tuple[int, Message]] = {}  # one object per layout, kept for its identity
         self._known = self.messages()
 
@@ -93,33 +88,27 @@ class _Device:
         kind, data = service
         if kind == codes.HEARTBEAT_BASE:
             self._values = dict(self._stored)
+            self._sdo = SdoConversation(self._described.node_id, lambda *_: None)
         elif kind == codes.SDO_REQUEST_BASE:
-            self._asked = _written(data)
+            self._sdo.request(data)
             return
         else:
-            asked, self._asked = self._asked, None
-            place = struct.unpack_from("<HB", data, 1)
-            if asked is None or place != asked[:2]:
+            self._sdo.response(data)
+            if self._sdo.written is None or not self._apply(*self._sdo.written):
                 return
-            self._apply(*asked)
         now = self.messages()
         for name, found in now.items():
             if found is not self._known[name]:
                 yield name, found
         self._known = now
 
-    def _apply(self, index: int, sub: int, value: int) -> None:
-        if index == communication.STORE_PARAMETERS:
-            if sub in _STORED_GROUPS:
-                self._stored = dict(self._values)
-        elif index == communication.RESTORE_DEFAULTS:
-            if sub in _STORED_GROUPS:
-                self._stored = dict(self._initial)
-        else:
-            self._values[index, sub] = value
-
-
-def _written(data: bytes) -> tuple[int, int, int]:
-    index, sub = struct.unpack_from("<HB", data, 1)
-    size = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-    return index, sub, int.from_bytes(data[4 : 4 + size], "little")
+    def _apply(self, index: int, sub: int, content: bytes) -> bool:
+        """Take a confirmed write; return whether it is one of a PDO parameter."""
+        if index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS) and sub in _STORED_GROUPS:
+            self._stored = dict(self._values if index == communication.STORE_PARAMETERS else self._initial)
+        if not communication.RPDO <= index <= communication.LAST_TPDO_MAPPING:
+            return False
+        entry = self._described.entry(index, sub)
+        size = entry.type.size if entry is not None else None
+        self._values[index, sub] = int.from_bytes(content[: size or _MOST_BYTES], "little")
+        return True

@@ -15,13 +15,18 @@ _MOST_BYTES = 1 << 20  # of a transfer that never ends
 
 
 class SdoConversation:
-    """The transfer with one node. Values of segmented and block transfers are shown when they are complete."""
+    """The transfer with one node. Values of segmented and block transfers are shown when they are complete.
+
+    ``written`` is (index, sub-index, content) of a download that the last ``response`` confirms, otherwise None.
+    """
 
     def __init__(self, node_id: int, describe: Describe) -> None:
         self._node_id = node_id
         self._describe = describe
         self._place = (0, 0)
         self._data = bytearray()
+        self._sent: tuple[int, int, bytes] | None = None  # a complete download, not confirmed yet
+        self.written: tuple[int, int, bytes] | None = None
         self._block = ""
         """"download" or "upload" while raw block segments follow."""
         self._block_size = 0
@@ -40,6 +45,8 @@ class SdoConversation:
             return self._segment(data, "write")
         if command == 1:
             self._start(data)
+            if data[0] & 2:
+                self._sent = *self._place, _expedited(data)
             return f"SDO write {self._name()}{self._initiated(data)}"
         if command == 2:
             self._start(data)
@@ -52,6 +59,7 @@ class SdoConversation:
 
     def response(self, data: bytes) -> str:
         """Return the text of a server's frame."""
+        self.written = None
         if self._block == "upload" and data[0] != 0x80:
             return self._block_segment(data)
         command = data[0] >> 5
@@ -62,10 +70,12 @@ class SdoConversation:
             return f"SDO {self._name()}{self._initiated(data)}"
         if command == 3:
             self._place = struct.unpack_from("<HB", data, 1)
+            self._confirm()
             return f"SDO written {self._name()}"
         if command == 0:
             return self._segment(data, "read")
         if command == 1:
+            self._confirm()
             return f"SDO write {self._name()}: segment received"
         if command == 5:
             return self._block_download_response(data)
@@ -77,18 +87,24 @@ class SdoConversation:
         index, sub = struct.unpack_from("<HB", data, 1)
         self._place = index, sub
         self._data.clear()
+        self._sent = None
         self._block, self._ended = "", False
+
+    def _confirm(self) -> None:
+        if self._sent is not None and self._sent[:2] == self._place:
+            self.written, self._sent = self._sent, None
 
     def _initiated(self, data: bytes) -> str:
         if data[0] & 2:  # expedited
-            length = 4 - (data[0] >> 2 & 3) if data[0] & 1 else 4
-            return f" = {self._value(data[4 : 4 + length], exact=bool(data[0] & 1))}"
+            return f" = {self._value(_expedited(data), exact=bool(data[0] & 1))}"
         return f": {struct.unpack_from('<I', data, 4)[0]} bytes follow" if data[0] & 1 else ": segments follow"
 
     def _segment(self, data: bytes, verb: str) -> str:
         self._add(data[1 : 8 - (data[0] >> 1 & 7)])
         if not data[0] & 1:
             return f"SDO {verb} {self._name()}: segment, {len(self._data)} bytes so far"
+        if verb == "write":
+            self._sent = *self._place, bytes(self._data)
         return f"SDO {verb} {self._name()} = {self._value(bytes(self._data))}"
 
     def _add(self, data: bytes) -> None:
@@ -96,7 +112,7 @@ class SdoConversation:
             self._data += data
 
     def _abort(self, data: bytes, side: str) -> str:
-        self._block = ""
+        self._block, self._sent = "", None
         index, sub, code = struct.unpack_from("<HBI", data, 1)
         self._place = index, sub
         return f"SDO abort by the {side} {self._name()}: 0x{code:08X}, {abort_text(code)}"
@@ -107,6 +123,7 @@ class SdoConversation:
         if data[0] & 1:
             unused = data[0] >> 2 & 7
             content = bytes(self._data[: len(self._data) - unused] if unused else self._data)
+            self._sent = *self._place, content
             return f"SDO block write {self._name()} = {self._value(content)}"
         self._start(data)
         size = f", {struct.unpack_from('<I', data, 4)[0]} bytes" if data[0] & 2 else ""
@@ -115,6 +132,7 @@ class SdoConversation:
     def _block_download_response(self, data: bytes) -> str:
         kind = data[0] & 3
         if kind == 1:
+            self._confirm()
             return f"SDO block written {self._name()}"
         if kind == 0:
             self._block_size = data[4]
@@ -190,3 +208,7 @@ class SdoConversation:
                 pass
         shown = content[:_SHOWN_BYTES].hex(" ").upper()
         return shown if len(content) <= _SHOWN_BYTES else f"{shown} ... ({len(content)} bytes)"
+
+
+def _expedited(data: bytes) -> bytes:
+    return data[4 : 8 - (data[0] >> 2 & 3) if data[0] & 1 else 8]

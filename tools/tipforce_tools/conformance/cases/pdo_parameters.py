@@ -124,7 +124,7 @@ def entry_while_mapped(dut: Dut, communication: int, mapping: int, _name: str) -
 
 
 @case("CiA 301 7.5.2.36", "{2}: an object that is not there: {4}", needs=EITHER, each=[
-    (*pdo, word, name) for pdo in BOTH for word, name in ((0x5FFF0008, "no index"), (0x10187708, "no sub-index"))
+    (*pdo, word, name) for pdo in BOTH for word, name in ((0xFFFF0008, "no index"), (0x10187708, "no sub-index"))
 ])  # fmt: skip
 def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: int, _what: str) -> None:
     disable_pdo(dut, communication)

@@ -84,8 +84,8 @@ def write_only(dut: Dut, index: int, sub: int) -> None:
 
 @case("CiA 301 7.2.4.3.17", "06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
 def no_object(dut: Dut, which: str) -> None:
-    dut.request("40 FF 5F 00" if which == "upload" else "23 FF 5F 00")
-    dut.aborted(0x5FFF, 0, 0x06020000)
+    dut.request("40 FF FF 00" if which == "upload" else "23 FF FF 00")
+    dut.aborted(0xFFFF, 0, 0x06020000)
 
 
 @case("CiA 301 7.2.4.3.17", "06090011h: {0} of a sub-index that is not there", each=[("upload",), ("download",)])

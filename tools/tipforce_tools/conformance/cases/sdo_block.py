@@ -198,7 +198,7 @@ def full_block(dut: Dut) -> None:
 
 
 @case("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
-    (0x5FFF, 0x06020000, "no object"), (0x2104, 0x06010001, "a write-only object"),
+    (0xFFFF, 0x06020000, "no object"), (0x2104, 0x06010001, "a write-only object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int, code: int, _why: str) -> None:
     if index == 0x2104 and not dut.is_tipforce():

@@ -169,7 +169,7 @@ def too_much(dut: Dut, code: int) -> None:
 
 
 @case("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
-    (0x1000, 4, 0x06010002, "a read-only object"), (0x5FFF, 4, 0x06020000, "no object"),
+    (0x1000, 4, 0x06010002, "a read-only object"), (0xFFFF, 4, 0x06020000, "no object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
     codes = (code,) if dut.is_tipforce() else (code, UNKNOWN)  # a device may know no block transfer

@@ -203,7 +203,7 @@ def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
     own=True,
     each=[
         (0x1008, 0, 0x06010002, "a read-only object"),
-        (0x5FFF, 0, 0x06020000, "no object"),
+        (0xFFFF, 0, 0x06020000, "no object"),
         (0x1018, 9, 0x06090011, "no sub-index"),
     ],
 )
