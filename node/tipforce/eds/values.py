@@ -109,8 +109,8 @@ def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
         value, remark = _real(kind, text)
         return value, False, remark
     if kind.python is str:
-        value, remark = _string(kind, text)
-        return value, False, remark
+        shown, remark = _string(kind, text)
+        return shown, False, remark
     data, remark = _bytes(kind, text)
     return data, False, remark
 
