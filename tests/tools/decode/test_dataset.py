@@ -14,7 +14,6 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pyarrow.parquet as pq
 import pytest
@@ -25,6 +24,7 @@ from tipforce.host.dataset.reader import opened, tally
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli.main import main
 from tipforce_tools.decode import part_session
+from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
 from tools.decode.logs import decode, log_lines, rows_of, write_log
 
 COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
@@ -34,33 +34,6 @@ COMMAND = [sys.executable, "-m", "tipforce_tools.cli.main"]
 def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
     """Parts of 100 kB."""
     monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 100_000)
-
-
-def rows_of_dataset(directory: Path) -> list[tuple[Any, ...]]:
-    """All rows by the manifest, without missing values, in the order of node and time."""
-    store, manifest = opened(str(directory))
-    found = []
-    for file in manifest.files():
-        for row in pq.ParquetFile(store.path(file.path)).read().to_pylist():
-            row["node"] = file.node
-            found.append(tuple(sorted((k, str(v)) for k, v in row.items() if v is not None)))
-    return sorted(found)
-
-
-def rows_of_logs(*names: Path) -> list[tuple[Any, ...]]:
-    """The rows of one decode to a file."""
-    path = names[0].with_suffix(".one.parquet")
-    assert decode(*names, "-j", 1, "-o", path) == 0
-    found = []
-    for row in pq.read_table(path).to_pylist():
-        row.setdefault("channel", "vcan0")
-        found.append(tuple(sorted((k, str(v)) for k, v in row.items() if v is not None)))
-    return sorted(found)
-
-
-def globbed(directory: Path) -> set[str]:
-    """The Parquet files that a query engine finds."""
-    return {str(path.relative_to(directory)) for path in directory.glob("**/*.parquet")}
 
 
 @pytest.fixture

@@ -13,6 +13,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 
 from tipforce.host.dataset.manifest import Change, DataFile, Manifest, Part, commit, read_manifest
+from tipforce.host.dataset.reader import damage_named
 from tipforce.host.dataset.run_lock import RunLock
 from tipforce.host.dataset.store import Store
 from tipforce_tools.decode.parquet import OPTIONS, ROW_GROUP_ROWS
@@ -28,14 +29,8 @@ def compact(store: Store) -> Manifest:
     with RunLock(store, token):
         for number, group in enumerate(_groups(manifest)):
             change = Change(parts=[_joined(store, group, f"{group[0].source}-{group[0].start:014d}-{number}-{token}")])
-            for part in group:
-                change.removed.add(part.id)
-            source = manifest.source(group[0].source)
-            change.expected[group[0].source] = source
+            change.removed.update(part.id for part in group)
             manifest = commit(store, change)
-            for part in group:
-                for file in part.files:
-                    store.remove(file.path)
     return manifest
 
 
@@ -60,7 +55,7 @@ def _joined(store: Store, parts: list[Part], name: str) -> Part:
     for part in parts:
         for file in part.files:
             places.setdefault(file.path.rsplit("/", 1)[0], []).append(file)
-    files = [_joined_file(store, files, f"{place}/{name}.parquet") for place, files in places.items()]
+    files = [_joined_file(store, parts, files, f"{place}/{name}.parquet") for place, files in places.items()]
     bad: dict[str, int] = {}
     for part in parts:
         for reason, count in part.bad.items():
@@ -70,10 +65,10 @@ def _joined(store: Store, parts: list[Part], name: str) -> Part:
                 _joined_events(store, events, f"events/{name}.csv"))  # fmt: skip
 
 
-def _joined_file(store: Store, files: list[DataFile], path: str) -> DataFile:
+def _joined_file(store: Store, parts: list[Part], files: list[DataFile], path: str) -> DataFile:
     tables = []
     for file in files:
-        with store.open(file.path) as stream:
+        with damage_named(store, *parts), store.open(file.path) as stream:
             tables.append(pq.ParquetFile(stream).read())
     rows = pa.concat_tables(tables, promote_options="default")
     with tempfile.TemporaryDirectory(prefix="tipforce-") as folder:

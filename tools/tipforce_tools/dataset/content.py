@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
 
-from tipforce.host.dataset.manifest import FOLDER, Manifest
+from tipforce.host.dataset.manifest import FOLDER, Manifest, files_of
 from tipforce.host.dataset.reader import tally
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli.listening import counted
@@ -17,16 +18,16 @@ _MB = 1_000_000
 
 
 def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
-    """Return by path what is wrong with a file: it is missing, or (with ``hashes``) its content differs."""
+    """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
     found = {}
-    for part in manifest.parts:
-        for file in (*part.files, *((part.events,) if part.events else ())):
-            try:
-                with store.open(file.path) as stream:
-                    if hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256:
-                        found[file.path] = "differs from what was written"
-            except OSError as error:
-                found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
+    for file in files_of(manifest.parts):
+        try:
+            with store.open(file.path) as stream:
+                changed = hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256
+                if changed or stream.seek(0, os.SEEK_END) != file.bytes:
+                    found[file.path] = "differs from what was written"
+        except OSError as error:
+            found[file.path] = "is missing" if isinstance(error, FileNotFoundError) else str(error)
     return found
 
 
@@ -96,3 +97,5 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
         yield f"runs that write now, or were ended: {found['unfinished_runs']}"
     for path, what in wrong.items():
         yield f"{path}: {what}"
+    if wrong:
+        yield "remove files that differ; then `tipforce decode` with their logs writes them again"

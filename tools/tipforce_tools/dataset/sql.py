@@ -7,8 +7,10 @@ from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError
 from tipforce.host.dataset.manifest import Manifest
+from tipforce.host.dataset.reader import damaged
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli import common
+from tipforce_tools.dataset.content import wrong_files
 
 
 def query(args: Namespace, store: Store, manifest: Manifest) -> int:
@@ -17,8 +19,8 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
         import duckdb
     except ImportError:
         raise EnvironmentLackError("--sql needs DuckDB: `pip install 'tipforce[sql]'`") from None
-    connection = views(duckdb.connect(), store, manifest)
     try:
+        connection = views(duckdb.connect(), store, manifest)
         found = connection.sql(args.sql)
         if found is None:
             return 0
@@ -28,6 +30,8 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
         else:
             found.show(max_width=240, max_rows=10_000)
     except duckdb.Error as error:
+        if wrong := wrong_files(store, manifest, hashes=False):
+            raise damaged(store, next(iter(wrong))) from error
         raise InputError(f"--sql: {error}") from error
     return 0
 

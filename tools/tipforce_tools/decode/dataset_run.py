@@ -8,26 +8,42 @@ import time
 import uuid
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from pathlib import Path
 
 import msgspec
 
 import tipforce
 from tipforce.errors import InputError
-from tipforce.host.dataset.manifest import FOLDER, Change, DataFile, Manifest, Part, Source, commit, read_manifest
+from tipforce.host.dataset.manifest import (
+    FOLDER,
+    Change,
+    DataFile,
+    Manifest,
+    Part,
+    Source,
+    commit,
+    files_of,
+    read_manifest,
+    remove_replaced,
+)
 from tipforce.host.dataset.run_lock import RunLock
 from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.services import BusEvent
-from tipforce.host.decoding.tally import Tally
-from tipforce.host.logs.lines import open_file
 from tipforce_tools.decode.dataset_sink import BASE, DatasetSink
 from tipforce_tools.decode.events import events_text
+from tipforce_tools.decode.log_identity import (
+    HASHED_BYTES,
+    begin_hash,
+    distinct,
+    hash_of,
+    is_whole,
+    options_of,
+    tail_hash,
+)
 from tipforce_tools.decode.parts import InOrder, Sink, Workers, Written
 from tipforce_tools.decode.writers import Shape
 
-_HASHED_BYTES = 1 << 16
 _COMMIT_S = 2.0
 _COMMIT_SHARE = 50  # a commit costs at most this part of the time between commits
 
@@ -37,39 +53,44 @@ Cut = Callable[[str, int], list[Piece]]
 
 @dataclass(slots=True)
 class _Log:
-    """One log to add, from ``start`` on. ``replaced``: parts that are written again."""
+    """One log to add, from ``start`` on. ``replaced``: parts that are written again. ``size``: of the file."""
 
     source: Source
     start: int
     replaced: list[str] = field(default_factory=list)
+    size: int = 0
 
 
 @dataclass(slots=True)
 class _Chain:
-    """Logs that follow each other, to be decoded from ``state`` on."""
+    """Logs that follow each other, to be decoded from ``state`` on. ``ends``: no log of the dataset follows."""
 
     state: State | None
     logs: list[_Log] = field(default_factory=list)
+    ends: bool = True
 
 
 class DatasetRun:
     """One run that adds logs to the dataset ``directory``."""
 
-    def __init__(self, directory: str, reading: Reading, hand: str | None = None) -> None:
-        """Raises InputError for a directory that is not a dataset and not empty."""
+    def __init__(self, directory: str, reading: Reading, told: Told, hand: str | None = None) -> None:
+        """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
         self._reading = reading
         self.store = Store(directory)
         self.manifest = read_manifest(self.store) or _new(self.store)
-        self._options = _options(reading, hand)
+        self._options = options_of(reading, hand)
         self._token = uuid.uuid4().hex[:12]
         self._hand = hand
         self._change = Change()
         self._committed, self._cost_s = time.monotonic(), 0.0
         self._parts = 0
+        self._new: list[str] = []  # hashes of the heads of new logs
+        self._begins: dict[str, str] = {}
         self.added = 0
         """Parts of this run."""
-        self.told = Told(Tally(), [])
-        """What the logs of this run tell besides their rows."""
+        self.copies = 0
+        """Logs that are the beginning of another one, or equal."""
+        self.told = told
 
     def add(
         self,
@@ -77,12 +98,21 @@ class DatasetRun:
         cut: Cut,
         workers: Callable[[Sink, int], Workers],
         each: Callable[[Written], None],
+        check: Callable[[Told], None],
     ) -> None:
-        """Add what the dataset does not have. Raises InputError, WriteError, OSError; what was committed stays."""
+        """Add what the dataset does not have, and what was removed from it.
+
+        ``check`` raises for logs that must not be added. Raises InputError, WriteError, OSError; what was committed
+        stays.
+        """
         with RunLock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
-            for chain in list(self._chains(names)):
-                self._add_chain(chain, cut, workers, each)
+            remove_replaced(self.store, self.manifest)
+            self.copies, names = len(names), distinct(names)
+            self.copies -= len(names)
+            for chains in (self._repairs, self._chains):
+                for chain in list(chains(names)):
+                    self._add_chain(chain, cut, workers, each, check)
 
     # --- what is to be done -----------------------------------------------------------------------------------
 
@@ -93,75 +123,99 @@ class DatasetRun:
             known = self._known(name)
             if known is None:
                 source = self._new_source(name, before)
-                if chain is None:
-                    chain = self._continued(before)
+                if chain is None:  # the last rows of the log in front were written as if nothing followed
+                    chain = _Chain(None) if before is None else self._again(before)
                 chain.logs.append(_Log(source, 0))
-            else:
-                source = known
-                if os.path.getsize(name) > known.size:
-                    if chain is not None:
-                        yield chain
-                    chain = self._grown(known, name)
-                elif chain is not None:
-                    yield chain
-                    chain = None
-            before = source
+                before = source
+                continue
+            if chain is not None:
+                yield chain
+            followed = self._follower(known) is not None
+            left = os.path.getsize(name) > known.size or not (known.flushed or followed)
+            chain = self._grown(known, name) if left else None
+            before = None if followed else known
         if chain is not None:
             yield chain
 
+    def _repairs(self, names: Sequence[str]) -> Iterator[_Chain]:
+        """Return the known logs whose files in the dataset are missing or truncated, to be decoded again."""
+        root = self.store.local
+        for name in names if root is not None else ():
+            source = self._known(name)
+            parts = [part for part in self.manifest.parts if source is not None and part.source == source.id]
+            if source is None or root is None or all(is_whole(root / one.path, one.bytes) for one in files_of(parts)):
+                continue
+            if os.path.getsize(name) > source.size:
+                self._grown(source, name)
+            before = self.manifest.source(source.after or "")
+            ends = self._follower(source) is None
+            yield _Chain(
+                before.end if before is not None else None, [_Log(source, 0, [part.id for part in parts])], ends
+            )
+
     def _known(self, name: str) -> Source | None:
         """Return the log if the dataset has it, by its content. Raises InputError if it was decoded in another way."""
+        size, found, longer = os.path.getsize(name), None, None
         for source in self.manifest.sources:
-            if os.path.getsize(name) < source.head_bytes or _hash(name, 0, source.head_bytes) != source.head_sha256:
+            if not source.size and size and source.name != str(name):
+                continue  # every log begins like an empty one
+            if size < source.head_bytes or hash_of(name, 0, source.head_bytes) != source.head_sha256:
                 continue
-            if os.path.getsize(name) < source.size:
-                raise InputError(f"{name}: is shorter than what the dataset has of it ({source.size} bytes)")
-            if _tail(name, source.size) != source.tail_sha256:
-                continue
-            if source.options != self._options:
-                raise InputError(
-                    f"{name}: the dataset has it decoded with {source.options}, now it is {self._options}; "
-                    "choose another directory"
-                )
-            return source
-        return None
+            if size < source.size:
+                longer = source
+            elif tail_hash(name, source.size) == source.tail_sha256 and (found is None or source.size > found.size):
+                found = source
+        if found is None and longer is not None:
+            raise InputError(
+                f"{name}: is shorter than what the dataset has of it ({longer.size} bytes): name the whole log"
+            )
+        if found is not None and found.options != self._options:
+            raise InputError(
+                f"{name}: the dataset has it decoded with {found.options}, now it is {self._options}; "
+                "choose another directory"
+            )
+        # A dataset may outlive the place of its logs.
+        return found and msgspec.structs.replace(found, name=str(name))
 
     def _new_source(self, name: str, before: Source | None) -> Source:
-        head = min(os.path.getsize(name), _HASHED_BYTES)
+        head = min(os.path.getsize(name), HASHED_BYTES)
         # The same for two writers, so that one of them learns of the other.
-        digest = _hash(name, 0, head)
-        same = sum(one.head_sha256 == digest for one in self.manifest.sources)
+        digest = hash_of(name, 0, head)
+        begin = begin_hash(name)
+        known = {one.begin_sha256: one.name for one in self.manifest.sources} | self._begins
+        if begin and begin in known:
+            raise InputError(
+                f"{name}: begins like {known[begin]}, which was changed, packed or shortened since; leave one out, or "
+                "decode into another directory"
+            )
+        self._begins[begin] = str(name)
+        self._new.append(digest)
+        same = sum(one.head_sha256 == digest for one in self.manifest.sources) + self._new.count(digest) - 1
         return Source(
             f"{digest[:12]}{same or ''}", str(name), head, digest, 0, "", self._options, tipforce.__version__,
-            before.id if before else None, False, 0, None, Recording(self._reading).state(),
+            before.id if before else None, False, 0, None, Recording(self._reading).state(), begin,
         )  # fmt: skip
 
-    def _continued(self, before: Source | None) -> _Chain:
-        """Return a chain behind a log. Its last rows were written as if nothing followed: that part comes again."""
-        if before is None:
-            return _Chain(None)
-        if not before.flushed:
-            return _Chain(before.end)
-        return _Chain(before.before_last_part, [self._again(before)])
-
     def _grown(self, source: Source, name: str) -> _Chain:
-        follower = next((one for one in self.manifest.sources if one.after == source.id), None)
+        follower = self._follower(source)
         if follower is not None:
             raise InputError(f"{name}: has grown after {follower.name} was added behind it; use another directory")
-        if not source.flushed:
-            return _Chain(source.end, [_Log(source, source.size)])
-        return _Chain(source.before_last_part, [self._again(source)])
+        return self._again(source)
 
-    def _again(self, source: Source) -> _Log:
+    def _again(self, source: Source) -> _Chain:
+        """Return a chain that begins with the last part of a log."""
         start = source.last_part_start
         replaced = [part.id for part in self.manifest.parts if part.source == source.id and part.start >= start]
-        return _Log(source, start, replaced)
+        return _Chain(source.before_last_part, [_Log(source, start, replaced)])
+
+    def _follower(self, source: Source) -> Source | None:
+        return next((one for one in self.manifest.sources if one.after == source.id), None)
 
     # --- the work ---------------------------------------------------------------------------------------------
 
     def _add_chain(
         self, chain: _Chain, cut: Cut, workers: Callable[[Sink, int], Workers],
-        each: Callable[[Written], None],
+        each: Callable[[Written], None], check: Callable[[Told], None],
     ) -> None:  # fmt: skip
         sink = DatasetSink(self.store.name, self._token, self._hand)
         pieces: list[Piece] = []
@@ -169,6 +223,7 @@ class DatasetRun:
         for log in chain.logs:
             self._change.expected.setdefault(log.source.id, self.manifest.source(log.source.id))
             self._change.removed.update(log.replaced)
+            log.size = os.path.getsize(log.source.name)  # a log that cannot be cut may grow while it is read
             for piece in cut(log.source.name, log.start):
                 pieces.append(piece)
                 logs.append(log)
@@ -180,24 +235,27 @@ class DatasetRun:
         shape = Shape(BASE)
         shape.take(self.manifest.columns, ())
         state = recording.state()
-        for written in InOrder(pieces, recording, shape, workers(sink, len(pieces)), asked=self._reading.signals):
+        for written in InOrder(pieces, recording, shape, workers(sink, len(pieces)), asked=self._reading.signals,
+                               ends=chain.ends):  # fmt: skip
             assert written.state is not None
             last = written.number == len(pieces) - 1
-            self._take(written, logs[written.number], sink.names[written.number], state, last)
+            self._take(written, logs[written.number], sink.names[written.number], state, last and chain.ends)
             state = written.state
             each(written)
             if last:
                 self._tell(recording.told)
-            if last or time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s):
+                check(self.told)
+            due = time.monotonic() - self._committed > max(_COMMIT_S, _COMMIT_SHARE * self._cost_s)
+            if last or (due and recording.told.tally.messages):  # what is not a log of fingertips is not committed
                 self._commit()
 
     def _take(self, written: Written, log: _Log, name: str, before: State, last: bool) -> None:
         """Note a part as one to be committed."""
         assert written.state is not None
         piece = written.piece
-        end = os.path.getsize(piece.name) if piece.end is None else piece.end
+        end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
-            log.source, name=piece.name, size=end, tail_sha256=_tail(piece.name, end), flushed=last,
+            log.source, name=piece.name, size=end, tail_sha256=tail_hash(piece.name, end), flushed=last,
             last_part_start=piece.start, before_last_part=before, end=written.state, version=tipforce.__version__,
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source
@@ -225,14 +283,10 @@ class DatasetRun:
         return DataFile(path, 0, len(events), len(text), hashlib.sha256(text).hexdigest(), min(times), max(times))
 
     def _commit(self) -> None:
-        """Commit what is noted; then remove the files that it replaces."""
+        """Commit what is noted."""
         began = time.monotonic()
         change, self._change = self._change, Change()
-        old = [part for part in self.manifest.parts if part.id in change.removed]
         self.manifest = commit(self.store, change)
-        for part in old:
-            for file in [*part.files, *([part.events] if part.events else [])]:
-                self.store.remove(file.path)
         for source_id in change.expected:  # a chain is committed in steps
             self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()
@@ -240,31 +294,7 @@ class DatasetRun:
 
 
 def _new(store: Store) -> Manifest:
-    names = store.names("")
-    if names and FOLDER not in names:
+    names = store.names("")  # behind a URL, a run that ended early leaves files and no manifest
+    if FOLDER not in names and any(not name.startswith(("hand=", "events")) for name in names):
         raise InputError(f"--output {store.name}/: is not empty and not a dataset; choose another directory")
     return Manifest()
-
-
-def _options(reading: Reading, hand: str | None) -> str:
-    """Return what the rows of a log depend on besides its bytes."""
-    layouts = reading.layouts
-    words = [f"gauges {layouts.gauges}"]
-    given = (
-        ("nodes", layouts.nodes), ("signals", reading.signals), ("buses", reading.buses), ("hand", hand),
-        ("from", reading.start), ("to", reading.end), ("dbc", layouts.dbc), ("eds", layouts.eds),
-    )  # fmt: skip
-    words += [f"{name} {value}" for name, value in given if value]
-    if layouts.pdos:
-        words.append(f"layouts {hashlib.sha256(repr(layouts).encode()).hexdigest()[:12]}")
-    return ", ".join(words)
-
-
-def _hash(name: str, start: int, end: int) -> str:
-    with open_file(Path(name)) as file:
-        file.seek(start)
-        return hashlib.sha256(file.read(end - start) or b"").hexdigest()
-
-
-def _tail(name: str, end: int) -> str:
-    return _hash(name, max(end - _HASHED_BYTES, 0), end)

@@ -45,7 +45,7 @@ class DatasetSink:
         from tipforce_tools.decode.parquet import Parts, arrow_table, schema_of
 
         store = Store(self._directory)
-        scratch = self._scratch(store)
+        scratch, temporary = self._scratch(store)
         writing: dict[str, _Open] = {}
         schema: Any = None
         try:
@@ -68,16 +68,21 @@ class DatasetSink:
             for one in writing.values():
                 one.parts.abort()
             raise
+        finally:
+            if temporary is not None:
+                temporary.cleanup()
 
-    def _scratch(self, store: Store) -> Path:
+    def _scratch(self, store: Store) -> tuple[Path, Any]:
+        """Return where to write files before they are put in place, and what removes it unless the run does."""
         import tempfile
 
         local = store.local
         if local is None:
-            return Path(tempfile.mkdtemp(prefix="tipforce-"))
+            temporary = tempfile.TemporaryDirectory(prefix="tipforce-")
+            return Path(temporary.name), temporary
         folder = local / FOLDER / self._token
         folder.mkdir(parents=True, exist_ok=True)
-        return folder
+        return folder, None
 
 
 class _Open:

@@ -7,11 +7,13 @@ import time
 from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import WriteError
+from tipforce.host.dataset.manifest import is_dataset
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, Told
 from tipforce.host.logs.lines import is_plain, line_borders
@@ -43,7 +45,7 @@ def in_parts(args: Namespace, kind: str, names: Sequence[str]) -> list[Piece]:
     live = args.output in {None, "-"} or args.follow or "-" in names
     if live or kind not in JOINED or args.resample is not None or args.calibration:
         return []
-    if args.eds:  # their SDO traffic is followed in sequence
+    if args.eds or any(map(is_dataset, names)):  # SDO traffic is followed in sequence; a dataset's rows are only read
         return []
     jobs = args.jobs or _cores()
     if args.scheduler is None and (jobs < 2 or (args.jobs is None and sum(map(os.path.getsize, names)) < _SMALL_BYTES)):
@@ -93,21 +95,18 @@ def _workers(args: Namespace, reading: Reading, sink: Sink, parts: int) -> Worke
 
 
 def write_dataset(
-    args: Namespace, names: list[str], reading: Reading, summary: summaries.Summary, bar: ProgressBar
-) -> Told:
-    """Add the logs to a dataset; return what they told. Raises InputError, WriteError."""
+    args: Namespace, names: list[str], reading: Reading, told: Told, summary: summaries.Summary, bar: ProgressBar
+) -> None:
+    """Add the logs to a dataset; ``told`` gets what they tell besides rows. Raises InputError, WriteError."""
     from tipforce_tools.decode.dataset_run import DatasetRun
+    from tipforce_tools.decode.parts import Here
 
     def cut(name: str, start: int) -> list[Piece]:
         return pieces_from(args, name, start)
 
     def workers(sink: Sink, parts: int) -> Workers:
-        jobs = min(args.jobs or _cores(), parts)
-        if args.scheduler is None and (jobs < 2 or args.follow or args.eds):
-            from tipforce_tools.decode.parts import Here
-
-            return Here(reading, sink)
-        return _workers(args, reading, sink, parts)
+        here = args.scheduler is None and (min(args.jobs or _cores(), parts) < 2 or args.follow or args.eds)
+        return Here(reading, sink) if here else _workers(args, reading, sink, parts)
 
     def each(written: Written) -> None:
         summary.append(written.summary)
@@ -116,20 +115,21 @@ def write_dataset(
     if args.scheduler is not None:
         names = [os.path.abspath(name) for name in names]
     reading = replace(reading, follow=False)  # a growing log is read again and again
-    run = DatasetRun(args.output, reading, args.hand)
+
+    check = partial(check_readable, args)
+    run = DatasetRun(args.output, reading, told, args.hand)
     try:
         while True:
-            run.add(names, cut, workers, each)
+            run.add(names, cut, workers, each, check)
             if not args.follow:
                 break
             time.sleep(_FOLLOW_S)
     except OSError as error:
         raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
-    if run.added:
-        check_readable(args, run.told)
-    else:
+    if run.copies:
+        common.note(args, f"{counted(run.copies, 'log')} equal to another one, or to its beginning: not added twice")
+    if not run.added:
         common.note(args, f"{args.output}: nothing new in {counted(len(names), 'log')}")
-    return run.told
 
 
 def pieces_from(args: Namespace, name: str, start: int) -> list[Piece]:
@@ -172,13 +172,16 @@ def _cores() -> int:
 
 
 def check_readable(args: Namespace, told: Told) -> None:
-    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out."""
+    """Raises LogError for an input without a frame, and for one without a sample if no flag leaves samples out.
+
+    A log that is followed may have them later.
+    """
     from tipforce_tools.cli.empty_log import MESSAGES, PACKED, PCAP, TEXT, no_frame, no_sample
 
     names = ", ".join(notes.source for notes in told.notes)
     frames = sum(notes.frames for notes in told.notes)
-    if summaries.bad_lines(told) and not frames:
+    if summaries.bad_lines(told) and not frames and not args.follow:
         raise no_frame(names, (TEXT, PACKED, MESSAGES, PCAP))
-    narrowed = args.signals or args.calibration or choice.narrowing_flags(args)
+    narrowed = args.signals or args.calibration or args.follow or choice.narrowing_flags(args)
     if frames and not told.tally.messages and not told.tally.short and not told.events() and not narrowed:
         raise no_sample(names, frames, sum(notes.extended for notes in told.notes))

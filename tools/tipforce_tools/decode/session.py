@@ -9,6 +9,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, cast
 
 from tipforce.errors import InputError, WriteError
+from tipforce.host.dataset.manifest import is_dataset
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import StrictError
 from tipforce.host.decoding.recording import Recording, Told
@@ -49,7 +50,7 @@ def decode(args: Namespace) -> int:
     code, complete = 0, False
     try:
         if directory:
-            recording.told = write_dataset(args, names, reading, summary, bar)
+            write_dataset(args, names, reading, recording.told, summary, bar)
         elif pieces:
             write_parts(args, kind, pieces, reading, recording, summary, bar)
         else:
@@ -233,11 +234,15 @@ def check(args: Namespace) -> None:
 
 def _check_dataset(args: Namespace) -> None:
     directory = args.output is not None and is_directory(args.output)
+    if directory and args.format not in {None, "parquet"}:
+        raise InputError(f"--format {args.format}: a dataset has Parquet files; name a file with --output")
     if directory and (args.calibration or args.resample is not None or "-" in args.logs or not args.logs):
         raise InputError(
             f"--output {args.output}: a dataset has what the nodes sent, of log files: leave out --calibration, "
             "--resample and stdin; apply a calibration when reading it"
         )
+    if directory and (found := [name for name in args.logs if is_dataset(name)]):
+        raise InputError(f"{found[0]}: is a dataset, and {args.output} is filled from logs; name the logs")
     if args.hand is not None and not directory:
         raise InputError("--hand: is a partition of a dataset; name one with --output DIR/")
 

@@ -6,9 +6,10 @@ of two writers one commits and the other one merges its changes, or gives up if 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
@@ -17,6 +18,7 @@ from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.recording import State
 from tipforce.host.decoding.sample_table import Column
 
+_Version = TypeVar("_Version", bound="_Format")
 FOLDER = "_tipforce"
 FORMAT = 1
 _KEPT_GENERATIONS = 2  # for readers that have just listed them
@@ -52,6 +54,14 @@ class Part(msgspec.Struct, frozen=True):
         return sum(file.rows for file in self.files)
 
 
+def files_of(parts: Iterable[Part]) -> Iterable[DataFile]:
+    """Yield all files of parts, those of the events too."""
+    for part in parts:
+        yield from part.files
+        if part.events is not None:
+            yield part.events
+
+
 class Source(msgspec.Struct, frozen=True):
     """One log. ``size``: its bytes that are in the dataset; hashes of its first ``head_bytes`` and of the last ones."""
 
@@ -72,17 +82,26 @@ class Source(msgspec.Struct, frozen=True):
     last_part_start: int
     before_last_part: State | None
     end: State
+    begin_sha256: str = ""
+    """Of the first bytes of its text, also where it is packed; "" for a short one."""
 
 
-class Manifest(msgspec.Struct):
-    """Everything that a dataset holds."""
+class _Format(msgspec.Struct):
+    """What every version of a manifest has."""
 
     format: int = FORMAT
+
+
+class Manifest(_Format):
+    """Everything that a dataset holds."""
+
     generation: int = 0
     sources: list[Source] = []
     parts: list[Part] = []
     columns: list[Column] = []
     """Of all files, in order."""
+    replaced: list[str] = []
+    """Files of parts that this generation replaced: a writer that ended before it removed them leaves them behind."""
 
     def source(self, source_id: str) -> Source | None:
         """Return a log by its id."""
@@ -92,6 +111,10 @@ class Manifest(msgspec.Struct):
         """Yield the Parquet files of all parts."""
         for part in self.parts:
             yield from part.files
+
+    def paths(self) -> set[str]:
+        """Return the paths of all files, those of the events too."""
+        return {file.path for file in files_of(self.parts)}
 
 
 @dataclass(slots=True)
@@ -106,21 +129,25 @@ class Change:
     columns: list[Column] = field(default_factory=list)
 
     def applied(self, manifest: Manifest) -> Manifest:
-        """Return the manifest with the change. Raises WriteError if another writer changed the same logs."""
+        """Return the manifest with the change. Raises WriteError if another writer changed the same logs or parts."""
         for source_id, before in self.expected.items():
             now = manifest.source(source_id)
             if (now and (now.size, now.flushed)) != (before and (before.size, before.flushed)):
                 name = (now or before or self.sources[source_id]).name
                 raise WriteError(f"{name}: another run has added it meanwhile; run again to add what is still missing")
+        if self.removed - {part.id for part in manifest.parts}:
+            raise WriteError("another run has replaced the same parts meanwhile; run again if work is left")
         known = {column.name for column in manifest.columns}
         sources = [self.sources.get(one.id, one) for one in manifest.sources]
         old = {one.id for one in sources}
-        return Manifest(
+        found = Manifest(
             FORMAT, manifest.generation + 1,
             sources + [one for one in self.sources.values() if one.id not in old],
             [part for part in manifest.parts if part.id not in self.removed] + self.parts,
             manifest.columns + [column for column in self.columns if column.name not in known],
         )  # fmt: skip
+        found.replaced = sorted(manifest.paths() - found.paths())
+        return found
 
 
 def read_manifest(store: Store) -> Manifest | None:
@@ -133,31 +160,56 @@ def read_manifest(store: Store) -> Manifest | None:
             text = store.read(f"{FOLDER}/{names[-1]}")
         except FileNotFoundError:
             continue
-        try:
-            found = msgspec.json.decode(text, type=Manifest)
-        except msgspec.MsgspecError as error:
-            raise InputError(f"{store.name}/{FOLDER}/{names[-1]}: not a manifest of a dataset: {error}") from error
-        if found.format != FORMAT:
-            raise InputError(f"{store.name}: format {found.format} of a newer tipforce; this one reads {FORMAT}")
-        return found
-    raise InputError(f"{store.name}: its manifest changes too fast to be read")
+        place = f"{store.name}/{FOLDER}/{names[-1]}"
+        found, reason = _decoded(text, Manifest)
+        version, _ = (found, "") if found is not None else _decoded(text, _Format)
+        if version is not None and version.format != FORMAT:
+            raise InputError(
+                f"{place}: format {version.format} of a newer tipforce; update this one, it reads {FORMAT}"
+            )
+        if found is not None:
+            return found
+        raise InputError(
+            f"{place}: not a manifest of a dataset ({reason}): put back a copy of it, or decode the logs again into "
+            "another directory"
+        )
+    raise InputError(f"{store.name}: its manifest changes too fast to be read; try again")
+
+
+def _decoded(text: bytes, kind: type[_Version]) -> tuple[_Version | None, str]:
+    try:
+        return msgspec.json.decode(text, type=kind), ""
+    except msgspec.MsgspecError as error:
+        return None, str(error)
 
 
 def generations(store: Store) -> list[str]:
     """Return the names of the manifests, the newest last."""
-    return sorted(name for name in store.names(FOLDER) if name.startswith("manifest-") and name.endswith(".json"))
+    return sorted(name for name in store.names(FOLDER) if re.fullmatch(r"manifest-\d{10}\.json", name))
 
 
 def commit(store: Store, change: Change) -> Manifest:
-    """Add a change as the next generation. Raises WriteError as ``Change.applied`` does, OSError."""
+    """Add a change as the next generation, and remove what it replaces.
+
+    Raises WriteError as ``Change.applied`` does, OSError.
+    """
     while True:
-        manifest = change.applied(read_manifest(store) or Manifest())
+        before = read_manifest(store) or Manifest()
+        remove_replaced(store, before)  # of a writer that ended: no later generation names these files
+        manifest = change.applied(before)
         name = f"{FOLDER}/manifest-{manifest.generation:010d}.json"
         if store.create(name, msgspec.json.encode(manifest)):
             break
     for old in generations(store)[:-_KEPT_GENERATIONS]:
         store.remove(f"{FOLDER}/{old}")
+    remove_replaced(store, manifest)
     return manifest
+
+
+def remove_replaced(store: Store, manifest: Manifest) -> None:
+    """Remove the files that this generation replaced."""
+    for path in manifest.replaced:
+        store.remove(path)
 
 
 def is_dataset(name: Any) -> bool:

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce.host.dataset.manifest import Manifest, Part, read_manifest
 from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.log_part import Notes, Reading, When
@@ -75,12 +76,32 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
     wanted = [one for one in manifest.columns if reading.signals is None or one.signal in reading.signals]
     channels: list[str] = []
     for part in sorted(manifest.parts, key=lambda one: min((file.first_ns for file in one.files), default=0)):
-        try:
+        with damage_named(store, part):
             found = _part_table(store, part, reading, wanted, channels, (start, end))
-        except FileNotFoundError as error:
-            raise InputError(f"{name}: a run has replaced a part meanwhile; read it again ({error})") from error
         if found is not None and len(found):
             yield found
+
+
+@contextmanager
+def damage_named(store: Store, *parts: Part) -> Iterator[None]:
+    """Raise LogError for a file of these parts that cannot be read, with the next step."""
+    import pyarrow as pa
+
+    try:
+        yield
+    except (OSError, pa.ArrowException) as error:
+        now = read_manifest(store)
+        if now is not None and not {part.id for part in parts} <= {part.id for part in now.parts}:
+            raise LogError(f"{store.name}: another run has replaced a part meanwhile; run this again") from error
+        raise damaged(store, error) from error
+
+
+def damaged(store: Store, reason: object) -> LogError:
+    """Return the error of a file that is not as it was written, with the next step."""
+    return LogError(
+        f"{store.name}: a file is missing or damaged ({reason}); `tipforce dataset {store.name} --verify` lists such "
+        "files: remove them, then `tipforce decode` with their logs writes them again"
+    )
 
 
 def _limit(when: When | None, origin_ns: int, otherwise: int) -> int:

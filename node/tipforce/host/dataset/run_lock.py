@@ -72,7 +72,7 @@ def lock(file: int) -> bool:
 def remove_unlisted(store: Store, manifest: Manifest, token: str) -> list[str]:
     """Remove the files of a run that no manifest lists; return them."""
     assert store.local is not None
-    listed = {file.path for file in manifest.files()} | {part.events.path for part in manifest.parts if part.events}
+    listed = manifest.paths()
     found = []
     for path in [
         *store.local.glob(f"hand=*/date=*/node=*/*-{token}.parquet"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import shutil
 import uuid
@@ -9,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import EnvironmentLackError, InputError
 
 
 def is_url(name: str) -> bool:
@@ -21,11 +22,11 @@ class Store:
     """Files by their paths relative to ``name``. A file appears complete or not at all."""
 
     def __init__(self, name: str) -> None:
-        """Raises EnvironmentLackError for a URL without fsspec."""
+        """Raises EnvironmentLackError for a URL without its packages, InputError for one of unknown kind."""
         self.name = name.rstrip("/") or "/"
         self._fs: Any = None
-        self._root = self.name if is_url(name) else os.path.abspath(self.name)
-        if is_url(name):
+        self._root = os.path.abspath(self.name.removeprefix("file://"))
+        if is_url(name) and not name.startswith("file://"):
             self._fs, self._root = filesystem(self.name)
 
     @property
@@ -84,6 +85,10 @@ class Store:
             os.link(partial, path)  # unlike a rename it fails if there is a file
         except FileExistsError:
             return False
+        except OSError as error:
+            if error.errno not in (errno.EPERM, errno.ENOTSUP, errno.ENOSYS, errno.EMLINK) or path.exists():
+                raise
+            partial.rename(path)  # without hard links (FAT): two writers must not commit at the same instant
         finally:
             partial.unlink(missing_ok=True)
         return True
@@ -114,10 +119,15 @@ class Store:
 
 
 def filesystem(url: str) -> tuple[Any, str]:
-    """Return fsspec's file system of a URL, and the path in it. Raises EnvironmentLackError without fsspec."""
+    """Return fsspec's file system of a URL, and the path in it. Raises as ``Store`` does."""
     try:
         import fsspec.core
     except ImportError:
         raise EnvironmentLackError(f"{url}: a URL needs fsspec: `pip install 'tipforce[remote]'`") from None
-    found = fsspec.core.url_to_fs(url)
+    try:
+        found = fsspec.core.url_to_fs(url)
+    except ImportError as error:
+        raise EnvironmentLackError(f"{url}: {error}: install them with pip") from error
+    except ValueError as error:
+        raise InputError(f"{url}: not a URL that fsspec opens: {error}") from error
     return found[0], str(found[1]).rstrip("/")

@@ -1,0 +1,38 @@
+"""The rows and files of datasets, for the tests of `tipforce decode -o DIR/`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pyarrow.parquet as pq
+
+from tipforce.host.dataset.reader import opened
+from tools.decode.logs import decode
+
+
+def rows_of_dataset(directory: Path) -> list[tuple[Any, ...]]:
+    """All rows by the manifest, without missing values, in the order of node and time."""
+    store, manifest = opened(str(directory))
+    found = []
+    for file in manifest.files():
+        for row in pq.ParquetFile(store.path(file.path)).read().to_pylist():
+            row["node"] = file.node
+            found.append(tuple(sorted((k, str(v)) for k, v in row.items() if v is not None)))
+    return sorted(found)
+
+
+def rows_of_logs(*names: Path) -> list[tuple[Any, ...]]:
+    """The rows of one decode to a file."""
+    path = names[0].with_suffix(".one.parquet")
+    assert decode(*names, "-j", 1, "-o", path) == 0
+    found = []
+    for row in pq.read_table(path).to_pylist():
+        row.setdefault("channel", "vcan0")
+        found.append(tuple(sorted((k, str(v)) for k, v in row.items() if v is not None)))
+    return sorted(found)
+
+
+def globbed(directory: Path) -> set[str]:
+    """The Parquet files that a query engine finds."""
+    return {str(path.relative_to(directory)) for path in directory.glob("**/*.parquet")}

@@ -1,0 +1,220 @@
+"""Datasets whose files, manifest or logs are not as they should be: equal rows, or one line with the next step."""
+
+from __future__ import annotations
+
+import gzip
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from tipforce.host.dataset import manifest as manifests
+from tipforce.host.dataset.reader import opened
+from tipforce.host.dataset.store import Store
+from tipforce_tools.cli.main import main
+from tipforce_tools.decode import dataset_run, part_session
+from tools.decode.datasets import globbed, rows_of_dataset, rows_of_logs
+from tools.decode.logs import decode, log_lines, write_log
+
+
+@pytest.fixture(autouse=True)
+def small_parts(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Parts of 30 kB."""
+    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+
+
+@pytest.fixture(scope="module")
+def lines() -> list[str]:
+    return log_lines(500, (1, 5), health=100)
+
+
+@pytest.fixture
+def days(tmp_path: Path, lines: list[str]) -> list[Path]:
+    """A log in three, cut within samples."""
+    cuts = [0, 603, 1501, len(lines)]
+    return [write_log(tmp_path / f"day-{k}.log", lines[cuts[k] : cuts[k + 1]]) for k in range(3)]
+
+
+def check(data: Path, *logs: Path) -> None:
+    """Compare the rows with those of one decode; no other file is there."""
+    assert rows_of_dataset(data) == rows_of_logs(*logs)
+    assert globbed(data) == {file.path for file in opened(str(data))[1].files()}
+
+
+def test_removed_and_truncated_files_are_written_again(
+    tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "data"
+    assert decode(*days, "-j", 1, "-o", f"{data}/") == 0
+    manifest = opened(str(data))[1]
+    of_second = [part for part in manifest.parts if part.source == manifest.sources[1].id]
+    (data / of_second[0].files[0].path).unlink()
+    os.truncate(data / of_second[-1].files[-1].path, 50)
+    for words in (["dataset", f"{data}", "--sql", "select 1"], ["decode", "-q", f"{data}"]):
+        capsys.readouterr()
+        assert main(words) == 1
+        found = capsys.readouterr().err.splitlines()
+        assert "missing or damaged" in found[0]
+        assert "writes them again" in found[0]
+        assert len(found) == 1
+    assert main(["dataset", f"{data}"]) == 1  # sizes show it, too
+    assert decode(days[1], "-j", 1, "-o", f"{data}/") == 0
+    check(data, *days)
+    assert main(["dataset", f"{data}", "--verify"]) == 0
+
+
+@pytest.mark.parametrize("command", ["decode", "dataset"])
+def test_killed_before_replaced_files_are_removed(tmp_path: Path, lines: list[str], command: str) -> None:
+    log, data = write_log(tmp_path / "run.log", lines[:1500]), tmp_path / "data"
+    assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+    write_log(log, lines)
+    child = os.fork()
+    if not child:
+        removed = manifests.remove_replaced
+
+        def killed(store: Store, manifest: manifests.Manifest) -> None:
+            if manifest.replaced:
+                os.kill(os.getpid(), signal.SIGKILL)
+            removed(store, manifest)
+
+        manifests.remove_replaced = killed
+        words = ["-q", str(log), "-j", "1", "-o", f"{data}/"] if command == "decode" else [str(data), "--compact", "-q"]
+        os._exit(main([command, *words]))
+    assert os.waitpid(child, 0)[1] == signal.SIGKILL
+    assert len(globbed(data)) > len(list(opened(str(data))[1].files()))
+    assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+    check(data, log)
+
+
+def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    from tipforce_tools.dataset import compact
+
+    log, data = write_log(tmp_path / "run.log", lines[:1500]), tmp_path / "data"
+    assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+    write_log(log, lines)
+    committed = manifests.commit
+
+    def meanwhile(*words: object) -> None:
+        def commit(store: Store, change: manifests.Change) -> manifests.Manifest:
+            monkeypatch.undo()
+            assert main([*map(str, words)]) == 0
+            return committed(store, change)
+
+        monkeypatch.setattr(compact, "commit", commit)
+
+    meanwhile("decode", "-q", log, "-j", 1, "-o", f"{data}/")
+    assert main(["dataset", str(data), "--compact", "-q"]) == 0  # both are done
+    check(data, log)
+    assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+    write_log(log, [*lines, *(line.replace("(170000", "(170001") for line in lines)])
+    monkeypatch.setattr(part_session, "_DATASET_PIECE_BYTES", 30_000)
+    assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+    meanwhile("dataset", data, "--compact", "-q")
+    assert main(["dataset", str(data), "--compact", "-q"]) == 1  # the same parts: one of them
+    check(data, log)
+
+
+def test_logs_that_are_not_logs(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    data = tmp_path / "data"
+    junk = tmp_path / "junk.log"
+    junk.write_bytes(bytes(range(256)) * 40)
+    syncs = write_log(tmp_path / "syncs.log", [line for line in lines if "080#" in line])
+    for log in (junk, syncs, junk, syncs):  # the second time is no success either
+        assert decode(log, "-j", 1, "-o", f"{data}/") == 1
+    assert not manifests.is_dataset(data)
+    empty, log = write_log(tmp_path / "empty.log", []), write_log(tmp_path / "run.log", lines)
+    for logs in ((empty,), (empty, log), (log, empty)):  # every log begins like an empty one
+        assert decode(*logs, "-j", 1, "-o", f"{data}/") == 0
+    check(data, log)
+    capsys.readouterr()
+
+
+def test_copies_and_other_states_of_a_log(
+    tmp_path: Path, lines: list[str], days: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    log, copy = write_log(tmp_path / "run.log", lines), write_log(tmp_path / "copy.log", lines)
+    start, data = write_log(tmp_path / "start.log", lines[:1000]), tmp_path / "data"
+    assert main(["decode", *map(str, (start, log, copy)), "-j", "1", "-o", f"{data}/"]) == 0
+    assert "2 logs equal to another one, or to its beginning: not added twice" in capsys.readouterr().err
+    check(data, log)
+    packed = tmp_path / "run.log.gz"
+    packed.write_bytes(gzip.compress(log.read_bytes()))
+    changed = write_log(tmp_path / "changed.log", [*lines[:900], *lines[1000:]])
+    for other in (packed, changed):
+        assert decode(other, "-j", 1, "-o", f"{data}/") == 2
+        assert "begins like" in capsys.readouterr().err
+    moved = tmp_path / "moved"
+    moved.mkdir()
+    other_data = tmp_path / "days"
+    assert decode(days[0], "-j", 1, "-o", f"{other_data}/") == 0
+    first = days[0].rename(moved / "first.log")
+    assert decode(first, *days[1:], "-j", 1, "-o", f"{other_data}/") == 0
+    check(other_data, log)
+
+
+def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    """The first log alone completes its own rows; all logs complete the rest."""
+    monkeypatch.setattr(dataset_run, "_COMMIT_S", 0.0)
+    monkeypatch.setattr(dataset_run, "_COMMIT_SHARE", 0)
+    for parts in (1, 3):  # of the first log there is one
+        data = tmp_path / f"data-{parts}"
+        committed: list[int] = []
+
+        def commit(store: Store, change: manifests.Change, parts: int = parts, done: list[int] = committed) -> object:
+            if len(done) == parts:
+                raise KeyboardInterrupt
+            done.append(1)
+            return manifests.commit(store, change)
+
+        monkeypatch.setattr(dataset_run, "commit", commit)
+        assert decode(*days, "-j", 1, "-o", f"{data}/") == 130
+        monkeypatch.setattr(dataset_run, "commit", manifests.commit)
+        assert decode(days[0], "-j", 1, "-o", f"{data}/") == 0
+        if parts == 1:
+            check(data, days[0])
+        assert decode(*days, "-j", 1, "-o", f"{data}/") == 0
+        check(data, *days)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('{"format": 2, "parts": 5}', "newer tipforce"),
+        ('{"format": 1, "gener', "put back a copy"),
+        ("", "put back a copy"),
+    ],
+)
+def test_manifests(tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str], text: str, says: str) -> None:
+    data = tmp_path / "data"
+    (data / manifests.FOLDER).mkdir(parents=True)
+    (data / manifests.FOLDER / "manifest-0000000004.json").write_text(text)
+    assert main(["dataset", str(data)]) == decode(days[0], "-o", f"{data}/") == 2
+    found = capsys.readouterr().err.splitlines()
+    assert len(found) == 2
+    assert all(says in line for line in found)
+
+
+def test_inputs_and_outputs_that_cannot_be(
+    tmp_path: Path, days: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "data"
+    assert decode(days[0], "-j", 1, "-o", f"file://{data}/") == 0
+    for words, says in (
+        ([data, "-o", f"{tmp_path}/other/"], "name the logs"),
+        ([days[1], "-o", f"{data}/", "--format", "csv"], "has Parquet files"),
+        ([days[1], "-o", "nothing://data/"], "not a URL that fsspec opens"),
+    ):
+        assert decode(*words) == 2
+        assert says in capsys.readouterr().err
+    assert decode(data, days[1], "-j", 2, "-o", tmp_path / "both.csv") == 0
+
+
+def test_without_hard_links(tmp_path: Path, days: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    def refused(_source: object, _target: object) -> None:
+        raise PermissionError(1, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    for count in (1, 3):
+        assert decode(*days[:count], "-j", 1, "-o", f"{tmp_path}/data/") == 0
+    check(tmp_path / "data", *days)

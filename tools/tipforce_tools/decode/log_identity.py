@@ -1,0 +1,84 @@
+"""Recognise a log by its content and its options: a copy, and one that has grown."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import zlib
+from collections.abc import Sequence
+from contextlib import suppress
+from pathlib import Path
+
+from tipforce.host.decoding.log_part import Reading
+from tipforce.host.logs.lines import decompressed, open_file
+from tipforce.host.logs.reader import log_kind
+
+HASHED_BYTES = 1 << 16
+_COMPARED_BYTES = 1 << 12
+
+
+def distinct(names: Sequence[str]) -> list[str]:
+    """Return the logs without those that another one begins with: copies, and earlier states of one that grew.
+
+    So the rows do not depend on whether logs are added one by one or together.
+    """
+    kept: list[tuple[int, str, bytes]] = []
+    sizes = [os.path.getsize(name) for name in names]
+    for place in sorted(range(len(names)), key=lambda one: -sizes[one]):
+        name, size = names[place], sizes[place]
+        with open_file(Path(name)) as file:
+            head = file.read(_COMPARED_BYTES)
+        if not any(
+            other_head.startswith(head) and hash_of(other, 0, min(size, HASHED_BYTES)) ==
+            hash_of(name, 0, min(size, HASHED_BYTES)) and tail_hash(other, size) == tail_hash(name, size)
+            for _, other, other_head in kept
+        ):  # fmt: skip
+            kept.append((place, name, head))
+    return [name for _, name, _ in sorted(kept)]
+
+
+def begin_hash(name: str) -> str:
+    """Return the SHA-256 of the first bytes of a text, packed or not; "" of a short one, and of logs with headers."""
+    if log_kind(Path(name)) != "text":
+        return ""
+    start = bytearray()
+    with open_file(Path(name)) as file, suppress(OSError, EOFError, zlib.error):
+        unpacked, block = decompressed(file, name), bytearray(_COMPARED_BYTES)
+        while len(start) < _COMPARED_BYTES and (count := unpacked.readinto(block)):
+            start += block[:count]
+    return hashlib.sha256(start[:_COMPARED_BYTES]).hexdigest() if len(start) >= _COMPARED_BYTES else ""
+
+
+def is_whole(path: Path, size: int) -> bool:
+    """Return whether a file is there, with its size in bytes."""
+    return path.is_file() and path.stat().st_size == size
+
+
+def hash_of(name: str, start: int, end: int) -> str:
+    """Return the SHA-256 of bytes of a log. Raises InputError for a log that can't be opened."""
+    with open_file(Path(name)) as file:
+        file.seek(start)
+        return hashlib.sha256(file.read(end - start) or b"").hexdigest()
+
+
+def tail_hash(name: str, end: int) -> str:
+    """Return the SHA-256 of the last bytes in front of ``end``."""
+    return hash_of(name, max(end - HASHED_BYTES, 0), end)
+
+
+def options_of(reading: Reading, hand: str | None) -> str:
+    """Return what the rows of a log depend on besides its bytes."""
+    layouts = reading.layouts
+    words = [f"gauges {layouts.gauges}"]
+    origin = reading.origin_ns or 0
+    start, end = (
+        limit and f"{limit.ns + (origin if limit.relative else 0)} ns" for limit in (reading.start, reading.end)
+    )
+    given = (
+        ("nodes", layouts.nodes), ("signals", reading.signals), ("buses", reading.buses), ("hand", hand),
+        ("from", start), ("to", end), ("deltas", reading.deltas), ("dbc", layouts.dbc), ("eds", layouts.eds),
+    )  # fmt: skip
+    words += [f"{name} {value}" for name, value in given if value]
+    if layouts.pdos:
+        words.append(f"layouts {hashlib.sha256(repr(layouts).encode()).hexdigest()[:12]}")
+    return ", ".join(words)
