@@ -128,6 +128,7 @@ def test_a_foreign_change_is_undone(tmp_path: Path, change: Callable[[Bus], None
         assert text in seen.told("restored")
         assert latest(seen.hand, 2) == pytest.approx([2.0, 3.0], abs=5e-3)
         assert set(np.round(seen.shown(), 1)) == {3.0}
+        assert seen.kinds()[:2] == ["changed", "restored"]  # not each write, whether the other's or the hand's
 
 
 @pytest.mark.parametrize("change", [replaced, remap, offset])

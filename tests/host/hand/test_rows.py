@@ -281,9 +281,9 @@ def test_values_after_a_change_are_not_shown_until_it_is_verified() -> None:
     stream.add(health(1, 3), sync(1), answer(1, 1), answer(2, 1))
     stream.add(sync(2), answer(1, 2), health(1, 4), sync(3), answer(1, 3), answer(2, 2), answer(2, 3))
     assert stream.reasons == [[PRESENT, PRESENT], [PRESENT, PRESENT], [CHANGED, PRESENT]]
-    assert stream.collector.changes == [1]
+    assert stream.collector.take_changes() == {1}
     stream.add(health(1, 4), sync(4), answer(1, 4), answer(2, 4))
-    assert stream.collector.changes == [1]
+    assert not stream.collector.take_changes()
     stream.collector.verify(1, 4)
     stream.add(sync(5), answer(1, 5), answer(2, 5))
     assert stream.reasons[3:] == [[CHANGED, PRESENT], [PRESENT, PRESENT]]
@@ -296,7 +296,7 @@ def test_a_change_during_a_verification_is_not_overlooked() -> None:
     stream.add(health(1, 0), sync(1), answer(1, 1))
     stream.collector.verify(1, 255)  # what was read before that change
     stream.add(sync(2), answer(1, 2))
-    assert stream.collector.changes == [1]
+    assert stream.collector.take_changes() == {1}
     assert stream.reasons == [[CHANGED], [CHANGED]]
 
 

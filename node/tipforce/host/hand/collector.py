@@ -94,8 +94,7 @@ class Collector:
         self._verified = [_UNKNOWN] * fingers  # 2126h for which the hand knows what the values mean
         self._seen = [_UNKNOWN] * fingers  # the last 2126h; its values are shown while it is the verified one
         self._health_s: dict[int, float] = {}  # by finger: when its health PDO came, or its 2126h was asked for
-        self.changes: list[int] = []
-        """Node-ids of fingers whose configuration counter (2126h) changed; the caller empties it."""
+        self._changes: set[int] = set()
         self._nothing = self._emit(0)
 
     def hide(self, node_id: int) -> None:
@@ -115,7 +114,13 @@ class Collector:
             if self._last < 0:
                 self._seen[k] = counter
             if self._seen[k] == counter:
-                self.changes = [one for one in self.changes if one != node_id]
+                self._changes.discard(node_id)
+
+    def take_changes(self) -> set[int]:
+        """Return the fingers whose 2126h became one that is not verified, since the last call."""
+        with self._lock:
+            found, self._changes = self._changes, set()
+        return found
 
     def seen(self, node_id: int) -> int:
         """Return the last 2126h of a finger in the frames processed; negative: none."""
@@ -218,7 +223,7 @@ class Collector:
         if self._seen[k] != counter:
             self._seen[k] = counter
             if self._verified[k] != counter:
-                self.changes.append(self.node_ids[k])
+                self._changes.add(self.node_ids[k])
 
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""

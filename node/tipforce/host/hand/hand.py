@@ -310,8 +310,8 @@ class Hand:
         for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
             self._delivery.event(event)
             self._react(event)
-        while self._collector.changes:
-            self._changed(self._collector.changes.pop(0))
+        for node_id in self._collector.take_changes():
+            self._changed(node_id)
         silent = self._collector.unwatched(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in silent if self._supervisor.states[n] == OPERATIONAL])  # starts what is due, too
         self._probe(now_s)
@@ -333,8 +333,8 @@ class Hand:
             self._queue.need([node_id])
 
     def _changed(self, node_id: int) -> None:
-        """Verify a finger whose 2126h changed; it is an event where the hand did not change it itself."""
-        if node_id in self._recovery.meaning:
+        """Verify a finger whose 2126h changed; the first change since the last verification is an event."""
+        if self._recovery.doubt(node_id):
             text = "its configuration was changed by another master: its values are unknown until they are verified"
             self._delivery.event(Event(time.monotonic(), node_id, "changed", text))
         self._queue.need([node_id], _CHANGE_SETTLES_S)

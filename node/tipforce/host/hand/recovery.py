@@ -51,6 +51,7 @@ class Recovery:
         self._plans = {finger.node_id: finger for finger in file.finger}
         self._overflow_before: dict[int, int] = {}
         self._silent: set[int] = set()
+        self._doubted: set[int] = set()
         self.overflow: int | None = None
         self.meaning: dict[int, Meaning] = {}
 
@@ -95,6 +96,12 @@ class Recovery:
         """Note that a finger or the bus was silent: it may have booted meanwhile."""
         self._silent.add(node_id)
         self._collector.expect(node_id, False)
+
+    def doubt(self, node_id: int) -> bool:
+        """Note that another master changes a finger; return False if that is known, or the hand is changing it."""
+        known = node_id in self._doubted or node_id not in self.meaning
+        self._doubted.add(node_id)
+        return not known
 
     def _say(self, node_id: int, kind: Kind, text: str) -> None:
         self._on_event(Event(time.monotonic(), node_id, kind, text))
@@ -144,6 +151,7 @@ class Recovery:
 
     def _show(self, node_id: int, meaning: Meaning) -> None:
         self.meaning[node_id] = meaning
+        self._doubted.discard(node_id)
         self._collector.verify(node_id, meaning.counter)
         self._collector.expect(node_id, True)
 
@@ -178,6 +186,7 @@ class Recovery:
                 text = f"{text}; {error}"
         if of_pdos(changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
+        self._doubted.discard(node_id)
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")
         return True
 
