@@ -22,24 +22,24 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.device import emcy
 from tipforce.device.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
 from tipforce.host.hand.babbling import BabbleWatch
-from tipforce.host.hand.bring_up import HEALTH_MS, FingerReport, bring_up, side_by_side
+from tipforce.host.hand.bring_up import FingerReport, bring_up, side_by_side
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.delivery import Delivery, RowStream
-from tipforce.host.hand.events import Event, Supervisor, waited_s
+from tipforce.host.hand.events import Event, Supervisor
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
 from tipforce.host.hand.hand_row import HandRows
 from tipforce.host.hand.jitter import Jitter, JitterFigures
 from tipforce.host.hand.link import Link, SharedLink, open_link
 from tipforce.host.hand.numbering import wanted_overflow
-from tipforce.host.hand.recovery import LOST, Recovery
+from tipforce.host.hand.recovery import Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
 from tipforce.host.hand.rows import Rows, Tally
+from tipforce.host.hand.supervision import Supervision
 from tipforce.host.hand.sync_producer import sync_data
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
@@ -48,10 +48,6 @@ HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
 _TICK_S = 0.01
 _MOST_OLD_BATCHES = 1000
-_RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
-_CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
-_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read: another master may have switched the health PDO off
-_LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +75,6 @@ class Hand:
         gauges = file.finger[0].gauges
         self._collector = Collector(file.node_ids, file.messages, gauges, plan.wait_s, plan.sync_hz > 0)
         self._supervisor = Supervisor(file.node_ids, HEARTBEATS_MISSED * plan.heartbeat_ms * 1e-3)
-        self._babbling = BabbleWatch(plan.sync_hz)
         self._jitter = Jitter(round(1e9 / plan.sync_hz) if plan.sync_hz else 0)
         self._load = LoadMeter(int(file.bus.get("bitrate", DEFAULT_BIT_RATE)))
         self._delivery = Delivery()
@@ -87,12 +82,14 @@ class Hand:
             file, lambda: self._link.connection, self._supervisor, self._collector, self._delivery.event
         )
         self._queue = RecoveryQueue(self._recovery.recover)
+        self._supervision = Supervision(
+            self._supervisor, BabbleWatch(plan.sync_hz), self._collector, self._recovery, self._queue,
+            self._delivery.event,
+        )  # fmt: skip
         self._nodes: set[int] | None = None  # all on the bus, by the bring-up
         self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
         self._stopped = threading.Event()
-        self._probe_s = 0.0
-        self._heard_s = 0.0  # all frames up to this time were read
         self._dropped = 0  # on links that were lost
 
     @classmethod
@@ -306,46 +303,7 @@ class Hand:
         if len(rows):
             self._jitter.add(rows.sync_ns)
             self._delivery.put(rows)
-        self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
-        for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
-            self._delivery.event(event)
-            self._react(event)
-        for node_id in self._collector.take_changes():
-            self._changed(node_id)
-        silent = self._collector.unwatched(now_s, _HEALTH_SILENT_S)
-        self._queue.need([n for n in silent if self._supervisor.states[n] == OPERATIONAL])  # starts what is due, too
-        self._probe(now_s)
-
-    def _react(self, event: Event) -> None:
-        """Request the recovery that an event calls for."""
-        node_id = event.node_id
-        if event.kind == "boot_up":
-            self._recovery.meaning.pop(node_id, None)  # known again when it has been set up
-            self._queue.need([node_id])
-        elif event.kind == "heartbeat_lost":
-            self._recovery.silent(node_id)
-            self._queue.drop(node_id)
-        elif event.kind == "state":
-            self._collector.expect(node_id, event.code == OPERATIONAL)
-            if event.code != OPERATIONAL:
-                self._queue.need([node_id])
-        elif event.kind == "heartbeat_back" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
-            self._queue.need([node_id])
-
-    def _changed(self, node_id: int) -> None:
-        """Verify a finger whose 2126h changed; the first change since the last verification is an event."""
-        if self._recovery.doubt(node_id):
-            text = "its configuration was changed by another master: its values are unknown until they are verified"
-            self._delivery.event(Event(time.monotonic(), node_id, "changed", text))
-        self._queue.need([node_id], _CHANGE_SETTLES_S)
-
-    def _probe(self, now_s: float) -> None:
-        """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""
-        if now_s < self._probe_s:
-            return
-        self._probe_s = now_s + _LOST_PROBE_S
-        if any(state < 0 for state in self._supervisor.states.values()):
-            self._queue.need([LOST])
+        self._supervision.process(frames, now_s)
 
     # --- SYNC -----------------------------------------------------------------------------------------------------
 

@@ -1,0 +1,77 @@
+"""Judge what frames say of the fingers: events, and the recoveries that they call for."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+from tipforce.device import emcy
+from tipforce.device.codes import OPERATIONAL
+from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.hand.babbling import BabbleWatch
+from tipforce.host.hand.bring_up import HEALTH_MS
+from tipforce.host.hand.collector import Collector
+from tipforce.host.hand.events import Event, Supervisor, waited_s
+from tipforce.host.hand.recovery import LOST, Recovery
+from tipforce.host.hand.recovery_queue import RecoveryQueue
+
+_RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
+_CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
+_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read: another master may have switched the health PDO off
+_LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
+
+
+class Supervision:
+    """Process the frames that the collector has processed; ``on_event`` gets each event."""
+
+    def __init__(
+        self, supervisor: Supervisor, babbling: BabbleWatch, collector: Collector, recovery: Recovery,
+        queue: RecoveryQueue, on_event: Callable[[Event], None],
+    ) -> None:  # fmt: skip
+        self._supervisor, self._babbling, self._collector = supervisor, babbling, collector
+        self._recovery, self._queue, self._on_event = recovery, queue, on_event
+        self._probe_s = 0.0
+        self._heard_s = 0.0  # all frames up to this time were read
+
+    def process(self, frames: FrameArray, now_s: float) -> None:
+        """Process received frames, FRAME (n,); without frames too, to detect silence. ``now_s`` is monotonic."""
+        self._heard_s = max(self._heard_s, now_s - waited_s(frames, time.time_ns()))
+        for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
+            self._on_event(event)
+            self._react(event)
+        for node_id in self._collector.take_changes():
+            self._changed(node_id)
+        silent = self._collector.unwatched(now_s, _HEALTH_SILENT_S)
+        self._queue.need([n for n in silent if self._supervisor.states[n] == OPERATIONAL])  # starts what is due, too
+        self._probe(now_s)
+
+    def _react(self, event: Event) -> None:
+        """Request the recovery that an event calls for."""
+        node_id = event.node_id
+        if event.kind == "boot_up":
+            self._recovery.meaning.pop(node_id, None)  # known again when it has been set up
+            self._queue.need([node_id])
+        elif event.kind == "heartbeat_lost":
+            self._recovery.silent(node_id)
+            self._queue.drop(node_id)
+        elif event.kind == "state":
+            self._collector.expect(node_id, event.code == OPERATIONAL)
+            if event.code != OPERATIONAL:
+                self._queue.need([node_id])
+        elif event.kind == "heartbeat_back" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
+            self._queue.need([node_id])
+
+    def _changed(self, node_id: int) -> None:
+        """Verify a finger whose 2126h changed; the first change since the last verification is an event."""
+        if self._recovery.doubt(node_id):
+            text = "its configuration was changed by another master: its values are unknown until they are verified"
+            self._on_event(Event(time.monotonic(), node_id, "changed", text))
+        self._queue.need([node_id], _CHANGE_SETTLES_S)
+
+    def _probe(self, now_s: float) -> None:
+        """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""
+        if now_s < self._probe_s:
+            return
+        self._probe_s = now_s + _LOST_PROBE_S
+        if any(state < 0 for state in self._supervisor.states.values()):
+            self._queue.need([LOST])
