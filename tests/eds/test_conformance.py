@@ -26,6 +26,10 @@ LIMITED = text(
     var("1014", 7, "rw", "$NODEID+0x80"), var("2000", 7), var("5FFF", 7), pdo(0x1400, "$NODEID+0x200", 255, 0x20000020),
     pdo(0x1800, "$NODEID+0x180", 255, 0x99990020).replace(INHIBIT, START).replace(HIGHEST, HIGHER),
 )  # fmt: skip
+PRODUCER = text(
+    var("1005", 7, "rw", "0x40000080"), var("1006", 7, "rw", "10000"), var("1019", 5, "rw", "10"), var("2000", 5),
+    var("1014", 7, "rw", "$NODEID+0x80"), var("1015", 6, "rw", "100"), pdo(0x1800, "$NODEID+0x180", 3, 0x20000008),
+)  # fmt: skip
 CASES = [
     case
     for pattern in (
@@ -42,7 +46,7 @@ CASES = [
 ]  # fmt: skip
 
 
-@pytest.mark.parametrize("content", [text(), PLAIN, LIMITED], ids=["least", "plain", "limited"])
+@pytest.mark.parametrize("content", [text(), PLAIN, LIMITED, PRODUCER], ids=["least", "plain", "limited", "producer"])
 def test_no_case_fails(content: str, tmp_path: Path) -> None:
     path = tmp_path / "any.eds"
     path.write_text(content)

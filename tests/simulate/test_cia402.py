@@ -179,7 +179,7 @@ def test_quick_stop_ends_disabled_or_stays() -> None:
 
 def test_a_file_that_is_no_drive_is_refused() -> None:
     eds = Path(__file__).parents[2] / "eds" / "tipforce-3.eds"
-    with pytest.raises(InputError, match=r"no drive \(CiA 402\): without 6040h"):
+    with pytest.raises(InputError, match=r"no drive \(CiA 402\): without integers at 6040h"):
         SimulatedDevice(read_eds(eds, 5), Drive())
     assert read_eds(shipped_eds("cia402"), 5).warnings == []
     assert drive_module.Drive is Drive

@@ -37,12 +37,16 @@ for_s = 1.0
 eds = "cia402"
 node_id = 8
 """
+SECOND = '[[device.signal]]\nkind = "follows"\nsource = "P2000"\n'
 APPLICATION = """\
 from tipforce.machine import DeviceApplication
 
 class Press(DeviceApplication):
     def on_reset(self):
         self.device[0x2003] = 9
+
+class Needy(DeviceApplication):
+    def __init__(self, force): ...
 """
 
 
@@ -80,6 +84,10 @@ def test_a_machine_has_its_devices(folder: Path) -> None:
         ("press.py:Press", "press.py:Other", "no subclass of DeviceApplication called 'Other'"),
         ("press.py:Press", "no.py:Press", "allowed are cia402, and FILE:CLASS"),
         ('"silent"', '"slow"', "delay_s is missing"),
+        ("at_s = 2.0", "at_s = -2.0", r"device\[1\]: fault silent: at_s -2, for_s 1.0: allowed are at_s from 0 on"),
+        ("press.py:Press", "press.py:Needy", r"press.py: TypeError: .*missing 1 required positional argument"),
+        ("[[device.fault]]", SECOND + 'object = "P2001"\n[[device.fault]]', "'P2001': two signals; an object has one"),
+        ("[[device.fault]]", SECOND + "object = 0x2001\n[[device.fault]]", "0x2001:00: two signals"),
     ],
 )
 def test_what_is_wrong_is_named(folder: Path, old: str, new: str, message: str) -> None:

@@ -151,6 +151,12 @@ def test_signals(tmp_path: Path) -> None:
     assert struct.unpack("<f", sent[0x285])[0] == pytest.approx(1 + 2 * math.sin(math.tau * t_s / 4), abs=1e-5)
     with pytest.raises(InputError, match=r"0x2003:00 'P2003': the signal runs from 0 to 300; UNSIGNED8 holds 0 to 255"):
         press(tmp_path, signals={0x2003: Ramp(0, 300)})
+    device = press(tmp_path, signals={0x2000: Follows("P2001")})
+    talk = Talk(device)
+    device["P2001"] = math.nan
+    device[0x2000] = 7
+    talk.advance(100_000)
+    assert device[0x2000] == 7  # an integer has no NaN
     with pytest.raises(InputError, match="a signal sets numbers only"):
         press(tmp_path, signals={0x2002: Ramp()})
 

@@ -47,9 +47,11 @@ class Drive(DeviceApplication):
 
     def on_start(self) -> None:
         """Check the EDS. Raises InputError if an object is missing without which there is no drive."""
-        missing = [f"{index:04X}h" for index in _NEEDED if index not in self.device.description.objects]
+        entries = {index: self.device.description.entry(index, 0) for index in _NEEDED}
+        missing = [f"{index:04X}h" for index, entry in entries.items() if entry is None or entry.type.python is not int]
         if missing:
-            raise InputError(f"{self.device.description.path}: no drive (CiA 402): without {', '.join(missing)}")
+            shown = ", ".join(missing)
+            raise InputError(f"{self.device.description.path}: no drive (CiA 402): without integers at {shown}")
         self._restart()
 
     def _restart(self) -> None:
@@ -266,11 +268,11 @@ class Drive(DeviceApplication):
         found = self.device.description.objects.get(index)
         entry = None if found is None else found.entries.get(1 if sub == 0 and 1 in found.entries else sub)
         value = default if entry is None else self.device.value(entry)
-        number = float(value) if isinstance(value, int | float) else default
+        number = float(value) if isinstance(value, int | float) and math.isfinite(value) else default
         return number or float(_DEFAULTS.get(index, 0))
 
     def _put(self, index: int, value: int) -> None:
         entry = self.device.description.entry(index, 0)
-        if entry is not None:
+        if entry is not None and entry.type.python in (int, float):
             low, high = entry.type.limits or (value, value)
             self.device.set_value(entry, min(max(value, low), high))

@@ -52,6 +52,10 @@ class SimulatedDevice:
         self._lock = threading.RLock()
         self._started_us: int | None = None
         self._drivers = [Driver(self, description.find(key), signal) for key, signal in (signals or {}).items()]
+        places = [driver.entry.place for driver in self._drivers]
+        twice = next((place for place in places if places.count(place) > 1), None)
+        if twice is not None:
+            raise InputError(f"{twice}: two signals; an object has one")
         self.core.application = _Bridge(self, self._drivers)
         self.application.device = self
         for index in description.objects:

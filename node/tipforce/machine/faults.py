@@ -46,8 +46,11 @@ class Faults:
         self._origin_us: int | None = None
 
     def plan(self, planned: Planned) -> None:
-        """Start and end a fault by time. Raises InputError for an unknown kind or parameter."""
+        """Start and end a fault by time. Raises InputError for an unknown kind or parameter, and a time before 0."""
         checked(planned.kind, planned.parameters)
+        if planned.at_s < 0.0 or (planned.for_s is not None and planned.for_s <= 0.0):
+            shown = f"at_s {planned.at_s:g}, for_s {planned.for_s}"
+            raise InputError(f"fault {planned.kind}: {shown}: allowed are at_s from 0 on, for_s above 0")
         self._planned.append((int(1e6 * planned.at_s), True, planned))
         if planned.for_s is not None:
             self._planned.append((int(1e6 * (planned.at_s + planned.for_s)), False, planned))

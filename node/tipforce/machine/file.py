@@ -137,16 +137,16 @@ def read_machine(path: str | Path) -> list[SimulatedDevice]:
             made.append(_device(part, folder))
         except InputError as error:
             raise InputError(f"{place}: device[{number}]: {error}") from None
-    check_node_ids(made)
+    check_node_ids(made, f"{place}: ")
     return made
 
 
-def check_node_ids(devices: Sequence[SimulatedDevice]) -> None:
+def check_node_ids(devices: Sequence[SimulatedDevice], place: str = "") -> None:
     """Raise InputError for a node-id that two devices have."""
     seen: set[int] = set()
     for device in devices:
         if device.core.node_id in seen:
-            raise InputError(f"node-id {device.core.node_id}: two devices have it")
+            raise InputError(f"{place}node-id {device.core.node_id}: two devices have it")
         seen.add(device.core.node_id)
 
 
@@ -210,16 +210,21 @@ def load_application(name: str, folder: Path) -> DeviceApplication | None:
     module = importlib.util.module_from_spec(spec)
     try:
         spec.loader.exec_module(module)
+        found: Any = getattr(module, wanted, None)
+        made = found() if isinstance(found, type) and issubclass(found, DeviceApplication) else None
     except Exception as error:
         raise InputError(f"application {name!r}: {path}: {type(error).__name__}: {error}") from error
-    found: Any = getattr(module, wanted, None)
-    if not (isinstance(found, type) and issubclass(found, DeviceApplication)):
+    if made is None:
         raise InputError(f"application {name!r}: {path} has no subclass of DeviceApplication called {wanted!r}")
-    return found()
+    return made
 
 
 def _device(part: DevicePart, folder: Path) -> SimulatedDevice:
-    driven: dict[Key, signals.Signal] = {one.object: _signal(one, folder) for one in part.signal}
+    driven: dict[Key, signals.Signal] = {}
+    for one in part.signal:
+        if one.object in driven:
+            raise InputError(f"{one.object!r}: two signals; an object has one")
+        driven[one.object] = _signal(one, folder)
     device = make_device(part.eds, part.node_id, part.application, part.values, part.store, driven, folder)
     for fault in part.fault:
         given = {name: getattr(fault, name) for name in ("delay_s", "code", "register") if hasattr(fault, name)}

@@ -169,9 +169,12 @@ class Driver:
             signal.at(0.0, device)
 
     def apply(self) -> None:
-        """Set the entry to the present value of the signal."""
+        """Set the entry to the present value of the signal; an integer has no NaN, and keeps its value."""
         number = min(max(self.signal.at(self._device.now_s, self._device), self._low), self._high)
-        value: Value = round(number) if self.entry.type.python is int else float(number)
+        is_integer = self.entry.type.python is int
+        if is_integer and math.isnan(number):
+            return
+        value: Value = round(number) if is_integer else float(number)
         self._device.set_value(self.entry, value)
 
 

@@ -36,6 +36,7 @@ class Dut(Frames):
         self._survey: dict[tuple[int, int], bool] = {}
         self._is_tipforce: bool | None = None
         self._starts_by_itself: bool | None = None
+        self._own_sync: list[tuple[int, bytes]] | None = None
         self._fresh = False  # as after a reset: since then only objects were read
         self._reset_command = RESET_NODE
 
@@ -57,6 +58,7 @@ class Dut(Frames):
             self.nmt(ENTER_PRE_OPERATIONAL)
             self.sleep(QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
             self._pending.clear()
+        self._end_own_sync()
         self._fresh = True
 
     def boot(self, command: int) -> None:
@@ -96,6 +98,15 @@ class Dut(Frames):
                 startup = self.try_read(0x1F80)
                 self._starts_by_itself = not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
         return self._starts_by_itself
+
+    def _end_own_sync(self) -> None:
+        """End what 1006h and 1019h have after a reset: cases send their own SYNC, without a number."""
+        with suppress(CheckError):
+            if self._own_sync is None:
+                found = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
+                self._own_sync = [(index, bytes(len(v))) for index, v in found if isinstance(v, bytes) and any(v)]
+            for index, zero in self._own_sync:
+                self.try_write(index, 0, zero)
 
     def _beats_operational(self) -> bool:
         period = self.try_read(0x1017)
