@@ -11,6 +11,8 @@ import pytest
 import tipforce
 from eds.samples import INFO, Talk, described, pdo, record, text, var
 from tipforce.device import codes
+from tipforce.dictionary.types import Value
+from tipforce.eds.dcf import dcf_text
 from tipforce.errors import InputError
 
 EVERY_TYPE = (
@@ -88,6 +90,16 @@ def test_compact_pdos_are_made_from_their_count(tmp_path: Path) -> None:
     assert talk.write(0x1800, 1, struct.pack("<I", 0x40000185)) == 0
     talk.start()
     assert talk.step([(0x80, b"")]) == [(0x185, b"\x34\x12")]
+
+
+def test_a_dcf_has_the_pdos_of_compact_pdo(tmp_path: Path) -> None:
+    info = INFO + "NrOfRXPDO=1\nNrOfTXPDO=2\nCompactPDO=0x13\n"
+    found = described(tmp_path, text(var("1005", 7, "rw", "0x80"), var("2000", 6), info=info))
+    values: dict[tuple[int, int], Value] = {(0x1800, 1): 0x195, (0x1A00, 0): 1, (0x1A00, 1): 0x20000010, (0x2000, 0): 7}
+    again = described(tmp_path, dcf_text(found, values), None, "saved.dcf")
+    assert again.warnings == []
+    assert {place: again.find(place).initial for place in values} == values
+    assert [(e.place, e.default) for e in again.entries()] == [(e.place, e.default) for e in found.entries()]
 
 
 def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path) -> None:
