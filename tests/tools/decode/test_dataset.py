@@ -233,3 +233,25 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
 def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> None:
     """A hundred instants: `make long`."""
     killed_runs(tmp_path, lines, int(os.environ.get("TIPFORCE_KILLS", "2")), 5)
+
+
+def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    """A read of 2103h:3 tells one, a commit the next; a cut between the CRC and the commit changes nothing."""
+    told = ["585#4303210344332211", "605#2303210178563412", "585#6003210100000000", "585#6004210000000000"]
+    whole = list(lines)
+    for place, frame in zip((1000, 5000, 5001, 9000), told, strict=True):
+        whole.insert(place, f"{whole[place - 1].rsplit(' ', 1)[0]} {frame}")
+    logs = [write_log(tmp_path / "run-1.log", whole[:7000]), write_log(tmp_path / "run-2.log", whole[7000:])]
+    for data, steps in ((tmp_path / "one", [logs]), (tmp_path / "two", [logs[:1], logs])):
+        for names in steps:
+            assert decode(*names, "-j", 2, "-o", f"{data}/") == 0
+        assert main(["dataset", str(data), "--json"]) == 0
+        found = json.loads(capsys.readouterr().out)["calibrations"]
+        assert [(one["node"], one["crc"]) for one in found] == [(5, 0x11223344), (5, 0x12345678)]
+    assert main(["dataset", str(data)]) == 0
+    assert "vcan0 node 5: rows of 2 calibrations: 0x11223344 from 2023-11-14T22:13:20" in capsys.readouterr().out
+    query = """select code, count(*) as n from samples asof join (select t_s as since, node, code from events where
+               event = 'calibration') told on samples.node = told.node and epoch(samples.t_s) >= since group by code"""
+    assert main(["dataset", str(data), "--json", "--sql", query]) == 0
+    rows = {row["code"]: row["n"] for row in map(json.loads, capsys.readouterr().out.splitlines())}
+    assert rows.keys() == {"0x11223344", "0x12345678"}

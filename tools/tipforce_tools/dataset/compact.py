@@ -62,7 +62,8 @@ def _joined(store: Store, parts: list[Part], name: str) -> Part:
             bad[reason] = bad.get(reason, 0) + count
     events = [part.events for part in parts if part.events is not None]
     return Part(name, parts[0].source, parts[0].start, parts[-1].end, sum(p.frames for p in parts), bad, files,
-                _joined_events(store, events, f"events/{name}.csv"))  # fmt: skip
+                _joined_events(store, events, f"events/{name}.csv"),
+                [one for part in parts for one in part.calibrations])  # fmt: skip
 
 
 def _joined_file(store: Store, parts: list[Part], files: list[DataFile], path: str) -> DataFile:

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.host.dataset.manifest import FOLDER, Manifest, files_of
+from tipforce.host.dataset.manifest import FOLDER, CalibrationTold, Manifest, files_of
 from tipforce.host.dataset.reader import tally
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli.listening import counted
@@ -45,6 +45,11 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
             {"hand": hand, "node": node, "rows": rows, "days": days, "first_s": first / 1e9, "last_s": last / 1e9}
             for (hand, node), (rows, days, first, last) in sorted(_nodes(manifest).items())
         ],
+        "calibrations": [
+            {"channel": one.channel, "node": one.node, "crc": one.crc, "from_s": one.t_ns / 1e9}
+            for told in _calibrations(manifest)
+            for one in told
+        ],
         "logs": [
             {
                 "name": one.name,
@@ -72,6 +77,16 @@ def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int
     return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}
 
 
+def _calibrations(manifest: Manifest) -> list[list[CalibrationTold]]:
+    """Return by node the changes of its calibration, in order of time."""
+    found: dict[tuple[str, int], list[CalibrationTold]] = {}
+    for one in sorted((one for part in manifest.parts for one in part.calibrations), key=lambda one: one.t_ns):
+        of_node = found.setdefault((one.channel, one.node), [])
+        if not of_node or of_node[-1].crc != one.crc:  # logs that were added apart tell it again
+            of_node.append(one)
+    return [found[place] for place in sorted(found)]
+
+
 def _runs(store: Store) -> list[str]:
     return [name for name in store.names(FOLDER) if name.endswith(".run")]
 
@@ -89,6 +104,10 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
             f"{node['hand']} node {node['node']} (0x{node['node']:02X}): {node['rows']} samples on "
             f"{counted(node['days'], 'day')}, {first} to {last}"
         )
+    for told in _calibrations(manifest):
+        if len(told) > 1:
+            texts = ", ".join(f"0x{one.crc:08X} from {np.datetime64(one.t_ns // 10**6, 'ms')}" for one in told)
+            yield f"{told[0].channel} node {told[0].node}: rows of {counted(len(told), 'calibration')}: {texts}"
     for log in found["logs"]:
         bad = f", {log['bad']} bad lines" if log["bad"] else ""
         state = "" if log["complete"] else ", the rest is missing: run `tipforce decode` again"

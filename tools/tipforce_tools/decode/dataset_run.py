@@ -15,6 +15,7 @@ import tipforce
 from tipforce.errors import InputError
 from tipforce.host.dataset.manifest import (
     FOLDER,
+    CalibrationTold,
     Change,
     DataFile,
     Manifest,
@@ -261,7 +262,21 @@ class DatasetRun:
         self._change.sources[log.source.id] = log.source
         events = self._events(name, written.events)
         self._change.parts.append(
-            Part(name, log.source.id, piece.start, end, written.frames, written.bad, written.record.files, events)
+            Part(
+                name,
+                log.source.id,
+                piece.start,
+                end,
+                written.frames,
+                written.bad,
+                written.record.files,
+                events,
+                [
+                    CalibrationTold(event.channel, event.node_id, event.code, event.t_ns)
+                    for event in written.events
+                    if event.kind == "calibration"
+                ],
+            )
         )
         known = {one.name for one in self._change.columns}
         self._change.columns += [column for column in written.record.columns if column.name not in known]

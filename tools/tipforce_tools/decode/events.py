@@ -1,4 +1,4 @@
-"""The events of a recording beside its samples: EMCYs and changes of NMT states, as CSV."""
+"""The events of a recording beside its samples: EMCYs, changes of NMT states and of calibrations, as CSV."""
 
 from __future__ import annotations
 

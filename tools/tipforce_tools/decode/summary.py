@@ -27,7 +27,7 @@ _REASONS: tuple[tuple[str, str, bool, frozenset[str] | None], ...] = (
     ("theta_unresolved", "theta_unresolved", True, frozenset({"theta"})),
     ("misses_tip", "misses_tip", True, frozenset({"theta"})),
 )
-_EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state"}
+_EVENTS = {"emcy_reset": "EMCY no error", "boot_up": "boot-up", "state": "NMT state", "calibration": "calibration"}
 _ORDER = (*(reason for reason, *_ in _REASONS), UNKNOWN)
 
 

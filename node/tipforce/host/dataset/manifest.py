@@ -24,6 +24,15 @@ FORMAT = 1
 _KEPT_GENERATIONS = 2  # for readers that have just listed them
 
 
+class CalibrationTold(msgspec.Struct, frozen=True, array_like=True):
+    """The CRC-32 of a node's active calibration record (2103h:3), which an SDO transfer at ``t_ns`` tells; 0: none."""
+
+    channel: str
+    node: int
+    crc: int
+    t_ns: int
+
+
 class DataFile(msgspec.Struct, frozen=True, array_like=True):
     """One Parquet file: rows of one node on one UTC day. Times in nanoseconds of the epoch."""
 
@@ -47,6 +56,8 @@ class Part(msgspec.Struct, frozen=True):
     bad: dict[str, int]
     files: list[DataFile]
     events: DataFile | None = None
+    calibrations: list[CalibrationTold] = []
+    """Changes within this part, in order."""
 
     @property
     def rows(self) -> int:

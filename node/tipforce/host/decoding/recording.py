@@ -56,6 +56,8 @@ class State:
     """NMT state by channel and node-id."""
     tally: list[TallyRow]
     short: list[tuple[str, int, str, int]]
+    calibrations: list[tuple[str, int, int | None, int | None]] = field(default_factory=list)
+    """CRC-32 of the active and of the staged record by channel and node-id."""
 
 
 class Recording:
@@ -88,7 +90,10 @@ class Recording:
         self._counters, self._health = Counters(state.counters), HealthRows(self._reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
-        self.told.bus.states = {(channel, node): code for channel, node, code in state.nmt}
+        bus = self.told.bus
+        bus.states = {(channel, node): code for channel, node, code in state.nmt}
+        bus.active = {(channel, node): crc for channel, node, crc, _ in state.calibrations if crc is not None}
+        bus.staged = {(channel, node): crc for channel, node, _, crc in state.calibrations if crc is not None}
         self.told.tally, merger.tally = Tally(), Tally()
         self.told.tally.set_rows(state.tally, state.short)
 
@@ -97,10 +102,12 @@ class Recording:
         frames, number = self._merger.held
         self._take_tally()
         tally, short = self.told.tally.rows()
+        bus = self.told.bus
         return State(
             list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), self._merger.sync.state,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
-            [(*place, code) for place, code in self.told.bus.states.items()], tally, short,
+            [(*place, code) for place, code in bus.states.items()], tally, short,
+            [(*place, bus.active.get(place), bus.staged.get(place)) for place in {**bus.active, **bus.staged}],
         )  # fmt: skip
 
     def tables_of_logs(
