@@ -183,3 +183,28 @@ def test_absurd_scaling_and_calibration_never_raise() -> None:
             assert all(isinstance(talk.upload(index, sub), bytes) for sub in range(1, 10))
         assert all(isinstance(talk.upload(0x2107, sub), bytes) for sub in (1, 2, 3))
         talk.upload(0x2123)
+
+
+@pytest.mark.parametrize("n", [3, 5])
+def test_a_mapping_read_at_once_has_the_values_of_each_entry(n: int) -> None:
+    """The default PDOs are packed by one function; it must give what the entries give one by one."""
+    talk, pick = finger(n), random.Random(5)
+    od = talk.device.od
+    loads = [PUSH, (0.0, 0.0, 0.0), (40.0, 90.0, 0.0), (1.0, 180.0, 170.0)]
+    angle = (-180.0, 180.0)
+    loads += [(10.0 ** pick.uniform(-3.0, 1.7), pick.uniform(*angle), pick.uniform(*angle)) for _ in range(60)]
+    for load in loads:
+        talk.source.load = load
+        talk.source.set_fault(pick.choice((0, 0, 0, 3, 2)), 1, 0.0, talk.now_us)
+        talk.sync()
+        for index in (0x7130, 0x9130):
+            for first, count in ((1, n), (n + 1, 3), (n + 4, 3), (2, 1)):
+                channels = [(index, first + k) for k in range(count)]
+                for keys in (channels, [*channels, (0x2120, 0), (0x2121, 0)]):
+                    assert od.row is not None
+                    read = od.row(keys)
+                    assert read is not None
+                    assert read() == [od.get(*key) for key in keys]
+    assert od.row is not None
+    assert od.row([(0x7130, 1), (0x7130, 3)]) is None
+    assert od.row([(0x6130, 1)]) is None

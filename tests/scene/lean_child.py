@@ -21,9 +21,9 @@ def count_calls() -> None:
         CALLS["contact"] += 1
         return contact(F1, F2, F3, pull)
 
-    def counted_force(self: Active, matrix: list[list[float]], strains: list[float]) -> tuple[float, float, float]:
+    def counted_force(self: Active, matrix: list[list[float]], microstrains: list[float]) -> tuple[float, float, float]:
         CALLS["force"] += 1
-        return force(self, matrix, strains)
+        return force(self, matrix, microstrains)
 
     scalar.contact = counted_contact
     Active.force = counted_force  # type: ignore[method-assign]

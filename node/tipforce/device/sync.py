@@ -8,6 +8,8 @@ if TYPE_CHECKING:
     from .node import Device
     from .object_dictionary import Value
 
+OVERFLOW = communication.SYNC_OVERFLOW << 8  # the key of 1019h in ``od.values``
+
 
 class SyncConsumer:
     """SYNC consumer: the application latches one sample, then the synchronous PDOs are sent."""
@@ -28,16 +30,17 @@ class SyncConsumer:
     def receive(self, data: bytes) -> None:
         """Process a SYNC frame: no data, or one counter byte if 1019h is set; other lengths are an error."""
         device = self._device
-        if len(data) != (1 if device.od.integer(communication.SYNC_OVERFLOW) else 0):
+        if len(data) != (1 if device.od.values.get(OVERFLOW) else 0):
             device.emcy.raise_error(SYNC_LENGTH, COMMUNICATION)
             return
         device.emcy.cure(SYNC_LENGTH)
         self.last_us = device.now_us
+        number = data[0] if data else 0
         if device.application is not None:
-            device.application.on_sync(device.now_us, data[0] if data else 0)
+            device.application.on_sync(device.now_us, number)
         if device.nmt.state == codes.OPERATIONAL:
             device.rpdos.on_sync()
-            device.tpdos.on_sync(data[0] if data else 0)
+            device.tpdos.on_sync(number)
 
     def in_window(self) -> bool:
         """Return True while synchronous RPDOs are valid: for 1007h microseconds after a SYNC, always if 1007h is 0."""

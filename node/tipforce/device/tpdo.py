@@ -18,7 +18,9 @@ class TransmitPdo(Pdo):
     __slots__ = (
         "_getters",
         "_packing",
+        "_row",
         "due_us",
+        "each_sync",
         "event_us",
         "free_us",
         "inhibit_us",
@@ -33,10 +35,13 @@ class TransmitPdo(Pdo):
         # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
         plain = self.widths is None and not [k for k in self.letters if k not in "BbHhIi"]
         self._packing = "<" + "".join(self.letters) if plain else ""
-        self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in self.keys]
+        self._row = self._od.row(self.keys) if plain and self.keys and self._od.row is not None else None
+        keys = self.keys if self._row is None else []
+        self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in keys]
         self.inhibit_us = 100 * self.parameter(3)
         self.event_us = 1000 * self.parameter(5)
         self.sync_start = self.parameter(6)
+        self.each_sync = self.transmission == 1 and not self.sync_start
         self.syncs = 0
         self.pending = False
         self.free_us = 0
@@ -44,6 +49,8 @@ class TransmitPdo(Pdo):
 
     def pack(self) -> bytes:
         """Return the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
+        if self._row is not None:
+            return struct.pack(self._packing, *self._row())
         stored = self._od.values
         values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
         if self._packing:
@@ -76,7 +83,7 @@ class TransmitPdo(Pdo):
 class TransmitPdos:
     """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
 
-    __slots__ = ("_device", "_pdos", "due_us")
+    __slots__ = ("_device", "_pdos", "_synchronous", "due_us")
 
     def __init__(self, device: "Device") -> None:
         self._device = device
@@ -85,6 +92,7 @@ class TransmitPdos:
             TransmitPdo(device.od, index, index + communication.MAPPING, TPDO, self._changed)
             for index in device.od.indices(communication.TPDO, communication.LAST_TPDO)
         ]
+        self._synchronous: "list[TransmitPdo]" = []
 
     def reset(self) -> None:
         """Apply the present parameter objects after a boot-up."""
@@ -106,8 +114,8 @@ class TransmitPdos:
 
     def on_sync(self, counter: int) -> None:
         """Send every synchronous TPDO that is due on this SYNC."""
-        for pdo in self._pdos:
-            if pdo.active and pdo.transmission <= LAST_SYNCHRONOUS and pdo.on_sync(counter):
+        for pdo in self._synchronous:
+            if pdo.each_sync or pdo.on_sync(counter):
                 self._device.send(pdo.can_id, pdo.pack())
 
     def request(self, number: int, earliest_us: int = 0) -> None:
@@ -160,6 +168,7 @@ class TransmitPdos:
         return pdo.active and self._device.nmt.state == codes.OPERATIONAL
 
     def _changed(self) -> None:
+        self._synchronous = [pdo for pdo in self._pdos if pdo.active and pdo.transmission <= LAST_SYNCHRONOUS]
         self._device.settings_changed()
         self._device.routes_changed()  # another node may use an identifier that is no longer used here
         for pdo in self._pdos:

@@ -95,11 +95,15 @@ class Active:
             self._solvers[lost] = found
         return self._solvers[lost]
 
-    def force(self, matrix: "list[list[float]]", strains: "list[float]") -> "tuple[float, float, float]":
-        """F1, F2, F3 in newtons before any tare, from gauge strain (not microstrain): F = C (V - offset)."""
-        V = [s - o for s, o in zip(strains, self.offsets)]  # noqa: B905
-        F = [sum([c * v for c, v in zip(row, V)]) for row in matrix]  # noqa: B905
-        return F[0], F[1], F[2]
+    def force(self, matrix: "list[list[float]]", microstrains: "list[float]") -> "tuple[float, float, float]":
+        """F1, F2, F3 in newtons before any tare: F = C (V - offset), V the gauge strain."""
+        F1 = F2 = F3 = 0.0
+        for m, o, c1, c2, c3 in zip(microstrains, self.offsets, matrix[0], matrix[1], matrix[2]):  # noqa: B905
+            v = 1e-6 * m - o
+            F1 += c1 * v
+            F2 += c2 * v
+            F3 += c3 * v
+        return F1, F2, F3
 
 
 def _propagate(C: "list[list[float]]", noise: "list[float]", n: int) -> "Covariance":

@@ -2,6 +2,7 @@
 
 from tipforce.device import codes, communication, emcy
 from tipforce.device.node import Application, Device
+from tipforce.device.sync import OVERFLOW
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
@@ -111,7 +112,7 @@ class Fingertip(Application):
         self.due_us = self.device.now_us if wanted else codes.NEVER_US
 
     def _watching(self) -> bool:
-        return self.device.nmt.state == codes.OPERATIONAL and self.interrupts.watching
+        return self.device.nmt.state == codes.OPERATIONAL and bool(self.interrupts.watched)
 
     def load_filter(self) -> None:
         """Start the filter of 61A0h and 61A1h again; an average of one conversion is no filter."""
@@ -179,7 +180,7 @@ class Fingertip(Application):
         """
         before = self.sample
         sample = self._sampled(now_us)
-        if self.device.od.integer(communication.SYNC_OVERFLOW):
+        if self.device.od.values.get(OVERFLOW):
             self._counter = number
         elif counts and not sample.stale:
             self._counter = (self._counter + 1) & 0xFF
@@ -187,7 +188,7 @@ class Fingertip(Application):
         self._waiting = None
         self.sample = sample
         self.reports.sampled(sample, before.faults)
-        if self.interrupts.watching:
+        if self.interrupts.watched:
             self.interrupts.check()
 
     def _sampled(self, now_us: int) -> Sample:
@@ -239,10 +240,10 @@ class Fingertip(Application):
         lowest, highest = self.ends
         self.frozen = 0
         counts, equal = reading.counts, self._equal
-        old = counts if before is None else before.counts
+        old = (None,) * self.n if before is None else before.counts
         for k in range(self.n):
             # The end of the range repeats itself without being frozen: that gauge is saturated.
-            if counts[k] != old[k] or before is None or not lowest < counts[k] < highest:
+            if counts[k] != old[k] or not lowest < counts[k] < highest:
                 equal[k] = 0
                 continue
             equal[k] += 1

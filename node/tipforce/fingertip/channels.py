@@ -24,6 +24,7 @@ _FORMS = (
     (table.INT16_FORM, MAX_I16, table.UNKNOWN_I16),
     (table.INT32_FORM, MAX_I32, table.UNKNOWN_I32),
 )
+_STATUS_AND_COUNTER = [(indices.STATUS, 0), (indices.COUNTER, 0)]
 _SCALING = (
     indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD, indices.SCALING_2_PROCESS,
     indices.PROCESS_OFFSET,
@@ -52,6 +53,7 @@ class Channels:
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
         od.readers[indices.PROCESS_VALUE] = self.exact
+        od.row = self.row
         od.readers[indices.CHANNEL_STATUS] = self._status
         od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
         for beyond, highest, unknown in _FORMS:
@@ -70,7 +72,7 @@ class Channels:
         """The integer objects of one form: views of the REAL32 values."""
         readers, writers = self._od.readers, self._od.writers
         readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
-        readers[beyond + indices.PROCESS_VALUE] = self._integer_reader(highest, unknown)
+        readers[beyond + indices.PROCESS_VALUE] = lambda sub: self._integer(self.exact(sub), sub, highest, unknown)
         for index in _SETTINGS:
             readers[beyond + index] = self._setting_reader(index, highest)
             writers[beyond + index] = self._setting_writer(index)
@@ -98,30 +100,46 @@ class Channels:
         live = sub <= self._n and not sample.unknown_early() & scalar.UNKNOWN_GAUGES
         return sample.overloads[sub - 1] if live else 0
 
-    def _integer_reader(self, highest: int, unknown: int) -> "Callable[[int], int]":
-        """7130h and 9130h: rounded to the resolution; a saturated gauge reads the end of the range.
+    def row(self, keys: "list[tuple[int, int]]") -> "Callable[[], list[Value]] | None":
+        """Return a reader of all values of a mapping at once; None for one that is read value by value.
 
-        Six of these fill the PDOs of each SYNC, which is why they are written as closures over what does not change.
+        It is for channels of an integer form in a row, with 2120h and 2121h after them or alone: the default PDOs.
+        A closure over what does not change, because two of these fill the PDOs of each SYNC.
         """
-        fingertip, per_unit, last_force = self._fingertip, self._per_unit, self._n + 4
+        index, first = keys[0]
+        forms = [form for form in _FORMS if form[0] + indices.PROCESS_VALUE == index]
+        channels = keys[:-2] if keys[-2:] == _STATUS_AND_COUNTER else keys
+        if not forms or channels != [(index, first + k) for k in range(len(channels))]:
+            return None
+        _beyond, highest, unknown = forms[0]
+        fingertip, start, last, lowest = self._fingertip, first - 1, first - 1 + len(channels), -highest
+        units, angles, whole_mapping = self._per_unit[start:last], last > self._n + 4, channels is keys
 
-        def read(sub: int) -> int:
+        def read() -> "list[Value]":
             sample = fingertip.sample
             if sample.reading is None:
-                return unknown
-            values = sample.values
-            value = (values if sub <= len(values) else sample.find_values(sub))[sub - 1]
-            if value == value:  # noqa: PLR0124 (false for NaN alone)
-                scaled = value * per_unit[sub - 1]
-                if -highest < scaled < highest:
-                    found = round(scaled)
-                    # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
-                    return -found if found == -_HALF_TURN and sub > last_force else found
-                return highest if scaled > 0.0 else -highest
-            over = self._overload(sub)
-            return highest * over if over else unknown
+                found: "list[Value | None]" = [unknown] * (last - start)
+            else:
+                values = (sample.values if last <= len(sample.values) else sample.find_values(last))[start:last]
+                found = [
+                    round(value * unit) if lowest < value * unit < highest else None
+                    for value, unit in zip(values, units)  # noqa: B905 (not in MicroPython)
+                ]
+                if None in found or (angles and -_HALF_TURN in found):
+                    found = [self._integer(v, first + k, highest, unknown) for k, v in enumerate(values)]
+            if not whole_mapping:
+                found += (sample.status(), sample.counter)
+            return found  # type: ignore[return-value]
 
         return read
+
+    def _integer(self, value: float, sub: int, highest: int, unknown: int) -> int:
+        if value == value:  # noqa: PLR0124 (false for NaN alone)
+            found = self._to_integer(value, self._per_unit[sub - 1], highest)
+            # An angle lies in (-180, 180]: one that rounding brings to -180 is 180.
+            return -found if found == -_HALF_TURN and sub > self._n + 4 else found
+        over = self._overload(sub)
+        return highest * over if over else unknown
 
     def _to_integer(self, value: float, per_unit: float, highest: int) -> int:
         scaled = value * per_unit

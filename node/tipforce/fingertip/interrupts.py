@@ -26,33 +26,28 @@ class Interrupts:
     known or unknown.
     """
 
-    __slots__ = ("_device", "_n", "_sent", "_value", "_watched", "_zones")
+    __slots__ = ("_device", "_n", "_sent", "_value", "_zones", "watched")
 
     def __init__(self, device: "Device", n: int, value: "Callable[[int], float]") -> None:
         self._device = device
         self._n = n
         self._value = value
-        self._watched: "dict[int, list[int]]" = {}  # channel -> numbers of the TPDOs that carry it
+        self.watched: "dict[int, list[int]]" = {}  # channel -> numbers of the TPDOs that carry it
         self._sent: "dict[int, float]" = {}
         self._zones: "dict[int, int]" = {}
 
     def load(self) -> None:
         """Find the channels to watch; called when settings or PDOs may have changed."""
-        self._watched = {}
+        self.watched = {}
         for number, transmission, keys in self._device.tpdos.mapped():
             if transmission == _ON_SYNC_AFTER_EVENT or transmission >= _EVENT_DRIVEN:
                 for index, sub in keys:
                     if index in _CHANNEL_VALUES and self._configured(sub):
-                        self._watched.setdefault(sub, []).append(number)
-
-    @property
-    def watching(self) -> bool:
-        """True when there is something to compare."""
-        return bool(self._watched)
+                        self.watched.setdefault(sub, []).append(number)
 
     def check(self) -> None:
         """Compare the present sample; ask for the TPDOs of the channels that have something to say."""
-        for sub, numbers in self._watched.items():
+        for sub, numbers in self.watched.items():
             value = self._value(sub)
             zone = self._zone(sub, value)
             moved = self._moved(sub, value)

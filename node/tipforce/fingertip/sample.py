@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 NAN = float("nan")
 NO_TARE = (0.0, 0.0, 0.0)
-_MICRO = 1e-6
 _ENDS = Source.count_min, Source.count_max
 # Faults that cost one gauge, which is left out where it can be spared: frozen, and a broken wire at the range's end.
 _OF_ONE_GAUGE = 1 << table.FAULT_FROZEN | 1 << table.FAULT_WIRE_BREAK
@@ -67,10 +66,11 @@ class Sample:
         self.counter = counter
         self.latched_us = latched_us
         self._was_present = was_present
-        self._force: "tuple[float, float, float] | None" = None
-        self._contact: "tuple[float, float, float, float] | None" = None
-        self._uncertainty: "tuple[float, float, float] | None" = None
-        self._covariance: "Covariance | None" = None
+        self._force: "tuple[float, float, float] | None"
+        self._contact: "tuple[float, float, float, float] | None"
+        self._uncertainty: "tuple[float, float, float] | None"
+        self._covariance: "Covariance | None"
+        self._force = self._contact = self._uncertainty = self._covariance = None
         self.values: "list[float]" = []  # of ``find_values``
         self._status = self._early = self._unknown = -1
         self.frozen = self.lost = frozen
@@ -84,9 +84,9 @@ class Sample:
             lowest, highest = ends
             if max(counts) >= highest or min(counts) <= lowest:
                 self.overloads = [(c >= highest) - (c <= lowest) for c in counts]
+                faults |= self._saturated()
             shown = counts if filtered is None else filtered
             self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
-            faults |= self._saturated()
         self.seen = faults  # all that a source can say by itself
         if reading is not None and active is not None and active.converter is not None:
             self._limit(active.converter, scaling)
@@ -143,7 +143,9 @@ class Sample:
     def unknown_early(self) -> int:
         """UNKNOWN_GAUGES and UNKNOWN_FORCE of ``unknown``: no contact is needed for these; it hides angles only."""
         if self._early < 0:
-            self._early = scalar.unknown(self._early_status(), self._determined())
+            bits = self._early_status()
+            # CALIBRATED alone is the common case, and the only one that gives 0.
+            self._early = 0 if bits == scalar.CALIBRATED else scalar.unknown(bits, self._determined())
         return self._early
 
     def hidden(self) -> bool:
@@ -172,7 +174,7 @@ class Sample:
         active, solver = self.active, self.solver
         assert active is not None
         assert solver is not None
-        return active.force(solver[0], [_MICRO * m for m in self.microstrains])
+        return active.force(solver[0], self.microstrains)
 
     def covariance(self) -> "Covariance":
         """Covariance of F, N^2, upper triangle; NaN without calibration."""
@@ -208,9 +210,11 @@ class Sample:
         found, n = self.values, len(self.microstrains)
         if not found:
             found += self.microstrains
-            for k, over in enumerate(self.overloads):
-                if over or self.unknown_early() & scalar.UNKNOWN_GAUGES:
-                    found[k] = NAN
+            hidden = self.hidden()
+            if hidden or any(self.overloads):
+                for k, over in enumerate(self.overloads):
+                    if over or hidden:
+                        found[k] = NAN
         if sub > n and len(found) == n:
             found += (NAN, NAN, NAN) if self.unknown_early() & scalar.UNKNOWN_FORCE else self.force()
         if sub > n + 3 and len(found) == n + 3:
@@ -243,8 +247,12 @@ class Sample:
         return bits
 
     def _find_status(self) -> int:
-        bits = self._early_status()
-        if self.active is None or self.solver is None or scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
+        bits = self._early_status() if self._early else scalar.CALIBRATED
+        if self.active is None or self.solver is None:
+            return bits
+        if bits == scalar.CALIBRATED:
+            self._early = 0
+        elif scalar.unknown(bits, self.spared) & scalar.UNKNOWN_FORCE:
             return bits
         P, _phi, theta, miss = self.contact()
         u_P = u_theta = NAN  # below the contact-off force no bit depends on them

@@ -74,14 +74,16 @@ def say_stopped(devices: Sequence[Device], port: Port) -> None:
 
 
 def _step(devices: Sequence[Runnable], port: Port, frames: list[Frame]) -> int:
-    due_us = now_us() + 1_000_000
+    t_us = now_us()
+    due_us = t_us + 1_000_000
     for device in devices:
-        sent, device_due_us = device.step(now_us(), frames)
-        due_us = min(due_us, device_due_us)
+        sent, device_due_us = device.step(t_us, frames)
         if sent:
             port.send(sent)
-        for what, value, delay_ms in device.requests:
-            _LOG.info("node %d: %s", device.node_id, what)
-            port.request(what, value, delay_ms)
-        device.requests.clear()
+        if device.requests:
+            for what, value, delay_ms in device.requests:
+                _LOG.info("node %d: %s", device.node_id, what)
+                port.request(what, value, delay_ms)
+            device.requests.clear()
+        due_us = min(due_us, device_due_us)
     return due_us

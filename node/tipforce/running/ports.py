@@ -64,15 +64,14 @@ class SocketCanPort:
 
     def send(self, frames: Iterable[Frame]) -> None:
         """Send frames; wait shortly for a full transmit queue, then drop the frame and log it."""
+        pack, send = CAN_FRAME.pack, self._socket.send
         for can_id, data in frames:
-            frame = CAN_FRAME.pack(can_id, len(data), data)
             try:
-                self._socket.send(frame)
+                send(pack(can_id, len(data), data))
             except OSError as error:
-                self._send_again(frame, error)
+                self._send_again(pack(can_id, len(data), data), error)
             else:
-                self._refused = False
-                if self._lost:
+                if self._refused or self._lost:
                     self._find()
 
     def _send_again(self, frame: bytes, error: OSError) -> None:
@@ -117,6 +116,7 @@ class SocketCanPort:
             _LOG.warning("%s: %s; the node continues when it is up again", self._interface, error.strerror)
 
     def _find(self) -> None:
+        self._refused = False
         if self._lost:
             self._lost = False
             _LOG.warning("%s: up again", self._interface)

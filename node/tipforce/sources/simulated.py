@@ -59,10 +59,11 @@ class SimulatedSource(Source):
         if front_end is not None:
             self.converter = front_end.converter
             self.count_max, self.count_min = front_end.count_max, front_end.count_min
-        self._random = _generator(seed) if noise_microstrain else None
+        self._gauss = _generator(seed).gauss if noise_microstrain else _no_noise
         self._conversion = -1
         self._fault_since_us = 0
         self._last_counts = (0,) * len(self.rows)
+        self._resolved = self.load, _force(self.load)
 
     def set_fault(self, fault: int, gauge: int, magnitude: float, now_us: int) -> None:
         """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
@@ -77,7 +78,7 @@ class SimulatedSource(Source):
             return None
         self._conversion = conversion
         converted_us = conversion * self.period_us
-        force = _force(self.load) if self.forces is None else self.forces(converted_us)
+        force = self._static_force() if self.forces is None else self.forces(converted_us)
         microstrains = self._microstrains(force, now_us)
         temperature = self.temperature
         if self.front_end is None:
@@ -124,15 +125,19 @@ class SimulatedSource(Source):
         device.od.writers[indices.SIMULATED_LOAD] = write_load
         device.od.readers[indices.SIMULATED_LOAD] = lambda sub: self.load[sub - 1]
 
+    def _static_force(self) -> "Forces":
+        """Return F1, F2, F3 of the present load, resolved once."""
+        if self._resolved[0] is not self.load:
+            self._resolved = self.load, _force(self.load)
+        return self._resolved[1]
+
     def _microstrains(self, force: "Forces", now_us: int) -> "list[float]":
         f1, f2, f3 = force
+        gauss, noise = self._gauss, self.noise_microstrain
         found = [
-            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset
+            1e6 * (c1 * f1 + c2 * f2 + c3 * f3) + offset + gauss(0.0, noise)
             for (c1, c2, c3), offset in zip(self.rows, self.offset_microstrain)  # noqa: B905 (not in MicroPython)
         ]
-        if self._random is not None:
-            gauss, noise = self._random.gauss, self.noise_microstrain
-            found = [microstrain + gauss(0.0, noise) for microstrain in found]
         if self.fault == DRIFT and 0 < self.fault_gauge <= len(found):
             found[self.fault_gauge - 1] += self.fault_magnitude * 1e-6 * (now_us - self._fault_since_us)
         return found
@@ -143,6 +148,10 @@ def _force(load: "Forces") -> "Forces":
     P, phi_deg, theta_deg = load
     phi, delta = math.radians(phi_deg), math.radians(phi_deg - theta_deg)
     return P * math.sin(phi), P * math.sin(delta), P * math.cos(phi)
+
+
+def _no_noise(_mean: float, _deviation: float) -> float:
+    return 0.0
 
 
 def _generator(seed: int) -> "Random":

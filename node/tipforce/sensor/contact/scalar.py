@@ -21,6 +21,7 @@ THETA_UNRESOLVED = 0x10
 MISSES_TIP = 0x20
 OUTSIDE_PAD = 0x40
 FRONT_END_FAULT = 0x80
+_ALL_KNOWN = CONTACT_PRESENT | CALIBRATED | OUTSIDE_PAD
 
 # Values that a status byte marks unknown.
 UNKNOWN_FORCE = 0x01  # F1, F2, F3 and P
@@ -197,6 +198,8 @@ def unknown(status: int, rank_left_is_3: bool = False) -> int:
     rank_left_is_3: with more than three gauges, the unsaturated ones still determine all three forces, and the
     node used only them: SATURATED then makes no value unknown.
     """
+    if status | OUTSIDE_PAD == _ALL_KNOWN:
+        return 0
     bits = 0
     if status & (STALE | FRONT_END_FAULT):
         bits = UNKNOWN_GAUGES | UNKNOWN_FORCE | UNKNOWN_PHI | UNKNOWN_THETA
