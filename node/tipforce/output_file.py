@@ -31,6 +31,7 @@ CALIBRATION = Kind("a calibration file", rb"(?m)^\[calibration\]")
 LAYOUT = Kind("a layout file", rb"(?m)^points\s*=")
 SETTINGS = Kind("a settings file", rb"(?m)^\[objects\]")
 EDS = Kind("an EDS or DCF", rb"(?mi)^\[(FileInfo|DeviceInfo|DeviceComissioning)\]")
+BUS_CONFIGURATION = Kind("a bus.yml of ros2_canopen", rb"(?m)^ *dcf_path:")
 XDD = Kind("an XDD", rb"ISO15745ProfileContainer")
 MJCF = Kind("an MJCF model", rb"<mujoco")
 DBC = Kind("a DBC", rb"(?m)^(VERSION|BO_|NS_)")
@@ -69,6 +70,16 @@ def check_output(path: str | Path, kind: Kind | None = None, inputs: Iterable[st
         raise InputError(f"{path}: {error.strerror}") from error
     if head and not re.search(kind.pattern, head):
         raise InputError(f"{path}: the existing file is not {kind.name}; choose another name, or remove it")
+
+
+def make_folder(path: Path) -> None:
+    """Create an output folder and its parents if they are missing. Raises InputError."""
+    try:
+        path.mkdir(parents=True, exist_ok=True)
+    except FileExistsError:
+        raise InputError(f"--output {path}: is a file; name a directory") from None
+    except OSError as error:
+        raise InputError(f"--output {path}: {error.strerror}") from error
 
 
 class NewFile:

@@ -23,6 +23,8 @@ FILES = {
     "bad.toml": "[hand\n",
     "empty.toml": "",
     "hand.toml": '[[finger]]\nnode_id = 1\ncalibration = "none.toml"\n',
+    "one.toml": "[[finger]]\nnode_id = 1\n",
+    "taken/bus.yml": "routes: 12\n",
     "twice.toml": "[[finger]]\nnode_id = 1\n[[finger]]\nnode_id = 1\n",
     "scene.toml": "duration_s = -1\n",
     "readings.csv": "SG1,SG2,SG3\n1,2,3\n",
@@ -101,11 +103,20 @@ WRONG: list[tuple[str, int, str]] = [
     ("load --nodes 0", 2, "allowed are whole numbers from 1"),
     ("view none.log", 2, "none.log"),
     ("view run.log --from 100", 2, "no sample between --from and --to; the log lasts 0.049 s"),
+    ("view run.log --from nan", 2, "--from nan: allowed is 0 to 1e+09 s"),
     ("view run.log --port 70000", 2, "--port 70000: allowed are 0"),
     ("doctor --listen -1", 2, "allowed are 0 to 3600 s"),
     ("node --node-id 5 --layout nowhere -i virtual -c x", 2, "neither one of"),
     ("node --node-id 5 --source spi:0 -i virtual -c x", 2, "sim, iio"),
     ("node --node-id 5 --load 1,2 -i virtual -c x", 2, "--load"),
+    ("node --node-id 5 --load -1,0,0 -i virtual -c x", 2, "allowed is a force of 0 to"),
+    ("node --node-id 5 --offset 1e300,1,1 -i virtual -c x", 2, "allowed is up to 1e+06 microstrain"),
+    ("node --node-id 5 --serial -1 -i virtual -c x", 2, "'-1': allowed are 0 to 0xFFFFFFFF"),
+    ("design optimise --seed -1", 2, "allowed are whole numbers from 0"),
+    ("budget --load 1e300", 2, "--load 1e+300: allowed is 1e-09 to 1e+09 N"),
+    ("budget --noise 1e300", 2, "--noise 1e+300: allowed is 0 to 1e+09"),
+    ("export c -o run.log", 2, "is a file; name a directory"),
+    ("export ros2 --hand one.toml -o taken", 2, "the existing file is not a bus.yml of ros2_canopen"),
     # damaged logs, and logs of other devices
     ("decode prose.txt", 1, "no frames in it; is it a log?"),
     ("decode broken.blf", 1, "the file is damaged or of another format"),
@@ -131,6 +142,7 @@ WRONG: list[tuple[str, int, str]] = [
 def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("wrong")
     for name, text in FILES.items():
+        (found / name).parent.mkdir(exist_ok=True)
         (found / name).write_text(text)
     write_calibration(found / "cal.toml", beam_calibration("I", pull=True))
     return found

@@ -156,11 +156,23 @@ def test_bad_input_is_one_line() -> None:
             Fingertips(model, sites)
     with pytest.raises(InputError, match=r"node_ids \[128\]: allowed are different ones from 1 to 127"):
         Fingertips(model, SITES, node_ids={"thumb": 128})
-    with pytest.raises(InputError, match=r"noise_microstrain = -1.0: allowed is 0 or more, finite"):
-        Fingertips(model, SITES, noise_microstrain=-1.0)
+    for noise in (-1.0, np.nan, 1e300):
+        with pytest.raises(InputError, match=r"noise_microstrain = .*: allowed is 0 to 1e\+06"):
+            Fingertips(model, SITES, noise_microstrain=noise)
     four = Calibration(np.ones((3, 4)), np.zeros(4), np.eye(4))
     with pytest.raises(InputError, match=r"calibration of 4 gauges: the layout has 3"):
         Fingertips(model, SITES, calibration=four)
+
+
+def test_data_that_no_simulation_of_the_model_has_is_refused() -> None:
+    model = pressed({"ball": (90.0, 0.0, 0.02)})
+    tips, data = Fingertips(model, SITES), mujoco.MjData(model)
+    other = mujoco.MjModel.from_xml_string("<mujoco><worldbody><site name='a'/></worldbody></mujoco>")
+    with pytest.raises(InputError, match=r"data of 0 geoms and 1 sites: the model of the fingertips has"):
+        tips.read(mujoco.MjData(other))
+    data.time = np.nan
+    with pytest.raises(InputError, match=r"the time of data is nan"):
+        tips.read(data)
 
 
 def test_without_mujoco_it_is_one_line() -> None:

@@ -27,6 +27,12 @@ class TipContacts:
         self._owners = _owners(model, list(sites), self.sites)
         self._force = np.zeros(6)
 
+    def check(self, data: mujoco.MjData) -> None:
+        """Raise InputError for data of another model."""
+        sizes, own = (len(data.geom_xpos), len(data.site_xpos)), (self._model.ngeom, self._model.nsite)
+        if sizes != own:
+            raise InputError(f"data of {sizes[0]} geoms and {sizes[1]} sites: the model of the fingertips has {own}")
+
     def wrenches(self, data: mujoco.MjData) -> list[Wrench | None]:
         """Return the wrench on each finger; None for one without a contact.
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable, Mapping
-from math import isfinite
 from typing import TYPE_CHECKING
 
 from tipforce.device import communication
@@ -23,7 +22,7 @@ from tipforce.host.decoding import status_words
 from tipforce.host.decoding.contacts import Contact, Status
 from tipforce.mujoco.contacts import TipContacts, Wrench
 from tipforce.mujoco.load import Load, Vector
-from tipforce.scene.simulated_bus import beam_calibration
+from tipforce.scene.simulated_bus import beam_calibration, check_noise
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
@@ -127,8 +126,7 @@ class Fingertips:
         seed: int = 0,
         node_ids: Mapping[str, int] | None = None,
     ) -> None:
-        if not (isfinite(noise_microstrain) and noise_microstrain >= 0.0):
-            raise InputError(f"noise_microstrain = {noise_microstrain!r}: allowed is 0 or more, finite")
+        check_noise(noise_microstrain)
         self._noise_microstrain = noise_microstrain
         self._rows: list[Vector] = [(a, b, c) for a, b, c in strain_matrix(FABRICATED, layout).tolist()]
         self._calibration = calibration or beam_calibration(layout, noise_microstrain=noise_microstrain)
@@ -158,7 +156,7 @@ class Fingertips:
         """Take a sample of each finger, as at a SYNC; call it after ``mj_step``.
 
         A second sample within the sample period of the node (6114h, 500 us) is stale. Raises InputError where the time
-        of ``data`` went back: call ``reset``.
+        of ``data`` went back (call ``reset``), or for data of another model.
         """
         now_us = self.at(data)
         loads, t_s, found = self._present(), 1e-6 * now_us, {}
@@ -176,7 +174,12 @@ class Fingertips:
 
     def at(self, data: mujoco.MjData) -> int:
         """Let the nodes read ``data`` as it is now; return its time in microseconds. Raises as ``read`` does."""
-        now_us: int = round(1e6 * data.time)
+        if data is not self._data:
+            self._contacts.check(data)
+        try:
+            now_us: int = round(1e6 * data.time)
+        except (ValueError, OverflowError):
+            raise InputError(f"the time of data is {data.time}: allowed is a finite one") from None
         if now_us < self._now_us:
             raise InputError(f"the time of data went back from {self._now_us} to {now_us} us: call reset() before")
         self._data, self._now_us, self._loads = data, now_us, None

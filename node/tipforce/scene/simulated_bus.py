@@ -12,15 +12,18 @@ from typing import Any
 
 import numpy as np
 
+from tipforce.arrays import floats
 from tipforce.device import codes
 from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.open_bus import open_bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
+from tipforce.sensor.calibration.data import MOST_LOAD_NEWTONS
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import layout_code
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
@@ -64,8 +67,8 @@ class SimulatedBus(Bus):
         return tuple(self._sources)
 
     def apply_load(self, node_id: int, P_newtons: float, phi_deg: float, theta_deg: float) -> None:
-        """Load a finger from now on. Raises InputError for a node-id that is not simulated here."""
-        self._source(node_id).load = (float(P_newtons), float(phi_deg), float(theta_deg))
+        """Load a finger from now on. Raises InputError for a node-id that is not simulated here, or no such load."""
+        self._source(node_id).load = _checked_load(node_id, (P_newtons, phi_deg, theta_deg))
 
     def inject_fault(self, node_id: int, fault: str, gauge: int = 1, magnitude: float = 0.0) -> None:
         """Inject a fault into a gauge (from 1) of a finger from now on: stuck, open, saturated, silent, drift, or none.
@@ -148,13 +151,12 @@ def simulated_hand(
     """Return a bus with fingers (number, or node-ids), ``loads`` by node-id. Otherwise as ``simulated_finger``."""
     chosen = tuple(range(1, node_ids + 1)) if isinstance(node_ids, int) else tuple(node_ids)
     loads = loads or {}
-    if not chosen or len(set(chosen)) != len(chosen) or not all(1 <= node_id <= 127 for node_id in chosen):
+    if not chosen or len(set(chosen)) != len(chosen) or not all(node_id in range(1, 128) for node_id in chosen):
         raise InputError(f"node-ids {list(chosen)}: allowed are different ones from 1 to 127")
     if not set(loads) <= set(chosen):
         raise InputError(f"loads of nodes {sorted(set(loads) - set(chosen))}: the hand has {list(chosen)}")
-    for node_id, load in loads.items():
-        if len(load) != 3 or not all(math.isfinite(value) for value in load):
-            raise InputError(f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees)")
+    loads = {node_id: _checked_load(node_id, load) for node_id, load in loads.items()}
+    check_noise(noise_microstrain)
     devices: dict[int, Device] = {}
     sources: dict[int, SimulatedSource] = {}
     A = strain_matrix(FABRICATED, layout)
@@ -180,8 +182,24 @@ def simulated_hand(
     return found
 
 
+def check_noise(noise_microstrain: float) -> None:
+    """Raise InputError for a noise that is not 0 to 1e6 microstrain."""
+    if not 0.0 <= noise_microstrain <= LARGEST_MICROSTRAIN:
+        raise InputError(f"noise_microstrain = {noise_microstrain!r}: allowed is 0 to {LARGEST_MICROSTRAIN:g}")
+
+
+def _checked_load(node_id: int, load: Load) -> Load:
+    numbers = floats(f"load of node {node_id}", load)
+    if numbers.shape != (3,) or not (np.abs(numbers) <= MOST_LOAD_NEWTONS).all() or numbers[0] < 0.0:
+        raise InputError(
+            f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees), finite, P 0 or more"
+        )
+    return (float(numbers[0]), float(numbers[1]), float(numbers[2]))
+
+
 def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: float = 0.5) -> Calibration:
-    """Return the calibration of a simulated finger by beam theory, as ideal weights would yield it."""
+    """Return the calibration of a finger by beam theory, as ideal weights would yield it. Raises InputError."""
+    check_noise(noise_microstrain)
     C = calibration_matrix(FABRICATED, layout)
     variance = (noise_microstrain * 1e-6) ** 2 + (_ROUNDING_MICROSTRAIN * 1e-6) ** 2 / 12
     n = C.shape[1]

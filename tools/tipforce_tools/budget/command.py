@@ -29,6 +29,8 @@ _FLAGS = (
     ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)"),
     ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)"),
 )
+_MOST = 1e9
+"""Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""
 _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", DEGREES), ("theta", "deg", DEGREES))
 _EPILOG = """\
 All values are standard uncertainties. The calibration is assumed to be one reading in each of the 19 grooves of
@@ -90,10 +92,10 @@ def run(args: argparse.Namespace) -> int:
 def _check(args: argparse.Namespace) -> None:
     for flag, _, _ in _FLAGS:
         value = getattr(args, flag[2:].replace("-", "_"))
-        if value is not None and not 0.0 <= value < float("inf"):
-            raise InputError(f"{flag} {value}: allowed is zero or a positive number")
-    if not 0.0 < args.load < float("inf"):
-        raise InputError(f"--load {args.load}: allowed is a positive number of newtons")
+        if value is not None and not 0.0 <= value <= _MOST:
+            raise InputError(f"{flag} {value}: allowed is 0 to {_MOST:g}")
+    if not 1.0 / _MOST <= args.load <= _MOST:
+        raise InputError(f"--load {args.load}: allowed is {1.0 / _MOST:g} to {_MOST:g} N")
     if args.uncalibrated and args.file:
         raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
     if (args.phi is None) != (args.theta is None):

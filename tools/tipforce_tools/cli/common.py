@@ -108,6 +108,28 @@ def count(text: str) -> int:
     return found
 
 
+def seed(text: str) -> int:
+    """Parse a seed of random numbers for argparse: a whole number from 0."""
+    try:
+        found = int(text)
+    except ValueError:
+        found = -1
+    if found < 0:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 0")
+    return found
+
+
+def unsigned32(text: str) -> int:
+    """Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
+    try:
+        found = int(text, 0)
+    except ValueError:
+        found = -1
+    if not 0 <= found <= 0xFFFFFFFF:
+        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 to 0xFFFFFFFF")
+    return found
+
+
 def seconds(text: str) -> float:
     """Parse a time in seconds for argparse: more than 0."""
     found = number(text)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 from tipforce.dictionary.eds import eds_text, file_name, lely_dialect
 from tipforce.errors import InputError
+from tipforce.output_file import BUS_CONFIGURATION, EDS, make_folder, write_file
 
 if TYPE_CHECKING:
     from tipforce.host.hand.file import HandFile
@@ -38,7 +39,7 @@ def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
     """Write bus.yml and an EDS for each number of gauges; return the paths.
 
     ``sync_period`` is in microseconds; 0: another device sends the SYNC. Raises InputError if the folder cannot be
-    written, and for a finger with the node-id of the master.
+    written or holds other files of these names, WriteError, and InputError for a finger with the node-id of the master.
     """
     if _MASTER_NODE_ID in hand.node_ids:
         raise InputError(f"node-id {_MASTER_NODE_ID}: the master of the bus has it; give the finger another one")
@@ -51,12 +52,9 @@ def write_ros2_bus(hand: HandFile, folder: Path) -> list[Path]:
         name, beat_ms = ros_name(finger.name, finger.node_id), hand.hand.heartbeat_ms
         text += _FINGER.format(name=name, node_id=finger.node_id, eds=json.dumps(eds), heartbeat_ms=beat_ms)
     files["bus.yml"] = text
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for name, content in files.items():
-            (folder / name).write_text(content, encoding="utf-8", newline="\n")
-    except OSError as error:
-        raise InputError(f"--output {folder}: {error.strerror}") from None
+    make_folder(folder)
+    for name, content in files.items():
+        write_file(folder / name, content, BUS_CONFIGURATION if name == "bus.yml" else EDS)
     return [folder / name for name in files]
 
 

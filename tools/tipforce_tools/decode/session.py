@@ -68,7 +68,8 @@ def decode(args: Namespace) -> int:
     if args.json and (args.output not in {None, "-"} or args.summary):
         common.print_json(summaries.record(summary, recording.told, args.output))
     elif args.summary:
-        print("\n".join([*summaries.lines(summary, recording.told), *summaries.event_lines(recording.told)]))
+        for line in (*summaries.lines(summary, recording.told), *summaries.event_lines(recording.told)):
+            print(line)
     return code
 
 
@@ -191,12 +192,12 @@ def _report(args: Namespace, summary: summaries.Summary, told: Told, complete: b
         common.note(args, line)
     if told.unseen and not args.calibration:
         common.note(args, status_words.not_seen(node for _, node in told.unseen))
+    if complete and not summary.samples and told.notes:
+        common.note(args, _nothing(args, told))
     if args.summary and not args.json:
         return
     for line in summaries.event_lines(told):
         common.note(args, line)
-    if complete and not summary.samples and told.notes:
-        common.note(args, _nothing(args, told))
     for line in summaries.lines(summary, told) if args.verbose else summaries.lost_lines(told):
         common.note(args, line)
     directory = args.output is not None and is_directory(args.output)

@@ -48,7 +48,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="3 to 5 (default %(default)s)")
     parser.add_argument("--starts", type=int, default=8, metavar="K", help="per configuration (default %(default)s)")
-    parser.add_argument("--seed", type=int, default=0, help="of the starts (default %(default)s)")
+    parser.add_argument("--seed", type=common.seed, default=0, help="of the starts (default %(default)s)")
     parser.add_argument("-o", "--output", metavar="LAYOUT.toml", help="write the best design as a layout file")
     _add_loads(parser)
     _add_limits(parser)

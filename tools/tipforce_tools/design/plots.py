@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from tipforce.errors import InputError
-from tipforce.output_file import save_figure
+from tipforce.output_file import make_folder, save_figure
 from tipforce.sensor.design.groove_errors import simulate_groove_errors
 from tipforce.sensor.design.published import CALIBRATION_WEIGHT_NEWTONS, CASES
 from tipforce.sensor.design.ranking import ranked_layouts
@@ -52,10 +51,7 @@ def draw(args: argparse.Namespace) -> Iterator[Path]:
         "fig9": [("grooves", groove_directions), ("figure-9", lambda: figure_9(args.noise, args.repeats, args.seed))],
         "off-axis": [("off-axis", off_axis)],
     }
-    try:
-        args.output.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--output {args.output}: {error.strerror}") from error
+    make_folder(args.output)
     for name in makers if args.what == "all" else (args.what,):
         for stem, make in makers[name]:
             path = args.output / f"{stem}.{args.format}"

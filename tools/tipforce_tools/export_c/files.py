@@ -5,8 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from tipforce.dictionary import table
-from tipforce.errors import InputError
-from tipforce.output_file import C_SOURCE, write_file
+from tipforce.output_file import C_SOURCE, make_folder, write_file
 from tipforce_tools.export_c import dictionary
 
 HERE = Path(__file__).parent
@@ -28,10 +27,7 @@ def c_files(n: int = 3, converter: table.Converter = table.CONVERTER_16) -> dict
 def write_c_files(folder: Path, n: int, converter: table.Converter = table.CONVERTER_16) -> list[Path]:
     """Write them into ``folder``, which is created if it is missing. Raises InputError, WriteError."""
     texts = c_files(n, converter)
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise InputError(f"--output {folder}: {error.strerror}") from None
+    make_folder(folder)
     for name, text in texts.items():
         write_file(folder / name, text, C_SOURCE)
     return [folder / name for name in texts]

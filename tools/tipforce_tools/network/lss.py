@@ -39,11 +39,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("ids", nargs="?", type=common.node_ids, metavar="IDS", help="assign: 7, or 1,2,5-9")
     parser.add_argument("--store", action="store_true", help="assign: also store the node-id in the node")
     group = parser.add_argument_group("LSS address of one node (1018h)")
-    group.add_argument("--serial", type=_u32, metavar="N")
+    group.add_argument("--serial", type=common.unsigned32, metavar="N")
     product = table.product_code(table.MIN_GAUGES, simulated=False)
-    group.add_argument("--product", type=_u32, default=product, metavar="N", help="default 0x%(default)X")
-    group.add_argument("--vendor", type=_u32, default=0, metavar="N", help="default %(default)s")
-    group.add_argument("--revision", type=_u32, metavar="N", help="default: this release's")
+    group.add_argument("--product", type=common.unsigned32, default=product, metavar="N", help="default 0x%(default)X")
+    group.add_argument("--vendor", type=common.unsigned32, default=0, metavar="N", help="default %(default)s")
+    group.add_argument("--revision", type=common.unsigned32, metavar="N", help="default: this release's")
     parser.add_argument(
         "--lss-timeout", type=float, default=0.1, metavar="S", help="timeout of each response (default %(default)s s)"
     )
@@ -136,13 +136,3 @@ def _say(args: argparse.Namespace, address: LssAddress, node_id: int | None, sto
     else:
         given = "" if node_id is None else f": node-id {common.shown_id(node_id)}{', stored' if stored else ''}"
         print(f"{address}{given}")
-
-
-def _u32(text: str) -> int:
-    try:
-        number = int(text, 0)
-    except ValueError:
-        number = -1
-    if not 0 <= number <= 0xFFFFFFFF:
-        raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 to 0xFFFFFFFF")
-    return number

@@ -31,6 +31,7 @@ The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it sta
 it: its last frame is a heartbeat with the state STOPPED (7xx#04).
 """
 
+_MOST_MICROSTRAIN = 1e6
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
@@ -41,7 +42,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--source", default="sim", help=f"source of the gauge readings: {KINDS} (default %(default)s)")
     parser.add_argument("--layout", default="I", metavar="I|II|III|FILE", help="gauge layout (default %(default)s)")
     parser.add_argument("--store", metavar="FILE", help="file of stored parameters; without it 1010h refuses")
-    parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)")
+    parser.add_argument(
+        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number, 1018h:4 (default: node-id)"
+    )
     _add_source_arguments(parser)
     group = parser.add_argument_group("operation")
     group.add_argument(
@@ -76,7 +79,7 @@ def _add_source_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument(
         "--load", default="0,0,0", metavar="P,PHI,THETA", help="newtons and degrees (default %(default)s)"
     )
-    group.add_argument("--seed", type=int, default=0, help="of the noise (default %(default)s)")
+    group.add_argument("--seed", type=common.seed, default=0, help="of the noise (default %(default)s)")
 
 
 def run(args: argparse.Namespace) -> int:
@@ -168,15 +171,19 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
 
 
 def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
+    from tipforce.sensor.calibration.data import MOST_LOAD_NEWTONS
     from tipforce.sensor.structure.gauge_positions import gauge_matrix
     from tipforce.sources.simulated import SimulatedSource
 
     load = _numbers("--load", args.load, 3)
+    if not 0.0 <= load[0] <= MOST_LOAD_NEWTONS:
+        raise InputError(f"--load {args.load}: allowed is a force of 0 to {MOST_LOAD_NEWTONS:g} N; turn phi by 180")
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
-    if not 0 <= args.noise < math.inf:
-        raise InputError(f"--noise {args.noise}: allowed is 0 or more")
-    if not 0 <= args.noise_1f < math.inf:
-        raise InputError(f"--noise-1f {args.noise_1f}: allowed is 0 or more")
+    for flag, value in (("--noise", args.noise), ("--noise-1f", args.noise_1f)):
+        if not 0.0 <= value <= _MOST_MICROSTRAIN:
+            raise InputError(f"{flag} {value}: allowed is 0 to {_MOST_MICROSTRAIN:g} microstrain")
+    if max(map(abs, offset)) > _MOST_MICROSTRAIN:
+        raise InputError(f"--offset {args.offset}: allowed is up to {_MOST_MICROSTRAIN:g} microstrain")
     rows = gauge_matrix(geometry, gauges).tolist()
     source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=_front_end(args))
     source.load = (load[0], load[1], load[2])

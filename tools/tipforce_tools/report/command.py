@@ -10,7 +10,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
@@ -38,7 +37,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
     parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
     parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
-    parser.add_argument("--seed", type=int, default=None, metavar="N", help="of all random numbers (default: fixed)")
+    parser.add_argument(
+        "--seed", type=common.seed, default=None, metavar="N", help="of all random numbers (default: fixed)"
+    )
     parser.add_argument("--date", metavar="TEXT", help="date printed in the report (default: now)")
     common.add_output_arguments(parser)
 
@@ -53,8 +54,6 @@ def run(args: argparse.Namespace) -> int:
         _print_list(args)
         return 0
     effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
-    if effort.seed < 0:
-        raise InputError(f"--seed {effort.seed}: allowed is 0 or more")
     if args.output is not None:
         _require_output(args.output)
     date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
@@ -83,16 +82,12 @@ def _print_list(args: argparse.Namespace) -> None:
 
 def _require_output(directory: Path) -> None:
     """Check, before minutes of work, matplotlib and the folder of the page. Raises the errors of plots and mkdir."""
+    from tipforce.output_file import make_folder
     from tipforce_tools.report.plots import plotting
 
     with plotting():
         pass
-    try:
-        directory.mkdir(parents=True, exist_ok=True)
-    except FileExistsError:
-        raise InputError(f"--output {directory}: is a file; name a directory") from None
-    except OSError as error:
-        raise InputError(f"--output {directory}: {error.strerror}") from None
+    make_folder(directory)
 
 
 def _carry_out(job: Run, args: argparse.Namespace) -> None:

@@ -11,7 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import EnvironmentLackError, InputError, LogError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
@@ -76,7 +76,10 @@ def run(args: argparse.Namespace) -> int:
         except KeyboardInterrupt:
             pass
         finally:
-            _say_end(args, bridge)
+            if bridge.rows or not feed.ended:
+                _say_end(args, bridge)
+        if feed.ended and not bridge.rows:
+            raise LogError(f"{args.source}: no sample of a fingertip in it; `tipforce decode` says what it holds")
     return 0
 
 

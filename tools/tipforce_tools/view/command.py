@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from tipforce_tools.view.sources import Source
 
 DEFAULT_PORT = 8404
+_MOST_SECONDS = 1e9
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -85,6 +86,9 @@ def check_server_arguments(args: argparse.Namespace) -> None:
 
     if not 0 <= args.port <= 65535:
         raise InputError(f"--port {args.port}: allowed are 0 (any free port) to 65535")
+    for flag, value in (("--from", getattr(args, "start_s", None)), ("--to", getattr(args, "end_s", None))):
+        if value is not None and not 0.0 <= value <= _MOST_SECONDS:
+            raise InputError(f"{flag} {value:g}: allowed is 0 to {_MOST_SECONDS:g} s from the beginning")
     access_token(args.host or "127.0.0.1", args.token)
     host_names(args.host or "127.0.0.1")
 

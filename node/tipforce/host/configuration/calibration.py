@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.dictionary import indices, table, types
 from tipforce.errors import InputError
 
@@ -78,6 +78,8 @@ class Calibration:
         """Arrays of float64, of shapes that belong together. Raises InputError naming the shape and what is allowed."""
         for name in ("C", "offset_strain", "covariance_strain2"):
             object.__setattr__(self, name, _array(name, getattr(self, name)))
+        if not isinstance(self.pull, (bool, np.bool_)):
+            raise InputError(f"calibration pull: {self.pull!r}, allowed are True and False")
         n = self.C.shape[1] if self.C.ndim == 2 else 0
         if self.C.ndim != 2 or self.C.shape[0] != 3 or not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
             raise InputError(f"calibration matrix: shape {self.C.shape}, allowed (3, 3) to (3, 8)")
@@ -110,7 +112,8 @@ class Calibration:
         calibration can be: shapes, numbers that are not finite, a matrix without rank 3, a covariance that is no
         covariance, or none at all.
         """
-        C = _array("matrix", matrix) * 1e6
+        with np.errstate(over="ignore"):  # check() refuses the infinity
+            C = _array("matrix", matrix) * 1e6
         n = C.shape[-1] if C.ndim else 0
         if covariance is None:
             if noise is None:
@@ -217,10 +220,7 @@ class Calibration:
 
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError):
-        raise InputError(f"calibration {name}: {values!r} is no array of numbers") from None
+    return floats(f"calibration {name}", values)
 
 
 def _packing(n: int) -> str:

@@ -67,6 +67,7 @@ def check(calibration: Calibration) -> None:
     if not 0.0 <= drift < np.inf:
         raise InputError(f"calibration tare_drift: {1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above")
     _check_validity(calibration)
+    calibration.record()  # each value fits its field
 
 
 def _check_parameters(blocks: FloatArray) -> None:

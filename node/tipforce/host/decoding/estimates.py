@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurement_rows import MODES
+from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN, MODES
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged, status_words
 from tipforce.host.decoding.contacts import Contacts, Status
@@ -134,18 +134,21 @@ def estimate(
 
     microstrain: (k, n) of n gauges in time order, or (n,) for one reading. ``temperature_degC``: (k,) or one number,
     NaN or None where it is not known. ``lost``: (k,), bits of gauges that something else says have failed.
-    ``was_present``: contact before the first. A reading that is not finite makes all unknown; a gauge that stands
-    still for longer than its noise allows counts as lost. Raises InputError for other shapes.
+    ``was_present``: contact before the first. A reading that is not finite, or over 1e6 microstrain, makes all unknown;
+    a gauge that stands still for longer than its noise allows counts as lost. Raises InputError for other shapes.
     """
-    strain = np.asarray(microstrain, dtype=np.float64) * 1e-6
-    if strain.ndim == 1:
-        strain = strain[np.newaxis]
-    if strain.ndim != 2 or strain.shape[1] != calibration.gauges:
+    readings = np.atleast_2d(floats("microstrain", microstrain))
+    if readings.ndim != 2 or readings.shape[1] != calibration.gauges:
         n = calibration.gauges
         raise InputError(f"microstrain has the shape {np.shape(microstrain)}: allowed are (k, {n}) and ({n},)")
+    strain = np.where(np.abs(readings) <= LARGEST_MICROSTRAIN, readings, np.nan) * 1e-6
     temperature = None
     if temperature_degC is not None:
-        temperature = np.broadcast_to(np.asarray(temperature_degC, dtype=np.float64), len(strain))
+        temperature = _of_rows("temperature_degC", floats("temperature_degC", temperature_degC), len(strain))
+    if lost is not None:
+        lost = _of_rows("lost", np.asarray(lost), len(strain))
+        if not np.issubdtype(lost.dtype, np.integer):
+            raise InputError(f"lost has the type {lost.dtype}: allowed are integers, bits of gauges")
     data = Measurements(np.arange(len(strain)), strain, None, None, None, None, temperature, None, None, (), ())
     still = frozen_gauges(calibration, data.strain, _weight(data))
     found = estimated(calibration, data, slice(None), None, None, Before(was_present), lost, still)
@@ -160,6 +163,12 @@ def estimate(
         status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
     P, phi, theta, u_P, u_phi, u_theta = found.values.T
     return Contacts(P, phi, theta, u_P, u_phi, u_theta, status)
+
+
+def _of_rows(name: str, values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
+    if values.shape not in {(), (rows,)}:
+        raise InputError(f"{name} has the shape {values.shape}: allowed are one number and ({rows},)")
+    return np.broadcast_to(values, rows)
 
 
 def estimated(

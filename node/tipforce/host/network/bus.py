@@ -20,7 +20,7 @@ from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
 from tipforce.host.network.heartbeats import Heartbeats
 from tipforce.host.network.open_bus import open_bus
-from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel
+from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
 if TYPE_CHECKING:
     from tipforce.host.network.find import FoundNode
@@ -54,7 +54,9 @@ class Bus:
         *,
         owned: bool = True,
     ) -> None:
-        self._timeout_s = timeout_s
+        self._timeout_s = checked_time("timeout_s", timeout_s)
+        if not isinstance(retries, int) or retries < 0:
+            raise InputError(f"retries = {retries!r}: allowed are whole numbers from 0")
         self._retries = retries
         self._channels: dict[int, SdoChannel] = {}
         self._fingers: dict[int, Finger] = {}
@@ -150,6 +152,8 @@ class Bus:
         """Send an NMT command (a key of NMT_COMMANDS) to a node, or to all with 0."""
         if command not in NMT_COMMANDS:
             raise InputError(f"NMT command {command!r}: allowed are {', '.join(NMT_COMMANDS)}")
+        if node_id not in range(128):
+            raise InputError(f"node-id {node_id!r}: allowed are 1 to 127, and 0 for all nodes")
         self.send(codes.NMT_COB_ID, bytes((NMT_COMMANDS[command], node_id)))
 
     def sync(self) -> None:
@@ -184,7 +188,7 @@ class Bus:
 
         Raises NoResponseError naming the identifiers that were not received in time.
         """
-        deadline = time.monotonic() + timeout_s
+        deadline = time.monotonic() + checked_time("timeout_s", timeout_s)
         missing = set(can_ids)
 
         def complete(can_id: int) -> bool:

@@ -15,6 +15,7 @@ from tipforce.host.decoding import status_words
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient, Identity
+from tipforce.host.network.sdo import checked_time
 
 DEVICE_TYPE = (0x00, 0x10, 0x00)
 """1000h:00 in bytes 1 to 3 of a request, and of its response or abort."""
@@ -41,9 +42,11 @@ class FoundNode:
 def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
     """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
 
-    A node that only sends heartbeats (STOPPED: no SDO) is listed too.
+    A node that only sends heartbeats (STOPPED: no SDO) is listed too. Raises InputError for node-ids outside 1..127.
     """
     wanted = set(node_ids)
+    if not wanted <= set(range(1, 128)):
+        raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")
     states: dict[int, int] = {}
     answered: set[int] = set()
     for frame in device_type_responses(connection, wanted, wait_s):
@@ -66,7 +69,7 @@ def device_type_responses(connection: Bus, node_ids: Collection[int], wait_s: fl
         connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
         if not count % _IN_A_ROW:
             time.sleep(_GAP_S)
-    time.sleep(wait_s)
+    time.sleep(checked_time("wait_s", wait_s))
     return connection.buffer.take_all()
 
 

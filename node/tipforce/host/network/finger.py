@@ -18,7 +18,7 @@ from tipforce.dictionary.rows import gauges_of
 from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
-from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.sdo import SdoChannel, checked_time
 
 if TYPE_CHECKING:
     from tipforce.host.decoding.contacts import Contact
@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 
 T = TypeVar("T", bound=Value)
 
+HIGHEST_RATE_HZ = 10_000.0
 _START_AGAIN_S = 2.0  # time-out of a heartbeat with the new state
 
 _REFUSALS = {
@@ -231,6 +232,7 @@ class Finger(FingertipClient):
         """
         from tipforce.host.network.finger_samples import DEFAULT_RATE_HZ
 
+        checked_time("timeout_s", timeout_s)
         period_s = None if self.passive or not timeout_s else 1.0 / DEFAULT_RATE_HZ
         return self._opened().newest(time.monotonic() + timeout_s, period_s)
 
@@ -242,8 +244,9 @@ class Finger(FingertipClient):
         """
         from tipforce.host.network.finger_samples import ContactStream
 
-        if not rate_hz > 0.0:
-            raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0")
+        checked_time("timeout_s", timeout_s)
+        if not 0.0 < rate_hz <= HIGHEST_RATE_HZ:
+            raise InputError(f"rate_hz = {rate_hz!r}: allowed is above 0, up to {HIGHEST_RATE_HZ:g}")
         return ContactStream(self._opened(), timeout_s, None if self.passive else 1.0 / rate_hz)
 
     def close(self) -> None:

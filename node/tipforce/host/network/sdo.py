@@ -53,6 +53,13 @@ Steps: TypeAlias = Generator[Read | Write, Any, R]
 """Transfers in sequence: yields each, receives the value that was read, or the error of the transfer as exception."""
 
 
+def checked_time(name: str, time_s: float) -> float:
+    """Return a time limit. Raises InputError naming it where it is not 0 s or more; NaN would wait for ever."""
+    if not time_s >= 0.0:
+        raise InputError(f"{name} = {time_s!r}: allowed is 0 s or more")
+    return time_s
+
+
 class SdoChannel:
     """SDO transfers with one node; any number of threads and of asyncio tasks may use it.
 
@@ -72,7 +79,7 @@ class SdoChannel:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         self.node_id = node_id
-        self.timeout_s = timeout_s
+        self.timeout_s = checked_time("timeout_s", timeout_s)
         self.retries = retries
         self.has_blocks = True
         self._deadline_s = deadline_s

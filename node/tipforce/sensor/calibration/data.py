@@ -9,7 +9,7 @@ from typing import Literal
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.rails import rails
 from tipforce.sensor.calibration.regressors import DRIFTS
@@ -18,6 +18,9 @@ from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
 
 LOSSES = ("huber", "soft_l1", "none")
+LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
+LEAST_STRAIN = 1e-15
+LARGEST_ANGLE_RAD = 4.0 * np.pi
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,17 +86,24 @@ def beam_prior(geometry: Geometry, gauges: Sequence[Gauge], relative_scatter: fl
 
 def checked(readings: Readings, model: Model) -> Readings:
     """Return the readings as float arrays. Raises InputError naming the row (from 0), the value and what is allowed."""
-    strain = np.asarray(readings.strain, dtype=np.float64)
+    strain = floats("strain", readings.strain)
     if strain.ndim != 2 or not MIN_GAUGES <= strain.shape[1] <= MAX_GAUGES or not strain.size:
         raise InputError(
             f"strain has the shape {strain.shape}: allowed is (m, n), n = {MIN_GAUGES} to {MAX_GAUGES} gauges"
         )
     _check_finite("strain", strain)
+    _check_size("strain", strain, np.abs(strain) <= 1.0, "-1 to 1; from microstrain: times 1e-6")
+    if not np.abs(strain).max() >= LEAST_STRAIN:
+        raise InputError(f"strain: no reading reaches {LEAST_STRAIN:g}: the gauges are dead or disconnected")
     m, n = strain.shape
     P, phi, theta = (_column(name, getattr(readings, name), m) for name in ("P_newtons", "phi_rad", "theta_rad"))
     if (P < 0.0).any():
         row = int(np.argmax(P < 0.0))
         raise InputError(f"P_newtons[{row}] = {P[row]:g}: allowed is 0 or more (turn phi by 180 degrees)")
+    _check_size("P_newtons", P, (P == 0.0) | ((P >= LEAST_LOAD_NEWTONS) & (P <= MOST_LOAD_NEWTONS)),
+                f"0 (unloaded), or {LEAST_LOAD_NEWTONS:g} to {MOST_LOAD_NEWTONS:g} N")  # fmt: skip
+    for name, angle in (("phi_rad", phi), ("theta_rad", theta)):
+        _check_size(name, angle, np.abs(angle) <= LARGEST_ANGLE_RAD, "-4 pi to 4 pi; from degrees: np.radians()")
     if not (P > 0.0).any():
         raise InputError(f"all {m} rows are unloaded: add loads")
     t = None if readings.t_s is None else _column("t_s", readings.t_s, m)
@@ -139,26 +149,35 @@ def _check_model(model: Model, n: int) -> None:
             raise InputError(f"{name} = {getattr(model, name)!r}: allowed is 0 to 1 (small angles)")
     for name in ("noise_strain", "saturation_strain"):
         array = np.asarray(1.0 if getattr(model, name) is None else getattr(model, name), dtype=np.float64)
-        if array.shape not in {(), (n,)} or not (array > 0.0).all():
-            raise InputError(f"{name} = {array}: allowed is a number above 0, or one for each of the {n} gauges")
+        most = 1.0 if name == "noise_strain" else np.inf
+        if array.shape not in {(), (n,)} or not ((array > 0.0) & (array <= most)).all():
+            raise InputError(
+                f"{name} = {array}: allowed is a number above 0, up to {most:g}, or one for each of the {n} gauges"
+            )
     if model.prior is not None:
         _check_prior(model.prior, n)
 
 
 def _check_prior(prior: Prior, n: int) -> None:
-    A = np.asarray(prior.A, dtype=np.float64)
-    if A.shape != (n, 3) or not np.isfinite(A).all() or not A.any(axis=1).all():
-        raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), finite, no row of zeros")
-    if not 0.0 < prior.relative_scatter < np.inf:
-        raise InputError(f"prior relative_scatter = {prior.relative_scatter!r}: allowed is above 0, as 0.1")
+    A = floats("prior", prior.A)
+    if A.shape != (n, 3) or not (np.abs(A) <= 1.0).all() or not A.any(axis=1).all():
+        raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), -1 to 1 per newton, no row of zeros")
+    if not 1e-9 <= prior.relative_scatter <= 1e9:
+        raise InputError(f"prior relative_scatter = {prior.relative_scatter!r}: allowed is 1e-9 to 1e9, as 0.1")
 
 
 def _column(name: str, values: npt.ArrayLike, m: int) -> FloatArray:
-    column = np.asarray(values, dtype=np.float64)
+    column = floats(name, values)
     if column.shape != (m,):
         raise InputError(f"{name} has the shape {column.shape}: allowed is ({m},), one for each row of strain")
     _check_finite(name, column)
     return column
+
+
+def _check_size(name: str, values: FloatArray, allowed: BoolArray, words: str) -> None:
+    if not allowed.all():
+        place = np.argwhere(~allowed)[0].tolist()
+        raise InputError(f"{name}{place} = {values[tuple(place)]:g}: allowed is {words}")
 
 
 def _check_finite(name: str, values: FloatArray) -> None:

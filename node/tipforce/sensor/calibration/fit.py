@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.data import Model, Prior, Readings, beam_prior, checked
 from tipforce.sensor.calibration.identify import FORCES, require_clear, require_seen
@@ -157,11 +157,12 @@ def _fitted(readings: Readings, model: Model, gain_per_K: float) -> _Fitted:
 def linear_fit(strain: npt.ArrayLike, F_newtons: npt.ArrayLike) -> FloatArray:
     """Return the paper's fit, for comparison: C (3, n) with least squares of F = C V, no offset, every row alike.
 
-    strain: (m, n); F: (m, 3). Raises InputError for other shapes, or readings of rank below 3.
+    strain: (m, n); F: (m, 3). Raises InputError for other shapes, numbers that are not finite, or readings of rank
+    below 3.
     """
-    V, F = np.asarray(strain, dtype=np.float64), np.asarray(F_newtons, dtype=np.float64)
-    if V.ndim != 2 or F.shape != (V.shape[0], 3):
-        raise InputError(f"strain {V.shape}, F {F.shape}: allowed are (m, n) and (m, 3)")
+    V, F = floats("strain", strain), floats("F", F_newtons)
+    if V.ndim != 2 or F.shape != (V.shape[0], 3) or not np.isfinite(V).all() or not np.isfinite(F).all():
+        raise InputError(f"strain {V.shape}, F {F.shape}: allowed are (m, n) and (m, 3), finite")
     C, _, rank, _ = np.linalg.lstsq(V, F, rcond=None)
     if rank < 3:
         raise InputError(

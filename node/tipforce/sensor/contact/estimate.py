@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.force import force_from_strain
@@ -96,7 +96,7 @@ def standard_uncertainties(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike
 
     F: (..., 3); covariance_F: (3, 3) or (..., 3, 3), symmetric, N^2. First order, but for the near-tangent
     correction that scalar.uncertainty() describes. F1 = F3 = 0: u_P for the worst direction, the angles NaN.
-    Numbers that are not finite give NaN. Raises InputError for other shapes.
+    Numbers that are not finite, and variances below zero, give NaN. Raises InputError for other shapes.
     """
     F, finite = _forces(F_newtons)
     covariance, known = _covariances(covariance_F, F)
@@ -181,7 +181,7 @@ def status(
 
 def _forces(F_newtons: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
     """Return F with the rows that are not finite set to zero, and which rows are finite."""
-    F = np.asarray(F_newtons, dtype=np.float64)
+    F = floats("F", F_newtons)
     if F.ndim < 1 or F.shape[-1] != 3:
         raise InputError(f"F has the shape {F.shape}: allowed is (..., 3), newtons")
     finite: BoolArray = np.asarray(np.isfinite(F).all(axis=-1))
@@ -189,11 +189,13 @@ def _forces(F_newtons: npt.ArrayLike) -> tuple[FloatArray, BoolArray]:
 
 
 def _covariances(covariance_F: npt.ArrayLike, F: FloatArray) -> tuple[FloatArray, BoolArray]:
-    """Return the covariances with those that are not finite set to zero, and which are finite."""
-    covariance = np.asarray(covariance_F, dtype=np.float64)
+    """Return the covariances with the unusable ones (not finite, a variance below zero) set to zero, and the usable."""
+    covariance = floats("covariance_F", covariance_F)
     if covariance.shape not in {(3, 3), (*F.shape, 3)}:
         raise InputError(f"covariance_F has the shape {covariance.shape}: allowed is (3, 3) or {(*F.shape, 3)}")
-    known: BoolArray = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)))
+    with np.errstate(invalid="ignore"):
+        variances = np.diagonal(covariance, axis1=-2, axis2=-1) >= 0.0
+    known: BoolArray = np.asarray(np.isfinite(covariance).all(axis=(-2, -1)) & variances.all(axis=-1))
     return np.where(known[..., np.newaxis, np.newaxis], covariance, 0.0), known
 
 

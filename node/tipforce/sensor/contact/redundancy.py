@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact import scalar_redundancy
 from tipforce.sensor.contact.scalar_redundancy import CONDITION_LIMIT, EXCLUSION_RATE, FALSE_ALARM_RATE
@@ -224,9 +224,11 @@ def detect(
 
 
 def _matrix(C: npt.ArrayLike) -> FloatArray:
-    matrix = np.asarray(C, dtype=np.float64)
+    matrix = floats("C", C)
     if matrix.ndim != 2 or matrix.shape[0] != 3 or matrix.shape[1] < 3:
         raise InputError(f"C has the shape {matrix.shape}: allowed is (3, n) with n gauges, at least 3")
+    if not np.isfinite(matrix).all():
+        raise InputError(f"C holds {matrix[~np.isfinite(matrix)][0]}: allowed are finite numbers")
     return matrix
 
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
-from tipforce.sensor.dynamics.model import Modes
+from tipforce.sensor.dynamics.model import HIGHEST_DAMPING_RATIO, Modes
 
 Load = Callable[[float], FloatArray]
 """Time in s -> F (3,) in newtons."""
@@ -124,8 +124,11 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 def rk4_stability_limit(damping_ratio: float) -> float:
     """Return the largest omega h at which RK4 does not amplify a mode, from |R(z)| = 1, R its stability polynomial.
 
-    Undamped 2 sqrt(2); the mode's z = omega h (-zeta +- i sqrt(1 - zeta^2)), or its faster real one above 1.
+    Undamped 2 sqrt(2); the mode's z = omega h (-zeta +- i sqrt(1 - zeta^2)), or its faster real one above 1. Raises
+    InputError for a damping ratio outside 0 to 1e6.
     """
+    if not 0.0 <= damping_ratio <= HIGHEST_DAMPING_RATIO:
+        raise InputError(f"damping_ratio = {damping_ratio!r}: allowed is 0 to {HIGHEST_DAMPING_RATIO:g}")
     zeta = complex(damping_ratio)
     unit = -zeta + 1j * np.sqrt(1.0 - zeta * zeta)
     unit = min(unit, -2.0 * zeta - unit, key=lambda root: root.real)

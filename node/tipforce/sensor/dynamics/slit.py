@@ -85,7 +85,15 @@ def slit_stop(
 
 
 def closing_load(geometry: Geometry, theta_rad: float, phi_rad: float, gap_m: float = PAPER_SLIT_M) -> float:
-    """Return the static load P in newtons that closes the slit somewhere; inf where the load opens it everywhere."""
+    """Return the static load P in newtons that closes the slit somewhere; inf where the load opens it everywhere.
+
+    Raises InputError for angles that are not finite, or a gap that is not above 0.
+    """
+    if not (math.isfinite(theta_rad) and math.isfinite(phi_rad) and 0.0 < gap_m < math.inf):
+        raise InputError(
+            f"theta_rad = {theta_rad!r}, phi_rad = {phi_rad!r}, gap_m = {gap_m!r}: allowed are finite angles "
+            "and a gap above 0"
+        )
     F = np.array([math.sin(phi_rad), math.sin(phi_rad - theta_rad), math.cos(phi_rad)])
     most = float(_largest(Frame(geometry), F).max())
     return gap_m / most if most > ROUNDING * _largest(Frame(geometry), np.array([-1.0, 0.0, 0.0])).max() else math.inf

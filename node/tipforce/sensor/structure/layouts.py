@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
 from tipforce.errors import InputError
 
@@ -48,7 +48,7 @@ def layout(name_or_points: Layout) -> tuple[str, ...]:
                 f"layout {name_or_points!r} is not known: allowed are {', '.join(LAYOUTS)} or a list of points"
             )
         return LAYOUTS[name_or_points]
-    points = tuple(name_or_points)
+    points = tuple(name_or_points) if isinstance(name_or_points, Iterable) else (name_or_points,)
     for point in points:
         if point not in POINTS:
             raise InputError(f"gauge point {point!r} is not known: allowed are {', '.join(POINTS)}")

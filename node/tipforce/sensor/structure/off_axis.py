@@ -17,7 +17,7 @@ from math import cos, exp, pi, sin, sqrt, tanh
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_shift import GaugePosition, nominal_position
 from tipforce.sensor.structure.geometry import Geometry
@@ -160,9 +160,11 @@ def apparent_force(
 
     Every gauge of the layout is misplaced by the two amounts, with either sign, and calibrated in the plane at
     that place; the worst combination of signs and the worst wrench count. inward_m: distance of the gauges' middles
-    from the fixed ends. Raises InputError for an unusable layout.
+    from the fixed ends. Raises InputError for an unusable layout, or wrenches of another shape.
     """
-    points = layout(gauges)
+    points, wrenches = layout(gauges), np.atleast_2d(floats("wrenches", wrenches))
+    if wrenches.ndim != 2 or wrenches.shape[1] != 6 or not len(wrenches):
+        raise InputError(f"wrenches have the shape {wrenches.shape}: allowed is (m, 6)")
     magnitudes = (lateral_offset_m, misalignment_rad)
     worst = np.zeros(3)
     for signs in itertools.product((-1.0, 1.0), repeat=len(points)):

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import VERTICAL_POINTS, Layout, layout
@@ -96,9 +96,15 @@ def condition_number(matrix: npt.ArrayLike) -> float:
     """Return the 2-norm condition number of a matrix (n, 3) or (3, n); inf where it is singular.
 
     It is the same for the strain matrix and its pseudo-inverse C. It depends on the units of F (the paper's
-    F2 is a force, not a moment) and on the scale of every row.
+    F2 is a force, not a moment) and on the scale of every row. NaN where an entry is not finite. Raises InputError for
+    another shape.
     """
-    singular = np.linalg.svd(np.asarray(matrix, dtype=np.float64), compute_uv=False)
+    entries = floats("matrix", matrix)
+    if entries.ndim != 2 or 3 not in entries.shape:
+        raise InputError(f"the matrix has the shape {entries.shape}: allowed are (n, 3) and (3, n)")
+    if not np.isfinite(entries).all():
+        return float("nan")
+    singular = np.linalg.svd(entries, compute_uv=False)
     return float(singular[0] / singular[-1]) if singular[-1] > 0.0 else float("inf")
 
 
@@ -118,4 +124,6 @@ def noise_gain(C: npt.ArrayLike) -> float:
     In the unit of C: newtons per unit strain. Unlike the condition number it contains the actual noise
     of F.
     """
-    return float(np.linalg.norm(np.asarray(C, dtype=np.float64)))
+    entries = floats("C", C)
+    largest = float(np.abs(entries).max(initial=0.0))
+    return largest * float(np.linalg.norm(entries / largest)) if 0.0 < largest < np.inf else largest
