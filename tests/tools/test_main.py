@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -303,3 +304,13 @@ def test_a_full_disk_is_told_without_a_traceback(command: str) -> None:
     assert code != 0
     assert "tipforce: [Errno 28] No space left on device" in err
     assert "Traceback" not in err
+
+
+def test_closed_streams_are_no_fault(tmp_path: Path) -> None:
+    """`tipforce ... >&-`: the output file does not get the descriptor of stdout, and nothing is printed into it."""
+    words = [sys.executable, "-W", "error", "-m", "tipforce_tools.cli.main", "export", "eds", "-o", "out.eds"]
+    done = subprocess.run(
+        ["sh", "-c", '"$@" <&- >&-', "sh", *words], cwd=tmp_path, stderr=subprocess.PIPE, text=True, check=False
+    )
+    assert (done.returncode, "Traceback" in done.stderr) == (0, False), done.stderr
+    assert (tmp_path / "out.eds").read_text().startswith("[FileInfo]")

@@ -98,6 +98,7 @@ exit codes: {codes}
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return the exit code. Errors that a user can cause print no traceback."""
     words = list(sys.argv[1:] if argv is None else argv)
+    _open_closed_streams()
     try:
         code = _answer(words)
         sys.stdout.flush()
@@ -112,6 +113,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         return 0
     except OSError as error:  # stdout on a full disk, a file that was removed
         return _failed(str(error), PERMISSION if isinstance(error, PermissionError) else 1)
+
+
+def _open_closed_streams() -> None:
+    """Open the null device for each standard stream that is closed (`>&-`), so that no file gets its descriptor."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            number = os.open(os.devnull, os.O_RDONLY if mode == "r" else os.O_WRONLY)
+            setattr(sys, name, open(number, mode, closefd=False))  # noqa: SIM115
 
 
 def _answer(words: list[str]) -> int:
