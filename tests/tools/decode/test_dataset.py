@@ -236,10 +236,10 @@ def test_a_run_that_is_killed_is_completed(tmp_path: Path, lines: list[str]) -> 
 
 
 def test_two_calibrations(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
-    """A read of 2103h:3 tells one, a commit the next; a cut between the CRC and the commit changes nothing."""
-    told = ["585#4303210344332211", "605#2303210178563412", "585#6003210100000000", "585#6004210000000000"]
+    """Reads of 2103h:3 tell them, the same one several times; how logs are cut changes nothing."""
+    told = [f"585#43032103{crc}" for crc in ("44332211", "44332211", "78563412", "78563412")]
     whole = list(lines)
-    for place, frame in zip((1000, 5000, 5001, 9000), told, strict=True):
+    for place, frame in zip((1000, 5000, 9000, 9500), told, strict=True):
         whole.insert(place, f"{whole[place - 1].rsplit(' ', 1)[0]} {frame}")
     logs = [write_log(tmp_path / "run-1.log", whole[:7000]), write_log(tmp_path / "run-2.log", whole[7000:])]
     for data, steps in ((tmp_path / "one", [logs]), (tmp_path / "two", [logs[:1], logs])):

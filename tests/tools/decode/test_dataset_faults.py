@@ -135,8 +135,11 @@ def test_copies_and_other_states_of_a_log(
 ) -> None:
     log, copy = write_log(tmp_path / "run.log", lines), write_log(tmp_path / "copy.log", lines)
     start, data = write_log(tmp_path / "start.log", lines[:1000]), tmp_path / "data"
-    assert main(["decode", *map(str, (start, log, copy)), "-j", "1", "-o", f"{data}/"]) == 0
-    assert "2 logs equal to another one, or to its beginning: not added twice" in capsys.readouterr().err
+    for pair in ((log, copy), (start, log), (log, log)):
+        assert decode(*pair, "-j", 1, "-o", f"{data}/") == 2
+        assert "begins like" in capsys.readouterr().err
+    for logs in ((start,), (log,), (log, copy)):
+        assert decode(*logs, "-j", 1, "-o", f"{data}/") == 0
     check(data, log)
     packed = tmp_path / "run.log.gz"
     packed.write_bytes(gzip.compress(log.read_bytes()))
@@ -180,7 +183,7 @@ def test_interrupted_between_two_logs(tmp_path: Path, days: list[Path], monkeypa
 @pytest.mark.parametrize(
     ("text", "says"),
     [
-        ('{"format": 2, "parts": 5}', "newer tipforce"),
+        ('{"format": 2, "parts": 5}', "newer one"),
         ('{"format": 1, "gener', "put back a copy"),
         ("", "put back a copy"),
     ],

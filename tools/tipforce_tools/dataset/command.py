@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Show, check, compact or query. Raises InputError, WriteError, EnvironmentLackError without DuckDB or pyarrow."""
+    """Show, check, compact or query. Raises InputError, EnvironmentLackError without DuckDB or pyarrow."""
     from tipforce.host.dataset.reader import opened
 
     common.set_up_logging(args)
@@ -41,7 +41,6 @@ def run(args: argparse.Namespace) -> int:
         from tipforce_tools.dataset.sql import query
 
         return query(args, *opened(args.directory))
-    from tipforce.errors import WriteError
     from tipforce_tools.dataset import content
 
     store, manifest = opened(args.directory)
@@ -49,10 +48,7 @@ def run(args: argparse.Namespace) -> int:
         from tipforce_tools.dataset.compact import compact
 
         files = len(list(manifest.files()))
-        try:
-            manifest = compact(store)
-        except OSError as error:
-            raise WriteError(f"{store.name}: {error.strerror or error}; no file of the dataset is lost") from error
+        manifest = compact(store)
         common.note(args, f"{store.name}: {files} files are {len(list(manifest.files()))} now")
         return 0
     wrong = content.wrong_files(store, manifest, hashes=args.verify)

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from tipforce.host.dataset.manifest import FOLDER, CalibrationTold, Manifest, files_of
+from tipforce.host.dataset.manifest import FOLDER, Manifest, files_of
 from tipforce.host.dataset.reader import tally
 from tipforce.host.dataset.store import Store
 from tipforce_tools.cli.listening import counted
@@ -46,9 +46,9 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
             for (hand, node), (rows, days, first, last) in sorted(_nodes(manifest).items())
         ],
         "calibrations": [
-            {"channel": one.channel, "node": one.node, "crc": one.crc, "from_s": one.t_ns / 1e9}
-            for told in _calibrations(manifest)
-            for one in told
+            {"channel": channel, "node": node, "crc": crc, "from_s": t_ns / 1e9}
+            for (channel, node), told in _calibrations(manifest)
+            for t_ns, crc in told
         ],
         "logs": [
             {
@@ -77,14 +77,15 @@ def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int
     return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}
 
 
-def _calibrations(manifest: Manifest) -> list[list[CalibrationTold]]:
-    """Return by node the changes of its calibration, in order of time."""
-    found: dict[tuple[str, int], list[CalibrationTold]] = {}
-    for one in sorted((one for part in manifest.parts for one in part.calibrations), key=lambda one: one.t_ns):
-        of_node = found.setdefault((one.channel, one.node), [])
-        if not of_node or of_node[-1].crc != one.crc:  # logs that were added apart tell it again
-            of_node.append(one)
-    return [found[place] for place in sorted(found)]
+def _calibrations(manifest: Manifest) -> list[tuple[tuple[str, int], list[tuple[int, int]]]]:
+    """Return by channel and node the times and CRC-32 of its calibrations."""
+    found: dict[tuple[str, int], list[tuple[int, int]]] = {}
+    told = (one for part in manifest.parts for one in part.calibrations)
+    for channel, node, crc, t_ns in sorted(told, key=lambda one: one[3]):
+        of_node = found.setdefault((channel, node), [])
+        if not of_node or of_node[-1][1] != crc:  # logs that were added apart tell it again
+            of_node.append((t_ns, crc))
+    return sorted(found.items())
 
 
 def _runs(store: Store) -> list[str]:
@@ -104,10 +105,10 @@ def lines(store: Store, manifest: Manifest, wrong: dict[str, str]) -> Iterator[s
             f"{node['hand']} node {node['node']} (0x{node['node']:02X}): {node['rows']} samples on "
             f"{counted(node['days'], 'day')}, {first} to {last}"
         )
-    for told in _calibrations(manifest):
+    for (channel, number), told in _calibrations(manifest):
         if len(told) > 1:
-            texts = ", ".join(f"0x{one.crc:08X} from {np.datetime64(one.t_ns // 10**6, 'ms')}" for one in told)
-            yield f"{told[0].channel} node {told[0].node}: rows of {counted(len(told), 'calibration')}: {texts}"
+            texts = ", ".join(f"0x{crc:08X} from {np.datetime64(t_ns // 10**6, 'ms')}" for t_ns, crc in told)
+            yield f"{channel} node {number}: rows of {counted(len(told), 'calibration')}: {texts}"
     for log in found["logs"]:
         bad = f", {log['bad']} bad lines" if log["bad"] else ""
         state = "" if log["complete"] else ", the rest is missing: run `tipforce decode` again"

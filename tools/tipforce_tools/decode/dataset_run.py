@@ -15,7 +15,6 @@ import tipforce
 from tipforce.errors import InputError
 from tipforce.host.dataset.manifest import (
     FOLDER,
-    CalibrationTold,
     Change,
     DataFile,
     Manifest,
@@ -36,7 +35,6 @@ from tipforce_tools.decode.events import events_text
 from tipforce_tools.decode.log_identity import (
     HASHED_BYTES,
     begin_hash,
-    distinct,
     hash_of,
     is_whole,
     options_of,
@@ -89,8 +87,6 @@ class DatasetRun:
         self._begins: dict[str, str] = {}
         self.added = 0
         """Parts of this run."""
-        self.copies = 0
-        """Logs that are the beginning of another one, or equal."""
         self.told = told
 
     def add(
@@ -109,8 +105,7 @@ class DatasetRun:
         with RunLock(self.store, self._token):
             self.manifest = read_manifest(self.store) or _new(self.store)
             remove_replaced(self.store, self.manifest)
-            self.copies, names = len(names), distinct(names)
-            self.copies -= len(names)
+            names = [name for name in names if os.path.getsize(name)] or names[:1]  # empty logs do not differ
             for chains in (self._repairs, self._chains):
                 for chain in list(chains(names)):
                     self._add_chain(chain, cut, workers, each, check)
@@ -184,10 +179,10 @@ class DatasetRun:
         digest = hash_of(name, 0, head)
         begin = begin_hash(name)
         known = {one.begin_sha256: one.name for one in self.manifest.sources} | self._begins
-        if begin and begin in known:
+        if begin in known:
             raise InputError(
-                f"{name}: begins like {known[begin]}, which was changed, packed or shortened since; leave one out, or "
-                "decode into another directory"
+                f"{name}: begins like {known[begin]}: it is a copy, or one was changed, packed or shortened; leave one "
+                "out, or decode into another directory"
             )
         self._begins[begin] = str(name)
         self._new.append(digest)
@@ -272,7 +267,7 @@ class DatasetRun:
                 written.record.files,
                 events,
                 [
-                    CalibrationTold(event.channel, event.node_id, event.code, event.t_ns)
+                    (event.channel, event.node_id, event.code, event.t_ns)
                     for event in written.events
                     if event.kind == "calibration"
                 ],

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-import os
 import zlib
-from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 
@@ -17,36 +15,16 @@ HASHED_BYTES = 1 << 16
 _COMPARED_BYTES = 1 << 12
 
 
-def distinct(names: Sequence[str]) -> list[str]:
-    """Return the logs without those that another one begins with: copies, and earlier states of one that grew.
-
-    So the rows do not depend on whether logs are added one by one or together.
-    """
-    kept: list[tuple[int, str, bytes]] = []
-    sizes = [os.path.getsize(name) for name in names]
-    for place in sorted(range(len(names)), key=lambda one: -sizes[one]):
-        name, size = names[place], sizes[place]
-        with open_file(Path(name)) as file:
-            head = file.read(_COMPARED_BYTES)
-        if not any(
-            other_head.startswith(head) and hash_of(other, 0, min(size, HASHED_BYTES)) ==
-            hash_of(name, 0, min(size, HASHED_BYTES)) and tail_hash(other, size) == tail_hash(name, size)
-            for _, other, other_head in kept
-        ):  # fmt: skip
-            kept.append((place, name, head))
-    return [name for _, name, _ in sorted(kept)]
-
-
 def begin_hash(name: str) -> str:
-    """Return the SHA-256 of the first bytes of a text, packed or not; "" of a short one, and of logs with headers."""
-    if log_kind(Path(name)) != "text":
-        return ""
+    """Return the SHA-256 of the first bytes of a text, packed or not; of another log, which has a header, of all."""
     start = bytearray()
     with open_file(Path(name)) as file, suppress(OSError, EOFError, zlib.error):
+        if log_kind(Path(name)) != "text":
+            return hashlib.file_digest(file, "sha256").hexdigest()
         unpacked, block = decompressed(file, name), bytearray(_COMPARED_BYTES)
         while len(start) < _COMPARED_BYTES and (count := unpacked.readinto(block)):
             start += block[:count]
-    return hashlib.sha256(start[:_COMPARED_BYTES]).hexdigest() if len(start) >= _COMPARED_BYTES else ""
+    return hashlib.sha256(start[:_COMPARED_BYTES]).hexdigest()
 
 
 def is_whole(path: Path, size: int) -> bool:

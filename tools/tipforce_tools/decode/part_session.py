@@ -126,8 +126,6 @@ def write_dataset(
             time.sleep(_FOLLOW_S)
     except OSError as error:
         raise WriteError(f"{args.output}: {error.strerror or error}; what was committed before stays") from error
-    if run.copies:
-        common.note(args, f"{counted(run.copies, 'log')} equal to another one, or to its beginning: not added twice")
     if not run.added:
         common.note(args, f"{args.output}: nothing new in {counted(len(names), 'log')}")
 

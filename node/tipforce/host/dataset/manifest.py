@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterable
 from dataclasses import dataclass, field
-from typing import Any, TypeVar
+from typing import Any
 
 import msgspec
 
@@ -18,19 +18,9 @@ from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.recording import State
 from tipforce.host.decoding.sample_table import Column
 
-_Version = TypeVar("_Version", bound="_Format")
 FOLDER = "_tipforce"
 FORMAT = 1
 _KEPT_GENERATIONS = 2  # for readers that have just listed them
-
-
-class CalibrationTold(msgspec.Struct, frozen=True, array_like=True):
-    """The CRC-32 of a node's active calibration record (2103h:3), which an SDO transfer at ``t_ns`` tells; 0: none."""
-
-    channel: str
-    node: int
-    crc: int
-    t_ns: int
 
 
 class DataFile(msgspec.Struct, frozen=True, array_like=True):
@@ -56,8 +46,8 @@ class Part(msgspec.Struct, frozen=True):
     bad: dict[str, int]
     files: list[DataFile]
     events: DataFile | None = None
-    calibrations: list[CalibrationTold] = []
-    """Changes within this part, in order."""
+    calibrations: list[tuple[str, int, int, int]] = []
+    """Changes of the active record (2103h:3), in order: channel, node-id, CRC-32 or 0, time."""
 
     @property
     def rows(self) -> int:
@@ -97,15 +87,10 @@ class Source(msgspec.Struct, frozen=True):
     """Of the first bytes of its text, also where it is packed; "" for a short one."""
 
 
-class _Format(msgspec.Struct):
-    """What every version of a manifest has."""
-
-    format: int = FORMAT
-
-
-class Manifest(_Format):
+class Manifest(msgspec.Struct):
     """Everything that a dataset holds."""
 
+    format: int = FORMAT
     generation: int = 0
     sources: list[Source] = []
     parts: list[Part] = []
@@ -172,26 +157,18 @@ def read_manifest(store: Store) -> Manifest | None:
         except FileNotFoundError:
             continue
         place = f"{store.name}/{FOLDER}/{names[-1]}"
-        found, reason = _decoded(text, Manifest)
-        version, _ = (found, "") if found is not None else _decoded(text, _Format)
-        if version is not None and version.format != FORMAT:
-            raise InputError(
-                f"{place}: format {version.format} of a newer tipforce; update this one, it reads {FORMAT}"
-            )
-        if found is not None:
+        try:
+            found = msgspec.json.decode(text, type=Manifest)
+            reason = "" if found.format == FORMAT else f"format {found.format}, this tipforce reads {FORMAT}"
+        except msgspec.MsgspecError as error:
+            reason = str(error)
+        if not reason:
             return found
         raise InputError(
-            f"{place}: not a manifest of a dataset ({reason}): put back a copy of it, or decode the logs again into "
-            "another directory"
+            f"{place}: not a manifest that this tipforce reads ({reason}): update it if a newer one wrote the dataset; "
+            "otherwise put back a copy of the file, or decode the logs again into another directory"
         )
     raise InputError(f"{store.name}: its manifest changes too fast to be read; try again")
-
-
-def _decoded(text: bytes, kind: type[_Version]) -> tuple[_Version | None, str]:
-    try:
-        return msgspec.json.decode(text, type=kind), ""
-    except msgspec.MsgspecError as error:
-        return None, str(error)
 
 
 def generations(store: Store) -> list[str]:

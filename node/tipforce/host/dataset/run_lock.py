@@ -69,17 +69,11 @@ def lock(file: int) -> bool:
     return True
 
 
-def remove_unlisted(store: Store, manifest: Manifest, token: str) -> list[str]:
-    """Remove the files of a run that no manifest lists; return them."""
+def remove_unlisted(store: Store, manifest: Manifest, token: str) -> None:
+    """Remove the files of a run that no manifest lists."""
     assert store.local is not None
     listed = manifest.paths()
-    found = []
-    for path in [
-        *store.local.glob(f"hand=*/date=*/node=*/*-{token}.parquet"),
-        *store.local.glob(f"events/*-{token}.csv"),
-    ]:
-        relative = str(path.relative_to(store.local))
-        if relative not in listed:
-            path.unlink(missing_ok=True)
-            found.append(relative)
-    return found
+    for pattern in (f"hand=*/date=*/node=*/*-{token}.parquet", f"events/*-{token}.csv"):
+        for path in store.local.glob(pattern):
+            if path.relative_to(store.local).as_posix() not in listed:
+                path.unlink(missing_ok=True)

@@ -56,8 +56,8 @@ class State:
     """NMT state by channel and node-id."""
     tally: list[TallyRow]
     short: list[tuple[str, int, str, int]]
-    calibrations: list[tuple[str, int, int | None, int | None]] = field(default_factory=list)
-    """CRC-32 of the active and of the staged record by channel and node-id."""
+    calibrations: list[tuple[str, int, int]] = field(default_factory=list)
+    """CRC-32 by channel and node-id."""
 
 
 class Recording:
@@ -92,8 +92,7 @@ class Recording:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
         bus = self.told.bus
         bus.states = {(channel, node): code for channel, node, code in state.nmt}
-        bus.active = {(channel, node): crc for channel, node, crc, _ in state.calibrations if crc is not None}
-        bus.staged = {(channel, node): crc for channel, node, _, crc in state.calibrations if crc is not None}
+        bus.calibrations = {(channel, node): crc for channel, node, crc in state.calibrations}
         self.told.tally, merger.tally = Tally(), Tally()
         self.told.tally.set_rows(state.tally, state.short)
 
@@ -107,7 +106,7 @@ class Recording:
             list(self.channels), self._merger.timed, frames.tobytes(), number.tolist(), self._merger.sync.state,
             dict(self._counters.last), self._health.told, list(self._health.sampled),
             [(*place, code) for place, code in bus.states.items()], tally, short,
-            [(*place, bus.active.get(place), bus.staged.get(place)) for place in {**bus.active, **bus.staged}],
+            [(*place, crc) for place, crc in bus.calibrations.items()],
         )  # fmt: skip
 
     def tables_of_logs(

@@ -22,16 +22,8 @@ from tipforce.host.decoding.sdo_conversation import SdoConversation
 from tipforce.host.frames.frame_array import FrameArray
 
 _DAY_MS, _EPOCH_DAYS = 86_400_000, 5113  # TIME counts from 1984-01-01
-_CALIBRATION_TRANSFERS = {
-    int.from_bytes(struct.pack("<BHB", command, index, sub_index), "little"): (function, kind)
-    for command, index, sub_index, function, kind in (
-        (0x43, indices.CALIBRATION_CHECK, 3, codes.SDO_RESPONSE_BASE, "calibration"),
-        (0x23, indices.CALIBRATION_CHECK, 1, codes.SDO_REQUEST_BASE, "staged"),
-        (0x60, indices.CALIBRATION_COMMIT, 0, codes.SDO_RESPONSE_BASE, "committed"),
-    )
-}
-"""First four bytes of the transfers that tell the active calibration (CiA 301, 7.2.4.3: initiate upload response,
-initiate download request and response): whose frame it is, and the kind of event."""
+_CRC_READ = struct.pack("<BHB", 0x43, indices.CALIBRATION_CHECK, 3)
+"""Start of a response to the read of the active calibration's CRC-32: expedited, 4 bytes (CiA 301, 7.2.4.3.6)."""
 _LSS_ERRORS = {0: "accepted", 1: "refused", 2: "failed"}
 
 
@@ -45,10 +37,9 @@ class Service(NamedTuple):
 
 
 class BusEvent(NamedTuple):
-    """An EMCY, a change of an NMT state, or of the active calibration.
+    """An EMCY, or a change of an NMT state or of the calibration.
 
-    ``kind``: "emcy", "emcy_reset", "boot_up", "state" or "calibration"; "staged" and "committed" of a part of a log,
-    which become "calibration" when the parts are joined.
+    ``kind``: "emcy", "emcy_reset", "boot_up", "state" or "calibration".
     """
 
     t_ns: int
@@ -114,26 +105,25 @@ class Services:
 
 
 class BusEvents:
-    """Collect EMCYs, changes of NMT states and of calibrations of ``node_ids`` (None: all).
+    """Collect EMCYs, changes of NMT states and of calibrations of ``node_ids`` (None: all); parts can be joined.
 
-    Parts of a recording are joined by ``append``. ``states``: the last NMT state by channel and node-id; ``active`` and
-    ``staged``: CRC-32 of the calibration records, as SDO transfers say it.
+    By channel and node-id, ``states``: the last NMT state; ``calibrations``: the last CRC-32 read from 2103h:3.
     """
 
     def __init__(self, node_ids: Iterable[int] | None = None) -> None:
         self._node_ids = None if node_ids is None else frozenset(node_ids)
         self.states: dict[tuple[str, int], int] = {}
-        self.active: dict[tuple[str, int], int] = {}
-        self.staged: dict[tuple[str, int], int] = {}
+        self.calibrations: dict[tuple[str, int], int] = {}
         self.found: list[BusEvent] = []
 
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
         can_id = np.ascontiguousarray(frames["can_id"])
         functions = can_id & ~np.uint32(codes.NODE_ID_MASK)
-        few = np.flatnonzero((functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE))
-        if len(calibrations := _of_calibrations(frames, functions)):
-            few = np.sort(np.concatenate([few, calibrations]))
+        wanted = (functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)
+        read = np.flatnonzero(functions == codes.SDO_RESPONSE_BASE)
+        wanted[read] = (frames["data"][read, :4] == np.frombuffer(_CRC_READ, np.uint8)).all(axis=1)
+        few = np.flatnonzero(wanted)
         chosen = frames[few[can_id[few] & codes.NODE_ID_MASK != 0]]  # SYNC is EMCY's function with node-id 0
         data = chosen["data"].tobytes()
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length", "channel"))
@@ -142,45 +132,17 @@ class BusEvents:
             if self._node_ids is None or node_id in self._node_ids:
                 told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
                 if told is not None:
-                    event = BusEvent(t_ns, channels[channel], node_id, *told)
-                    if event.kind in ("staged", "committed"):  # the part in front may hold the other one
-                        self.found.append(event)
-                    else:
-                        self.append(event)
+                    self.append(BusEvent(t_ns, channels[channel], node_id, *told))
 
     def append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state or the calibration of its node."""
         place = event.channel, event.node_id
-        if event.kind == "staged":
-            self.staged[place] = event.code
+        last = self.calibrations if event.kind == "calibration" else self.states
+        if event.kind in ("state", "calibration") and last.get(place) == event.code:
             return
-        if event.kind == "committed":
-            if place not in self.staged:
-                return
-            code = self.staged[place]
-            event = event._replace(kind="calibration", code=code, text=_crc_text(code))
-        if event.kind == "calibration":
-            if self.active.get(place) == event.code:
-                return
-            self.active[place] = event.code
-        if event.kind == "state" and self.states.get(place) == event.code:
-            return
-        if event.kind in ("state", "boot_up"):
-            self.states[place] = event.code
+        if event.kind in ("state", "boot_up", "calibration"):
+            last[place] = event.code
         self.found.append(event)
-
-
-def _of_calibrations(frames: FrameArray, functions: npt.NDArray[np.uint32]) -> npt.NDArray[np.intp]:
-    """Return the rows of expedited SDO transfers of the CRC-32 and the commit of a calibration."""
-    rows = np.flatnonzero((functions == codes.SDO_RESPONSE_BASE) | (functions == codes.SDO_REQUEST_BASE))
-    if not len(rows):
-        return rows
-    starts = np.ascontiguousarray(frames["data"][rows][:, :4]).view("<u4")[:, 0]
-    return rows[np.isin(starts, list(_CALIBRATION_TRANSFERS))]
-
-
-def _crc_text(crc: int) -> str:
-    return f"CRC-32 0x{crc:08X}" if crc else "not calibrated"
 
 
 def _event(function: int, data: bytes) -> tuple[str, int, str] | None:
@@ -190,11 +152,9 @@ def _event(function: int, data: bytes) -> tuple[str, int, str] | None:
     if function == codes.EMCY_BASE and len(data) == 8:
         code = int.from_bytes(data[:2], "little")
         return "emcy" if code >> 8 else "emcy_reset", code, _emcy(data)
-    if len(data) == 8:
-        place = _CALIBRATION_TRANSFERS.get(int.from_bytes(data[:4], "little"))
-        if place is not None and place[0] == function:
-            code = int.from_bytes(data[4:], "little")
-            return place[1], code, _crc_text(code)
+    if function == codes.SDO_RESPONSE_BASE and len(data) == 8:
+        crc = int.from_bytes(data[4:], "little")
+        return "calibration", crc, f"CRC-32 0x{crc:08X}" if crc else "not calibrated"
     return None
 
 

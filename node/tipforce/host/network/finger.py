@@ -137,7 +137,10 @@ class FingertipClient:
         self._write_refusable(od.CALIBRATION_COMMIT, table.SIGNATURE_COMMIT)
         generation = self.sdo.read(od.CALIBRATION_GENERATION)
         on_step(f"committed, generation {generation}")
-        self._compare(record)
+        if lines := self.verify_calibration(calibration):
+            raise RefusedError(
+                f"node {self.node_id}: the active calibration differs from the one sent: " + "; ".join(lines[:3])
+            )
         on_step("read back: equal byte for byte")
         if store:
             self.store(calibration=True)
@@ -203,13 +206,6 @@ class FingertipClient:
             if reason is None:
                 raise
             raise RefusedError(f"node {self.node_id} rejected the calibration (0x{error.code:08X}): {reason}") from None
-
-    def _compare(self, record: bytes) -> None:
-        lines = difference(record, self.sdo.read(od.CALIBRATION_ACTIVE_RECORD))
-        if lines:
-            raise RefusedError(
-                f"node {self.node_id}: the active calibration differs from the one sent: " + "; ".join(lines[:3])
-            )
 
 
 class Finger(FingertipClient):
