@@ -300,9 +300,10 @@ class Fingertip(Application):
     # --- objects --------------------------------------------------------------------------------------------
 
     def _read_uncertainty(self, sub: int) -> float:
-        u_P, u_phi, u_theta = self.sample.uncertainty()
         if sub == 1:
-            return scalar.NAN if self.sample.unknown_early() & scalar.UNKNOWN_FORCE else u_P
+            hidden = self.sample.unknown_early() & scalar.UNKNOWN_FORCE
+            return scalar.NAN if hidden else self.sample.magnitude_uncertainty()
+        _u_P, u_phi, u_theta = self.sample.uncertainty()
         unknown = self.sample.unknown()
         if sub == 2:
             return scalar.NAN if unknown & scalar.UNKNOWN_PHI else u_phi * scalar.DEGREES

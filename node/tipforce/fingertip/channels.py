@@ -112,23 +112,24 @@ class Channels:
         if not forms or channels != [(index, first + k) for k in range(len(channels))]:
             return None
         _beyond, highest, unknown = forms[0]
-        fingertip, start, last, lowest = self._fingertip, first - 1, first - 1 + len(channels), -highest
-        units, angles, whole_mapping = self._per_unit[start:last], last > self._n + 4, channels is keys
+        fingertip, per_unit, start, last = self._fingertip, self._per_unit, first - 1, first - 1 + len(channels)
+        lowest, angles, whole_mapping = -highest, last > self._n + 4, channels is keys
 
         def read() -> "list[Value]":
             sample = fingertip.sample
+            found: "list[Value | None]" = []
             if sample.reading is None:
-                found: "list[Value | None]" = [unknown] * (last - start)
+                found += [unknown] * (last - start)
             else:
-                values = (sample.values if last <= len(sample.values) else sample.find_values(last))[start:last]
-                found = [
-                    round(value * unit) if lowest < value * unit < highest else None
-                    for value, unit in zip(values, units)  # noqa: B905 (not in MicroPython)
-                ]
+                values = sample.values if last <= len(sample.values) else sample.find_values(last)
+                for k in range(start, last):
+                    scaled = values[k] * per_unit[k]
+                    found.append(round(scaled) if lowest < scaled < highest else None)
                 if None in found or (angles and -_HALF_TURN in found):
-                    found = [self._integer(v, first + k, highest, unknown) for k, v in enumerate(values)]
+                    found = [self._integer(values[k], k + 1, highest, unknown) for k in range(start, last)]
             if not whole_mapping:
-                found += (sample.status(), sample.counter)
+                found.append(sample.status())
+                found.append(sample.counter)
             return found  # type: ignore[return-value]
 
         return read

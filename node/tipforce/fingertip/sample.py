@@ -202,6 +202,13 @@ class Sample:
                 self._uncertainty = scalar.uncertainty(f1, f2, f3, self.covariance(), self.active.pull)
         return self._uncertainty
 
+    def magnitude_uncertainty(self) -> float:
+        """Standard uncertainty of P (N) alone; NaN without calibration."""
+        if self._uncertainty is not None or self.active is None or self.solver is None:
+            return self.uncertainty()[0]
+        f1, f2, f3 = self.force()
+        return scalar.magnitude_uncertainty(f1, f2, f3, self.covariance())
+
     def find_values(self, sub: int) -> "list[float]":
         """The value of each channel in the unit of 6131h, in double precision; NaN where it may not be shown.
 

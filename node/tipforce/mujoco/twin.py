@@ -77,7 +77,7 @@ class TwinSample:
     @property
     def u_P_newtons(self) -> float:
         """Standard uncertainty of P."""
-        return _NAN if self._unknown_force() else self._sample.uncertainty()[0]
+        return _NAN if self._unknown_force() else self._sample.magnitude_uncertainty()
 
     @property
     def phi_deg(self) -> float:

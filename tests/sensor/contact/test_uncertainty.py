@@ -119,6 +119,24 @@ def test_no_load_has_the_uncertainty_of_its_worst_direction() -> None:
         assert miss_uncertainties(F, covariance) == pytest.approx(5.0)
 
 
+def test_the_uncertainty_of_the_magnitude_alone_is_the_same_number() -> None:
+    rng = np.random.default_rng(9)
+    forces = [
+        (0.0, 0.0, 0.0),
+        (0.0, 1.0, 0.0),
+        (nan, 1.0, 0.0),
+        (1.0, inf, 0.0),
+        (1e-300, 1e-300, 0.0),
+        (1e300, 0.0, 1.0),
+    ]
+    forces += [tuple(row) for row in (rng.normal(size=(200, 3)) * 10.0 ** rng.uniform(-6, 3, (200, 1))).tolist()]
+    for F in forces:
+        for covariance in (random_covariance(rng), np.zeros((3, 3)), 1e-300 * random_covariance(rng)):
+            found = scalar.magnitude_uncertainty(*F, upper(covariance))
+            expected = scalar.uncertainty(*F, upper(covariance), False)[0]
+            assert found == expected or (isnan(found) and isnan(expected))
+
+
 def test_numbers_that_are_not_finite_give_nan_alone_in_their_row() -> None:
     F = np.array([[1.0, 0.2, 0.3]] * 4)
     F[1, 1] = nan
