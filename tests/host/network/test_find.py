@@ -79,6 +79,7 @@ def test_who_is_there_and_how(connection: Bus) -> None:
 def test_only_the_node_ids_asked_for(connection: Bus) -> None:
     assert [node.node_id for node in find_nodes(connection, [6, 20, 50], WAIT_S)] == [6, 20]
     assert find_nodes(connection, [50], 0.01) == []
+    assert [node.state for node in find_nodes(connection, [6], 1e6)] == ["operational"]  # every answer is in
 
 
 def test_no_heartbeat_is_said(connection: Bus, bus: tuple[Bus, FaultyBus]) -> None:

@@ -172,6 +172,15 @@ def test_behind_a_url(tmp_path: Path, lines: list[str]) -> None:
     assert [other[node].counter.tolist() for node in one] == [one[node].counter.tolist() for node in one]
     assert main(["dataset", url, "--verify", "--json"]) == 0
     assert not Path("memory:").exists()
+    files = pytest.importorskip("fsspec").filesystem("memory")
+    files.pipe_file(f"/logs-{tmp_path.name}/run.log", log.read_bytes())
+    copied, output = f"memory://logs-{tmp_path.name}/run.log", tmp_path / "copied"
+    assert decode(copied, "-j", 1, "-o", f"{output}/") == 0
+    assert rows_of_dataset(output) == rows_of_logs(log)
+    assert opened(str(output))[1].sources[0].name == copied
+    assert tipforce.read_log(copied)[5].counter.tolist() == one[5].counter.tolist()
+    for words in ([f"{copied}.gone", "-o", f"{output}/"], [copied, "--follow", "-o", f"{output}/"]):
+        assert decode(*words) == 2
 
 
 def test_a_cluster_whose_worker_is_killed(tmp_path: Path, lines: list[str]) -> None:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from tipforce.errors import InputError
 from tipforce.host.dataset.manifest import is_dataset
-from tipforce.host.dataset.store import is_url
+from tipforce.host.dataset.store import is_url, local_copy
 from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
 from tipforce.host.decoding.log_part import Reading, When, start_of
 from tipforce_tools.cli.eds_flag import eds_files
@@ -24,7 +24,10 @@ _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first
 
 
 def logs(words: Sequence[str]) -> list[str]:
-    """Return the logs that words and globs name, in this order; default stdin. Raises InputError for a missing file."""
+    """Return the logs that words and globs name, in this order; default stdin. Of a URL it is a local copy.
+
+    Raises InputError for a missing file.
+    """
     if not words and sys.stdin.isatty():
         raise InputError("no log: name one (`tipforce decode run.log`), or pipe candump text to stdin")
     found: list[str] = []
@@ -43,7 +46,7 @@ def logs(words: Sequence[str]) -> list[str]:
             raise InputError(f"{name}: is a directory; name its logs: {name.rstrip('/')}/*.log")
     if found.count(STDIN) and len(found) > 1:
         raise InputError("-: stdin cannot be decoded together with files")
-    return found
+    return [name if is_dataset(name) else local_copy(name) for name in found]
 
 
 def narrowing_flags(args: Namespace) -> str:

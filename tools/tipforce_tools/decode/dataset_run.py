@@ -25,8 +25,9 @@ from tipforce.host.dataset.manifest import (
     read_manifest,
     remove_replaced,
 )
+from tipforce.host.dataset.reader import need_pyarrow
 from tipforce.host.dataset.run_lock import RunLock
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.services import BusEvent
@@ -74,6 +75,7 @@ class DatasetRun:
 
     def __init__(self, directory: str, reading: Reading, told: Told, hand: str | None = None) -> None:
         """``told`` gets what the logs tell besides rows. Raises InputError for a directory of other files."""
+        need_pyarrow(directory)
         self._reading = reading
         self.store = Store(directory)
         self.manifest = read_manifest(self.store) or _new(self.store)
@@ -251,7 +253,7 @@ class DatasetRun:
         piece = written.piece
         end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
-            log.source, name=piece.name, size=end, tail_sha256=tail_hash(piece.name, end), flushed=last,
+            log.source, name=url_of(piece.name), size=end, tail_sha256=tail_hash(piece.name, end), flushed=last,
             last_part_start=piece.start, before_last_part=before, end=written.state, version=tipforce.__version__,
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source

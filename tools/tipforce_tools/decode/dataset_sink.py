@@ -42,14 +42,14 @@ class DatasetSink:
 
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
         """Write the rows of a part; each file appears when it is complete."""
-        from tipforce_tools.decode.parquet import Parts, arrow_table, schema_of
-
         store = Store(self._directory)
         scratch, temporary = self._scratch(store)
         writing: dict[str, _Open] = {}
         schema: Any = None
         try:
             for table in tables:
+                from tipforce_tools.decode.parquet import Parts, arrow_table, schema_of  # not before there are rows
+
                 shape.fits(table)
                 if schema is None or len(schema) != len(shape.base) + len(shape.columns):
                     schema = schema_of(shape)

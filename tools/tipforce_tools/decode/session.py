@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, cast
 
 from tipforce.errors import InputError, WriteError
 from tipforce.host.dataset.manifest import is_dataset
+from tipforce.host.dataset.store import is_url
 from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import StrictError
 from tipforce.host.decoding.recording import Recording, Told
@@ -229,6 +230,8 @@ def check(args: Namespace) -> None:
         raise InputError("--follow: allowed is one log")
     if args.follow and args.scheduler:
         raise InputError("--follow: a growing log is decoded locally; leave out --scheduler")
+    if (args.follow or args.scheduler) and any(map(is_url, args.logs)):
+        raise InputError("a log behind a URL is copied first: leave out --follow and --scheduler, or name a file")
     _check_dataset(args)
     _check_scheduler(args)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import Any
 
 import numpy as np
@@ -27,12 +28,15 @@ from tipforce.host.decoding.tally import Tally
 _FOREVER = np.iinfo(np.int64).max
 
 
+def need_pyarrow(name: str) -> None:
+    """Raise EnvironmentLackError without pyarrow, which is not imported yet."""
+    if find_spec("pyarrow") is None:
+        raise EnvironmentLackError(f"{name}: a dataset needs pyarrow: `pip install 'tipforce[parquet]'`")
+
+
 def opened(name: str) -> tuple[Store, Manifest]:
     """Return a dataset's files and its manifest. Raises InputError, EnvironmentLackError without pyarrow."""
-    try:
-        import pyarrow.parquet  # noqa: F401
-    except ImportError:
-        raise EnvironmentLackError(f"{name}: a dataset needs pyarrow: `pip install 'tipforce[parquet]'`") from None
+    need_pyarrow(name)
     store = Store(name)
     manifest = read_manifest(store)
     if manifest is None:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import atexit
 import errno
 import os
 import shutil
+import tempfile
 import uuid
 from contextlib import suppress
 from pathlib import Path
@@ -116,6 +118,36 @@ class Store:
                 os.unlink(self.path(relative))
             else:
                 self._fs.rm_file(self.path(relative))
+
+
+_copies: dict[str, str] = {}
+
+
+def local_copy(name: str) -> str:
+    """Return the path of a log; of a URL that of a copy, which this process makes once and removes at its end.
+
+    Raises InputError for one that cannot be read, EnvironmentLackError as ``Store``.
+    """
+    if not is_url(name) or name.startswith("file://"):
+        return name.removeprefix("file://")
+    if name not in _copies:
+        files, path = filesystem(name)
+        folder = tempfile.mkdtemp(prefix="tipforce-")
+        atexit.register(shutil.rmtree, folder, ignore_errors=True)
+        copy = os.path.join(folder, path.rsplit("/", 1)[-1])
+        try:
+            files.get_file(path, copy)
+        except Exception as error:  # each file system raises its own
+            raise InputError(
+                f"{name}: can't be read: {error or type(error).__name__}; a dataset's URL ends in /"
+            ) from error
+        _copies[name] = copy
+    return _copies[name]
+
+
+def url_of(path: str) -> str:
+    """Return the URL of a local copy; another path as it is."""
+    return next((url for url, copy in _copies.items() if copy == path), path)
 
 
 def filesystem(url: str) -> tuple[Any, str]:

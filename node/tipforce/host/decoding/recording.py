@@ -117,12 +117,13 @@ class Recording:
         ``tap`` gets the selected frames before their samples.
         """
         from tipforce.host.dataset.manifest import is_dataset
+        from tipforce.host.dataset.store import local_copy
 
         for name in names:
             if is_dataset(name):
                 yield from self._tables_of_dataset(name)
             else:
-                yield from self.tables_of_piece(Piece(name), progress, tap)
+                yield from self.tables_of_piece(Piece(local_copy(name)), progress, tap)
         yield from self.finish()
 
     def _tables_of_dataset(self, name: str) -> Iterator[Table]:

@@ -45,7 +45,8 @@ def open_file(path: Path) -> FileIO:
     try:
         return FileIO(path)
     except OSError as error:
-        raise InputError(f"{path}: {error.strerror}") from error
+        hint = "; a dataset is read by decode, plot, dataset and read_log" if path.is_dir() else ""
+        raise InputError(f"{path}: {error.strerror}{hint}") from error
 
 
 def decompressed(file: FileIO, place: str) -> Readable:

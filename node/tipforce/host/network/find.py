@@ -21,6 +21,7 @@ DEVICE_TYPE = (0x00, 0x10, 0x00)
 """1000h:00 in bytes 1 to 3 of a request, and of its response or abort."""
 _READ_DEVICE_TYPE = bytes((0x40, *DEVICE_TYPE, 0, 0, 0, 0))
 _IN_A_ROW, _GAP_S = 8, 1e-3  # requests without a pause, so that short transmit queues do not overflow
+_STEP_S = 0.02  # between looks whether every node-id was heard
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,20 +43,27 @@ class FoundNode:
 def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
     """Request 1000h from every node-id, listen for ``wait_s`` to responses and heartbeats, then identify the nodes.
 
-    A node that only sends heartbeats (STOPPED: no SDO) is listed too. Raises InputError for node-ids outside 1..127.
+    A node that only sends heartbeats (STOPPED: no SDO) is listed too. The wait ends when every node-id has sent both.
+    Raises InputError for node-ids outside 1..127.
     """
     wanted = set(node_ids)
     if not wanted <= set(range(1, 128)):
         raise InputError(f"node-ids {sorted(wanted)}: allowed are 1 to 127")
     states: dict[int, int] = {}
     answered: set[int] = set()
-    for frame in device_type_responses(connection, wanted, wait_s):
-        can_id = int(frame["can_id"])
-        service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
-        if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
-            answered.add(node_id)
-        elif node_id in wanted and service == codes.HEARTBEAT_BASE:
-            states[node_id] = int(frame["data"][0]) & 0x7F
+    _request_device_types(connection, wanted)
+    end_s, ended = time.monotonic() + checked_time("wait_s", wait_s), False
+    while not ended:
+        left_s = end_s - time.monotonic()
+        time.sleep(max(min(_STEP_S, left_s), 0.0))
+        for frame in connection.buffer.take_all():
+            can_id = int(frame["can_id"])
+            service, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
+            if node_id in wanted and service == codes.SDO_RESPONSE_BASE:
+                answered.add(node_id)
+            elif node_id in wanted and service == codes.HEARTBEAT_BASE:
+                states[node_id] = int(frame["data"][0]) & 0x7F
+        ended = left_s <= _STEP_S or wanted <= answered & states.keys()
     return [_describe(connection, n, states.get(n), n in answered) for n in sorted(answered | set(states))]
 
 
@@ -64,13 +72,17 @@ def device_type_responses(connection: Bus, node_ids: Collection[int], wait_s: fl
 
     The full time, even if each has responded: a second node with the same id needs its time too.
     """
+    _request_device_types(connection, node_ids)
+    time.sleep(checked_time("wait_s", wait_s))
+    return connection.buffer.take_all()
+
+
+def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
     connection.buffer.clear()
     for count, node_id in enumerate(sorted(node_ids), start=1):
         connection.send(codes.SDO_REQUEST_BASE + node_id, _READ_DEVICE_TYPE)
         if not count % _IN_A_ROW:
             time.sleep(_GAP_S)
-    time.sleep(checked_time("wait_s", wait_s))
-    return connection.buffer.take_all()
 
 
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
