@@ -43,7 +43,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         default="decimal",
         help="eds, dcf: REAL32 as decimals, or as hexadecimal bits for Lely's dcfgen (default %(default)s)",
     )
-    parser.add_argument("--eds", metavar="FILE", help="xdd: the EDS or DCF of any device")
+    parser.add_argument("--eds", metavar="FILE", help="xdd: the EDS, DCF or XDD of any device")
     parser.add_argument("--hand", metavar="FILE", help="ros2: the hand in TOML, required")
     parser.add_argument("--gauges", type=int, default=3, metavar="N", help="gauges, 3 to 8 (default %(default)s)")
     parser.add_argument(

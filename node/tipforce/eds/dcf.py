@@ -41,7 +41,7 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
 
 def _lines(file: EdsFile, section: Section, lists: Mapping[int, Mapping[int, str]]) -> list[str]:
     """Return a section; behind that of a compact object the list of its values."""
-    found = [f"[{section.name}]", *(f"{section.written[key]}={value}" for key, value in section.keys.items()), ""]
+    found = section.text_lines()
     index = next((number for number, one in file.objects.items() if one is section), None)
     if index is not None and index in lists:
         values = lists[index]

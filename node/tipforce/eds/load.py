@@ -35,7 +35,7 @@ class EdsWarning(UserWarning):
 def device_from_eds(
     path: str | os.PathLike[str], node_id: int | None = None, save: Save | None = None, load: Load | None = None
 ) -> Device:
-    """Return the CANopen device that an EDS or DCF describes, as node ``node_id`` (default: that of a DCF).
+    """Return the CANopen device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of a DCF).
 
     Step it, or pass it to a bus loop. A DCF's ParameterValues are the stored parameters with which the device starts.
     ``save`` and ``load`` keep parameter groups, as ``running.FileStore`` does; without them 1010h and 1011h refuse.

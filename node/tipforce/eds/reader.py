@@ -15,25 +15,28 @@ from tipforce.errors import InputError
 
 _COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
 _BIT_RATES_KBIT_S = (10, 20, 50, 125, 250, 500, 800, 1000)
+_CONFIGURED = (".dcf", ".xdc")  # of one node
 _UNCONFIGURED, _LAST_NODE_ID = 255, 127
 _FIRST_DUMMY, _LAST_DUMMY = 1, 0x1B
 
 
 def read_eds(path: str | Path, node_id: int | None = None) -> Description:
-    """Return the device that an EDS or DCF describes, as node ``node_id`` (default: that of the DCF).
+    """Return the device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of the DCF).
 
     ``Description.warnings`` says, by line, where the file leaves CiA 306-1, contradicts itself, or is incomplete, and
     how it is read there. Raises InputError for a file that cannot be read, is no EDS, has no object, or, without
     ``node_id``, names no node.
     """
-    return describe(read(path), Path(path), Path(path).read_bytes(), node_id)
+    file = read(path)
+    content = file.text.encode() if file.is_xml else Path(path).read_bytes()
+    return describe(file, Path(path), content, node_id)
 
 
 def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> Description:
     """Return the description of the sections of a file. Raises InputError as ``read_eds``."""
     found = Description(path, 0, findings=file.findings, content=content)
     commissioning = next((file.sections[name] for name in _COMMISSIONING if name in file.sections), None)
-    found.is_dcf = commissioning is not None or path.suffix.lower() == ".dcf"
+    found.is_dcf = commissioning is not None or path.suffix.lower() in _CONFIGURED
     if found.is_dcf and commissioning is None:
         found.add(0, "no section [DeviceComissioning], as a DCF has")
     found.node_id = _node_id(found, commissioning, node_id)

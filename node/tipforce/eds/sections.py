@@ -46,6 +46,10 @@ class Section:
         """The line of ``key``; that of the section where it is missing."""
         return self.lines.get(key.lower(), self.line)
 
+    def text_lines(self) -> list[str]:
+        """The lines of the section, and an empty one."""
+        return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
+
     def complaint(self, key: str, what: str) -> str:
         """``[name] key=value: what``."""
         value = self.get(key)
@@ -66,7 +70,7 @@ def shortened(text: str) -> str:
 class EdsFile:
     """The sections of a file by their names in lower case; objects, their subs and their lists by number.
 
-    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object.
+    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``is_xml``: of an XDD.
     """
 
     sections: dict[str, Section] = field(default_factory=dict)
@@ -74,6 +78,12 @@ class EdsFile:
     subs: dict[int, dict[int, Section]] = field(default_factory=dict)
     lists: dict[int, dict[str, Section]] = field(default_factory=dict)
     findings: list[Finding] = field(default_factory=list)
+    is_xml: bool = False
+
+    @property
+    def text(self) -> str:
+        """The sections as the text of an EDS, without comments."""
+        return "\n".join(line for section in self.sections.values() for line in section.text_lines())
 
     def add(self, line: int, text: str) -> None:
         """Note what is wrong at ``line``."""
@@ -92,7 +102,7 @@ class EdsFile:
 
 
 def read(path: str | Path) -> EdsFile:
-    """Return the sections of a file in UTF-8, UTF-16 with a byte order mark, or Windows-1252.
+    """Return the sections of a file in UTF-8, UTF-16 with a byte order mark, or Windows-1252, or of an XDD or XDC.
 
     Raises InputError for a file that cannot be read, or that has no section at all.
     """
@@ -103,6 +113,10 @@ def read(path: str | Path) -> EdsFile:
     if len(content) > _MOST_BYTES:
         raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {_MOST_BYTES}")
     text, finding = decoded(content)
+    if text.lstrip().startswith("<"):
+        from tipforce.eds.xdd_reader import read_xdd
+
+        return read_xdd(path, content)
     found = parse(text)
     found.findings[:0] = finding
     if not found.sections:
@@ -136,14 +150,16 @@ def parse(text: str) -> EdsFile:
         if not line or line.startswith((";", "#")):
             continue
         if line.startswith("["):
-            section = _open(found, _heading(found, line, number), number)
+            section = open_section(found, _heading(found, line, number), number)
         elif section is None:
             found.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
         elif "=" in line:
-            _add(found, section, line.partition("="), number)
+            key, _, value = line.partition("=")
+            add_key(found, section, key.strip(), value, number)
         elif ":" in line:
             found.add(number, f"{_shown(line)}: the form is key=value; read so")
-            _add(found, section, line.partition(":"), number)
+            key, _, value = line.partition(":")
+            add_key(found, section, key.strip(), value, number)
         else:
             found.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
     return found
@@ -163,7 +179,8 @@ def _shown(line: str) -> str:
     return repr(shortened(line))
 
 
-def _open(found: EdsFile, name: str, number: int) -> Section:
+def open_section(found: EdsFile, name: str, number: int) -> Section:
+    """Add a section that begins at a line; a second one of its name is reported, and not applied."""
     section = Section(name, number)
     key = "".join(name.lower().split())
     if key in found.sections:
@@ -188,9 +205,8 @@ def _open(found: EdsFile, name: str, number: int) -> Section:
     return section
 
 
-def _add(found: EdsFile, section: Section, parts: tuple[str, str, str], number: int) -> None:
-    left, _, value = parts
-    name = left.strip()
+def add_key(found: EdsFile, section: Section, name: str, value: str, number: int) -> None:
+    """Add a key of a line; a second one of its name is reported, and not applied."""
     key = "".join(name.lower().split())
     if key != name.lower():
         found.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")

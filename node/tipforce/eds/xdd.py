@@ -125,7 +125,7 @@ def _attributes(entry: Entry, node_id: int) -> str:
     access = "rw" if entry.access in ("rwr", "rww") else entry.access
     mapping = {0: "no", TPDO: "TPDO", RPDO: "RPDO"}.get(entry.directions, "optional")
     text = f' dataType="{entry.type.code:04X}" accessType="{access}"'
-    if entry.has_default:
+    if entry.has_default or entry.default:
         text += f" defaultValue={quoteattr(_value(entry, entry.default, node_id))}"
     for name, limit in (("lowLimit", entry.low), ("highLimit", entry.high)):
         if limit is not None:

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 def add_eds_argument(parser: argparse.ArgumentParser | argparse._ArgumentGroup) -> None:
     """Add the flag."""
     parser.add_argument(
-        "--eds", action="append", metavar="ID=FILE", help="EDS or DCF of a node of any manufacturer; repeatable"
+        "--eds", action="append", metavar="ID=FILE", help="EDS, DCF or XDD of a node of any manufacturer; repeatable"
     )
 
 

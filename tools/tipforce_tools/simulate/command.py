@@ -27,7 +27,7 @@ describes the TOML file and applications in Python.
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce simulate`."""
     parser.epilog = EPILOG
-    parser.add_argument("files", nargs="+", metavar="FILE", help="EDS or DCF files, cia402, or one TOML file")
+    parser.add_argument("files", nargs="+", metavar="FILE", help="EDS, DCF or XDD files, cia402, or one TOML file")
     parser.add_argument(
         "--node-id",
         type=common.node_ids,
