@@ -67,7 +67,12 @@ def test_parameters_of_an_editor(tmp_path: Path) -> None:
         "a.xdd:21: [2000] ParameterValue=7: 1 ParameterValues, but no [DeviceComissioning], as a DCF has; "
         "the DefaultValues apply"
     ]
-    assert (found.vendor_name, found.lss, found.bit_rates, found.dummies) == ("Anyone", False, (500_000,), {5})
+    assert (found.vendor_name, found.lss, found.bit_rates, found.dummies) == (
+        "Anyone",
+        False,
+        (500_000,),
+        frozenset({5}),
+    )
     talk = Talk(found)
     assert [talk.read(0x1000), talk.read(0x1014), talk.read(0x1018, 1), talk.read(0x2000)] == [
         b"\x92\1\0\0", b"\x85\0\0\0", b"\x12\0\0\0", b"\xfb\xff"
