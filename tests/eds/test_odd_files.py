@@ -213,6 +213,10 @@ ODD: dict[str, tuple[str, str, Callable[[Description], Value], Value]] = {
         text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 1, 0x20000008)), r"no object 1005h; SYNC is received on 0x80",
         value(0x2000), 0,
     ),
+    "sent on a remote request": (
+        text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 253, 0x20000008)),
+        r"\[1800sub2\]: 253 is reserved, or sent on a remote request", value(0x1800, 2), 253,
+    ),
     "parameter value in an EDS": (
         text(var("2000", 5, "rw", "1", ParameterValue="9")), r"1 ParameterValues, but no \[DeviceComissioning\]",
         lambda found: found.find(0x2000).initial, 1,
@@ -279,6 +283,12 @@ def test_spelling_that_changes_nothing(change: Callable[[str], str], tmp_path: P
     assert [(e.index, e.sub, e.letter, e.access, e.default) for e in found.entries()] == [
         (e.index, e.sub, e.letter, e.access, e.default) for e in plain.entries()
     ]
+
+
+def test_a_pdo_on_a_remote_request_is_never_sent(tmp_path: Path) -> None:
+    for kind, sent in ((253, []), (255, [(0x185, b"\0")])):
+        talk = Talk(described(tmp_path, text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", kind, 0x20000008))))
+        assert talk.step([(0, b"\x01\x05")]) == sent
 
 
 def test_the_suffix_dcf_makes_a_dcf(tmp_path: Path) -> None:

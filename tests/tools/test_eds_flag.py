@@ -195,6 +195,21 @@ def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert "close to it: 'Brightness'" in capsys.readouterr().err
 
 
+def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path, toml, xdc = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.xdc"
+    path.write_text(text(var("2000", 6, "wo", ParameterName="Reset"), var("2001", 6, ParameterName="Gain")))
+    toml.write_text("[objects]\nReset = 3\nGain = 4\n")
+    configured = '<CANopenObject index="2001" name="G" objectType="7" dataType="0006" accessType="rw" actualValue="9"/>'
+    xdc.write_text(f"<a>{configured}</a>")
+    with tipforce.simulated_device(path, 5, {"interface": "virtual", "channel": "write-only"}) as lamp:
+        bus = ["--eds", str(path), "-i", "virtual", "-c", "write-only"]
+        assert main(["config", "apply", "5", str(toml), *bus]) == 0
+        assert "2 objects, 0 different, 1 write-only, not compared" in capsys.readouterr().err
+        assert (lamp["Reset"], lamp["Gain"]) == (3, 4)
+        assert main(["config", "apply", "5", str(xdc), *bus]) == 0
+        assert lamp["Gain"] == 9
+
+
 def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, toml, dcf = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.dcf"
     curve = "[2100]\nParameterName=Curve\nObjectType=8\nDataType=6\nAccessType=rw\nDefaultValue=1\nCompactSubObj=3\n"

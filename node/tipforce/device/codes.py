@@ -9,6 +9,7 @@ NMT_COB_ID, SYNC_COB_ID, TIME_COB_ID = 0x000, 0x080, 0x100
 EMCY_BASE, HEARTBEAT_BASE = 0x080, 0x700  # node guarding and the boot-up message use the heartbeat's base
 TPDO_BASES, RPDO_BASES = (0x180, 0x280, 0x380, 0x480), (0x200, 0x300, 0x400, 0x500)
 LAST_SYNCHRONOUS = 240  # the highest synchronous transmission type of a PDO, and SYNC counter
+EVENT_DRIVEN = 254  # the lowest event-driven one; those between are reserved, or sent on RTR
 SDO_RESPONSE_BASE, SDO_REQUEST_BASE = 0x580, 0x600  # server to client, client to server
 LSS_RESPONSE_COB_ID, LSS_REQUEST_COB_ID = 0x7E4, 0x7E5  # CiA 305
 FUNCTION_MASK, NODE_ID_MASK = 0x780, 0x07F

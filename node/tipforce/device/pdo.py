@@ -105,7 +105,7 @@ class Pdo:
             abort = self._check_cob_id(number)
         elif sub == 2:
             # 241-251 are reserved; 252 and 253 (sent on RTR) are rejected because TPDOs do not support RTR.
-            abort = codes.INVALID_VALUE if 240 < number < 254 else 0
+            abort = codes.INVALID_VALUE if codes.LAST_SYNCHRONOUS < number < codes.EVENT_DRIVEN else 0
         elif sub in (3, 6) and self.valid:
             abort = codes.DEVICE_STATE
         elif sub == 6 and number > codes.LAST_SYNCHRONOUS:  # the start value; an EDS may have no limit for it

@@ -3,7 +3,7 @@
 import struct
 
 from . import codes, communication
-from .codes import LAST_SYNCHRONOUS
+from .codes import EVENT_DRIVEN, LAST_SYNCHRONOUS
 from .object_dictionary import TPDO, encode
 from .pdo import Pdo
 
@@ -32,6 +32,8 @@ class TransmitPdo(Pdo):
     def load(self) -> None:
         """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
         Pdo.load(self)
+        if LAST_SYNCHRONOUS < self.transmission < EVENT_DRIVEN:  # reserved or on RTR; only an EDS can have it
+            self.active = False
         # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
         plain = self.widths is None and not [k for k in self.letters if k not in "BbHhIi"]
         self._packing = "<" + "".join(self.letters) if plain else ""

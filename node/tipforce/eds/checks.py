@@ -139,7 +139,6 @@ def _directions(entry: Entry) -> int:
 
 def _check_pdos(found: Description, first: int, last: int, direction: int) -> None:
     used: dict[int, int] = {}
-    has_sync = communication.COB_ID_SYNC in found.objects
     for index in sorted(index for index in found.objects if first <= index <= last):
         entry = found.entry(index, 1)
         cob_id = entry.initial if entry is not None else codes.COB_ID_INVALID
@@ -162,16 +161,22 @@ def _check_pdos(found: Description, first: int, last: int, direction: int) -> No
             found.add(line, f"[{index:04X}sub1] 0x{can_id:X}: also the identifier of 0x{used[can_id]:04X}")
         if valid:
             used.setdefault(can_id, index)
-            kind = found.entry(index, 2)
-            if (
-                not has_sync
-                and kind is not None
-                and isinstance(kind.initial, int)
-                and kind.initial <= codes.LAST_SYNCHRONOUS
-            ):
-                told = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
-                found.add(kind.line, f"[{index:04X}sub2]: {told}")
+            _check_transmission(found, index, direction)
         _check_mapping(found, index + communication.MAPPING, direction)
+
+
+def _check_transmission(found: Description, index: int, direction: int) -> None:
+    entry = found.entry(index, 2)
+    kind = entry.initial if entry is not None else None
+    if entry is None or not isinstance(kind, int):
+        return
+    told = ""
+    if kind <= codes.LAST_SYNCHRONOUS and communication.COB_ID_SYNC not in found.objects:
+        told = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
+    elif direction == TPDO and codes.LAST_SYNCHRONOUS < kind < codes.EVENT_DRIVEN:
+        told = f"{kind} is reserved, or sent on a remote request, which is not supported; inactive"
+    if told:
+        found.add(entry.line, f"[{index:04X}sub2]: {told}")
 
 
 def _check_mapping(found: Description, index: int, direction: int) -> None:

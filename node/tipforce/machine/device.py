@@ -20,7 +20,7 @@ from tipforce.machine.signals import Driver, Signal
 Frame = tuple[int, bytes]
 Key = int | tuple[int, int] | str
 
-_EVENT_DRIVEN, _ACYCLIC = 254, 0  # transmission types: sent on a change, sent on the SYNC after a change
+_ACYCLIC = 0  # the transmission type of a PDO that is sent on the SYNC after a change
 _POLL_US = 10_000  # how soon a change by another thread is sent
 
 
@@ -149,7 +149,7 @@ class SimulatedDevice:
     def _announce(self, index: int, sub: int) -> None:
         """Report a change to the PDOs that are sent on one."""
         for number, transmission, keys in self.core.tpdos.mapped():
-            if (transmission >= _EVENT_DRIVEN or transmission == _ACYCLIC) and (index, sub) in keys:
+            if (transmission >= codes.EVENT_DRIVEN or transmission == _ACYCLIC) and (index, sub) in keys:
                 self.core.tpdos.request(number)
 
     def _writer(self, index: int) -> Callable[[int, object], int]:

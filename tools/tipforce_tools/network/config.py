@@ -95,7 +95,9 @@ def _with_file(args: argparse.Namespace) -> int:
             common.print_json(difference)
         else:
             print(f"{difference['object']}: expected {difference['expected']}, the node has {difference['found']}")
-    common.note(args, f"node {common.shown_id(args.node)}: {len(wanted)} objects, {len(differences)} different")
+    unread = sum(entry.access == "wo" for entry, _ in wanted.values())
+    shown = f"{len(differences)} different" + (f", {unread} write-only, not compared" if unread else "")
+    common.note(args, f"node {common.shown_id(args.node)}: {len(wanted)} objects, {shown}")
     return 1 if differences else 0
 
 

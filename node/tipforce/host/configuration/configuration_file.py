@@ -35,13 +35,13 @@ class _File(msgspec.Struct, forbid_unknown_fields=True):
 def read_configuration(
     path: str | Path, node_id: int, gauges: int = 3, objects: DeviceObjects | None = None
 ) -> Configuration:
-    """Return the content of a file: a DCF by its extension, otherwise TOML with a table [objects].
+    """Return the content of a file: a DCF or XDC by its extension, otherwise TOML with a table [objects].
 
     ``objects`` is the dictionary of the node, by default that of a fingertip with so many gauges. Raises InputError
     naming the file, the object, the value and what is allowed.
     """
     known = FingertipObjects(node_id, gauges) if objects is None else objects
-    is_dcf = str(path).lower().endswith((".dcf", ".eds"))
+    is_dcf = str(path).lower().endswith((".dcf", ".eds", ".xdc", ".xdd"))
     found = (_read_dcf if is_dcf else _read_toml)(path, node_id, known)
     for entry, value in found.values():
         if entry.access not in ("rw", "wo"):
