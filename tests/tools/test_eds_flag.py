@@ -197,7 +197,8 @@ def test_the_eds_that_a_node_stores(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path, toml, xdc = tmp_path / "lamp.eds", tmp_path / "lamp.toml", tmp_path / "lamp.xdc"
-    path.write_text(text(var("2000", 6, "wo", ParameterName="Reset"), var("2001", 6, ParameterName="Gain")))
+    reset, gain = var("2000", 6, "wo", ParameterName="Reset"), var("2001", 6, ParameterName="Gain")
+    path.write_text(text(reset, gain, var("2002", 9, "rw", "\u00b5m", ParameterName="Unit")), encoding="utf-8")
     toml.write_text("[objects]\nReset = 3\nGain = 4\n")
     configured = '<CANopenObject index="2001" name="G" objectType="7" dataType="0006" accessType="rw" actualValue="9"/>'
     xdc.write_text(f"<a>{configured}</a>")
@@ -208,6 +209,8 @@ def test_write_only_objects_are_set_and_not_compared(tmp_path: Path, capsys: pyt
         assert (lamp["Reset"], lamp["Gain"]) == (3, 4)
         assert main(["config", "apply", "5", str(xdc), *bus]) == 0
         assert lamp["Gain"] == 9
+        assert main(["config", "save", "5", str(toml), "--yes", *bus]) == 0
+        assert tomllib.loads(toml.read_text()) == {"objects": {"Gain": 9}}  # a text outside ASCII is left out
 
 
 def test_config_of_another_device(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

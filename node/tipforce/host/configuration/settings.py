@@ -20,6 +20,8 @@ from tipforce.host.configuration.configuration_file import NODE_ID_MARK, Configu
 from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place, Setting
 from tipforce.host.network.sdo import SdoChannel
 
+_TEXT = "s"  # VISIBLE_STRING
+
 
 @dataclass(frozen=True, slots=True)
 class Difference:
@@ -37,12 +39,14 @@ def read_settings(
     """Return every setting of a node, without objects that it lacks. ``advance()`` after each read.
 
     Raises NoResponseError; for a fingertip also SdoAbortError for any other abort. What another device does not
-    provide as its EDS has it is left out.
+    provide as its EDS has it is left out, and a text outside ASCII, which could not be written back.
     """
     found: dict[Place, Value] = {}
     for place, setting in objects.settings.items():
         try:
-            found[place] = setting.entry.decode(sdo.upload(*place))
+            content = sdo.upload(*place)
+            if setting.entry.type != _TEXT or content.isascii():
+                found[place] = setting.entry.decode(content)
         except SdoAbortError as error:
             if isinstance(objects, FingertipObjects) and error.code != codes.NO_OBJECT:
                 raise

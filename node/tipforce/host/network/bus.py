@@ -115,7 +115,12 @@ class Bus:
             return cls(channel, timeout_s, retries, owned=False)
         if channel is not None and interface is None and sys.platform == "linux" and not _configured_interface():
             interface = "socketcan"
-        return cls(open_bus(channel=channel, interface=interface, **bus_options), timeout_s, retries)
+        opened = open_bus(channel=channel, interface=interface, **bus_options)
+        try:
+            return cls(opened, timeout_s, retries)
+        except InputError:
+            opened.shutdown()
+            raise
 
     def finger(self, node_id: int, *, passive: bool = False, gauges: int = 3) -> Finger:
         """Return the finger with a node-id; the same object for the same arguments. Raises InputError outside 1..127.
