@@ -239,4 +239,4 @@ def report_cpu(nodes: int = 15, rate_hz: int = 500, seconds: float = 6.0) -> lis
     for what, runner in (("tipforce", run_tipforce), ("raw socket loop, same measurement", run_raw_measuring)):
         share, answered = cpu_share(runner, nodes, rate_hz, seconds)
         lines.append(f"  {what:<44}{100 * share:5.1f} % of a core, {100 * answered:.1f} % of the SYNCs answered")
-    return [f"{nodes} nodes at {rate_hz} Hz for {seconds:.0f} s (aim: under 40 % of a core)", *lines]
+    return [f"{nodes} nodes at {rate_hz} Hz for {seconds:.0f} s (aim: under 25 % of a core)", *lines]

@@ -239,13 +239,13 @@ class Sample:
 
     def _early_status(self) -> int:
         """The bits that are known before any force is: calibrated, saturated, stale, front-end fault."""
-        bits = 0
-        if self.active is not None:
-            bits |= scalar.CALIBRATED
-        if any(self.overloads) or self.spared or self.overloaded:
-            bits |= scalar.SATURATED
+        bits = 0 if self.active is None else scalar.CALIBRATED
         if self.stale or self.reading is None:
             bits |= scalar.STALE
+        if not self.faults:  # which has the bits of saturated gauges, too
+            return bits
+        if any(self.overloads) or self.spared or self.overloaded:
+            bits |= scalar.SATURATED
         faults = self.faults & _FRONT_END
         if self.spared:
             faults &= ~_OF_ONE_GAUGE

@@ -88,17 +88,18 @@ class SimulatedSource(Source):
             counts = self.front_end.counts(microstrains, converted_us)
             if self.front_end.temperature is not None:
                 temperature = self.front_end.temperature.reading(converted_us)
-        faults = 0
+        faults = self._break(counts) if self.fault else 0
+        self._last_counts = tuple(counts)
+        return Reading(self._last_counts, faults, temperature)
+
+    def _break(self, counts: "list[int]") -> int:
+        """Change the counts as the injected fault does; return the bits of 2124h that it sets."""
         hit = self.fault_gauge - 1
         if self.fault == STUCK:
             counts[hit] = self._last_counts[hit]
-        elif self.fault == OPEN:
+        elif self.fault in (OPEN, SATURATED):
             counts[hit] = self.count_max
-            faults = 1 << table.FAULT_WIRE_BREAK
-        elif self.fault == SATURATED:
-            counts[hit] = self.count_max
-        self._last_counts = tuple(counts)
-        return Reading(self._last_counts, faults, temperature)
+        return 1 << table.FAULT_WIRE_BREAK if self.fault == OPEN else 0
 
     def due_us(self, now_us: int) -> int:
         """Return the end of the sample period that contains ``now_us``."""
