@@ -106,6 +106,16 @@ def test_what_is_no_xdd_is_refused(old: str, new: str, message: str, tmp_path: P
         described(tmp_path, EDITOR.replace(old, new), name="a.xdd")
 
 
+@pytest.mark.parametrize(
+    ("written", "warnings"), [("0x0007", 0), ("UNSIGNED32", 1), ("07", 0)], ids=["0x", "a name", "two digits"]
+)
+def test_spellings_of_a_data_type(written: str, warnings: int, tmp_path: Path) -> None:
+    eds = EDITOR.replace('dataType="0007" uniqueIDRef="C"', f'dataType="{written}" uniqueIDRef="C"')
+    found = described(tmp_path, eds, name="a.xdd")
+    assert found.find(0x1014).letter == "I"
+    assert sum("[1014]" in line for line in found.warnings) == warnings
+
+
 def test_a_parameter_that_is_missing_is_named(tmp_path: Path) -> None:
     found = described(tmp_path, EDITOR.replace('uniqueIDRef="C"', 'uniqueIDRef="D"'), name="a.xdd")
     assert "a.xdd:16: [1014] uniqueIDRef=D: no such parameter; read without" in found.warnings

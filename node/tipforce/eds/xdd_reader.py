@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from pathlib import Path
 from xml.parsers import expat
@@ -34,6 +35,7 @@ _KEYS = {
     "lowLimit": "LowLimit", "highLimit": "HighLimit", "PDOmapping": "PDOMapping", "objFlags": "ObjFlags",
     "denotation": "Denotation",
 }  # fmt: skip
+_DIGITS = re.compile(r"[0-9A-Fa-f]+")
 _HEXADECIMAL = ("dataType", "objFlags")
 _PDO_ACCESS = {"TPDO": "rwr", "RPDO": "rww"}
 _KBIT = 1000
@@ -137,7 +139,11 @@ def _section(found: EdsFile, name: str, keys: Attributes, line: int = 1) -> Sect
 
 def _keys(given: Attributes) -> dict[str, str]:
     """Return the keys of an EDS for the attributes of an object."""
-    found = {_KEYS[key]: f"0x{text}" if key in _HEXADECIMAL else text for key, text in given.items() if key in _KEYS}
+    found = {
+        _KEYS[key]: f"0x{text}" if key in _HEXADECIMAL and _DIGITS.fullmatch(text) else text
+        for key, text in given.items()
+        if key in _KEYS
+    }
     mapping = given.get("PDOmapping")
     if mapping is not None:
         found["PDOMapping"] = str(int(mapping != "no"))
