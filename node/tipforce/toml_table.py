@@ -115,7 +115,7 @@ def _tagged(structs: list[type[msgspec.Struct]], item: object, place: str) -> ty
     found = item.get("kind") if isinstance(item, Mapping) else None
     if found is None:
         raise InputError(f"{_at(place, 'kind')} is missing; allowed: {', '.join(tags)}")
-    if found not in tags:
+    if str(found) not in tags:
         raise InputError(f"{_at(place, 'kind')} is {_shown(found)}; {_suggestion(str(found), tags)}")
     return tags[str(found)]
 

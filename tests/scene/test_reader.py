@@ -57,6 +57,7 @@ def test_a_good_one(tmp_path: Path) -> None:
         ("ids = [1, 2]", "ids = [1, 2]\noffset_microstrain = [1.0]", "offset_microstrain has 1 values: allowed is 3"),
         ('["contact"]', '["contract"]', "nodes[1].pdos is ['contract']: invalid enum value 'contract' at [0]; allowed"),
         ('kind = "static"', "", "loads[1].kind is missing; allowed: static, history, grooves, ramp, tap, grasp"),
+        ('kind = "static"', "kind = {}", "loads[1].kind is {}"),
         ('kind = "static"', 'kind = "statik"', "loads[1].kind is 'statik'; did you mean static?"),
         ("P_N = 1.0", "P_N = -1.0", "loads[1].P_N is -1.0: expected float >= 0.0"),
         ("P_N = 1.0", "P_n = 1.0", "loads[1].P_n: no such key; did you mean P_N?"),

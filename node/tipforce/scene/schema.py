@@ -15,6 +15,7 @@ MAX_NODES = 32
 Positive = Annotated[float, Meta(gt=0.0)]
 NotNegative = Annotated[float, Meta(ge=0.0)]
 NodeId = Annotated[int, Meta(ge=1, le=127)]
+Microstrain = Annotated[float, Meta(gt=0.0, le=1e6)]
 Angle = Annotated[float, Meta(ge=-360.0, le=360.0)]
 Pdo = Literal["gauges", "contact", "force", "health"]
 NodeIds = tuple[NodeId, ...]
@@ -127,9 +128,9 @@ Load = Static | History | Grooves | Ramp | Tap | Grasp
 class Noise(_Table, frozen=True, kw_only=True):
     """[noise]: of each gauge, from the scene's seed."""
 
-    gauge_microstrain: Positive | None = None
+    gauge_microstrain: Microstrain | None = None
     """Standard deviation of white noise."""
-    one_over_f_microstrain: Positive | None = None
+    one_over_f_microstrain: Microstrain | None = None
     """Density at 1 Hz of 1/f noise, microstrain per square root of hertz."""
 
 

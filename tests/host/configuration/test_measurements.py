@@ -72,7 +72,8 @@ def test_every_column_in_any_order_with_other_names_and_line_ends(tmp_path: Path
         ("1,2,inf,4.4,90,45", "SG3 is 'inf', allowed are finite numbers"),
         ("1_0,2,3,4.4,90,45", "SG1 is '1_0', allowed are finite numbers"),
         ("1,2e7,3,4.4,90,45", "SG2 is 2e7, allowed is -1e+06 to 1e+06 microstrain"),
-        ("1,2,3,-4.4,90,45", "P_N is -4.4, allowed is 0 or more: turn phi_deg by 180 for the opposite force"),
+        ("1,2,3,-4.4,90,45", "P_N is -4.4, allowed is 0 to 1e+09 N: turn phi_deg by 180 for the opposite force"),
+        ("1,2,3,1e-300,90,45", "P_N is 1e-300, allowed is 0 (unloaded), or 1e-09 N and more"),
         ("1,2,3,4.4,,45", "phi_deg is blank"),
         ("1,2,3,4.4,900,45", "phi_deg is 900, allowed is -720 to 720 degrees"),
         ("1,2,3,4.4,90,N/A", "theta_deg is 'N/A', not a number"),
@@ -92,7 +93,7 @@ def test_a_bad_row_is_named_and_the_others_stay(row: str, reason: str, tmp_path:
     [
         ("1,2,3,1,0,0,twist,1", "mode is 'twist', allowed: push, pull, tare or blank"),
         ("1,2,3,1,0,0,tare,1", "mode is tare, an unloaded reading, but P_N is 1"),
-        ("1,2,3,1,0,0,pull,0", "weight is 0, allowed is above 0: the number of readings that the row is the mean of"),
+        ("1,2,3,1,0,0,pull,0", "weight is 0, allowed is 1e-09 to 1e+09 readings that the row is the mean of"),
     ],
 )
 def test_modes_and_weights(row: str, reason: str, tmp_path: Path) -> None:

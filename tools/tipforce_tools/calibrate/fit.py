@@ -27,9 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="I|II|III|FILE", help="where the gauges sit (for the file and the prior)")
     add_model_arguments(parser)
     parser.add_argument("--sense", choices=("push", "pull"), help="load sense of the file (default: that of the data)")
-    parser.add_argument(
-        "--serial", type=common.unsigned32, default=0, metavar="N", help="serial number of the fingertip"
-    )
+    parser.add_argument("--serial", type=int, default=0, metavar="N", help="serial number of the fingertip")
     parser.add_argument("--date", type=_date, metavar="YYYY-MM-DD", help="default: today")
     parser.add_argument(
         "--strict", action="store_true", help="write no file and exit 1 if a row is bad, or the fit is in doubt"

@@ -11,10 +11,20 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
+from tipforce.sensor.calibration.data import LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS
 
 MODES = ("push", "pull", "tare")
-LARGEST_ANGLE_DEG = 720.0
 LARGEST_MICROSTRAIN = 1e6
+_ANGLE = (-720.0, 720.0, "degrees")
+_LIMITS = {
+    "P_N": (0.0, MOST_LOAD_NEWTONS, "N: turn phi_deg by 180 for the opposite force"),
+    "phi_deg": _ANGLE,
+    "theta_deg": _ANGLE,
+    "temperature_degC": (-273.15, 1000.0, "degrees Celsius"),
+    "weight": (1e-9, 1e9, "readings that the row is the mean of"),
+    "t_s": (-1e18, 1e18, "s"),
+}
+"""Least and largest value of a column, and the unit for messages; the columns of gauges are in microstrain."""
 
 
 class Columns(NamedTuple):
@@ -103,19 +113,18 @@ def _quick(lines: list[str], first_line: int, columns: Columns) -> Block | None:
     return Block(first_line + np.arange(len(lines)), values, mode, [])
 
 
+def _limits(name: str) -> tuple[float, float, str]:
+    return _LIMITS.get(name, (-LARGEST_MICROSTRAIN, LARGEST_MICROSTRAIN, "microstrain"))
+
+
 def _all_good(values: FloatArray, mode: npt.NDArray[np.int8], names: tuple[str, ...]) -> bool:
-    if not np.isfinite(values).all():
+    low, high = np.array([_limits(name)[:2] for name in names]).T
+    if not ((values >= low) & (values <= high)).all():
         return False
-    gauges = sum(name.startswith("SG") for name in names)
-    good = bool((np.abs(values[:, :gauges]) <= LARGEST_MICROSTRAIN).all())
-    for name, column in zip(names[gauges:], values[:, gauges:].T, strict=True):
-        if name == "P_N":
-            good &= bool((column >= 0.0).all()) and not (column[mode == MODES.index("tare")] != 0.0).any()
-        elif name in ("phi_deg", "theta_deg"):
-            good &= bool((np.abs(column) <= LARGEST_ANGLE_DEG).all())
-        elif name == "weight":
-            good &= bool((column > 0.0).all())
-    return good
+    if "P_N" not in names:
+        return True
+    P = values[:, names.index("P_N")]
+    return not ((P > 0.0) & ((P < LEAST_LOAD_NEWTONS) | (mode == MODES.index("tare")))).any()
 
 
 def _careful(lines: list[str], first_line: int, columns: Columns) -> Block:
@@ -170,12 +179,9 @@ def _value(name: str, cell: str, unloaded: bool) -> float | str:
         return f"{name} is {cell!r}, not a number" if cell else f"{name} is blank"
     if not isfinite(value):
         return f"{name} is {cell!r}, allowed are finite numbers"
-    if name == "P_N" and value < 0.0:
-        return f"P_N is {cell}, allowed is 0 or more: turn phi_deg by 180 for the opposite force"
-    if name in ("phi_deg", "theta_deg") and abs(value) > LARGEST_ANGLE_DEG:
-        return f"{name} is {cell}, allowed is -{LARGEST_ANGLE_DEG:g} to {LARGEST_ANGLE_DEG:g} degrees"
-    if name == "weight" and value <= 0.0:
-        return f"weight is {cell}, allowed is above 0: the number of readings that the row is the mean of"
-    if name.startswith("SG") and abs(value) > LARGEST_MICROSTRAIN:
-        return f"{name} is {cell}, allowed is -{LARGEST_MICROSTRAIN:g} to {LARGEST_MICROSTRAIN:g} microstrain"
+    low, high, unit = _limits(name)
+    if not low <= value <= high:
+        return f"{name} is {cell}, allowed is {low:g} to {high:g} {unit}"
+    if name == "P_N" and 0.0 < value < LEAST_LOAD_NEWTONS:
+        return f"P_N is {cell}, allowed is 0 (unloaded), or {LEAST_LOAD_NEWTONS:g} N and more"
     return value

@@ -113,11 +113,12 @@ def checked(readings: Readings, model: Model) -> Readings:
             f"t_s[{row}] = {t[row]:g} is before t_s[{row - 1}] = {t[row - 1]:g}: rows must be in time order"
         )
     weight = None if readings.weight is None else _column("weight", readings.weight, m)
-    if weight is not None and not (weight > 0.0).all():
-        row = int(np.argmin(weight))
-        raise InputError(f"weight[{row}] = {weight[row]:g}: allowed is above 0")
+    if weight is not None:
+        _check_size("weight", weight, (weight >= 1e-9) & (weight <= 1e9), "1e-09 to 1e+09")
     temperature = readings.temperature_degC
     T = None if temperature is None else _column("temperature_degC", temperature, m)
+    if T is not None:
+        _check_size("temperature_degC", T, (T >= -273.15) & (T <= 1000.0), "-273.15 to 1000")
     if model.temperature and T is None:
         raise InputError("a temperature coefficient needs the temperature of every row (column temperature_degC)")
     _check_model(model, n)
