@@ -109,6 +109,15 @@ def test_a_gauge_length_that_is_wrong(tmp_path: Path, length: str) -> None:
         read_layout(str(path))
 
 
+@pytest.mark.parametrize("width", ["0.0", "-1.0", "nan", "1e300"])
+def test_a_body_that_nobody_can_make(tmp_path: Path, width: str) -> None:
+    path = tmp_path / "layout.toml"
+    text = layout_text(FABRICATED, ("K_H", "S_H", "U")).replace("width_m = 0.01", f"width_m = {width}")
+    path.write_text(text)
+    with pytest.raises(InputError, match=r"geometry width_m = .*allowed is 1e-06 to 10 m"):
+        read_layout(str(path))
+
+
 def test_what_cannot_be_written(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="allowed are 3 to 8"):
         layout_text(FABRICATED, PLACES[:2])

@@ -165,7 +165,14 @@ def write_layout(
 
 
 def _geometry(content: _File) -> Geometry:
-    return FABRICATED if content.geometry is None else Geometry(**msgspec.structs.asdict(content.geometry))
+    if content.geometry is None:
+        return FABRICATED
+    sizes = msgspec.structs.asdict(content.geometry)
+    for name, value in sizes.items():
+        low, high, unit = (1.0, 1e15, "Pa") if name == "youngs_modulus_pascals" else (1e-6, 10.0, "m")
+        if not low <= value <= high:
+            raise InputError(f"geometry {name} = {value!r}: allowed is {low:g} to {high:g} {unit}")
+    return Geometry(**sizes)
 
 
 def _gauges(geometry: Geometry, points: Sequence[str | _Place]) -> tuple[Gauge, ...]:

@@ -14,8 +14,9 @@ from tipforce.arrays import FloatArray, IntArray
 from tipforce.sensor.calibration.data import LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS
 
 MODES = ("push", "pull", "tare")
+LARGEST_ANGLE_DEG = 720.0
 LARGEST_MICROSTRAIN = 1e6
-_ANGLE = (-720.0, 720.0, "degrees")
+_ANGLE = (-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, "degrees")
 _LIMITS = {
     "P_N": (0.0, MOST_LOAD_NEWTONS, "N: turn phi_deg by 180 for the opposite force"),
     "phi_deg": _ANGLE,
