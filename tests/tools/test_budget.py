@@ -127,9 +127,9 @@ def test_plot(capsys: pytest.CaptureFixture[str], tmp_path: Path, name: str, hea
 @pytest.mark.parametrize(
     ("words", "text"),
     [
-        (["--noise", "-1"], "--noise -1.0: allowed is zero or a positive number"),
+        (["--noise", "-1"], "--noise -1.0: allowed is 0 to 1e+09"),
         (["--gravity", "nan"], "--gravity nan"),
-        (["--load", "0"], "--load 0.0: allowed is a positive number"),
+        (["--load", "0"], "--load 0.0: allowed is 1e-09 to 1e+09 N"),
         (["--phi", "10"], "--phi and --theta: one load needs both"),
         (["--phi", "1e9", "--theta", "0"], "--phi 1000000000.0"),
         (["-o", "b.txt"], "figure b.txt: allowed are the suffixes .svg, .png"),

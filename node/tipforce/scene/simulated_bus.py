@@ -18,12 +18,11 @@ from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN
+from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.open_bus import open_bus
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
-from tipforce.sensor.calibration.data import MOST_LOAD_NEWTONS
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import layout_code
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix

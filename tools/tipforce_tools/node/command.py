@@ -31,7 +31,6 @@ The node waits for NMT start (cansend vcan0 000#0105), unless 1F80h makes it sta
 it: its last frame is a heartbeat with the state STOPPED (7xx#04).
 """
 
-_MOST_MICROSTRAIN = 1e6
 KINDS = "sim, iio:DEVICE[,DEVICE...], replay:FILE"
 
 
@@ -171,7 +170,7 @@ def _source(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, .
 
 
 def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge, ...]) -> Source:
-    from tipforce.sensor.calibration.data import MOST_LOAD_NEWTONS
+    from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN, MOST_LOAD_NEWTONS
     from tipforce.sensor.structure.gauge_positions import gauge_matrix
     from tipforce.sources.simulated import SimulatedSource
 
@@ -180,10 +179,10 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
         raise InputError(f"--load {args.load}: allowed is a force of 0 to {MOST_LOAD_NEWTONS:g} N; turn phi by 180")
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     for flag, value in (("--noise", args.noise), ("--noise-1f", args.noise_1f)):
-        if not 0.0 <= value <= _MOST_MICROSTRAIN:
-            raise InputError(f"{flag} {value}: allowed is 0 to {_MOST_MICROSTRAIN:g} microstrain")
-    if max(map(abs, offset)) > _MOST_MICROSTRAIN:
-        raise InputError(f"--offset {args.offset}: allowed is up to {_MOST_MICROSTRAIN:g} microstrain")
+        if not 0.0 <= value <= LARGEST_MICROSTRAIN:
+            raise InputError(f"{flag} {value}: allowed is 0 to {LARGEST_MICROSTRAIN:g} microstrain")
+    if max(map(abs, offset)) > LARGEST_MICROSTRAIN:
+        raise InputError(f"--offset {args.offset}: allowed is up to {LARGEST_MICROSTRAIN:g} microstrain")
     rows = gauge_matrix(geometry, gauges).tolist()
     source = SimulatedSource(rows, args.noise, offset, args.seed, front_end=_front_end(args))
     source.load = (load[0], load[1], load[2])

@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
-from tipforce.sensor.calibration.data import LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS
 
 MODES = ("push", "pull", "tare")
+LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
 LARGEST_ANGLE_DEG = 720.0
 LARGEST_MICROSTRAIN = 1e6
 _ANGLE = (-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, "degrees")

@@ -18,8 +18,8 @@ from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import MAX_GAUGES, MIN_GAUGES
 
 LOSSES = ("huber", "soft_l1", "none")
-LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
-LEAST_STRAIN = 1e-15
+LEAST, MOST = 1e-50, 1e50
+"""Of loads, strains and noise in any unit: squares of their quotients stay in range."""
 LARGEST_ANGLE_RAD = 4.0 * np.pi
 
 
@@ -92,16 +92,16 @@ def checked(readings: Readings, model: Model) -> Readings:
             f"strain has the shape {strain.shape}: allowed is (m, n), n = {MIN_GAUGES} to {MAX_GAUGES} gauges"
         )
     _check_finite("strain", strain)
-    _check_size("strain", strain, np.abs(strain) <= 1.0, "-1 to 1; from microstrain: times 1e-6")
-    if not np.abs(strain).max() >= LEAST_STRAIN:
-        raise InputError(f"strain: no reading reaches {LEAST_STRAIN:g}: the gauges are dead or disconnected")
+    _check_size("strain", strain, np.abs(strain) <= MOST, f"{-MOST:g} to {MOST:g}")
+    if not np.abs(strain).max() >= LEAST:
+        raise InputError(f"strain: no reading reaches {LEAST:g}: the gauges are dead or disconnected")
     m, n = strain.shape
     P, phi, theta = (_column(name, getattr(readings, name), m) for name in ("P_newtons", "phi_rad", "theta_rad"))
     if (P < 0.0).any():
         row = int(np.argmax(P < 0.0))
         raise InputError(f"P_newtons[{row}] = {P[row]:g}: allowed is 0 or more (turn phi by 180 degrees)")
-    _check_size("P_newtons", P, (P == 0.0) | ((P >= LEAST_LOAD_NEWTONS) & (P <= MOST_LOAD_NEWTONS)),
-                f"0 (unloaded), or {LEAST_LOAD_NEWTONS:g} to {MOST_LOAD_NEWTONS:g} N")  # fmt: skip
+    _check_size("P_newtons", P, (P == 0.0) | ((P >= LEAST) & (P <= MOST)),
+                f"0 (unloaded), or {LEAST:g} to {MOST:g} N")  # fmt: skip
     for name, angle in (("phi_rad", phi), ("theta_rad", theta)):
         _check_size(name, angle, np.abs(angle) <= LARGEST_ANGLE_RAD, "-4 pi to 4 pi; from degrees: np.radians()")
     if not (P > 0.0).any():
@@ -150,7 +150,7 @@ def _check_model(model: Model, n: int) -> None:
             raise InputError(f"{name} = {getattr(model, name)!r}: allowed is 0 to 1 (small angles)")
     for name in ("noise_strain", "saturation_strain"):
         array = np.asarray(1.0 if getattr(model, name) is None else getattr(model, name), dtype=np.float64)
-        most = 1.0 if name == "noise_strain" else np.inf
+        most = MOST if name == "noise_strain" else np.inf
         if array.shape not in {(), (n,)} or not ((array > 0.0) & (array <= most)).all():
             raise InputError(
                 f"{name} = {array}: allowed is a number above 0, up to {most:g}, or one for each of the {n} gauges"
@@ -161,8 +161,8 @@ def _check_model(model: Model, n: int) -> None:
 
 def _check_prior(prior: Prior, n: int) -> None:
     A = floats("prior", prior.A)
-    if A.shape != (n, 3) or not (np.abs(A) <= 1.0).all() or not A.any(axis=1).all():
-        raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), -1 to 1 per newton, no row of zeros")
+    if A.shape != (n, 3) or not (np.abs(A) <= MOST).all() or not A.any(axis=1).all():
+        raise InputError(f"the prior has the shape {A.shape}: allowed is ({n}, 3), finite, no row of zeros")
     if not 1e-9 <= prior.relative_scatter <= 1e9:
         raise InputError(f"prior relative_scatter = {prior.relative_scatter!r}: allowed is 1e-9 to 1e9, as 0.1")
 
