@@ -50,7 +50,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "layout": (lambda: sensor.layout(3), "3 is not known"),  # type: ignore[arg-type]
     "damping": (lambda: sensor.rk4_stability_limit(-1.0), "-1.0: allowed is 0 to"),
     "noise": (lambda: tipforce.simulated_finger(5, noise_microstrain=-1.0), "-1.0: allowed is 0 to"),
-    "load": (lambda: tipforce.simulated_finger(5, load=(-1.0, 0.0, 0.0)), "P 0 or more"),
+    "load": (lambda: tipforce.simulated_finger(5, load=(1e300, 0.0, 0.0)), "theta degrees), finite"),
     "time-out": (lambda: tipforce.open("x", "virtual", timeout_s=NAN), "timeout_s = nan: allowed is 0 s or more"),
     "retries": (lambda: tipforce.open("x", "virtual", retries=-1), "retries = -1: allowed are"),
 }

@@ -107,9 +107,9 @@ def test_a_layout_file_with_more_gauges(devices: list[Device], tmp_path: Path) -
         ("--source adc", "--source adc: allowed are sim, iio:DEVICE[,DEVICE...], replay:FILE"),
         ("--source iio:device0", "--layout I: the gauges of a real converter need a [bridge] table"),
         ("--layout IV", "layout 'IV': neither one of I, II, III"),
-        ("--noise -1", "--noise -1.0: allowed is 0 or more"),
-        ("--noise nan", "--noise nan: allowed is 0 or more"),
-        ("--noise inf", "--noise inf: allowed is 0 or more"),
+        ("--noise -1", "--noise -1.0: allowed is 0 to 1e+06"),
+        ("--noise nan", "--noise nan: allowed is 0 to 1e+06"),
+        ("--noise inf", "--noise inf: allowed is 0 to 1e+06"),
         ("--load 1,2", "--load '1,2': expected 3 numbers separated by commas"),
         ("--load 1,2,x", "--load '1,2,x': expected 3 numbers"),
         ("--load nan,0,0", "--load 'nan,0,0': expected 3 numbers"),
@@ -151,7 +151,7 @@ def test_a_layout_with_a_geometry(tmp_path: Path) -> None:
     path.write_text(f'points = ["L", "R", "U"]\n[geometry]\n{lines}\n')
     assert read_layout(str(path)) == (wanted, ("L", "R", "U"))
     path.write_text(path.read_text().replace("r_m = 0.02", "r_m = -1"))
-    with pytest.raises(InputError, match=r"layout .*layout\.toml: geometry r_m = -1\.0: allowed is a positive"):
+    with pytest.raises(InputError, match=r"layout .*layout\.toml: geometry r_m = -1\.0: allowed is 1e-06 to 10 m"):
         read_layout(str(path))
 
 

@@ -109,7 +109,7 @@ WRONG: list[tuple[str, int, str]] = [
     ("node --node-id 5 --layout nowhere -i virtual -c x", 2, "neither one of"),
     ("node --node-id 5 --source spi:0 -i virtual -c x", 2, "sim, iio"),
     ("node --node-id 5 --load 1,2 -i virtual -c x", 2, "--load"),
-    ("node --node-id 5 --load -1,0,0 -i virtual -c x", 2, "allowed is a force of 0 to"),
+    ("node --node-id 5 --load 1e300,0,0 -i virtual -c x", 2, "allowed is a force up to 1e+09 N"),
     ("node --node-id 5 --offset 1e300,1,1 -i virtual -c x", 2, "allowed is up to 1e+06 microstrain"),
     ("node --node-id 5 --serial -1 -i virtual -c x", 2, "'-1': allowed are 0 to 0xFFFFFFFF"),
     ("design optimise --seed -1", 2, "allowed are whole numbers from 0"),

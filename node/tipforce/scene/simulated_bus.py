@@ -189,10 +189,8 @@ def check_noise(noise_microstrain: float) -> None:
 
 def _checked_load(node_id: int, load: Load) -> Load:
     numbers = floats(f"load of node {node_id}", load)
-    if numbers.shape != (3,) or not (np.abs(numbers) <= MOST_LOAD_NEWTONS).all() or numbers[0] < 0.0:
-        raise InputError(
-            f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees), finite, P 0 or more"
-        )
+    if numbers.shape != (3,) or not (np.abs(numbers) <= MOST_LOAD_NEWTONS).all():
+        raise InputError(f"load {load!r} of node {node_id}: allowed is (P newtons, phi degrees, theta degrees), finite")
     return (float(numbers[0]), float(numbers[1]), float(numbers[2]))
 
 

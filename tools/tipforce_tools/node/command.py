@@ -175,8 +175,8 @@ def _simulated(args: argparse.Namespace, geometry: Geometry, gauges: tuple[Gauge
     from tipforce.sources.simulated import SimulatedSource
 
     load = _numbers("--load", args.load, 3)
-    if not 0.0 <= load[0] <= MOST_LOAD_NEWTONS:
-        raise InputError(f"--load {args.load}: allowed is a force of 0 to {MOST_LOAD_NEWTONS:g} N; turn phi by 180")
+    if not abs(load[0]) <= MOST_LOAD_NEWTONS:
+        raise InputError(f"--load {args.load}: allowed is a force up to {MOST_LOAD_NEWTONS:g} N")
     offset = _numbers("--offset", args.offset, len(gauges)) if args.offset else [0.0] * len(gauges)
     for flag, value in (("--noise", args.noise), ("--noise-1f", args.noise_1f)):
         if not 0.0 <= value <= LARGEST_MICROSTRAIN:
