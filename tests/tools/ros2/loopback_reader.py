@@ -43,9 +43,13 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
     late = node.subscribe("/left/index/info", reliability="reliable", durability="transient_local")
     refused = node.subscribe("/left/index/wrench", reliability="reliable")
     found: dict[str, Any] = {"topics": topics, "info": _dict(late.read(timeout=WAIT_S))}
-    contacts: list[Any] = [contact.read(timeout=WAIT_S)]
-    while sum(math.isfinite(one.force) for one in contacts) < 60:
+    contacts: list[Any] = []
+
+    def more() -> list[Any]:
         contacts.append(contact.read(timeout=WAIT_S))
+        return contacts
+
+    _until(more, lambda seen: sum(math.isfinite(one.force) for one in seen) >= 60)
     found["contacts"] = [_dict(one) for one in contacts]
     wrenches = {one["header"]["stamp"]["nanosec"]: one for one in _all(wrench)}
     found["wrenches"] = [wrenches.get(one["header"]["stamp"]["nanosec"]) for one in found["contacts"]]
@@ -60,14 +64,13 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
         return diagnostics.read(timeout=WAIT_S)
 
     found["tare"] = _dict(_until(ask, lambda one: one.status[0].message.startswith("tared")))
-    _all(contact)
     _say(process, "fault 2 silent")
-    _until(lambda: contact.read(timeout=WAIT_S), lambda one: math.isnan(one.force))
+    found["fault"] = _dict(_until(lambda: diagnostics.read(timeout=WAIT_S), lambda one: _worst(one) == 2))
+    _all(contact)
     _all(wrench)
     unknown = [contact.read(timeout=WAIT_S) for _ in range(20)]
     found["unknown"] = [_dict(one) for one in unknown]
     found["wrenches while unknown"] = len(_all(wrench))
-    found["fault"] = _dict(_until(lambda: diagnostics.read(timeout=WAIT_S), lambda one: _worst(one) == 2))
     return found
 
 
@@ -77,12 +80,12 @@ def _topics(node: rosless.Node) -> dict[str, str]:
 
 
 def _until(read: Callable[[], Any], enough: Callable[[Any], bool]) -> Any:
-    end_s = time.monotonic() + WAIT_S
+    end_s, found = time.monotonic() + WAIT_S, None
     while time.monotonic() < end_s:
         found = read()
         if found is not None and enough(found):
             return found
-    raise TimeoutError(f"not seen within {WAIT_S:g} s: {enough}")
+    raise TimeoutError(f"line {enough.__code__.co_firstlineno}: not seen within {WAIT_S:g} s; the last was {found}")
 
 
 def _worst(message: Any) -> int:
