@@ -71,7 +71,7 @@ def on_the_node(given: Contacts, form: str) -> Method:
     def work() -> Estimate:
         found = []
         for row in counts:
-            F1, F2, F3 = active.force(active.C, [1e-6 * (gain * c) for c in row])
+            F1, F2, F3 = active.force(active.C, [gain * c for c in row])
             P, _phi, theta, _miss = scalar.contact(F1, F2, F3, PULL)
             found.append((P, theta * scalar.DEGREES))
         P_column, theta_column = np.array(found).T
