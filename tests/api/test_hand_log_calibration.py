@@ -134,6 +134,8 @@ def test_one_node_on_two_buses_needs_a_channel(tmp_path: Path) -> None:
     with pytest.raises(tipforce.InputError, match="node 5 is on several buses; choose a channel: can0, can1"):
         tipforce.read_log(path)
     assert tipforce.read_log(path, channel="can1")[5].P_newtons.tolist() == [4.4]
+    with pytest.raises(tipforce.InputError, match="no frame of channel 'can2'"):
+        tipforce.read_log(path, channel="can2")
 
 
 def test_a_calibration_from_a_matrix_goes_through_a_file(tmp_path: Path) -> None:

@@ -40,7 +40,7 @@ def test_export_c_that_cannot_be(export: Export, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     for words, message in (
         (["c"], "--output: `export c` writes several files; name a folder"),
-        (["c", "-o", tmp_path / "file"], f"--output {tmp_path / 'file'}: File exists"),
+        (["c", "-o", tmp_path / "file"], f"--output {tmp_path / 'file'}: is a file; name a directory"),
         (["c", "--gauges", 2, "-o", tmp_path / "x"], "number of gauges: 2"),
         (["dcf"], "--node-id: a DCF belongs to one node; add it, for example --node-id 5"),
         (["dcf", "--node-id", 5, "--settings", tmp_path / "absent.toml"], "absent.toml: No such file"),

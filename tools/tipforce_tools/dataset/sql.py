@@ -32,7 +32,7 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
     except duckdb.Error as error:
         if wrong := wrong_files(store, manifest, hashes=False):
             raise damaged(store, next(iter(wrong))) from error
-        raise InputError(f"--sql: {error}") from error
+        raise InputError(f"--sql: {str(error).splitlines()[0]}") from error
     return 0
 
 

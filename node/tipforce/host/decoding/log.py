@@ -90,8 +90,8 @@ def read_log(
     ``calibration``: one, or by node-id: P, phi and theta are estimated from the gauges if the log has all of them;
     otherwise it gives the uncertainties of the node's values. ``gauges``: number per node (default: the calibration's,
     else 3). ``channel``: one of several buses in the log. ``strict``: raise at the first bad line.
-    Raises InputError for a log that can't be read or has no frame, one node on two buses, and a calibration with other
-    gauges.
+    Raises InputError for a log that can't be read or has no frame, an unknown channel, one node on two buses, and a
+    calibration with other gauges.
     """
     names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
     given: dict[int | None, Calibration] = {}
@@ -106,6 +106,8 @@ def read_log(
     if not any(notes.frames for notes in told.notes):
         first = next((notes.first_bad for notes in told.notes if notes.first_bad), "")
         raise InputError(f"{', '.join(names)}: not one frame in it; is it a log?{' ' + first if first else ''}")
+    if channel is not None and channel not in recording.channels:
+        raise InputError(f"{', '.join(names)}: no frame of channel {channel!r} in it")
     nodes: dict[int, NodeLog] = {}
     for key in sorted({int(key) for one in tables for key in np.unique(one.key)}):
         node_id = key & ((1 << NODE_BITS) - 1)
