@@ -128,5 +128,9 @@ def test_the_grasp_holds_the_asked_force_within_its_uncertainty_the_same_each_ti
 def test_the_same_controller_runs_against_simulated_nodes() -> None:
     with tipforce.simulated_hand(2, {1: (1.9, -85, 95), 2: (2.1, -90, 90)}) as bus:
         rows, u_P_newtons = control(can.Bus(**bus.bus_options), 0.1)
-    assert np.mean([row.P_newtons for row in rows], axis=0) == pytest.approx([1.9, 2.1], abs=0.01)
+    P = np.array([row.P_newtons for row in rows])
+    known = P[np.isfinite(P).all(axis=1)]  # on a loaded machine a SYNC may follow the one before too soon: stale
+    assert len(rows) == 50
+    assert len(known) > 10
+    assert known.mean(axis=0) == pytest.approx([1.9, 2.1], abs=0.01)
     assert all(0.001 < u < 0.02 for u in u_P_newtons)
