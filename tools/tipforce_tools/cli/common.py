@@ -108,12 +108,17 @@ def count(text: str) -> int:
     return found
 
 
+def _integer(text: str, base: int = 0) -> int:
+    """Return the number that a text says, -1 where it says none."""
+    try:
+        return int(text, base)
+    except ValueError:
+        return -1
+
+
 def seed(text: str) -> int:
     """Parse a seed of random numbers for argparse: a whole number from 0."""
-    try:
-        found = int(text)
-    except ValueError:
-        found = -1
+    found = _integer(text, 10)
     if found < 0:
         raise argparse.ArgumentTypeError(f"{text!r}: allowed are whole numbers from 0")
     return found
@@ -121,10 +126,7 @@ def seed(text: str) -> int:
 
 def unsigned32(text: str) -> int:
     """Parse an UNSIGNED32, `10` or `0x0A`, for argparse."""
-    try:
-        found = int(text, 0)
-    except ValueError:
-        found = -1
+    found = _integer(text)
     if not 0 <= found <= 0xFFFFFFFF:
         raise argparse.ArgumentTypeError(f"{text!r}: allowed are 0 to 0xFFFFFFFF")
     return found
@@ -140,10 +142,7 @@ def seconds(text: str) -> float:
 
 def node_id(text: str) -> int:
     """Parse a node-id, `10` or `0x0A`, for argparse."""
-    try:
-        number = int(text, 0)
-    except ValueError:
-        number = 0
+    number = _integer(text)
     if not 1 <= number <= 127:
         raise argparse.ArgumentTypeError(f"node-id {text!r}: allowed are 1 to 127 (10 or 0x0A)")
     return number

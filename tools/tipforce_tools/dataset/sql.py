@@ -32,7 +32,8 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
     except duckdb.Error as error:
         if wrong := wrong_files(store, manifest, hashes=False):
             raise damaged(store, next(iter(wrong))) from error
-        raise InputError(f"--sql: {str(error).splitlines()[0]}") from error
+        message, _, _ = str(error).partition("\n\n")  # then the query, with a mark below its error
+        raise InputError(f"--sql: {' '.join(message.split())}") from error
     return 0
 
 
