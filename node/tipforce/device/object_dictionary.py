@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
 
 # Flags of an entry.
-TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED = 1, 2, 4, 8, 16
+TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED, COUNTED = 1, 2, 4, 8, 16, 32
 
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {
@@ -70,12 +70,9 @@ def decode(kind: str, data: bytes) -> "Value":
     return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
 
 
-def _nearest_real32(limit: "int | float | None") -> "int | float | None":
-    return None if limit is None else decode("f", encode("f", limit))  # type: ignore[return-value]
-
-
-def _nothing(_index: int, _sub: int) -> int:
-    return 0
+def nearest_real32(value: "int | float | None") -> "int | float | None":
+    """Return what a REAL32 keeps of a value; None stays None."""
+    return None if value is None else decode("f", encode("f", value))  # type: ignore[return-value]
 
 
 class ObjectDictionary:
@@ -85,13 +82,12 @@ class ObjectDictionary:
     of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
     stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
     returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
-    an RPDO may map as placeholders (7.4.7.1). ``watch(index, sub)`` returns the key of the value that a write changes
-    if that matters, else 0; ``changed()`` is called after such a change. ``row(keys)`` returns a faster reader of all
-    values of a TPDO's mapping, or None.
+    an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that changes the bytes of an entry
+    with the flag COUNTED. ``row(keys)`` returns a faster reader of all values of a TPDO's mapping, or None.
     """
 
     __slots__ = (
-        "_entries", "changed", "dummies", "node_id", "readers", "row", "sinks", "sizes", "values", "watch", "writers",
+        "_entries", "changed", "dummies", "node_id", "readers", "row", "sinks", "sizes", "values", "writers",
     )  # fmt: skip
 
     def __init__(self, node_id: int) -> None:
@@ -103,18 +99,22 @@ class ObjectDictionary:
         self.sizes: "dict[int, int]" = {}
         self.dummies = DUMMIES
         self.sinks: "dict[int, Callable[[int, int | None], Sink | int]]" = {}
-        self.watch: "Callable[[int, int], int]" = _nothing
         self.changed: "Callable[[], None] | None" = None
         self.row: "Callable[[list[tuple[int, int]]], Callable[[], list[Value]] | None] | None" = None
 
-    def add(self, index: int, sub: int, entry: "Entry") -> None:
-        """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
+    def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
+        """Declare an entry: (type, access, flags, default, low, high). It starts at its default.
+
+        Return the entry as it is kept: default and limits of a REAL32 are what a client can read and write.
+        """
         kind, access, flags, default, low, high = entry
-        if kind == "f" and not (low is None and high is None):
-            # As a client can write them: 1e30 is not a REAL32; its nearest REAL32 is above it.
-            entry = (kind, access, flags, default, _nearest_real32(low), _nearest_real32(high))
+        if kind == "f":
+            numbers = nearest_real32(default), nearest_real32(low), nearest_real32(high)  # type: ignore[arg-type]
+            if numbers != (default, low, high):
+                entry = (kind, access, flags) + numbers  # type: ignore[assignment]
         self._entries.setdefault(index, {})[sub] = entry
-        self.values[index << 8 | sub] = default + self.node_id if flags & ADD_NODE_ID else default  # type: ignore[operator]
+        self.values[index << 8 | sub] = self.default(index, sub)
+        return entry
 
     def find(self, index: int, sub: int) -> "Entry | int":
         """Return the entry, or the abort code if it does not exist."""
@@ -194,16 +194,16 @@ class ObjectDictionary:
         abort = check(entry, value)
         if abort:
             return abort
-        watched = self.watch(index, sub)
-        before = self.values[watched] if watched else 0
+        counted = self.changed is not None and entry[2] & COUNTED
+        before = encode(entry[0], self.values[index << 8 | sub]) if counted else data
         writer = self.writers.get(index)
         if writer is not None:
             abort = writer(sub, value)
             if abort:
                 return abort
         self.values[index << 8 | sub] = value
-        if watched and self.values[watched] != before and self.changed is not None:
-            self.changed()
+        if before != data:
+            self.changed()  # type: ignore[misc]
         return 0
 
     def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":

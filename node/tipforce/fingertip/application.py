@@ -61,7 +61,7 @@ class Fingertip(Application):
         self._waiting_faults = 0
         self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
         self.sample = Sample(None, self.channels.scaling, None)
-        self.interrupts = Interrupts(device, n, self.channels.exact)
+        self.interrupts = Interrupts(device, self.channels.exact)
         self.reports = Reports(device)
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)

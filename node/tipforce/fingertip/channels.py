@@ -3,7 +3,7 @@
 from math import sqrt
 
 from tipforce.device import codes
-from tipforce.device.object_dictionary import decode, encode
+from tipforce.device.object_dictionary import encode, nearest_real32
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
@@ -37,12 +37,6 @@ _FIELD_SETTINGS = (indices.SCALING_1_FIELD, indices.SCALING_2_FIELD)  # in count
 _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
-def _real32(value: float) -> float:
-    """What REAL32 keeps of a value: settings are held as they will be stored, so that a restart changes nothing."""
-    kept: float = decode("f", encode("f", value))  # type: ignore[assignment]
-    return kept
-
-
 class Channels:
     """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge."""
 
@@ -74,8 +68,8 @@ class Channels:
         readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
         readers[beyond + indices.PROCESS_VALUE] = lambda sub: self._integer(self.exact(sub), sub, highest, unknown)
         for index in _SETTINGS:
-            readers[beyond + index] = self._setting_reader(index, highest)
-            writers[beyond + index] = self._setting_writer(index)
+            readers[beyond + index] = read = self._setting_reader(index, highest)
+            writers[beyond + index] = self._setting_writer(index, read)
 
     # --- live values ----------------------------------------------------------------------------------------
 
@@ -206,7 +200,7 @@ class Channels:
             gain, bias = self.scaling[k]
             key = indices.PROCESS_OFFSET << 8 | k + 1
             before: float = self._od.values[key]  # type: ignore[assignment]
-            offsets[key] = offset = _real32(before - (gain * counts[k] + bias))
+            offsets[key] = offset = nearest_real32(before - (gain * counts[k] + bias))  # type: ignore[assignment]
             if offset - offset != 0.0:
                 return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
         self._od.values.update(offsets)
@@ -242,14 +236,11 @@ class Channels:
 
         return read
 
-    def _setting_writer(self, index: int) -> "Callable[[int, Value], int]":
+    def _setting_writer(self, index: int, read: "Callable[[int], Value]") -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
-            real = _real32(float(value) / self._setting_scale(index, sub))
-            writer = self._od.writers.get(index)
-            abort = writer(sub, real) if writer is not None else 0
-            if not abort:
-                self._od.values[index << 8 | sub] = real
-            return abort
+            if value == read(sub):
+                return 0  # what a client read: the digits that this form does not show stay
+            return self._od.download(index, sub, encode("f", float(value) / self._setting_scale(index, sub)))
 
         return write
 
