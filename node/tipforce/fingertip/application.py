@@ -214,6 +214,7 @@ class Fingertip(Application):
         return Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, self.sample.present(), faults, stale,
             0, now_us, self.frozen, filtered, self.ends, self.sample.overloaded,
+            self.channels.spans,
         )  # fmt: skip
 
     def _newest(self) -> Sample:
@@ -271,7 +272,7 @@ class Fingertip(Application):
         scaling, active = self.channels.scaling, self.calibration.active
         now = Sample(
             last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen,
-            filtered=last.filtered, ends=self.ends,
+            filtered=last.filtered, ends=self.ends, spans=self.channels.spans,
         )  # fmt: skip
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE

@@ -7,6 +7,8 @@ from tipforce.device.object_dictionary import encode, nearest_real32
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
+from .sample import outside
+
 TYPE_CHECKING = False
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -32,13 +34,17 @@ _SCALING = (
 _INTERRUPTS = (
     indices.INTERRUPT_DELTA, indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS,
 )  # fmt: skip
-_SETTINGS = _SCALING + _INTERRUPTS + (indices.SPAN_START, indices.SPAN_END)
+_SPAN = (indices.SPAN_START, indices.SPAN_END)
+_SETTINGS = _SCALING + _INTERRUPTS + _SPAN
 _FIELD_SETTINGS = (indices.SCALING_1_FIELD, indices.SCALING_2_FIELD)  # in counts: no decimal digits in integer forms
 _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
 class Channels:
-    """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge."""
+    """Process values, their status, and the settings of each channel.
+
+    ``scaling`` is (gain, bias) per gauge, ``spans`` (start, end) of it.
+    """
 
     def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
         self._od = od
@@ -46,6 +52,7 @@ class Channels:
         self._fingertip = fingertip
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
+        self.spans: "list[tuple[float, float]]" = []
         od.readers[indices.PROCESS_VALUE] = self.exact
         od.row = self.row
         od.readers[indices.CHANNEL_STATUS] = self._status
@@ -55,7 +62,9 @@ class Channels:
         for index in _SCALING:
             od.writers[index] = self._scaling_writer(index)
         for index in _INTERRUPTS:
-            od.writers[index] = self._interrupt_writer(index)
+            od.writers[index] = self._writer(index, fingertip.on_settings)
+        for index in _SPAN:
+            od.writers[index] = self._writer(index, self.load)
         od.writers[indices.SAMPLE_PERIOD_US] = self._write_period
         od.writers[indices.AUTOZERO] = self._write_autozero
         for index in _FILTER:
@@ -143,11 +152,11 @@ class Channels:
         return -highest if scaled <= -highest else round(scaled)
 
     def _status(self, sub: int) -> int:
-        """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
+        """6150h: valid, or why not. A value outside its span, or that INTEGER16 cannot hold, counts as an overload."""
         value, sample = self.exact(sub), self._fingertip.sample
         if value == value:  # noqa: PLR0124
             scaled = value * self._per_unit[sub - 1]
-            over = (scaled > MAX_I16) - (scaled < -MAX_I16)
+            over = (scaled > MAX_I16) - (scaled < -MAX_I16) or outside(value, *self._span(sub))
             if not over and sub <= self._n and sample.lost >> sub - 1 & 1:
                 return NOT_VALID  # a gauge that is left out: its reading is shown all the same
             return (0, OVERLOAD_HIGH, OVERLOAD_LOW)[over]
@@ -159,7 +168,7 @@ class Channels:
     # --- settings -------------------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Compute the scaling from 6120h-6124h again and set the sample period of the source."""
+        """Take scaling (6120h-6124h) and span of the gauges, and set the sample period of the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
             if values[indices.SCALING_1_FIELD << 8 | sub] == values[indices.SCALING_2_FIELD << 8 | sub]:
@@ -170,7 +179,12 @@ class Channels:
             gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
         self.scaling = gains
+        self.spans = [self._span(sub) for sub in range(1, self._n + 1)]
         self._fingertip.source.period_us = values[indices.SAMPLE_PERIOD_US << 8 | 1]  # type: ignore[assignment]
+
+    def _span(self, sub: int) -> "tuple[float, float]":
+        start, end = [self._od.values[index << 8 | sub] for index in _SPAN]
+        return start, end  # type: ignore[return-value]
 
     def one_filter(self) -> None:
         """No write leaves a filter that is not offered or not that of all gauges, but a store of another making may."""
@@ -221,10 +235,10 @@ class Channels:
 
         return write
 
-    def _interrupt_writer(self, index: int) -> "Callable[[int, Value], int]":
+    def _writer(self, index: int, apply: "Callable[[], None]") -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
             self._od.values[index << 8 | sub] = value
-            self._fingertip.on_settings()
+            apply()
             return 0
 
         return write
