@@ -2,7 +2,7 @@
 
 import struct
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
 
 # Flags of an entry.
-TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED, COUNTED = 1, 2, 4, 8, 16, 32
+TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED, COUNTED, VIEW = 1, 2, 4, 8, 16, 32, 64
 
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {
@@ -83,11 +83,14 @@ class ObjectDictionary:
     stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
     returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
     an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that changes the bytes of an entry
-    with the flag COUNTED. ``row(keys)`` returns a faster reader of all values of a TPDO's mapping, or None.
+    with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``row(keys)`` returns a faster reader
+    of all values of a TPDO's mapping, or None. ``views`` reads (index, sub) and writes (index, sub, value) the entries
+    with the flag VIEW that have no hook of their own: they hold no value.
     """
 
     __slots__ = (
-        "_entries", "changed", "dummies", "node_id", "readers", "row", "sinks", "sizes", "values", "writers",
+        "_entries", "changed", "dummies", "edited", "node_id", "readers", "row", "sinks", "sizes", "values", "views",
+        "writers",
     )  # fmt: skip
 
     def __init__(self, node_id: int) -> None:
@@ -100,6 +103,8 @@ class ObjectDictionary:
         self.dummies = DUMMIES
         self.sinks: "dict[int, Callable[[int, int | None], Sink | int]]" = {}
         self.changed: "Callable[[], None] | None" = None
+        self.edited = False
+        self.views: "tuple[Callable[[int, int], Value], Callable[[int, int, Value], int]] | None" = None
         self.row: "Callable[[list[tuple[int, int]]], Callable[[], list[Value]] | None] | None" = None
 
     def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
@@ -149,6 +154,8 @@ class ObjectDictionary:
         reader = self.readers.get(index)
         if reader is not None and (sub or self._entries[index][0][1] != "const"):
             return reader(sub)
+        if self.views is not None and self._entries[index][sub][2] & VIEW:
+            return self.views[0](index, sub)
         return self.values[index << 8 | sub]
 
     def integer(self, index: int, sub: int = 0) -> int:
@@ -194,8 +201,10 @@ class ObjectDictionary:
         abort = check(entry, value)
         if abort:
             return abort
-        counted = self.changed is not None and entry[2] & COUNTED
-        before = encode(entry[0], self.values[index << 8 | sub]) if counted else data
+        if entry[2] & VIEW and self.views is not None:
+            return self.views[1](index, sub, value)
+        setting = index != communication.VERIFY_CONFIGURATION and is_setting(entry)
+        before = encode(entry[0], self.values[index << 8 | sub]) if setting else data
         writer = self.writers.get(index)
         if writer is not None:
             abort = writer(sub, value)
@@ -203,7 +212,9 @@ class ObjectDictionary:
                 return abort
         self.values[index << 8 | sub] = value
         if before != data:
-            self.changed()  # type: ignore[misc]
+            self.edited = True
+            if entry[2] & COUNTED and self.changed is not None:
+                self.changed()
         return 0
 
     def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":
@@ -211,9 +222,13 @@ class ObjectDictionary:
         for index in self.indices(first, last):
             subs = self._entries[index]
             for sub in sorted(subs):
-                kind, access, flags = subs[sub][:3]
-                if access == "rw" and not flags & NOT_STORED:
-                    yield index, sub, kind
+                if is_setting(subs[sub]):
+                    yield index, sub, subs[sub][0]
+
+
+def is_setting(entry: "Entry") -> bool:
+    """Return whether the value of an entry is stored."""
+    return entry[1] == "rw" and not entry[2] & NOT_STORED
 
 
 def check(entry: "Entry", value: "Value") -> int:

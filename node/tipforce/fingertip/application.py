@@ -91,6 +91,7 @@ class Fingertip(Application):
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
         self.channels.one_filter()
+        self.source.reset(self.device)
         self.device.od.values[indices.COMMAND << 8] = 0
         self._tare = NO_TARE
         self._latches_by_sync_until_us = 0

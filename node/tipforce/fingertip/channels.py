@@ -35,7 +35,6 @@ _INTERRUPTS = (
     indices.INTERRUPT_DELTA, indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS,
 )  # fmt: skip
 _SPAN = (indices.SPAN_START, indices.SPAN_END)
-_SETTINGS = _SCALING + _INTERRUPTS + _SPAN
 _FIELD_SETTINGS = (indices.SCALING_1_FIELD, indices.SCALING_2_FIELD)  # in counts: no decimal digits in integer forms
 _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
@@ -59,6 +58,7 @@ class Channels:
         od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
         for beyond, highest, unknown in _FORMS:
             self._own_form(beyond, highest, unknown)
+        od.views = self._read_view, self._write_view
         for index in _SCALING:
             od.writers[index] = self._scaling_writer(index)
         for index in _INTERRUPTS:
@@ -72,13 +72,10 @@ class Channels:
         self.load()
 
     def _own_form(self, beyond: int, highest: int, unknown: int) -> None:
-        """The integer objects of one form: views of the REAL32 values."""
-        readers, writers = self._od.readers, self._od.writers
+        """The live integer objects of one form: views of the REAL32 values."""
+        readers = self._od.readers
         readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
         readers[beyond + indices.PROCESS_VALUE] = lambda sub: self._integer(self.exact(sub), sub, highest, unknown)
-        for index in _SETTINGS:
-            readers[beyond + index] = read = self._setting_reader(index, highest)
-            writers[beyond + index] = self._setting_writer(index, read)
 
     # --- live values ----------------------------------------------------------------------------------------
 
@@ -218,6 +215,7 @@ class Channels:
             if offset - offset != 0.0:
                 return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
         self._od.values.update(offsets)
+        self._od.edited = True
         self.load()
         return 0
 
@@ -243,23 +241,22 @@ class Channels:
 
         return write
 
-    def _setting_reader(self, index: int, highest: int) -> "Callable[[int], Value]":
-        def read(sub: int) -> int:
-            value: float = self._od.values[index << 8 | sub]  # type: ignore[assignment]
-            return self._to_integer(value, self._setting_scale(index, sub), highest)
+    def _read_view(self, index: int, sub: int) -> "Value":
+        """A setting in an integer form."""
+        real, per_unit = self._real(index, sub)
+        value: float = self._od.values[real << 8 | sub]  # type: ignore[assignment]
+        return self._to_integer(value, per_unit, MAX_I16 if index - real == table.INT16_FORM else MAX_I32)
 
-        return read
+    def _write_view(self, index: int, sub: int, value: "Value") -> int:
+        if value == self._read_view(index, sub):
+            return 0  # what a client read: the digits that this form does not show stay
+        real, per_unit = self._real(index, sub)
+        return self._od.download(real, sub, encode("f", float(value) / per_unit))
 
-    def _setting_writer(self, index: int, read: "Callable[[int], Value]") -> "Callable[[int, Value], int]":
-        def write(sub: int, value: "Value") -> int:
-            if value == read(sub):
-                return 0  # what a client read: the digits that this form does not show stay
-            return self._od.download(index, sub, encode("f", float(value) / self._setting_scale(index, sub)))
-
-        return write
-
-    def _setting_scale(self, index: int, sub: int) -> float:
-        return 1.0 if index in _FIELD_SETTINGS else self._per_unit[sub - 1]
+    def _real(self, index: int, sub: int) -> "tuple[int, float]":
+        """Index of the REAL32 form of a setting, and the factor to its integer forms."""
+        real = index & 0xFFF | indices.FIELD_VALUE & 0xF000
+        return real, 1.0 if real in _FIELD_SETTINGS else self._per_unit[sub - 1]
 
     def _write_period(self, _sub: int, value: "Value") -> int:
         # One converter serves all gauges: the period of one channel is that of all.

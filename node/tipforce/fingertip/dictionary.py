@@ -54,7 +54,7 @@ def _flags(flags: int) -> int:
         (table.RPDO, od_flags.RPDO),
         (table.ADD_NODE_ID, od_flags.ADD_NODE_ID),
         (table.STAGED, od_flags.ANY_FLOAT | od_flags.NOT_STORED),
-        (table.VIEW, od_flags.NOT_STORED),
+        (table.VIEW, od_flags.VIEW | od_flags.NOT_STORED),
         (table.NOT_STORED, od_flags.NOT_STORED),
         (table.COUNTED, od_flags.COUNTED),
     ):
