@@ -1,6 +1,6 @@
 """Start a node from the settings in board.py: the common part of both main programs."""
 
-import machine  # type: ignore[import-not-found]
+import machine
 
 from tipforce_loader import board, boot
 from tipforce_loader.flash import FileSlots, FlashStore

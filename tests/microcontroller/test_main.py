@@ -21,6 +21,11 @@ mcp2515 = fake_controllers.FakeMcp2515()
 buses = []
 fed = 0
 
+PWRON_RESET, WDT_RESET = 1, 3
+
+def reset_cause():
+    return PWRON_RESET
+
 class Off(Exception):
     pass
 
@@ -90,17 +95,28 @@ def test_mpy_cross_compiles(path: Path) -> None:
     assert engine.compile_file(path, 3)[:1] == b"M"
 
 
-@pytest.mark.parametrize(("program", "inside"), [("main.py", "machine"), ("main.py", "pyb"), ("main_mcp2515.py", "")])
-def test_a_main_program(program: str, inside: str) -> None:
-    machine = MACHINE if inside == "machine" else MACHINE.replace("def CAN(", "def no_can(")
+def run_main(program: str, inside: str, machine: str) -> list[str]:
+    """What a main program prints that finds its CAN controller ``inside`` a module."""
+    machine = machine if inside == "machine" else machine.replace("def CAN(", "def no_can(")
     files = engine.sources() | firmware_files()
     files |= {f"{engine.LIBRARY}/machine.py": machine.encode(), "/main.py": (FOLDER / program).read_bytes()}
     if inside == "pyb":
         files[f"{engine.LIBRARY}/pyb.py"] = PYB.encode()
-    lines = engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", RUN])
+    return engine.run(files, ["import sys", f"sys.path.append({engine.LIBRARY!r})", RUN])
+
+
+@pytest.mark.parametrize(("program", "inside"), [("main.py", "machine"), ("main.py", "pyb"), ("main_mcp2515.py", "")])
+def test_a_main_program(program: str, inside: str) -> None:
+    lines = run_main(program, inside, MACHINE)
     # Boot-up, the serial number made of the microcontroller's own (CRC-32 of 01 02 03), stored: two slots.
     assert lines[:-1] == ["705#00", "585#431810041d80bc55", "585#6010100100000000"]
     assert lines[-1] == "1000000 1 ['slot0.bin', 'slot1.bin']"
+
+
+def test_after_a_restart_without_power_off_the_budget_of_wear_is_empty() -> None:
+    lines = run_main("main.py", "machine", MACHINE.replace("return PWRON_RESET", "return WDT_RESET"))
+    assert lines[:-1] == ["705#00", "585#431810041d80bc55", "585#8010100122000008", "085#10ff000000000000"]
+    assert lines[-1] == "1000000 1 []"
 
 
 START = """

@@ -70,9 +70,9 @@ def decode(kind: str, data: bytes) -> "Value":
     return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
 
 
-def nearest_real32(value: "int | float | None") -> "int | float | None":
-    """Return what a REAL32 keeps of a value; None stays None."""
-    return None if value is None else decode("f", encode("f", value))  # type: ignore[return-value]
+def real32(value: float) -> float:
+    """Return what a REAL32 keeps of a value."""
+    return decode("f", encode("f", value))  # type: ignore[return-value]
 
 
 class ObjectDictionary:
@@ -114,7 +114,7 @@ class ObjectDictionary:
         """
         kind, access, flags, default, low, high = entry
         if kind == "f":
-            numbers = nearest_real32(default), nearest_real32(low), nearest_real32(high)  # type: ignore[arg-type]
+            numbers = tuple([None if v is None else real32(v) for v in (default, low, high)])  # type: ignore[arg-type]
             if numbers != (default, low, high):
                 entry = (kind, access, flags) + numbers  # type: ignore[assignment]
         self._entries.setdefault(index, {})[sub] = entry

@@ -3,7 +3,7 @@
 from math import sqrt
 
 from tipforce.device import codes
-from tipforce.device.object_dictionary import encode, nearest_real32
+from tipforce.device.object_dictionary import encode, real32
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
 
@@ -211,7 +211,7 @@ class Channels:
             gain, bias = self.scaling[k]
             key = indices.PROCESS_OFFSET << 8 | k + 1
             before: float = self._od.values[key]  # type: ignore[assignment]
-            offsets[key] = offset = nearest_real32(before - (gain * counts[k] + bias))  # type: ignore[assignment]
+            offsets[key] = offset = real32(before - (gain * counts[k] + bias))
             if offset - offset != 0.0:
                 return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
         self._od.values.update(offsets)

@@ -1,7 +1,7 @@
 """One latched sample: from counts to strain, force, contact and uncertainty, each computed when first asked for."""
 
 from tipforce.device.codes import NEVER_US
-from tipforce.device.object_dictionary import nearest_real32
+from tipforce.device.object_dictionary import real32
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
@@ -293,5 +293,5 @@ def outside(value: float, start: float, end: float) -> int:
 
     Nothing checks that the start is below the end: where it is not, a value may be both, and counts as above.
     """
-    shown: float = nearest_real32(value)  # type: ignore[assignment]
+    shown = real32(value)
     return 1 if shown > end else -(shown < start)

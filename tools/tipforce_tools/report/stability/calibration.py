@@ -47,7 +47,7 @@ def cases() -> list[Case]:
         Case("calibration.scaling_points_equal", "6120h = 6122h: both scaling points at one field value", "refused",
              "06090030h in each of the three forms, and the scaling stays", _points_equal),
         Case("calibration.scaling_denormal", "6122h = 1.4e-45 counts with 6120h = 0: a gain of 2e48", "flagged",
-             "the gauge and P are at the limit of INTEGER16 with 6150h 03h; 6130h is infinite, not wrong", _denormal),
+             "the gauge is outside its span: 7130h at its limit, 6150h 03h, P unknown", _denormal),
         Case("calibration.locked", "staged writes and commit with the write lock 2105h:2 set", "refused",
              "08000022h for each, the record and its CRC stay", _locked),
     ]  # fmt: skip
@@ -269,8 +269,8 @@ def _denormal() -> Observed:
     found = finger.sync()
     statuses = [finger.get("B", indices.CHANNEL_STATUS, sub) for sub in (1, 7)]
     values = [finger.get("f", indices.PROCESS_VALUE, sub) for sub in (1, 7)]
-    held = taken and (found.gauges[0], found.contact[0]) == (32767, 32767) and statuses == [3, 3]
-    return Observed(held and values == [math.inf] * 2, f"SG1 and P: {values}, 6150h {statuses}")
+    held = taken and (found.gauges[0], found.contact[0]) == (32767, table.UNKNOWN_I16) and statuses == [3, 1]
+    return Observed(held and all(map(math.isnan, values)), f"SG1 and P: {values}, 6150h {statuses}")
 
 
 def _locked() -> Observed:

@@ -93,10 +93,11 @@ def _denormal() -> Observed:
 
 def _overflow() -> Observed:
     finger = rig.simulated()
-    taken = finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
+    taken = finger.put("f", indices.SPAN_END, 1, 3.4e38) == finger.put("f", indices.PROCESS_OFFSET, 1, 3.4e38) == 0
     finger.sync()
     strain, F1 = finger.get("f", indices.PROCESS_VALUE, 1), finger.get("f", indices.PROCESS_VALUE, 4)
     big = rig.simulated(calibration=rig.record(C=[[9e6 if i == k else 0.0 for k in range(3)] for i in range(3)]))
+    big.put("f", indices.SPAN_END, 1, 3.4e38)
     big.put("f", indices.PROCESS_OFFSET, 1, 3.4e38)
     big.sync()
     forms = (
