@@ -7,13 +7,15 @@ import pytest
 from device.tiny import Memory
 from fingertip.finger import LOAD, SAVE, ZERO, Finger, finger, matrix, record
 
-NONE, OURS = (0, 0), (15000, 77)
+NONE: list[float]
+OURS: list[float]
+NONE, OURS = [0, 0], [15000, 77]
 STORE, RESTORE = 0x1010, 0x1011
 
 
-def verified(talk: Finger) -> tuple[float, float]:
+def verified(talk: Finger) -> list[float]:
     """1020h."""
-    return talk.get("I", 0x1020, 1), talk.get("I", 0x1020, 2)
+    return [talk.get("I", 0x1020, sub) for sub in (1, 2)]
 
 
 def verify(talk: Finger) -> None:
@@ -152,7 +154,12 @@ def test_the_store_is_cleared_before_the_change_is_written() -> None:
     verify(talk)
     assert talk.put("I", STORE, 1, SAVE) == 0
     written: list[str] = []
-    talk.device.storage._save = lambda name, data: (written.append(name), store.save(name, data))[1]
+
+    def save(name: str, data: bytes) -> bool:
+        written.append(name)
+        return store.save(name, data)
+
+    talk.device.storage._save = save
     change_span(talk)
     assert talk.put("I", STORE, 3, SAVE) == 0
     assert written == ["communication", "application"]

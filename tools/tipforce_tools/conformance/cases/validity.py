@@ -70,6 +70,20 @@ def converter_limit(dut: Dut) -> None:
     check(faults & 1, "bit 0 of 2124h", f"{faults:04X}h")
 
 
+@case("tipforce 6149h", "{0} outside its span: 6150h {2:02X}h, and the value is {3}", own=True, each=[
+    ("a gauge", 1, 3, "unknown"), ("P", 0, 3, "shown"),
+])  # fmt: skip
+def span(dut: Dut, _what: str, sub: int, status: int, shown: str) -> None:
+    loaded(dut, 5.0)
+    sub = sub or gauges(dut) + 4
+    settle(dut)
+    dut.put("f", 0x6149, sub, 0.5 * dut.number("f", 0x6130, sub))
+    settle(dut)
+    dut.holds("B", 0x6150, sub, status)
+    known = not math.isnan(dut.number("f", 0x6130, sub))
+    check(known == (shown == "shown"), shown, "shown" if known else "unknown")
+
+
 @case("tipforce 2126h", "{0} counts where it changes a value, and only then", own=True, each=[
     ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0),
     ("a filter", "B", 0x61A0, 1, 1), ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
