@@ -17,17 +17,9 @@ def below(folder: str | Path, name: str, place: str = "", links: bool = True) ->
     Raises InputError for an empty or absolute name, for one with ``..``, ``\\``, ``~`` in front, a control character
     or a part of over 255 bytes, and where a link leads out of the folder; with ``links`` False for every link.
     """
-    root, parts = os.path.realpath(folder), name.split("/")
+    root = os.path.realpath(folder)
     shown = f"{place} = {name if len(name) <= 60 else name[:57] + '...'!r}: " if place else ""
-    if (
-        not name.strip("./")
-        or name[0] in "/~"
-        or name[1:2] == ":"
-        or ".." in parts
-        or any(mark < " " or mark in "\\\x7f" for mark in name)
-        or any(len(part.encode(errors="replace")) > _MOST_BYTES for part in parts)
-        or len(name) > 4 * _MOST_BYTES
-    ):
+    if not is_below(name):
         raise InputError(f"{shown}allowed is a path below {root}, with / and without ..")
     path = Path(folder, name)
     real = os.path.realpath(path)
@@ -36,3 +28,17 @@ def below(folder: str | Path, name: str, place: str = "", links: bool = True) ->
     if not links and real != os.path.join(root, os.path.normpath(name)):
         raise InputError(f"{shown}allowed is a file of {root} itself, not a link")
     return path
+
+
+def is_below(name: str) -> bool:
+    """Return whether a path stays in its folder by its text alone."""
+    parts = name.split("/")
+    return (
+        bool(name.strip("./"))
+        and name[0] not in "/~"
+        and name[1:2] != ":"
+        and ".." not in parts
+        and not any(mark < " " or mark in "\\\x7f" for mark in name)
+        and all(len(part.encode(errors="replace")) <= _MOST_BYTES for part in parts)
+        and len(name) <= 4 * _MOST_BYTES
+    )
