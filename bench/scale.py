@@ -117,7 +117,7 @@ def many_parts(folder: Path, count: int) -> list[str]:
     source = Source("a" * 12, "run.log", 0, "", 0, "", "gauges 3", "0.1", None, True, 0, None, state)
     parts = [
         Part(f"{number:012d}-part", source.id, number, number + 1, 1000, {}, [
-            DataFile(f"hand=left/date=2026-05-17/node={node}/{number:012d}-part.parquet", node, 100_000, 3_000_000,
+            DataFile(f"rows/hand=left/date=2026-05-17/node={node}/{_file(number)}", node, 100_000, 3_000_000,
                      f"{number:064d}", number * 10**9, (number + 1) * 10**9) for node in range(1, 6)])
         for number in range(count)
     ]  # fmt: skip
@@ -136,27 +136,36 @@ def many_parts(folder: Path, count: int) -> list[str]:
     ]
 
 
-def month(folder: Path) -> list[str]:
-    """A slice of one minute of a month: 30 days of five nodes at 1 Hz, in 24 parts a day."""
-    store, parts, rows = Store(str(folder)), [], 3600
+def _file(number: int) -> str:
+    return f"{'a' * 12}-{number:014d}-1-{'b' * 12}.parquet"
+
+
+def month(folder: Path, days: int = 30, rows: int = 3600) -> None:
+    """A dataset of five nodes in 24 parts a day, ``rows`` of each node a part."""
+    store, parts = Store(str(folder)), []
     column = Column("P_N", "P", "real", 3, "N", 0)
-    for hour in range(30 * 24):
+    for hour in range(days * 24):
         files = []
-        t_ns = _START_NS + hour * 3600 * 10**9 + np.arange(rows) * 10**9
+        t_ns = _START_NS + hour * 3600 * 10**9 + np.arange(rows) * (3600 * 10**9 // rows)
         day = str(np.datetime64(int(t_ns[0]), "ns"))[:10]
         for node in range(1, 6):
             table = pa.table({
-                "t_s": pa.array(t_ns, pa.timestamp("ns")), "channel": pa.array(["can0"] * rows),
+                "t_s": pa.array(t_ns // 1000, pa.timestamp("us", tz="UTC")), "channel": pa.array(["can0"] * rows),
                 "counter": pa.array(np.arange(rows) + hour * rows), "P_N": pa.array(np.sin(t_ns * 1e-9)),
             })  # fmt: skip
-            path = f"hand=can0/date={day}/node={node}/{hour}.parquet"
+            path = f"rows/hand=can0/date={day}/node={node}/{_file(hour)}"
             (folder / path).parent.mkdir(parents=True, exist_ok=True)
             pq.write_table(table, folder / path)
             files.append(DataFile(path, node, rows, 0, "", int(t_ns[0]), int(t_ns[-1])))
-        parts.append(Part(str(hour), "a", hour, hour + 1, 0, {}, files))
+        parts.append(Part(str(hour), "a" * 12, hour, hour + 1, 0, {}, files))
     state = Recording(Reading(Layouts())).state()
-    source = Source("a", "run.log", 0, "", 0, "", "", "", None, True, 0, None, state)
-    commit(store, Change(sources={"a": source}, parts=parts, columns=[column]))
+    source = Source("a" * 12, "run.log", 0, "", 0, "", "", "", None, True, 0, None, state)
+    commit(store, Change(sources={source.id: source}, parts=parts, columns=[column]))
+
+
+def slice_of_month(folder: Path) -> list[str]:
+    """A slice of one minute of a month: 30 days of five nodes at 1 Hz."""
+    month(folder)
     begin = When(_START_NS + 17 * _DAY_NS + 3_600 * 10**9, False)
     reading = Reading(Layouts(), start=begin, end=When(begin.ns + 60 * 10**9, False))
     seconds = []
@@ -166,7 +175,7 @@ def month(folder: Path) -> list[str]:
         seconds.append(time.process_time() - began)
     assert found == 5 * 60
     return [
-        f"One minute of a month (30 days, {len(parts) * 5:,} files, {len(parts) * 5 * rows:,} rows) is read in "
+        f"One minute of a month (30 days, {30 * 24 * 5:,} files, {30 * 24 * 5 * 3600:,} rows) is read in "
         f"{statistics.median(seconds):.3f} s."
     ]
 
@@ -188,7 +197,7 @@ def main() -> None:
                   f"{os.getloadavg()[0]:.1f} of other work at the start.", ""]  # fmt: skip
         lines += [*workers(log, args.rounds), "", *serial_part(log), ""]
         (folder / "parts").mkdir()
-        lines += [*many_parts(folder / "parts", args.parts), "", *month(folder / "month")]
+        lines += [*many_parts(folder / "parts", args.parts), "", *slice_of_month(folder / "month")]
     print("\n".join(lines))
     if args.output is not None:
         args.output.write_text("\n".join(lines) + "\n")

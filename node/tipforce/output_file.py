@@ -95,7 +95,9 @@ class NewFile:
         try:
             if self._target.exists() and not os.access(self._target, os.W_OK):
                 raise PermissionError(0, "Permission denied")
-            self.partial.open("ab").close()
+            if not self._direct:
+                self.partial.unlink(missing_ok=True)
+            self.partial.open("ab" if self._direct else "xb").close()  # new: a link of that name is not followed
         except OSError as error:
             raise InputError(f"{path}: {error.strerror}") from error
 

@@ -191,10 +191,11 @@ def test_health_and_heartbeat_come_at_their_own_times(tmp_path: Path) -> None:
     assert outcome.frames_by_id == {0x703: 6, 0x000: 1, 0x483: 3}
 
 
-def test_a_fault_begins_and_ends_at_its_time(tmp_path: Path) -> None:
+def test_a_fault_begins_and_ends_at_its_time(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "run.csv"
+    monkeypatch.chdir(tmp_path)
     text = TWO.replace("status = false", "") + (
-        f'[[faults]]\nkind = "open"\nnodes = [3]\nat_s = 0.05\nuntil_s = 0.1\n[outputs]\ntable = "{path}"\n'
+        '[[faults]]\nkind = "open"\nnodes = [3]\nat_s = 0.05\nuntil_s = 0.1\n[outputs]\ntable = "run.csv"\n'
     )
     run(scene_of(tmp_path, text))
     header, *rows = (line.split(",") for line in path.read_text().splitlines())
@@ -206,7 +207,7 @@ def test_a_fault_begins_and_ends_at_its_time(tmp_path: Path) -> None:
     assert [float(record["P"]) for record in contact if record["P"]] == pytest.approx([1.0] * 15, abs=2e-3)
 
 
-def test_the_tip_swings_as_an_independent_integration_says(tmp_path: Path) -> None:
+def test_the_tip_swings_as_an_independent_integration_says(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """The first mode of an undamped tip under a step that dynamics sees: P overshoots to nearly twice."""
     text = """
     duration_s = 0.2
@@ -225,7 +226,8 @@ def test_the_tip_swings_as_an_independent_integration_says(tmp_path: Path) -> No
     step_us = 50
     """
     path = tmp_path / "run.csv"
-    run(scene_of(tmp_path, text + f'[outputs]\ntable = "{path}"\n'))
+    monkeypatch.chdir(tmp_path)
+    run(scene_of(tmp_path, text + '[outputs]\ntable = "run.csv"\n'))
     P = [float(line.split(",")[3]) for line in path.read_text().splitlines()[1:]]
     assert max(P[:39]) == 0.0
     assert 3.9 < max(P) < 4.01

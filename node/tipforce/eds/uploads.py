@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from tipforce.errors import InputError
+from tipforce.paths_below import below
+
 _MOST_BYTES = 16 << 20
 
 
@@ -12,13 +15,10 @@ def file_content(eds: Path, name: str) -> tuple[bytes | None, str]:
 
     Only files in the folder of the EDS are read: a device serves their content on the bus to anyone.
     """
-    folder = eds.resolve().parent
     try:
-        path = (folder / name.replace("\\", "/")).resolve()
-        if not path.is_relative_to(folder):
-            return None, f"outside the folder of {eds.name}; not read"
+        path = below(eds.resolve().parent, name.replace("\\", "/"))
         if path.stat().st_size > _MOST_BYTES:
             return None, f"larger than {_MOST_BYTES >> 20} MiB; not read"
         return path.read_bytes(), ""
-    except (OSError, ValueError) as error:
+    except (OSError, InputError) as error:
         return None, f"{getattr(error, 'strerror', None) or error}; not read"

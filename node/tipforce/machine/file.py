@@ -18,6 +18,7 @@ from tipforce.machine import signals
 from tipforce.machine.application import DeviceApplication
 from tipforce.machine.device import Key, SimulatedDevice, shipped_eds
 from tipforce.machine.faults import EMCY, SILENT, SLOW, WRONG_TOGGLE, Planned
+from tipforce.paths_below import below
 from tipforce.toml_table import convert, read_table
 
 CIA402 = "cia402"
@@ -126,7 +127,7 @@ class MachinePart(msgspec.Struct, forbid_unknown_fields=True):
 
 
 def read_machine(path: str | Path) -> list[SimulatedDevice]:
-    """Return the devices of a TOML file; files that it names are relative to its folder. Raises InputError."""
+    """Return the devices of a TOML file; files that it names are below its folder. Raises InputError."""
     place = str(path)
     machine = convert(MachinePart, read_table(path, place), place)
     if not machine.device:
@@ -159,10 +160,12 @@ def make_device(
     driven: Mapping[Key, signals.Signal] | None = None,
     folder: Path | None = None,
 ) -> SimulatedDevice:
-    """Return a device of a file: "cia402" is the shipped drive. Raises InputError."""
-    folder = folder or Path()
-    shipped = eds == CIA402 and not (folder / eds).exists()
-    description = read_eds(shipped_eds(CIA402) if shipped else folder / eds, node_id)
+    """Return a device of a file: "cia402" is the shipped drive. ``folder``: of the file that names the others.
+
+    Raises InputError, with ``folder`` for a file that is not below it, too.
+    """
+    shipped = eds == CIA402 and not _path(folder, eds, "eds").exists()
+    description = read_eds(shipped_eds(CIA402) if shipped else _path(folder, eds, "eds"), node_id)
     kept: dict[str, bytes] = {}
 
     def save(group: str, data: bytes) -> bool:
@@ -173,7 +176,9 @@ def make_device(
     if store:
         from tipforce.running.store import FileStore
 
-        file = FileStore(folder / store)
+        for slot in (f"{store}.2", store):
+            path = _path(folder, slot, "store")
+        file = FileStore(path)
         save, load = file.save, file.load  # type: ignore[assignment]
     chosen = load_application(application or (CIA402 if shipped else ""), folder)
     device = SimulatedDevice(description, chosen, driven, save, load)
@@ -181,6 +186,11 @@ def make_device(
         device.initial_values[key] = typed_value(description, key, text)
         device[key] = device.initial_values[key]
     return device
+
+
+def _path(folder: Path | None, name: str, place: str) -> Path:
+    """Return the path of a name: of a file in ``folder``, where it must be below that; None: of a user, anywhere."""
+    return Path(name) if folder is None else below(folder, name, place)
 
 
 def typed_value(description: Description, key: str, value: float | str) -> Value:
@@ -192,7 +202,7 @@ def typed_value(description: Description, key: str, value: float | str) -> Value
         raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
 
 
-def load_application(name: str, folder: Path) -> DeviceApplication | None:
+def load_application(name: str, folder: Path | None) -> DeviceApplication | None:
     """Return a new application: "cia402", or "file.py:Class". Raises InputError."""
     if not name:
         return None
@@ -201,7 +211,7 @@ def load_application(name: str, folder: Path) -> DeviceApplication | None:
 
         return Drive()
     file, _, wanted = name.rpartition(":")
-    path = folder / file
+    path = _path(folder, file, "application") if file else Path()
     if not file.endswith(".py") or not path.is_file():
         raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE:CLASS of a file that exists")
     spec = importlib.util.spec_from_file_location(path.stem, path)
@@ -242,7 +252,8 @@ def _signal(part: RampPart | SinePart | RandomWalkPart | CsvPart | FollowsPart, 
     if isinstance(part, SinePart):
         return signals.Sine(part.amplitude, part.offset, part.cycle_s, part.phase_deg)
     if isinstance(part, CsvPart):
-        return signals.recorded(folder / part.file, part.column, part.time_column, part.repeats)
+        path = below(folder, part.file, f"signal of {part.object!r}: file")
+        return signals.recorded(path, part.column, part.time_column, part.repeats)
     if isinstance(part, FollowsPart):
         return signals.Follows(part.source, part.gain, part.offset, part.lag_s)
     if not part.low <= part.start <= part.high:

@@ -116,7 +116,7 @@ def device_from_file(
         return True
 
     if shipped and application is None:
-        application = load_application(CIA402, Path())
+        application = load_application(CIA402, None)
     device = SimulatedDevice(description, application, signals, save, store.get)
     for key, value in (values or {}).items():
         device.initial_values[key] = value

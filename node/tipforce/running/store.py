@@ -110,7 +110,8 @@ class FileStore:
             _LOG.error("store %s: %s", self._path, trouble)
 
     def _replace(self, path: Path, content: bytes) -> None:
-        with open(self._temporary, "wb") as file:
+        self._temporary.unlink(missing_ok=True)
+        with open(self._temporary, "xb") as file:  # new: a link of that name is not followed
             file.write(content)
             file.flush()
             os.fsync(file.fileno())

@@ -16,6 +16,7 @@ from tipforce.device.node import Device
 from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
+from tipforce.paths_below import below
 from tipforce.scene import schema
 from tipforce.scene.loads import LoadHistory, load_of
 from tipforce.scene.sources import Clock, source_of
@@ -152,7 +153,7 @@ def _calibration(
     from tipforce.host.configuration.calibration_file import read_calibration
 
     built.append("calibration file")
-    found = read_calibration(folder / group.calibration)
+    found = read_calibration(below(folder, group.calibration, "nodes.calibration"))
     gauges = len(layout(group.layout))
     if found.gauges != gauges:
         raise InputError(f"calibration {group.calibration}: it is for {found.gauges} gauges, the layout has {gauges}")

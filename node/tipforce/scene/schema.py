@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import msgspec
 from msgspec import Meta
 
+from tipforce.paths_below import below
 from tipforce.toml_table import convert, read_table
 
 MAX_NODES = 32
@@ -176,7 +177,7 @@ class Fault(_Table, frozen=True, kw_only=True):
 
 
 class Outputs(_Table, frozen=True, kw_only=True):
-    """[outputs]: files to write; relative to the working directory."""
+    """[outputs]: files to write; below the working directory."""
 
     log: str | None = None
     table: str | None = None
@@ -255,4 +256,7 @@ def read_scene(path: str | Path) -> Scene:
 
     scene = convert(Scene, read_table(path, f"scene {path}"), f"scene {path}")
     check_scene(scene, f"scene {path}")
+    for key, output in msgspec.structs.asdict(scene.outputs).items():
+        if output is not None:
+            below("", output, f"scene {path}: outputs.{key}")
     return scene

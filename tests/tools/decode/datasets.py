@@ -35,4 +35,4 @@ def rows_of_logs(*names: Path) -> list[tuple[Any, ...]]:
 
 def globbed(directory: Path) -> set[str]:
     """The Parquet files that a query engine finds."""
-    return {str(path.relative_to(directory)) for path in directory.glob("**/*.parquet")}
+    return {str(path.relative_to(directory)) for path in directory.glob("rows/**/*") if path.is_file()}

@@ -236,7 +236,7 @@ def test_times_in_utc(log: Path, tmp_path: Path) -> None:
 
     assert decode(log, "-o", tmp_path / "a.parquet") == 0
     first = pq.read_table(tmp_path / "a.parquet")["t_s"][0]
-    assert first.value == 1_700_000_000_000_050_000  # nanoseconds
+    assert first.value == 1_700_000_000_000_050  # microseconds
 
 
 def test_summary_counts(log: Path, capsys: pytest.CaptureFixture[str]) -> None:

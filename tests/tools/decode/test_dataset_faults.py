@@ -115,6 +115,61 @@ def test_compaction_beside_another_writer(tmp_path: Path, lines: list[str], monk
     check(data, log)
 
 
+@pytest.fixture
+def hours(tmp_path: Path, lines: list[str]) -> list[Path]:
+    """Five logs of a day, each with the boot-up of a node, which were added one by one and compacted."""
+    found = []
+    for hour in range(5):
+        moved = [line.replace("(1700000", f"({1_700_000 + hour}") for line in lines]
+        moved.insert(1, moved[0].replace("080#", "705#00"))
+        found.append(write_log(tmp_path / f"hour-{hour}.log", moved[: 200 * (hour + 1)]))
+        assert decode(found[-1], "-j", 1, "-o", f"{tmp_path}/data/") == 0
+    assert len(globbed(tmp_path / "data")) > 10
+    assert main(["dataset", f"{tmp_path}/data", "--compact", "-q"]) == 0
+    return found
+
+
+def check_apart(data: Path, logs: list[Path]) -> None:
+    """As ``check``, for logs that were added one by one."""
+    assert rows_of_dataset(data) == sorted(row for log in logs for row in rows_of_logs(log))
+    assert globbed(data) == {file.path for file in opened(str(data))[1].files()}
+    assert main(["dataset", f"{data}", "--verify"]) == 0
+
+
+def test_logs_of_a_day_are_compacted(tmp_path: Path, hours: list[Path], lines: list[str]) -> None:
+    data = tmp_path / "data"
+    check_apart(data, hours)
+    assert len(globbed(data)) == 4  # of each node one, and the last part of the last log
+    assert len(list((data / "events").iterdir())) == 1
+    before = opened(str(data))[1].generation
+    assert main(["dataset", f"{data}", "--compact", "-q"]) == 0
+    assert opened(str(data))[1].generation == before
+    for hour in (0, 3, 4):  # a log that grows leaves the files that it shares
+        moved = [line.replace("(1700000", f"({1_700_000 + hour}") for line in lines]
+        with hours[hour].open("a") as log:
+            log.write("".join(line + "\n" for line in moved[200 * (hour + 1) - 1 : 200 * (hour + 1) + 200]))
+        assert decode(*hours[hour : hour + 1], "-j", 1, "-o", f"{data}/") == 0
+        check_apart(data, hours)
+    assert main(["dataset", f"{data}", "--compact", "-q"]) == 0
+    check_apart(data, hours)
+    assert len(globbed(data)) == 4
+
+
+def test_a_file_of_several_logs_is_repaired_log_by_log(
+    tmp_path: Path, hours: list[Path], capsys: pytest.CaptureFixture[str]
+) -> None:
+    data = tmp_path / "data"
+    shared = max(opened(str(data))[1].files(), key=lambda file: file.rows)
+    (data / shared.path).unlink()
+    for hour, log in enumerate(hours):
+        assert main(["dataset", f"{data}"]) == 1
+        assert decode(log, "-j", 1, "-o", f"{data}/") == 0
+        listed = {file.path for file in opened(str(data))[1].files()}
+        assert globbed(data) == listed - ({shared.path} if hour < 4 else set())
+    check_apart(data, hours)
+    capsys.readouterr()
+
+
 def test_logs_that_are_not_logs(tmp_path: Path, lines: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     data = tmp_path / "data"
     junk = tmp_path / "junk.log"

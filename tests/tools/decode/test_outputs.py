@@ -9,7 +9,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import pyarrow.dataset
 import pyarrow.parquet as pq
 import pytest
 
@@ -23,36 +22,6 @@ DECODE = [sys.executable, "-m", "tipforce_tools.cli.main", "decode"]
 @pytest.fixture
 def log(tmp_path: Path) -> Path:
     return write_log(tmp_path / "run.log", log_lines(200, (1, 5, 9), health=40))
-
-
-def test_directory_is_a_table_for_all(log: Path, tmp_path: Path) -> None:
-    """pyarrow, Polars, DuckDB and pandas read it and prune by its partitions."""
-    import duckdb
-    import pandas as pd
-    import polars
-
-    data = tmp_path / "data"
-    assert decode(log, "-o", f"{data}/") == 0
-    assert decode(log, "-o", tmp_path / "run.parquet") == 0
-    assert {str(path.parent.relative_to(data)) for path in data.glob("hand=*/*/*/*")} == {
-        f"hand=vcan0/date=2023-11-14/node={node}" for node in (1, 5, 9)
-    }
-    whole = pq.read_table(tmp_path / "run.parquet").sort_by([("node", "ascending"), ("t_s", "ascending")])
-    parts = pyarrow.dataset.dataset(data, partitioning="hive", exclude_invalid_files=True).to_table()
-    parts = parts.sort_by([("node", "ascending"), ("t_s", "ascending")])
-    for name in whole.column_names:
-        assert parts[name].to_pylist() == whole[name].to_pylist(), name
-    forces = sorted(
-        p for p, node in zip(whole["P_N"].to_pylist(), whole["node"].to_pylist(), strict=True) if p and node == 5
-    )
-    names = f"{data}/**/*.parquet"
-    frame = polars.scan_parquet(names, hive_partitioning=True).filter(polars.col("node") == 5).collect()
-    assert sorted(p for p in frame["P_N"].to_list() if p) == forces
-    query = f"select P_N from read_parquet('{names}', hive_partitioning = true) where node = 5 and P_N > 0 order by P_N"
-    rows = duckdb.sql(query).fetchall()
-    assert [row[0] for row in rows] == [p for p in forces if p > 0]
-    found = pd.read_parquet(data, filters=[("node", "==", 5)], columns=["P_N"])["P_N"]
-    assert sorted(p for p in found.dropna().tolist() if p) == forces
 
 
 def test_a_directory_with_files_is_not_touched(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

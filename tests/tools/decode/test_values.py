@@ -84,12 +84,12 @@ def test_parquet_equals_csv(log: Path, tmp_path: Path) -> None:
     table = pq.read_table(tmp_path / "run.parquet")
     rows = rows_of(tmp_path / "run.csv")
     assert table.column_names == list(rows[0])
-    assert str(table.schema.field("t_s").type) == "timestamp[ns]"
+    assert str(table.schema.field("t_s").type) == "timestamp[us, tz=UTC]"
     times = table["t_s"].cast("int64").to_pylist()
     for name in table.column_names[1:]:
         values = [None if value is None else float(value) for value in table[name].to_pylist()]
         assert values == [number(row[name]) for row in rows], name
-    assert [f"{t // 10**9}.{t % 10**9 // 1000:06d}" for t in times] == [row["t_s"] for row in rows]
+    assert [f"{t // 10**6}.{t % 10**6:06d}" for t in times] == [row["t_s"] for row in rows]
 
 
 def test_json_lines_equal_csv(log: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

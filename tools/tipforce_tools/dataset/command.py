@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("directory", metavar="DIR", help="of `tipforce decode -o DIR/`")
     group = parser.add_mutually_exclusive_group()
     group.add_argument("--verify", action="store_true", help="compare the SHA-256 of each file")
-    group.add_argument("--compact", action="store_true", help="join small files; rows and their order stay")
+    group.add_argument("--compact", action="store_true", help="join the files of a day; all get the same columns")
     group.add_argument("--sql", metavar="QUERY", help="query it with DuckDB")
     common.add_output_arguments(parser)
 
@@ -47,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
     if args.compact:
         from tipforce_tools.dataset.compact import compact
 
-        files = len(list(manifest.files()))
+        files = len(manifest.files())
         manifest = compact(store)
-        common.note(args, f"{store.name}: {files} files are {len(list(manifest.files()))} now")
+        common.note(args, f"{store.name}: {files} files are {len(manifest.files())} now")
         return 0
     wrong = content.wrong_files(store, manifest, hashes=args.verify)
     if args.json:
@@ -57,5 +57,5 @@ def run(args: argparse.Namespace) -> int:
     else:
         print("\n".join(content.lines(store, manifest, wrong)))
         if args.verify and not wrong:
-            print(f"{len(list(manifest.files()))} files are as they were written")
+            print(f"{len(manifest.files())} files are as they were written")
     return 1 if wrong else 0

@@ -20,7 +20,7 @@ _MB = 1_000_000
 def wrong_files(store: Store, manifest: Manifest, *, hashes: bool) -> dict[str, str]:
     """Return by path what is wrong with a file: it is missing, or its size or (with ``hashes``) its content differs."""
     found = {}
-    for file in files_of(manifest.parts):
+    for file in {file.path: file for file in files_of(manifest.parts)}.values():
         try:
             with store.open(file.path) as stream:
                 changed = hashes and hashlib.sha256(stream.read()).hexdigest() != file.sha256
@@ -38,7 +38,7 @@ def record(store: Store, manifest: Manifest, wrong: dict[str, str]) -> dict[str,
         "dataset": store.name,
         "generation": manifest.generation,
         "rows": sum(part.rows for part in manifest.parts),
-        "files": sum(len(part.files) for part in manifest.parts),
+        "files": len(manifest.files()),
         "bytes": sum(file.bytes for file in manifest.files()),
         "lost": sum(lost.values()),
         "nodes": [
@@ -71,7 +71,7 @@ def _nodes(manifest: Manifest) -> dict[tuple[str, int], tuple[int, int, int, int
     """Return by hand and node-id: rows, days, first and last time in nanoseconds."""
     found: dict[tuple[str, int], tuple[int, set[str], int, int]] = {}
     for file in manifest.files():
-        hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[:2])
+        hand, date = (text.split("=", 1)[1] for text in file.path.split("/")[1:3])
         rows, days, first, last = found.get((hand, file.node), (0, set(), file.first_ns, file.last_ns))
         found[hand, file.node] = rows + file.rows, days | {date}, min(first, file.first_ns), max(last, file.last_ns)
     return {place: (rows, len(days), first, last) for place, (rows, days, first, last) in found.items()}

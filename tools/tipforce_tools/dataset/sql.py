@@ -50,10 +50,9 @@ def views(connection: Any, store: Store, manifest: Manifest) -> Any:
     if files:
         options = "hive_partitioning = true, union_by_name = true"
         connection.sql(f"create view samples as select * from read_parquet({_list(files)}, {options})")
-    events = [_path(store, part.events.path) for part in manifest.parts if part.events is not None]
-    columns = "{t_s: 'DOUBLE', channel: 'VARCHAR', node: 'INTEGER', event: 'VARCHAR', code: 'VARCHAR', text: 'VARCHAR'}"
-    rows = f"select * from read_csv({_list(events)}, columns = {columns})" if events else (
-        "select 0.0 as t_s, '' as channel, 0 as node, '' as event, '' as code, '' as text where false"
+    events = {_path(store, part.events.path): None for part in manifest.parts if part.events is not None}
+    rows = f"select * from read_parquet({_list([*events])})" if events else (
+        "select now() as t_s, '' as channel, 0 as node, '' as event, '' as code, '' as text where false"
     )  # fmt: skip
     connection.sql(f"create view events as {rows}")
     names = {one.id: one.name for one in manifest.sources}

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 import uuid
@@ -14,7 +13,9 @@ import msgspec
 import tipforce
 from tipforce.errors import InputError
 from tipforce.host.dataset.manifest import (
+    EVENTS,
     FOLDER,
+    ROWS,
     Change,
     DataFile,
     Manifest,
@@ -31,8 +32,7 @@ from tipforce.host.dataset.store import Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.services import BusEvent
-from tipforce_tools.decode.dataset_sink import BASE, DatasetSink
-from tipforce_tools.decode.events import events_text
+from tipforce_tools.decode.dataset_sink import BASE, DatasetSink, put_file
 from tipforce_tools.decode.log_identity import (
     HASHED_BYTES,
     begin_hash,
@@ -288,25 +288,46 @@ class DatasetRun:
     def _events(self, name: str, events: Sequence[BusEvent]) -> DataFile | None:
         if not events:
             return None
-        text = events_text(events).encode()
-        path = f"events/{name}.csv"
-        self.store.create(path, text)
-        times = [event.t_ns for event in events]
-        return DataFile(path, 0, len(events), len(text), hashlib.sha256(text).hexdigest(), min(times), max(times))
+        import pyarrow.parquet
+
+        from tipforce_tools.decode.parquet import events_table
+
+        with self.store.scratch(f"{FOLDER}/{self._token}") as folder:
+            pyarrow.parquet.write_table(events_table(events), folder / "events")
+            size, digest = put_file(self.store, folder / "events", path := f"{EVENTS}/{name}.parquet")
+        times = [event.t_ns // 1000 * 1000 for event in events]
+        return DataFile(path, 0, len(events), size, digest, min(times), max(times))
 
     def _commit(self) -> None:
         """Commit what is noted."""
         began = time.monotonic()
         change, self._change = self._change, Change()
+        self._separate(change)
         self.manifest = commit(self.store, change)
         for source_id in change.expected:  # a chain is committed in steps
             self._change.expected[source_id] = self.manifest.source(source_id)
         self._committed = time.monotonic()
         self._cost_s = self._committed - began
 
+    def _separate(self, change: Change) -> None:
+        """Write the rows of compacted parts again that share files with the parts that are removed."""
+        removed = [part for part in self.manifest.parts if part.id in change.removed]
+        gone = {file.path: file for file in files_of(removed)}
+        stay = [part for part in self.manifest.parts if part.id not in change.removed]
+        stay = [part for part in stay if any(file.path in gone for file in files_of([part]))]
+        if stay:
+            from tipforce_tools.decode.dataset_join import joined_parts
+
+            root = self.store.local  # a file that is damaged stays, until all its logs are added again
+            damaged = {path for path, one in gone.items() if root is not None and not is_whole(root / path, one.bytes)}
+            self._parts += 1
+            name = f"{stay[0].source}-{stay[0].start:014d}-{self._parts}-{self._token}"
+            change.removed |= {part.id for part in stay}
+            change.parts += joined_parts(self.store, self.manifest, stay, name, damaged)
+
 
 def _new(store: Store) -> Manifest:
     names = store.names("")  # behind a URL, a run that ended early leaves files and no manifest
-    if FOLDER not in names and any(not name.startswith(("hand=", "events")) for name in names):
+    if FOLDER not in names and any(name not in (ROWS, EVENTS) for name in names):
         raise InputError(f"--output {store.name}/: is not empty and not a dataset; choose another directory")
     return Manifest()

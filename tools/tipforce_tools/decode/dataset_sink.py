@@ -1,10 +1,11 @@
-"""Write parts of a recording into a dataset: ``hand=/date=/node=``, one Parquet file each."""
+"""Write parts of a recording into a dataset: ``rows/hand=/date=/node=``, one Parquet file each."""
 
 from __future__ import annotations
 
 import hashlib
 import os
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,15 +13,13 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.dataset.manifest import FOLDER, DataFile
+from tipforce.host.dataset.manifest import FOLDER, NO_DATE, ROWS, DataFile
 from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
 BASE = (TIME, CHANNEL, NODE, COUNTER)
-NO_DATE = "__HIVE_DEFAULT_PARTITION__"
-"""Of a log without times; query engines read it as null."""
 _DAY_NS = 86_400 * 10**9
 
 
@@ -43,19 +42,22 @@ class DatasetSink:
     def write(self, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
         """Write the rows of a part; each file appears when it is complete."""
         store = Store(self._directory)
-        scratch, temporary = self._scratch(store)
+        with store.scratch(f"{FOLDER}/{self._token}") as scratch:
+            return self._write(store, scratch, number, tables, shape)
+
+    def _write(self, store: Store, scratch: Path, number: int, tables: Iterable[Table], shape: Shape) -> FilesOfPart:
         writing: dict[str, _Open] = {}
         schema: Any = None
         try:
             for table in tables:
-                from tipforce_tools.decode.parquet import Parts, arrow_table, schema_of  # not before there are rows
+                from tipforce_tools.decode.parquet import Parts, arrow_table  # not before there are rows
 
                 shape.fits(table)
-                if schema is None or len(schema) != len(shape.base) + len(shape.columns):
-                    schema = schema_of(shape)
+                if schema is None or len(schema) + 1 != len(shape.base) + len(shape.columns):
+                    schema = rows_schema(shape)
                 order, cuts = _partitions(table)
-                ordered = table.take(order)
-                rows = arrow_table(ordered, schema).drop_columns([NODE])
+                ordered = replace(table, t_ns=table.t_ns // 1000 * 1000).take(order)  # as the file has it
+                rows = arrow_table(ordered, schema)
                 for start, end in pairwise(cuts):
                     place = _place(ordered, start, self._hand)
                     if place not in writing:
@@ -68,21 +70,23 @@ class DatasetSink:
             for one in writing.values():
                 one.parts.abort()
             raise
-        finally:
-            if temporary is not None:
-                temporary.cleanup()
 
-    def _scratch(self, store: Store) -> tuple[Path, Any]:
-        """Return where to write files before they are put in place, and what removes it unless the run does."""
-        import tempfile
 
-        local = store.local
-        if local is None:
-            temporary = tempfile.TemporaryDirectory(prefix="tipforce-")
-            return Path(temporary.name), temporary
-        folder = local / FOLDER / self._token
-        folder.mkdir(parents=True, exist_ok=True)
-        return folder, None
+def rows_schema(shape: Shape) -> Any:
+    """Return the schema of a file of rows: the node stands in its path."""
+    from tipforce_tools.decode.parquet import schema_of
+
+    schema = schema_of(shape)
+    return schema.remove(schema.get_field_index(NODE))
+
+
+def put_file(store: Store, file: Path, path: str) -> tuple[int, str]:
+    """Move a complete file into a dataset; return its size in bytes and its SHA-256. Raises OSError."""
+    with file.open("rb") as stream:
+        digest = hashlib.file_digest(stream, "sha256").hexdigest()
+    size = os.path.getsize(file)
+    store.put(file, path)
+    return size, digest
 
 
 class _Open:
@@ -104,14 +108,8 @@ class _Open:
 
     def kept(self, store: Store, place: str, name: str, shape: Shape) -> DataFile:
         """Complete the file and give it its name."""
-        from tipforce_tools.decode.parquet import schema_of
-
-        schema = schema_of(shape)
-        self.parts.finish(schema.remove(schema.get_field_index(NODE)), shape.channel)
-        with self.file.open("rb") as stream:
-            digest = hashlib.file_digest(stream, "sha256").hexdigest()
-        size = os.path.getsize(self.file)
-        store.put(self.file, path := f"{place}/{name}.parquet")
+        self.parts.finish(rows_schema(shape), shape.channel)
+        size, digest = put_file(store, self.file, path := f"{place}/{name}.parquet")
         return DataFile(path, self.node, self.rows, size, digest, self.first_ns, self.last_ns)
 
 
@@ -127,7 +125,8 @@ def _partitions(table: Table) -> tuple[npt.NDArray[np.intp], list[int]]:
 def _place(table: Table, row: int, hand: str | None) -> str:
     key = int(table.key[row])
     date = str(np.datetime64(int(table.t_ns[row]), "ns"))[:10] if table.timed else NO_DATE
-    return f"hand={_folder(hand or table.channels[key >> NODE_BITS])}/date={date}/node={key & (1 << NODE_BITS) - 1}"
+    hand = _folder(hand or table.channels[key >> NODE_BITS])
+    return f"{ROWS}/hand={hand}/date={date}/node={key & (1 << NODE_BITS) - 1}"
 
 
 def _folder(name: str) -> str:

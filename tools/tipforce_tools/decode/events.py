@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -38,7 +38,12 @@ def events_text(events: Sequence[BusEvent]) -> str:
     text = io.StringIO()
     rows = csv.writer(text, lineterminator="\n")
     rows.writerow(COLUMNS)
+    rows.writerows(event_rows(events))
+    return text.getvalue()
+
+
+def event_rows(events: Sequence[BusEvent]) -> Iterator[tuple[str, str, int, str, str, str]]:
+    """Yield the cells of each event."""
     for event in events:
         t_s = f"{event.t_ns // 1_000_000_000}.{event.t_ns % 1_000_000_000:09d}"
-        rows.writerow((t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text))
-    return text.getvalue()
+        yield t_s, event.channel, event.node_id, event.kind, f"0x{event.code:04X}", event.text

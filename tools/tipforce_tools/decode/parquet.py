@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pyarrow as pa
@@ -14,13 +14,22 @@ import pyarrow.parquet as pq
 from tipforce.host.decoding.sample_table import NO_COUNTER, Column, Table, is_missing
 from tipforce.output_file import PARQUET, NewFile
 from tipforce_tools.decode import parquet_join
+from tipforce_tools.decode.events import event_rows
 from tipforce_tools.decode.files import append_bytes
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 from tipforce_tools.decode.writers import Shape
 
+if TYPE_CHECKING:
+    from tipforce.host.decoding.services import BusEvent
+
 ROW_GROUP_ROWS = 1 << 18
 _TYPES = {"real": pa.float64(), "flag": pa.bool_(), "integer": pa.int64(), "word": pa.string()}
-_BASE = {TIME: pa.timestamp("ns"), NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
+_TIME_TYPE = pa.timestamp("us", tz="UTC")  # a bit on the bus takes a microsecond; Spark has no finer time
+_BASE = {TIME: _TIME_TYPE, NODE: pa.uint8(), CHANNEL: pa.string(), COUNTER: pa.int64()}
+EVENTS = pa.schema([
+    (TIME, _TIME_TYPE), (CHANNEL, pa.string()), (NODE, pa.uint8()),
+    ("event", pa.string()), ("code", pa.string()), ("text", pa.string()),
+])  # fmt: skip
 OPTIONS: dict[str, Any] = {"compression": "snappy", "data_page_size": 1 << 20}
 
 
@@ -77,7 +86,7 @@ def _bits(values: Any) -> Any:
 
 def _base_array(name: str, table: Table) -> Any:
     if name == TIME:
-        return _as_array(table.t_ns, _BASE[TIME]) if table.timed else pa.nulls(len(table), _BASE[TIME])
+        return _as_array(table.t_ns // 1000, _BASE[TIME]) if table.timed else pa.nulls(len(table), _BASE[TIME])
     if name == NODE:
         return _as_array(table.node, _BASE[NODE])
     if name == CHANNEL and len(table.channels) == 1:
@@ -87,6 +96,13 @@ def _base_array(name: str, table: Table) -> Any:
         return pa.DictionaryArray.from_arrays(indices, pa.array(table.channels)).cast(pa.string())
     missing = table.counter == NO_COUNTER
     return _as_array(table.counter, _BASE[COUNTER], missing if missing.any() else None)
+
+
+def events_table(events: Sequence[BusEvent]) -> pa.Table:
+    """Return events as the rows of a dataset's file of events."""
+    rows = [(event.t_ns // 1000, *row[1:]) for event, row in zip(events, event_rows(events), strict=True)]
+    columns = zip(*rows, strict=True)
+    return pa.table([pa.array(column, kind) for column, kind in zip(columns, EVENTS.types, strict=True)], EVENTS)
 
 
 class FileWriter:
@@ -143,7 +159,7 @@ def join(paths: Sequence[Path], output: Path, shape: Shape) -> None:
 
 def _copy_widened(path: Path, writer: Any, schema: Any, channel: str) -> None:
     for batch in pq.ParquetFile(path).iter_batches(ROW_GROUP_ROWS):
-        writer.write_table(_widened(pa.Table.from_batches([batch]), schema, channel))
+        writer.write_table(widened(pa.Table.from_batches([batch]), schema, channel))
     path.unlink()
 
 
@@ -216,7 +232,8 @@ def _open(path: Path, schema: Any) -> Any:
     return pq.ParquetWriter(path, schema, **options)
 
 
-def _widened(rows: Any, schema: Any, channel: str) -> Any:
+def widened(rows: Any, schema: Any, channel: str) -> Any:
+    """Return rows with the columns of ``schema``, null where they have none; ``channel`` for rows without one."""
     arrays = []
     for field in schema:
         if field.name in rows.schema.names:

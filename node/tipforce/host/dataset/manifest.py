@@ -1,15 +1,18 @@
 """The manifest of a dataset: which parts of which logs it holds, in which files, and where each log continues.
 
-It is one JSON file per generation in ``DIR/_tipforce``. A new generation is created only if nobody else created it, so
-of two writers one commits and the other one merges its changes, or gives up if both changed the same log.
+It is one JSON file per generation in ``DIR/_tipforce``, beside ``DIR/rows`` and ``DIR/events``, which hold Parquet
+files and nothing else: query engines open every file in a folder. A new generation is created only if nobody else
+created it, so of two writers one commits and the other one merges its changes, or gives up if both changed the same
+log.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any, Literal
 
 import msgspec
 
@@ -18,28 +21,39 @@ from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.recording import State
 from tipforce.host.decoding.sample_table import Column
 
-FOLDER = "_tipforce"
-FORMAT = 1
+FOLDER, ROWS, EVENTS = "_tipforce", "rows", "events"
+FORMAT = 2
+NO_DATE = "__HIVE_DEFAULT_PARTITION__"
+"""Of a log without times; query engines read it as null."""
+_SOURCE = r"[0-9a-f]{12}\d*"
+_PLACE = rf"({EVENTS}|{ROWS}/hand=[\w.-]+/date=(\d{{4}}-\d\d-\d\d|{NO_DATE})/node=\d{{1,3}})"
+FilePath = Annotated[str, msgspec.Meta(pattern=rf"\A{_PLACE}/{_SOURCE}-\d{{14,}}-\d+-[0-9a-f]{{12}}\.parquet\Z")]
+"""Of a file that a run writes: no other is read, and no other removed."""
+SourceId = Annotated[str, msgspec.Meta(pattern=rf"\A{_SOURCE}\Z")]
 _KEPT_GENERATIONS = 2  # for readers that have just listed them
 
 
 class DataFile(msgspec.Struct, frozen=True, array_like=True):
-    """One Parquet file: rows of one node on one UTC day. Times in nanoseconds of the epoch."""
+    """Rows of one node on one UTC day in a Parquet file. Times in nanoseconds of the epoch.
 
-    path: str
+    Parts that were compacted share a file, each with its own rows; ``bytes`` and ``sha256`` are of the whole file.
+    """
+
+    path: FilePath
     node: int
     rows: int
     bytes: int
     sha256: str
     first_ns: int
     last_ns: int
+    first_row: int = 0
 
 
 class Part(msgspec.Struct, frozen=True):
     """What was written at a time: bytes ``start`` to ``end`` of a log (None: all of a log that cannot be cut)."""
 
     id: str
-    source: str
+    source: SourceId
     start: int
     end: int | None
     frames: int
@@ -66,7 +80,7 @@ def files_of(parts: Iterable[Part]) -> Iterable[DataFile]:
 class Source(msgspec.Struct, frozen=True):
     """One log. ``size``: its bytes that are in the dataset; hashes of its first ``head_bytes`` and of the last ones."""
 
-    id: str
+    id: SourceId
     name: str
     head_bytes: int
     head_sha256: str
@@ -96,21 +110,33 @@ class Manifest(msgspec.Struct):
     parts: list[Part] = []
     columns: list[Column] = []
     """Of all files, in order."""
-    replaced: list[str] = []
+    replaced: list[FilePath] = []
     """Files of parts that this generation replaced: a writer that ended before it removed them leaves them behind."""
 
     def source(self, source_id: str) -> Source | None:
         """Return a log by its id."""
         return next((one for one in self.sources if one.id == source_id), None)
 
-    def files(self) -> Iterable[DataFile]:
-        """Yield the Parquet files of all parts."""
-        for part in self.parts:
-            yield from part.files
+    def files(self) -> list[DataFile]:
+        """Return each Parquet file of rows once, with all its rows."""
+        found: dict[str, DataFile] = {}
+        for file in (file for part in self.parts for file in part.files):
+            found[file.path] = joined([found[file.path], file]) if file.path in found else file
+        return list(found.values())
 
     def paths(self) -> set[str]:
         """Return the paths of all files, those of the events too."""
         return {file.path for file in files_of(self.parts)}
+
+
+def joined(files: Sequence[DataFile]) -> DataFile:
+    """Return the rows of a node that follow each other in a file as one."""
+    return msgspec.structs.replace(
+        files[0],
+        rows=sum(file.rows for file in files),
+        first_ns=min(file.first_ns for file in files),
+        last_ns=max(file.last_ns for file in files),
+    )
 
 
 @dataclass(slots=True)
@@ -159,16 +185,42 @@ def read_manifest(store: Store) -> Manifest | None:
         place = f"{store.name}/{FOLDER}/{names[-1]}"
         try:
             found = msgspec.json.decode(text, type=Manifest)
-            reason = "" if found.format == FORMAT else f"format {found.format}, this tipforce reads {FORMAT}"
+            if found.format == FORMAT and names[-1] == _file_name(found.generation):
+                return found
+            reason = f"format {found.format}, this tipforce reads {FORMAT}; generation {found.generation}"
         except msgspec.MsgspecError as error:
             reason = str(error)
-        if not reason:
-            return found
+        _refuse_earlier(store.name, text)
         raise InputError(
             f"{place}: not a manifest that this tipforce reads ({reason}): update it if a newer one wrote the dataset; "
             "otherwise put back a copy of the file, or decode the logs again into another directory"
         )
     raise InputError(f"{store.name}: its manifest changes too fast to be read; try again")
+
+
+class _Name(msgspec.Struct):
+    name: str = ""
+
+
+class _Earlier(msgspec.Struct):
+    """A manifest of format 1, whose rows lie beside the events and the manifests."""
+
+    format: Literal[1]
+    sources: list[_Name] = []
+
+
+def _refuse_earlier(name: str, text: bytes) -> None:
+    with suppress(msgspec.MsgspecError):
+        sources = msgspec.json.decode(text, type=_Earlier).sources
+        logs = ", ".join([one.name for one in sources[:3]] + ["..."] * (len(sources) > 3))
+        raise InputError(
+            f"{name}: an earlier tipforce wrote this dataset, in a layout that pandas and Polars do not open: "
+            f"`tipforce decode LOGS -o NEW/` writes its logs again ({logs})"
+        )
+
+
+def _file_name(generation: int) -> str:
+    return f"manifest-{generation:010d}.json"
 
 
 def generations(store: Store) -> list[str]:
@@ -185,7 +237,7 @@ def commit(store: Store, change: Change) -> Manifest:
         before = read_manifest(store) or Manifest()
         remove_replaced(store, before)  # of a writer that ended: no later generation names these files
         manifest = change.applied(before)
-        name = f"{FOLDER}/manifest-{manifest.generation:010d}.json"
+        name = f"{FOLDER}/{_file_name(manifest.generation)}"
         if store.create(name, msgspec.json.encode(manifest)):
             break
     for old in generations(store)[:-_KEPT_GENERATIONS]:

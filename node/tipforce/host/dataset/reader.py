@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
-from tipforce.host.dataset.manifest import Manifest, Part, read_manifest
+from tipforce.host.dataset.manifest import DataFile, Manifest, read_manifest
 from tipforce.host.dataset.store import Store
 from tipforce.host.decoding.log_part import Notes, Reading, When
 from tipforce.host.decoding.sample_table import (
@@ -72,30 +72,36 @@ def notes(name: str, manifest: Manifest) -> Notes:
 
 
 def tables(name: str, reading: Reading) -> Iterator[Table]:
-    """Yield the samples of each part in the order of their times: those that ``reading`` selects."""
+    """Yield the samples of the parts, of compacted ones together, in the order of their times.
+
+    Only those that ``reading`` selects.
+    """
     store, manifest = opened(name)
     origin = first_ns(manifest) or 0
     start = _limit(reading.start, reading.origin_ns or origin, -_FOREVER)
     end = _limit(reading.end, reading.origin_ns or origin, _FOREVER)
     wanted = [one for one in manifest.columns if reading.signals is None or one.signal in reading.signals]
     channels: list[str] = []
-    for part in sorted(manifest.parts, key=lambda one: min((file.first_ns for file in one.files), default=0)):
-        with damage_named(store, part):
-            found = _part_table(store, part, reading, wanted, channels, (start, end))
+    written: dict[str, list[DataFile]] = {}  # files of one name are of the same parts
+    for file in manifest.files():
+        written.setdefault(file.path.rpartition("/")[2], []).append(file)
+    for files in sorted(written.values(), key=lambda some: min(file.first_ns for file in some)):
+        with damage_named(store, *(file.path for file in files)):
+            found = _read_table(store, files, reading, wanted, channels, (start, end))
         if found is not None and len(found):
             yield found
 
 
 @contextmanager
-def damage_named(store: Store, *parts: Part) -> Iterator[None]:
-    """Raise LogError for a file of these parts that cannot be read, with the next step."""
+def damage_named(store: Store, *paths: str) -> Iterator[None]:
+    """Raise LogError for one of these files that cannot be read, with the next step."""
     import pyarrow as pa
 
     try:
         yield
     except (OSError, pa.ArrowException) as error:
         now = read_manifest(store)
-        if now is not None and not {part.id for part in parts} <= {part.id for part in now.parts}:
+        if now is not None and not set(paths) <= now.paths():
             raise LogError(f"{store.name}: another run has replaced a part meanwhile; run this again") from error
         raise damaged(store, error) from error
 
@@ -114,14 +120,19 @@ def _limit(when: When | None, origin_ns: int, otherwise: int) -> int:
     return when.ns + (origin_ns if when.relative else 0)
 
 
-def _part_table(
-    store: Store, part: Part, reading: Reading, wanted: list[Column], channels: list[str], span: tuple[int, int]
+def _read_table(
+    store: Store,
+    files: list[DataFile],
+    reading: Reading,
+    wanted: list[Column],
+    channels: list[str],
+    span: tuple[int, int],
 ) -> Table | None:
     import pyarrow as pa
 
     nodes = reading.layouts.nodes
     read = []
-    for file in part.files:
+    for file in files:
         if file.last_ns < span[0] or file.first_ns >= span[1] or (nodes is not None and file.node not in nodes):
             continue
         rows = _rows(store, file.path, [column.name for column in wanted], span)
@@ -130,7 +141,7 @@ def _part_table(
         return None
     rows = pa.concat_tables(read, promote_options="default")
     timed = rows["t_s"].null_count == 0
-    t_ns = rows["t_s"].fill_null(0).to_numpy().astype("datetime64[ns]").astype(np.int64)
+    t_ns = 1000 * rows["t_s"].cast(pa.int64()).fill_null(0).to_numpy()
     found = _table(rows, wanted, channels, t_ns, timed).take(np.argsort(t_ns, kind="stable"))
     if reading.signals is not None:  # a row of another PDO alone has neither them nor a sample's counter
         there = [~is_missing(column, found.values[column.name]) for column in found.columns]
@@ -153,20 +164,16 @@ def _rows(store: Store, path: str, names: list[str], span: tuple[int, int]) -> A
     if span == (-_FOREVER, _FOREVER):
         return file.read(columns)
     at = there.index("t_s")
+    start_us, end_us = -(-span[0] // 1000), -(-span[1] // 1000)
     groups = []
     for number in range(file.num_row_groups):
         statistics = file.metadata.row_group(number).column(at).statistics
         known = statistics is not None and statistics.has_min_max
-        low, high = (_ns(statistics.min), _ns(statistics.max)) if known else (-_FOREVER, _FOREVER)
-        if high >= span[0] and low < span[1]:
+        if not known or (statistics.max_raw >= start_us and statistics.min_raw < end_us):
             groups.append(number)
     rows = file.read_row_groups(groups, columns)
-    t_s = rows["t_s"].cast(pa.int64())
-    return rows.filter(pc.and_(pc.greater_equal(t_s, span[0]), pc.less(t_s, span[1])))
-
-
-def _ns(value: Any) -> int:
-    return int(np.datetime64(value, "ns").astype(np.int64)) if not hasattr(value, "value") else int(value.value)
+    t_us = rows["t_s"].cast(pa.int64())
+    return rows.filter(pc.and_(pc.greater_equal(t_us, start_us), pc.less(t_us, end_us)))
 
 
 def _table(rows: Any, wanted: list[Column], channels: list[str], t_ns: Values, timed: bool) -> Table:

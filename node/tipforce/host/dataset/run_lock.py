@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 
-from tipforce.host.dataset.manifest import FOLDER, Manifest, read_manifest
+from tipforce.host.dataset.manifest import EVENTS, FOLDER, ROWS, Manifest, read_manifest
 from tipforce.host.dataset.store import Store
 
 
@@ -21,12 +22,12 @@ class RunLock:
 
     def __enter__(self) -> RunLock:
         if self._store.local is not None:
-            folder = self._store.local / FOLDER
+            folder = Path(self._store.path(FOLDER))
             folder.mkdir(parents=True, exist_ok=True)
-            self._file = os.open(folder / f"{self._token}.run", os.O_CREAT | os.O_RDWR)
+            self._file = os.open(self._store.path(f"{FOLDER}/{self._token}.run"), os.O_CREAT | os.O_RDWR)
             lock(self._file)
             for mark in folder.glob("*.run"):
-                if mark.stem != self._token:
+                if mark.stem != self._token and re.fullmatch(r"[0-9a-f]{12}\.run", mark.name) and not mark.is_symlink():
                     _clean(self._store, mark)
         return self
 
@@ -73,7 +74,8 @@ def remove_unlisted(store: Store, manifest: Manifest, token: str) -> None:
     """Remove the files of a run that no manifest lists."""
     assert store.local is not None
     listed = manifest.paths()
-    for pattern in (f"hand=*/date=*/node=*/*-{token}.parquet", f"events/*-{token}.csv"):
+    for pattern in (f"{ROWS}/hand=*/date=*/node=*/*-{token}.parquet", f"{EVENTS}/*-{token}.parquet"):
         for path in store.local.glob(pattern):
-            if path.relative_to(store.local).as_posix() not in listed:
-                path.unlink(missing_ok=True)
+            relative = path.relative_to(store.local).as_posix()
+            if relative not in listed:
+                store.remove(relative)

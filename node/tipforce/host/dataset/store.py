@@ -8,11 +8,13 @@ import os
 import shutil
 import tempfile
 import uuid
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.paths_below import below, is_below
 
 
 def is_url(name: str) -> bool:
@@ -27,8 +29,9 @@ class Store:
         """Raises EnvironmentLackError for a URL without its packages, InputError for one of unknown kind."""
         self.name = name.rstrip("/") or "/"
         self._fs: Any = None
-        self._root = os.path.abspath(self.name.removeprefix("file://"))
-        if is_url(name) and not name.startswith("file://"):
+        local = self.name.removeprefix("file://").removeprefix("local://")
+        self._root = os.path.realpath(local)
+        if is_url(local):
             self._fs, self._root = filesystem(self.name)
 
     @property
@@ -37,7 +40,14 @@ class Store:
         return Path(self._root) if self._fs is None else None
 
     def path(self, relative: str) -> str:
-        """Return the full path of a file, for ``filesystem``."""
+        """Return the full path of a file or folder, for ``filesystem``.
+
+        Raises InputError for a path that leaves the dataset, and for a link.
+        """
+        if self._fs is None:
+            return str(below(self._root, relative, f"{self.name}: path", links=False))
+        if not is_below(relative):
+            raise InputError(f"{self.name}: path = {relative!r}: allowed is one below it")
         return f"{self._root}/{relative}"
 
     @property
@@ -46,12 +56,13 @@ class Store:
         return self._fs
 
     def names(self, folder: str) -> list[str]:
-        """Return the names in a folder; none if it does not exist."""
+        """Return the names in a folder, "" for the dataset itself; none if it does not exist."""
+        place = self.path(folder) if folder else self._root
         with suppress(FileNotFoundError, NotADirectoryError):
             if self._fs is None:
-                return os.listdir(self.path(folder))
+                return os.listdir(place)
             self._fs.invalidate_cache()
-            return [str(path).rsplit("/", 1)[-1] for path in self._fs.ls(self.path(folder), detail=False)]
+            return [str(path).rsplit("/", 1)[-1] for path in self._fs.ls(place, detail=False)]
         return []
 
     def read(self, relative: str) -> bytes:
@@ -94,6 +105,17 @@ class Store:
         finally:
             partial.unlink(missing_ok=True)
         return True
+
+    @contextmanager
+    def scratch(self, relative: str) -> Iterator[Path]:
+        """Give a folder for files before ``put``: this one in a directory, which stays; else a temporary one."""
+        if self._fs is None:
+            folder = Path(self.path(relative))
+            folder.mkdir(parents=True, exist_ok=True)
+            yield folder
+            return
+        with tempfile.TemporaryDirectory(prefix="tipforce-") as name:
+            yield Path(name)
 
     def put(self, file: Path, relative: str) -> None:
         """Move a complete local file here. Raises OSError."""

@@ -35,6 +35,7 @@ from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.calibration_file import read_calibration
 from tipforce.host.configuration.configuration_file import Configuration, read_configuration
+from tipforce.paths_below import below
 from tipforce.toml_table import convert, read_table
 
 MAX_FINGERS = 32
@@ -94,7 +95,7 @@ class _Content(msgspec.Struct, frozen=True, forbid_unknown_fields=True, kw_only=
 
 
 class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
-    """A whole file; paths in it are relative to it."""
+    """A whole file; paths in it are below its folder."""
 
     folder: str = ""
     """The directory of the file; not a key of the file."""
@@ -112,14 +113,17 @@ class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Read a finger's calibration file; None if it names none. Raises InputError."""
-        return read_calibration(Path(self.folder, finger.calibration)) if finger.calibration else None
+        if not finger.calibration:
+            return None
+        return read_calibration(below(self.folder, finger.calibration, f"[[finger]] {finger.label}: calibration"))
 
     def configuration(self, finger: FingerPlan) -> Configuration:
         """Return the settings of a finger: those of all, overridden by its own. Raises InputError."""
         wanted: Configuration = {}
-        for name in (self.hand.config, finger.config):
+        for name, place in ((self.hand.config, "[hand]"), (finger.config, f"[[finger]] {finger.label}:")):
             if name:
-                wanted |= read_configuration(Path(self.folder, name), finger.node_id, finger.gauges)
+                path = below(self.folder, name, f"{place} config")
+                wanted |= read_configuration(path, finger.node_id, finger.gauges)
         return dict(sorted(wanted.items()))
 
 
@@ -128,6 +132,8 @@ def read_hand(path: str | Path) -> HandFile:
     content = convert(_Content, read_table(path, str(path)), str(path))
     found = HandFile(finger=content.finger, hand=content.hand, bus=content.bus, folder=str(Path(path).parent))
     try:
+        if "dll" in found.bus:  # python-can runs it
+            raise InputError("[bus] dll: a hand file names no program; give it in python-can's configuration")
         check_hand(found)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None

@@ -6,12 +6,17 @@ from typing import Any
 
 import can
 
-from tipforce.errors import EnvironmentLackError
+from tipforce.errors import EnvironmentLackError, InputError
 
 
 def open_bus(**options: Any) -> can.BusABC:
-    """Return python-can's bus; if it cannot be opened, the error says what to do."""
+    """Return python-can's bus; if it cannot be opened, the error says what to do.
+
+    Raises InputError for a channel that pyserial's spy:// would record: its name, as of a log or a hand, names a file.
+    """
     given = {key: value for key, value in options.items() if value is not None}
+    if str(given.get("channel", "")).lower().startswith("spy:"):
+        raise InputError(f"channel {given['channel']}: it writes a file; name the port without spy://")
     try:
         configuration = can.util.load_config(config=dict(given))
         if configuration["interface"] == "udp_multicast":

@@ -1,0 +1,364 @@
+"""Files from elsewhere: names and links in them make nothing outside their folder be read, written or removed."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from eds.samples import described, text, var
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.hand.file import read_hand
+from tipforce.host.network.open_bus import open_bus
+from tipforce.machine.file import read_machine
+from tipforce.running.store import FileStore
+from tipforce.scene import beam_calibration
+from tipforce_tools.cli.main import main
+from tools.decode.logs import decode, log_lines, write_log
+
+MARK = "5EC4E7"
+"""Stands in every file outside; no output may have it."""
+OUTSIDE = {
+    "keep.txt": MARK,
+    "x.toml": f"{MARK} = 1\n",
+    "x.json": json.dumps({"application": MARK}),
+    "x.csv": f"t_s,{MARK}\n0,1\n",
+    "x.log": f"(1.000000) can0 123#{MARK}\n",
+    "x.png": "",
+    "x.eds": f"[FileInfo]\nFileName={MARK}\n[{MARK}]\n",
+    "x.py": f"print({MARK!r})\n",
+    "x.parquet": MARK,
+}
+NAMES = [
+    "../x", "/etc/passwd", "{outside}/x", "a/../../x", "a/../../received/../x", "link", "folder/x", "..\\x",
+    "a\\..\\..\\x", "C:\\x", "nul\0x", "line\nx", "", ".", "..", "a/..", "~", "~/x", "long" + "x" * 300, 500 * "long/",
+]  # fmt: skip
+"""Names in files; with the suffix of their kind where they end in x or link."""
+
+
+@pytest.fixture
+def received(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
+    """The folder of the files, which is the working directory; what is around it stays as it is."""
+    outside = tmp_path / "outside"
+    inside = outside / "received"
+    inside.mkdir(parents=True)
+    for name, content in OUTSIDE.items():
+        (outside / name).write_text(content)
+        (inside / f"link{Path(name).suffix}").symlink_to(outside / name)
+    (inside / "folder").symlink_to(outside)
+    (inside / "a").mkdir()
+    monkeypatch.chdir(inside)
+    monkeypatch.setenv("HOME", str(outside))
+    before = tree(tmp_path, inside)
+    yield inside
+    assert tree(tmp_path, inside) == before
+
+
+def tree(root: Path, left_out: Path) -> dict[str, bytes]:
+    """The content of every file below a folder, without one folder."""
+    found = {}
+    for place, folders, files in os.walk(root):
+        folders[:] = [name for name in folders if Path(place, name) != left_out]
+        found |= {str(Path(place, name)): b"" for name in folders}
+        found |= {str(Path(place, name)): Path(place, name).read_bytes() for name in files}
+    return found
+
+
+def named(name: str, suffix: str, folder: Path) -> str:
+    """Return one of NAMES with a suffix."""
+    return name.format(outside=folder.parent) + (suffix if name.endswith(("x", "link")) else "")
+
+
+def run(*words: object) -> Callable[[], None]:
+    """A command that must be refused."""
+
+    def act() -> None:
+        code = main([*map(str, words)])
+        if code:
+            raise InputError(f"exit {code}")
+
+    return act
+
+
+Act = Callable[[], object]
+
+
+def hand(key: str, place: str) -> Callable[[Path, str], Act]:
+    """A hand that names a file."""
+
+    def make(folder: Path, name: str) -> Act:
+        tables = {"hand": "", "finger": "node_id = 1\n"}
+        tables[place] += f"{key} = {json.dumps(name)}\n"
+        (folder / "hand.toml").write_text(f"[hand]\n{tables['hand']}[[finger]]\n{tables['finger']}")
+        if not name:  # as without the key
+            return lambda: read_hand("hand.toml").calibration(read_hand("hand.toml").finger[0])
+        return run("hand", "check", "hand.toml")
+
+    return make
+
+
+def scene(key: str, output: bool) -> Callable[[Path, str], Act]:
+    """A scene that names a file."""
+
+    def make(folder: Path, name: str) -> Act:
+        line = f"{key} = {json.dumps(name)}\n"
+        text = 'duration_s = 0.02\nsync_hz = 100\n[[nodes]]\nids = [1]\npdos = ["contact"]\n'
+        (folder / "scene.toml").write_text(text + (f"[outputs]\n{line}" if output else line))
+        return run("run", "scene.toml")
+
+    return make
+
+
+def machine(key: str) -> Callable[[Path, str], Act]:
+    """A machine that names a file; a value of the store is saved."""
+
+    def make(folder: Path, name: str) -> Act:
+        (folder / "own.eds").write_text(text(var("2000", 5)))
+        keys = {"eds": "own.eds", key: f"{name}:Press" if key == "application" else name}
+        signal = f'[[device.signal]]\nkind = "csv"\nobject = "P2000"\ncolumn = "P"\nfile = {json.dumps(name)}\n'
+        if key == "file":
+            del keys["file"]
+        lines = "".join(f"{one} = {json.dumps(value)}\n" for one, value in keys.items())
+        (folder / "machine.toml").write_text(f"[[device]]\nnode_id = 5\n{lines}" + (signal if key == "file" else ""))
+        return lambda: read_machine("machine.toml")
+
+    return make
+
+
+KINDS: dict[str, tuple[str, Callable[[Path, str], Act]]] = {
+    "hand: calibration": (".toml", hand("calibration", "finger")),
+    "hand: config": (".toml", hand("config", "hand")),
+    "hand: config of a finger": (".toml", hand("config", "finger")),
+    "scene: calibration": (".toml", scene("calibration", False)),
+    "scene: log": (".log", scene("log", True)),
+    "scene: table": (".csv", scene("table", True)),
+    "scene: plot": (".png", scene("plot", True)),
+    "machine: eds": (".eds", machine("eds")),
+    "machine: store": (".json", machine("store")),
+    "machine: application": (".py", machine("application")),
+    "machine: signal": (".csv", machine("file")),
+}
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_file_names_no_other_outside_its_folder(
+    received: Path, kind: str, name: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    suffix, make = KINDS[kind]
+    act = make(received, named(name, suffix, received))
+    if name or not kind.startswith(("hand", "machine: store", "machine: application")):  # there "" is none
+        with pytest.raises(InputError) as refused:
+            act()
+        told = capfd.readouterr()
+        lines = (told.err or f"{refused.value}\n").splitlines()
+        assert len(lines) == 1
+        if name:
+            assert "allowed is a path below" in lines[0] or "a link leads out of" in lines[0]
+        assert MARK not in told.out + told.err + str(refused.value)
+
+
+@pytest.mark.parametrize("name", ["own", "./own", "a/own", "a/./own", "to-own"])
+def test_names_and_links_in_the_folder_are_followed(received: Path, name: str) -> None:
+    for place in (received / "own.toml", received / "a" / "own.toml"):
+        write_calibration(place, beam_calibration("I"))
+    (received / "to-own.toml").symlink_to("a/own.toml")
+    (received / "hand.toml").write_text(f'[[finger]]\nnode_id = 1\ncalibration = "{name}.toml"\n')
+    found = read_hand("hand.toml")
+    assert found.calibration(found.finger[0]) is not None
+    (received / "scene.toml").write_text(
+        f'duration_s = 0.02\nsync_hz = 100\n[[nodes]]\nids = [1]\npdos = ["contact"]\ncalibration = "{name}.toml"\n'
+    )
+    assert main(["run", "scene.toml", "-q"]) == 0
+
+
+@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("key", ["UploadFile", "DownloadFile"])
+def test_a_dcf_serves_no_file_outside_its_folder(received: Path, key: str, name: str) -> None:
+    found = described(received, text(var("2001", 15, "rw", "", **{key: named(name, ".toml", received)})))
+    assert MARK not in repr([(entry.value, entry.default) for entry in found.entries()])
+    assert MARK not in "".join(found.warnings)
+
+
+def test_an_xdd_includes_no_other_file(received: Path) -> None:
+    (received / "x.xdd").write_text(
+        '<?xml version="1.0"?><!DOCTYPE a [<!ENTITY e SYSTEM "../keep.txt"><!ENTITY % f SYSTEM "../x.eds">%f;]>'
+        '<ISO15745ProfileContainer><a name="&e;"/>&e;</ISO15745ProfileContainer>'
+    )
+    with pytest.raises(InputError) as refused:
+        described(received, (received / "x.xdd").read_text())
+    assert MARK not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_interfaces_of_a_log_name_no_file(received: Path, name: str) -> None:
+    name = named(name, ".log", received).replace("\0", "").replace("\n", "") or "x"
+    log = write_log(received / "run.log", [line.replace("vcan0", name) for line in log_lines(20, (1,))])
+    for output in ("x.csv", "x.mcap", "x.parquet", "data/"):
+        decode(log, "-o", output)
+    decode("x.mcap", "-o", "mcap/")
+    for folder in ("data", "mcap"):
+        main(["dataset", folder, "--compact", "-q"])
+    main(["replay", str(log), "-i", "virtual", "--speed", "inf"])
+
+
+def test_a_channel_that_writes_a_file_is_refused(received: Path) -> None:
+    (received / "hand.toml").write_text('[bus]\ninterface = "usb2can"\ndll = "x.dll"\n[[finger]]\nnode_id = 1\n')
+    with pytest.raises(InputError, match="dll"):
+        read_hand("hand.toml")
+    for channel in ("spy:///dev/null?file=../keep.txt", "SPY:///dev/null?file=../keep.txt"):
+        with pytest.raises((InputError, EnvironmentLackError), match="writes a file"):
+            open_bus(interface="slcan", channel=channel)
+
+
+def test_links_with_temporary_names_are_not_followed(received: Path) -> None:
+    for name in (f".x.log.{os.getpid()}.part", "node.json.new", "node.json.2"):
+        (received / name).unlink(missing_ok=True)
+        (received / name).symlink_to(received.parent / "keep.txt")
+    store = FileStore("node.json")
+    for _ in range(3):
+        store.save("group", b"1")
+    scene("log", True)(received, "x.log")()
+    assert (received / "x.log").stat().st_size
+    (received / "own.eds").write_text(text(var("2000", 5)))
+    (received / "machine.toml").write_text('[[device]]\neds = "own.eds"\nnode_id = 5\nstore = "other.json"\n')
+    (received / "other.json.2").symlink_to(received.parent / "x.json")
+    with pytest.raises(InputError, match=r"other\.json\.2.*a link leads out"):
+        read_machine("machine.toml")
+
+
+# --- datasets -------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def dataset(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A log with an event in two parts, and its dataset."""
+    folder = tmp_path_factory.mktemp("dataset")
+    lines = log_lines(60, (1,))
+    lines.insert(1, lines[0].replace("080#", "701#00"))
+    for share in (0.5, 1.0):
+        log = write_log(folder / "run.log", lines[: int(share * len(lines))])
+        assert decode(log, "-j", 1, "-o", f"{folder}/data/") == 0
+    assert decode(write_log(folder / "b.log", lines[40:]), "-j", 1, "-o", f"{folder}/data/") == 0
+    return folder
+
+
+def manifest_file(data: Path) -> Path:
+    return max((data / "_tipforce").glob("manifest-*.json"))
+
+
+def use(data: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
+    """Run every command on a dataset; return the exit codes."""
+    log = data.parent / "run.log"
+    codes = {main(["dataset", str(data), *words]) for words in ([], ["--verify"], ["--compact"])}
+    codes.add(main(["dataset", str(data), "--sql", "select * from samples, events"]))
+    codes |= {decode(data, "-o", "x.csv"), decode(log, "-j", 1, "-o", f"{data}/")}
+    with log.open("a") as stream:
+        stream.write("".join(line.replace("(170000", "(170001") + "\n" for line in log_lines(20, (1,))))
+    codes |= {decode(log, "-j", 1, "-o", f"{data}/"), main(["dataset", str(data), "--compact"])}
+    told = capfd.readouterr()
+    assert MARK not in told.out + told.err
+    assert "Traceback" not in told.err
+    return codes
+
+
+FIELDS: dict[str, Callable[[dict[str, Any], str], None]] = {
+    "replaced": lambda manifest, name: manifest.update(replaced=[name]),
+    "path of rows": lambda manifest, name: manifest["parts"][0]["files"][0].__setitem__(0, name),
+    "path of events": lambda manifest, name: manifest["parts"][0]["events"].__setitem__(0, name),
+    "id of a log": lambda manifest, name: manifest["sources"][0].update(id=name),
+    "log of a part": lambda manifest, name: manifest["parts"][0].update(source=name),
+    "id of a part": lambda manifest, name: manifest["parts"][0].update(id=name),
+    "name of a log": lambda manifest, name: manifest["sources"][0].update(name=name),
+    "name of a column": lambda manifest, name: manifest["columns"][0].update(name=name),
+}
+NOT_PATHS = ("id of a part", "name of a log", "name of a column")
+
+
+@pytest.mark.parametrize("field", FIELDS)
+def test_a_manifest_names_no_file_outside(
+    received: Path, dataset: Path, field: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    own = "rows/hand=x/date=2026-05-17/node=1/"
+    hostile = [*NAMES, "../keep.txt", own + "../../../../../keep.txt", own + "link.parquet", "_tipforce", "a/x", "*"]
+    for name in hostile[:3] if field in NOT_PATHS else hostile:
+        shutil.rmtree(received / "data", ignore_errors=True)
+        shutil.copytree(dataset / "data", received / "data")
+        shutil.copy(dataset / "run.log", received / "run.log")
+        manifest = json.loads(manifest_file(received / "data").read_text())
+        FIELDS[field](manifest, named(name, ".parquet", received))
+        manifest_file(received / "data").write_text(json.dumps(manifest))
+        before = tree(received, received / "outside")
+        codes = use(received / "data", capfd) if field in NOT_PATHS else used_and_refused(received, capfd)
+        assert codes <= {0, 1, 2}
+        if field not in NOT_PATHS:
+            after = tree(received, received / "outside")
+            assert {path: after.get(path) for path in before if "run.log" not in path} == {
+                path: content for path, content in before.items() if "run.log" not in path
+            }
+
+
+def used_and_refused(received: Path, capfd: pytest.CaptureFixture[str]) -> set[int]:
+    assert main(["dataset", "data"]) == 2
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert "data/_tipforce/manifest-" in lines[0]
+    codes = use(received / "data", capfd)
+    assert codes == {2}
+    return codes
+
+
+@pytest.mark.parametrize(
+    "place",
+    ["", "rows", "rows/hand=vcan0", "rows/hand=vcan0/*", "rows/*/*/node=1", "rows/*/*/*/*", "events", "events/*",
+     "_tipforce", "_tipforce/manifest-*"],
+)  # fmt: skip
+def test_links_in_a_dataset_are_refused(
+    received: Path, dataset: Path, place: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """A dataset that is a link itself was named by the user; below it none is followed, be it in the dataset or not."""
+    data, elsewhere = received / "data", received.parent / "elsewhere"
+    shutil.copytree(dataset / "data", data)
+    shutil.copy(dataset / "run.log", received / "run.log")
+    path = max(data.glob(place)) if place else data
+    shutil.move(path, elsewhere)
+    path.symlink_to(elsewhere)
+    if not place:
+        assert use(data, capfd) == {0}
+        shutil.rmtree(elsewhere)
+        return
+    before = tree(elsewhere, received) if elsewhere.is_dir() else {"": elsewhere.read_bytes()}
+    codes = use(data, capfd)  # what does not need the file may succeed
+    assert 2 in codes
+    assert codes <= {0, 2}
+    assert (tree(elsewhere, received) if elsewhere.is_dir() else {"": elsewhere.read_bytes()}) == before
+    shutil.rmtree(elsewhere) if elsewhere.is_dir() else elsewhere.unlink()
+
+
+@pytest.mark.parametrize("mark", ["...run", "*.run", "..run", "[0-9a-f].run", "link.run", "0123456789ab.run"])
+def test_marks_of_runs_remove_nothing_but_what_a_run_wrote(
+    received: Path, dataset: Path, mark: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    data = received / "data"
+    shutil.copytree(dataset / "data", data)
+    shutil.copy(dataset / "run.log", received / "run.log")
+    kept = [data / "rows/hand=vcan0/own-x.parquet", data / "rows/hand=vcan0/date=2023-11-14/node=1/own-*.parquet"]
+    for path in kept:
+        path.write_text("kept")
+    folder = data / "_tipforce" / mark.removesuffix(".run")
+    if not folder.exists():
+        folder.symlink_to(received.parent)
+    if mark.startswith("link"):
+        (data / "_tipforce" / mark).symlink_to(received.parent / "keep.txt")
+    else:
+        (data / "_tipforce" / mark).touch()
+    assert decode(received / "run.log", "-j", 1, "-o", f"{data}/") == 0
+    assert all(path.read_text() == "kept" for path in kept)
+    assert main(["dataset", str(data), "--verify"]) == 0
+    capfd.readouterr()
