@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from eds.samples import INFO, MANDATORY, var
+from eds.samples import INFO, MANDATORY, record, var
 from host.bus_with_nodes import connected, finger, new_channel
 from host.logs.test_pcap import block, socketcan
 from tipforce.device.node import Device
@@ -29,10 +29,16 @@ QUOTED = json.dumps(HOSTILE)  # as TOML writes it, too
 HIDDEN = re.compile("[^\n\t -~\xa0-\uffff]|[\xad\u200b-\u200f\u2028-\u202e\u2066-\u2069\ud800-\udfff]")
 COLOURS = re.compile(r"\x1b\[[\d;]*m")
 
-NAMED = NAME.replace("\udcff", "\xff")
-EDS = INFO.replace("Anyone", NAMED).replace("=Device", f"={NAMED}") + MANDATORY.replace("Vendor\n", f"V{NAMED}\n")
-EDS += var("1008", 9, "const", "x") + var("2000", 4, "rw", "7").replace("P2000", f"P{NAMED}")
-EDS += var("2002", 9, "rw", NAMED).replace("P2002", f"Q{NAMED}")
+KEY = "A\x1b[31mB[bold]\x01\x07\x08\x7f\x9b\u202e\u2066"  # without what ends a line
+MARKUP = "[bold]A[/] [red]B :smile:"
+EDS = INFO.replace("Anyone", KEY).replace("=Device", f"={KEY}") + MANDATORY.replace("Vendor\n", f"V{KEY}\n").replace(
+    "=2", "=3"
+)
+EDS += var("1008", 9, "const", "x") + var("2000", 4, "rw", "7").replace("P2000", f"P{KEY}")
+EDS += var("1018sub2", 7, "ro", "1") + var("100A", 9, "const", "x")
+for place in ("1F56", "1F57"):
+    EDS += record(place, var(f"{place}sub0", 5, "const", "1"), var(f"{place}sub1", 7, "ro", "0"))
+EDS += var("2002", 9, "rw", KEY).replace("P2002", f"Q{KEY}")
 LOG = "".join(f"({1700000000 + k / 1000:.6f}) vcan0 285#2E1129239A1103{k:02X}\n" for k in range(50))
 NAMED_LOG = LOG.replace("vcan0", "".join(one for one in NAME if not one.isspace() and one > " "))
 SCENE = f"""
@@ -56,14 +62,16 @@ FILES = {
     "comment.log": f"# {NAME}\n" + LOG + f"{NAME}\n(1700000001.0) {NAME} 123#00\n",
     "noise.asc": NAME,
     "scene.toml": SCENE,
-    "keys.toml": f"{QUOTED} = 1\n[{QUOTED}]\nx = {QUOTED}\n[objects]\n{QUOTED} = {QUOTED}\n",
+    "markup.toml": SCENE.replace(QUOTED, json.dumps(MARKUP)),
+    "keys.toml": f"[objects]\n{QUOTED} = {QUOTED}\n[{QUOTED}]\nx = {QUOTED}\n",
+    "markup_hand.toml": f"[hand]\nsync_hz = 50\n[[finger]]\nname = {json.dumps(MARKUP)}\nnode_id = 5\n",
     "hand.toml": f"[hand]\nsync_hz = 50\n[[finger]]\nname = {QUOTED}\nnode_id = 5\n",
     "two.toml": 2 * f"[[finger]]\nname = {QUOTED}\nnode_id = 5\n",
     "layout.toml": f"points = [{QUOTED}]\n",
     "machine.toml": f'[[device]]\neds = "any.eds"\nnode_id = 5\napplication = {QUOTED}\n',
     "values.toml": f'[[device]]\neds = "any.eds"\nnode_id = 5\nvalues = {{{QUOTED} = {QUOTED}}}\n',
-    "readings.csv": f"SG1,SG2,SG3,{NAME}\n1,2,3,{NAME}\n{NAME},1,2,3\n",
-    "data.csv": f"SG1,SG2,SG3,P_N,phi_deg,theta_deg\n{NAME},1,2,3,4,5\n",
+    "readings.csv": f"SG1,SG2,SG3,{KEY}\n1,2,3,{KEY}\n{KEY},1,2,3\n",
+    "data.csv": f"SG1,SG2,SG3,P_N,phi_deg,theta_deg\n{KEY},1,2,3,4,5\n",
     NAME: NAME,
     f"{NAME}.log": LOG,
 }
@@ -72,9 +80,9 @@ NODE = f"{BUS} --timeout 0.2 --retries 1"
 CASES: dict[str, list[str]] = {
     "demo": ["demo HOSTILE"],
     "node": ["node --node-id 5 --layout layout.toml " + BUS, "node --node-id 5 --layout NAME " + BUS],
-    "run": ["run scene.toml", "run scene.toml --color always", "run keys.toml", "run NAME"],
+    "run": ["run scene.toml", "run markup.toml --color always", "run keys.toml", "run NAME"],
     "simulate": [f"simulate {name} {BUS}" for name in ("machine.toml", "values.toml", "keys.toml", "NAME --node-id 5")],
-    "scene": ["scene explain scene.toml", "scene explain keys.toml", "scene explain NAME"],
+    "scene": ["scene explain markup.toml", "scene explain keys.toml", "scene explain NAME"],
     "scan": ["scan --wait 0.2 " + NODE, "scan --json --wait 0.2 " + NODE],
     "read": ["read 5 -n 1 " + NODE],
     "sdo": [
@@ -82,10 +90,11 @@ CASES: dict[str, list[str]] = {
         "sdo dump 6 --eds any.eds " + NODE, "sdo read 6 0x2002 --eds any.eds " + NODE, "sdo read 6 HOSTILE " + NODE,
         "sdo write 5 0x1017 HOSTILE " + NODE,
     ],
-    "hand": ["hand check hand.toml", "hand check two.toml", "hand run hand.toml --seconds 0.3 " + BUS],
+    "hand": ["hand check hand.toml", "hand check markup_hand.toml", "hand check two.toml",
+             "hand run hand.toml --seconds 0.3 " + BUS],
     "nmt": ["nmt start HOSTILE " + BUS],
     "lss": ["lss assign HOSTILE " + BUS],
-    "firmware": ["firmware 5 " + NODE, "firmware 5 --json " + NODE, "firmware 5 NAME " + NODE],
+    "firmware": ["firmware 5 " + NODE, "firmware 6 " + NODE, "firmware 6 --json " + NODE, "firmware 5 NAME " + NODE],
     "config": [
         "config show 5 --all " + NODE, "config show 6 --eds any.eds " + NODE, "config apply 5 keys.toml " + NODE,
         "config show 5 --all --json " + NODE,
@@ -132,7 +141,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("hostile")
     for name, text in FILES.items():
         (found / name).write_bytes(text.encode("utf-8", "surrogateescape"))
-    name = HOSTILE.encode()
+    name = f"{KEY}\nINJECTED".encode()
     start = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1), "<")
     start += block(1, struct.pack("<HHIHH", 227, 0, 0, 2, len(name)) + name + bytes(-len(name) % 4 + 4), "<")
     packets = [socketcan(0x285, bytes.fromhex(f"2E1129239A1103{k:02X}")) for k in range(50)]
@@ -146,14 +155,12 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def hostile_devices(folder: Path) -> Iterator[Device]:
     """A fingertip, 5, and a device of an EDS, 6: the content of each text is hostile."""
-    (folder / "device.eds").write_text(INFO + MANDATORY + var("1008", 9, "const", "x") + var("2002", 9, "rw", "x"))
-    for device in (finger(5), device_of(read_eds(folder / "device.eds", 6))):
+    for device in (finger(5), device_of(read_eds(folder / "any.eds", 6))):
         od = device.od
-        for index in od.indices(0, 0xFFFF):
-            if any(od.find(index, sub)[0] == "s" for sub in od.subs(index)):  # type: ignore[index]
-                od.readers[index] = lambda _sub: HOSTILE
-                for sub in od.subs(index):
-                    od.values[index << 8 | sub] = HOSTILE
+        for index, subs in od._entries.items():
+            for sub, (kind, *rest) in subs.items():
+                if kind in ("s", "D"):
+                    od.add(index, sub, (kind, *rest[:2], HOSTILE.encode() if kind == "D" else HOSTILE, *rest[3:]))
         yield device
 
 
@@ -182,6 +189,8 @@ def test_output_has_no_control_characters(
     assert HIDDEN.findall(shown + err) == []
     assert not re.search(r"^INJECTED", shown + err, re.MULTILINE), shown + err
     assert "Traceback" not in err
+    if "markup" in line and "explain" not in line:
+        assert MARKUP in out
     if "--json" in line or "jsonl" in line:
         for record in out.splitlines():
             json.loads(record)
