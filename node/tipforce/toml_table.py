@@ -18,6 +18,7 @@ from typing import Any, TypeVar, get_args, get_origin
 import msgspec
 
 from tipforce.errors import InputError
+from tipforce.visible_text import visible
 
 T = TypeVar("T", bound=msgspec.Struct)
 
@@ -123,6 +124,9 @@ def _tagged(structs: list[type[msgspec.Struct]], item: object, place: str) -> ty
 def _leaf(kind: Any, content: object, place: str, finite: bool) -> Any:
     if finite and not _finite(content):
         raise InputError(f"{place} is {_shown(content)}: allowed are finite numbers")
+    texts = content if isinstance(content, list) else [content]
+    if any(visible(text) != text for text in texts if isinstance(text, str)):
+        raise InputError(f"{place} is {_shown(content)}: allowed is one line without control characters")
     try:
         return msgspec.convert(content, kind, builtin_types=_DATES)
     except msgspec.ValidationError as error:

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from tipforce.errors import InputError
+from tipforce.visible_text import visible
 
 Value: TypeAlias = int | float | str | bytes
 
@@ -111,8 +112,8 @@ def encode(letter: str, value: Value) -> bytes:
 def decode(letter: str, data: bytes) -> Value:
     """The value of bytes from the wire; unknown values (NaN, 0x8000) come back as they are.
 
-    Raises InputError where the length does not fit the type. Characters outside ASCII in a VISIBLE_STRING
-    show as escapes: what a device sent is never a reason to fail.
+    Raises InputError where the length does not fit the type. Control characters in a text, and characters outside
+    ASCII in a VISIBLE_STRING, show as escapes: what a device sent is never a reason to fail.
     """
     kind = data_type(letter)
     if kind.size is not None:
@@ -125,9 +126,9 @@ def decode(letter: str, data: bytes) -> Value:
         if kind.python is float:
             return float(struct.unpack("<" + letter, data)[0])
     if kind.letter == "s":
-        return data.rstrip(b"\0").decode("ascii", "backslashreplace")
+        return visible(data.rstrip(b"\0").decode("ascii", "backslashreplace"))
     if kind.letter == "u":
-        return data.decode("utf-16-le", "backslashreplace").rstrip("\0")
+        return visible(data.decode("utf-16-le", "backslashreplace").rstrip("\0"))
     return bytes(data)
 
 

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import contextlib
+import itertools
 import json
 import socket
+import threading
 import time
+from collections.abc import Callable
 from typing import Any
 
 import pytest
@@ -13,6 +16,7 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.frames import CloseCode
 
 from tipforce_tools.view import page as view_page
+from tipforce_tools.view import server as view_server
 from tipforce_tools.view.blocks import CONTACT
 from tipforce_tools.view.guard import CONTENT_SECURITY_POLICY
 from tipforce_tools.view.server import MAX_OTHERS, MAX_PAGES, ViewServer, static_files
@@ -256,3 +260,71 @@ def test_a_pump_that_fails_is_told() -> None:
         while not source.model.error and time.monotonic() < deadline_s:
             time.sleep(0.01)
         assert page.ask("setup")["picture"]["error"] == "OSError: bus is gone"
+
+
+def ping(page: Page) -> None:
+    """Send a ping."""
+    page.socket.ping()
+
+
+FLOODS: dict[str, Callable[[Page], None]] = {
+    "streams": lambda page: page.socket.send(json.dumps({"do": "stream", "bin": 1})),
+    "setups": lambda page: page.socket.send(json.dumps({"do": "setup"})),
+    "errors": lambda page: page.socket.send("{"),
+    "pings": ping,
+    "pongs": lambda page: page.socket.pong(),
+    "parts": lambda page: page.socket.send(itertools.repeat("", 10)),
+}
+FLOODING, AT_ONCE = 4, 40
+
+
+@pytest.mark.parametrize("kind", FLOODS)
+def test_a_page_that_floods_is_closed_and_holds_up_nobody(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_server, "MESSAGES_AT_ONCE", float(AT_ONCE))
+    monkeypatch.setattr(view_server, "MESSAGES_A_SECOND", 0.0)  # the clock of the machine does not count
+    with serving(MovingSource()) as server, contextlib.ExitStack() as stack:
+        flooding = [stack.enter_context(Page(server)) for _ in range(FLOODING)]
+        closed = [threading.Thread(target=flood, args=(FLOODS[kind], page)) for page in flooding]
+        for one in closed:
+            one.start()
+        page = stack.enter_context(Page(server))  # a new page gets its data meanwhile, and all of it
+        assert page.ask("setup")["title"] == "test hand"
+        assert len(page.stream(5)) == 5
+        for one in closed:
+            one.join()
+        assert server.refused == FLOODING
+        # What the server took from all of them is their budget, and the message that was too much.
+        assert server.messages <= FLOODING * (AT_ONCE + 1) + 4
+        assert page.ask("pause") == {}
+
+
+def flood(send: Callable[[Page], None], page: Page) -> None:
+    """Send until the server closes the connection, and read nothing before."""
+    with contextlib.suppress(ConnectionClosed):
+        for _ in range(100 * AT_ONCE):
+            send(page)
+    with contextlib.suppress(ConnectionClosed):
+        while True:
+            page.socket.recv(WAIT_S)
+
+
+def test_a_page_that_is_closed_learns_why(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(view_server, "MESSAGES_AT_ONCE", 4.0)  # the handshake is one
+    monkeypatch.setattr(view_server, "MESSAGES_A_SECOND", 0.0)
+    with serving(MovingSource()) as server, Page(server) as page:
+        for _ in range(3):
+            page.ask("setup")
+        with pytest.raises(ConnectionClosed) as closed:
+            page.ask("setup")
+        assert closed.value.rcvd is not None
+        assert closed.value.rcvd.code == CloseCode.POLICY_VIOLATION
+        assert server.refused == 1
+
+
+def test_a_page_within_its_budget_goes_on() -> None:
+    with serving(MovingSource()) as server, Page(server) as page:
+        for _ in range(200):
+            page.send("stream", bin=1)
+        for _ in range(50):
+            assert page.ask("setup")["title"] == "test hand"
+        assert server.refused == 0

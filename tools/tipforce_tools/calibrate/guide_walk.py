@@ -6,7 +6,7 @@ import argparse
 import contextlib
 import sys
 from collections import deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from typing import Literal
 
 import numpy as np
@@ -107,7 +107,7 @@ class Walk:
         for _ in range(_AUTO_TRIES if self._args.auto else 1):
             try:
                 self._apply(step)
-                with self._progress() as advance:
+                with common.progress(self._args, "  capture", self._args.samples, absolute=True) as advance:
                     capture = self._reader.capture(self._args.samples, advance)
             except NoResponseError as error:
                 if self._args.auto:
@@ -185,17 +185,6 @@ class Walk:
         """Print a line for the user; with -q only if prompts follow, which need it."""
         if not (self._args.quiet and self._args.auto):
             print(text, file=sys.stderr)
-
-    @contextlib.contextmanager
-    def _progress(self) -> Iterator[Callable[[int], None]]:
-        if self._args.quiet or not sys.stderr.isatty():
-            yield lambda _count: None
-            return
-        from rich.progress import Progress
-
-        with Progress(transient=True, console=common.console(self._args, stderr=True)) as progress:
-            task = progress.add_task("  capture", total=self._args.samples)
-            yield lambda count: progress.update(task, completed=count)
 
     def _apply(self, step: Step) -> None:
         if self._args.auto:

@@ -7,6 +7,7 @@ import importlib
 from collections.abc import Mapping
 from typing import NoReturn
 
+from tipforce.visible_text import visible
 from tipforce_tools.cli import common
 
 Actions = Mapping[str, tuple[str, str]]
@@ -29,7 +30,7 @@ class CommandParser(argparse.ArgumentParser):
         required = message.partition("the following arguments are required: ")[2].lower()
         if self.told and required.split(", ")[0] == self.told_dest:
             message = f"which {self.told_dest}? {', '.join(self.told)}"
-        self.exit(2, f"{self.prog}: error: {message}; see `{self.prog} --help`\n")
+        self.exit(2, f"{self.prog}: error: {visible(message)}; see `{self.prog} --help`\n")
 
 
 def lines(told: Mapping[str, str]) -> str:

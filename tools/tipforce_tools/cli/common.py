@@ -12,6 +12,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
 from tipforce.errors import InputError
+from tipforce_tools.cli.output import rich_console, visible_streams
 
 if TYPE_CHECKING:
     import can
@@ -198,34 +199,33 @@ def note(args: argparse.Namespace, text: str) -> None:
 
 
 @contextmanager
-def progress(args: argparse.Namespace, what: str, total: int) -> Iterator[Callable[..., None]]:
+def progress(
+    args: argparse.Namespace, what: str, total: float, *, absolute: bool = False, refresh_hz: float = 10.0
+) -> Iterator[Callable[..., None]]:
     """Show a progress bar on stderr if it is a terminal, not with -q; call the result after each of ``total`` steps,
-    or with the number of steps since the last call.
+    or with the number of steps since the last call; with ``absolute`` with the number of all steps so far.
     """
     if args.quiet or not sys.stderr.isatty():
         yield lambda _steps=1: None
         return
     from rich.progress import Progress
 
-    with Progress(transient=True, console=console(args, stderr=True)) as bar:
+    screen = console(args, stderr=True)
+    # rich takes over the streams, and shows a control sequence as a colour: escape before that.
+    with Progress(transient=True, console=screen, refresh_per_second=refresh_hz) as bar, visible_streams():
         task = bar.add_task(what, total=total)
-        yield lambda steps=1: bar.advance(task, steps)
+        yield lambda steps=1: bar.update(task, **{"completed" if absolute else "advance": steps})
 
 
 def console(args: argparse.Namespace, *, stderr: bool = False) -> Console:
     """Return a rich console that follows --color and NO_COLOR; tables written to a pipe have a fixed width."""
-    from rich.console import Console
-
-    class QuietConsole(Console):
-        def on_broken_pipe(self) -> None:  # rich's own exits with code 1; `| head` is not a failure
-            raise BrokenPipeError
-
     plain = args.color == "never" or (args.color == "auto" and bool(os.environ.get("NO_COLOR")))
-    width = None if (sys.stderr if stderr else sys.stdout).isatty() else 120
+    stream = sys.stderr if stderr else sys.stdout
+    width = None if stream.isatty() else 120
     always = True if args.color == "always" else None
     # Without a colour system rich prints no bold text either: the output is plain text.
     system: Literal["auto"] | None = None if plain else "auto"
-    return QuietConsole(stderr=stderr, force_terminal=always, color_system=system, no_color=plain, width=width)
+    return rich_console(stream, force_terminal=always, color_system=system, no_color=plain, width=width)
 
 
 def print_table(args: argparse.Namespace, table: Table) -> None:

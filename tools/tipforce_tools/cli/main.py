@@ -17,6 +17,8 @@ from tipforce.errors import (
     TipforceError,
     WriteError,
 )
+from tipforce.visible_text import visible
+from tipforce_tools.cli.output import visible_streams
 
 if TYPE_CHECKING:
     from tipforce_tools.cli.actions import CommandParser
@@ -99,6 +101,11 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run one command line and return the exit code. Errors that a user can cause print no traceback."""
     words = list(sys.argv[1:] if argv is None else argv)
     _open_closed_streams()
+    with visible_streams():
+        return _run_line(words)
+
+
+def _run_line(words: list[str]) -> int:
     try:
         code = _answer(words)
         sys.stdout.flush()
@@ -183,7 +190,7 @@ def _exit_code(error: TipforceError) -> int:
 
 
 def _failed(message: str, code: int) -> int:
-    print(f"tipforce: {message}", file=sys.stderr)
+    print(f"tipforce: {visible(message)}", file=sys.stderr)
     return code
 
 

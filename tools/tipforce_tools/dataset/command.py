@@ -10,7 +10,7 @@ Show what a dataset of `tipforce decode -o DIR/` holds, check it, compact it, or
 EPILOG = """\
 DIR: a directory, or a URL that fsspec opens. The views of --sql: samples (hand, date, node and all columns of the
 rows), events (t_s, channel, node, event, code, text), parts and logs of the manifest. Only files that a query needs
-are read.
+are read. A query is one SELECT: without --unrestricted it opens no other file, and has 2 GiB of memory.
 exit codes: 0 ok, 1 a file is missing or damaged, 2 usage
 
   tipforce dataset data/
@@ -29,6 +29,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     group.add_argument("--verify", action="store_true", help="compare the SHA-256 of each file")
     group.add_argument("--compact", action="store_true", help="join the files of a day; all get the same columns")
     group.add_argument("--sql", metavar="QUERY", help="query it with DuckDB")
+    parser.add_argument(
+        "--unrestricted", action="store_true", help="--sql: also other statements, files, the network, and all memory"
+    )
     common.add_output_arguments(parser)
 
 

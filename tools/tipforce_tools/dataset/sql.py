@@ -1,8 +1,15 @@
-"""Query a dataset with DuckDB: views of its samples, events, parts and logs, over the files that its manifest lists."""
+"""Query a dataset with DuckDB: views of its samples, events, parts and logs, over the files that its manifest lists.
+
+A query reads these files and nothing else: it is one SELECT (COPY could write what a query may open), DuckDB opens no
+other file, loads no extension, sees no variable of Python and no setting can be changed, and its memory is limited.
+"""
 
 from __future__ import annotations
 
 from argparse import Namespace
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError
@@ -12,6 +19,22 @@ from tipforce.host.dataset.store import Store
 from tipforce_tools.cli import common
 from tipforce_tools.dataset.content import wrong_files
 
+MEMORY_MIB = 2048
+"""Of tables, sorts and groups; the process may have as much again, for texts and lists that DuckDB does not count."""
+_THREADS = 8
+_THREAD_BYTES = 136 << 20  # of addresses: its stack and its heap
+_ROWS = 10_000
+_SETTINGS = (
+    "temp_directory = ''", f"threads = {_THREADS}",
+    "python_enable_replacements = false", "autoinstall_known_extensions = false",
+    "autoload_known_extensions = false", "enable_external_access = false", "lock_configuration = true",
+)  # fmt: skip
+_PLAIN = {
+    "BOOLEAN", "TINYINT", "SMALLINT", "INTEGER", "BIGINT", "HUGEINT", "UTINYINT", "USMALLINT", "UINTEGER", "UBIGINT",
+    "UHUGEINT", "FLOAT", "DOUBLE", "VARCHAR",
+}  # fmt: skip
+"""Types whose values JSON has; the others become texts in DuckDB, within its memory."""
+
 
 def query(args: Namespace, store: Store, manifest: Manifest) -> int:
     """Print the rows of a query; return 0. Raises InputError for a wrong one, EnvironmentLackError without DuckDB."""
@@ -19,22 +42,93 @@ def query(args: Namespace, store: Store, manifest: Manifest) -> int:
         import duckdb
     except ImportError:
         raise EnvironmentLackError("--sql needs DuckDB: `pip install 'tipforce[sql]'`") from None
+    connection = duckdb.connect()
     try:
-        connection = views(duckdb.connect(), store, manifest)
-        found = connection.sql(args.sql)
-        if found is None:
-            return 0
-        if args.json:
-            for row in found.fetchall():
-                common.print_json(dict(zip(found.columns, map(_plain, row), strict=True)))
-        else:
-            found.show(max_width=240, max_rows=10_000)
-    except duckdb.Error as error:
+        views(connection, store, manifest)
+        text = args.sql
+        if not args.unrestricted:
+            _restrict(connection, store, manifest)
+            text = _select(duckdb, connection, text)
+        with _limited_memory(not args.unrestricted):
+            _print(connection, text, args)
+    except (duckdb.Error, MemoryError) as error:
         if wrong := wrong_files(store, manifest, hashes=False):
             raise damaged(store, next(iter(wrong))) from error
-        message, _, _ = str(error).partition("\n\n")  # then the query, with a mark below its error
-        raise InputError(f"--sql: {' '.join(message.split())}") from error
+        raise InputError(f"--sql: {_reason(duckdb, error)}") from error
     return 0
+
+
+def _reason(duckdb: Any, error: BaseException) -> str:
+    message, _, _ = str(error).partition("\n\n")  # then the query, with a mark below its error
+    if isinstance(error, MemoryError | duckdb.OutOfMemoryException):
+        return f"out of memory: a query has {MEMORY_MIB} MiB; --unrestricted lifts this limit"
+    if isinstance(error, duckdb.PermissionException):
+        message += "; a query reads the dataset alone: --unrestricted lifts this limit"
+    return " ".join(message.split())
+
+
+def _restrict(connection: Any, store: Store, manifest: Manifest) -> None:
+    connection.execute(f"set allowed_paths = {_list([_path(store, path) for path in _paths(manifest)])}")
+    for setting in (f"memory_limit = '{MEMORY_MIB}MiB'", *_SETTINGS):
+        connection.execute(f"set {setting}")
+
+
+def _paths(manifest: Manifest) -> list[str]:
+    """Return the files that the views read."""
+    events = [part.events.path for part in manifest.parts if part.events is not None]
+    return [file.path for file in manifest.files()] + events
+
+
+def _select(duckdb: Any, connection: Any, text: str) -> str:
+    """Return the statement of a query. Raises InputError unless it is one SELECT."""
+    statements = connection.extract_statements(text)
+    try:
+        refused = [one.type for one in statements] != [duckdb.StatementType.SELECT]
+    except ValueError:  # a statement that DuckDB has and its Python package does not name
+        refused = True
+    if refused:
+        raise InputError("--sql: allowed is one SELECT; --unrestricted allows every statement")
+    return str(statements[0].query).strip().rstrip(";")
+
+
+@contextmanager
+def _limited_memory(limited: bool) -> Iterator[None]:
+    """Limit the memory of this process where the system can (Linux): an allocation beyond it fails."""
+    status = Path("/proc/self/statm")
+    if not limited or not status.exists():
+        yield
+        return
+    import resource
+
+    before, most = resource.getrlimit(resource.RLIMIT_AS)
+    present = int(status.read_text().split()[0]) * resource.getpagesize()
+    limit = present + (2 * MEMORY_MIB << 20) + _THREADS * _THREAD_BYTES
+    allowed = [one for one in (limit, before, most) if one != resource.RLIM_INFINITY]
+    resource.setrlimit(resource.RLIMIT_AS, (min(allowed), most))
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_AS, (before, most))
+
+
+def _print(connection: Any, text: str, args: Namespace) -> None:
+    if not args.json:
+        found = connection.sql(text)
+        if found is not None:
+            found.show(max_width=240, max_rows=_ROWS)
+        return
+    names = None
+    if not args.unrestricted:
+        found = connection.sql(text)
+        names = found.columns
+        kinds = enumerate(map(str, found.types), 1)
+        columns = (f"#{k}" if kind in _PLAIN else f"cast(#{k} as varchar)" for k, kind in kinds)
+        text = f"select {', '.join(columns)} from ({text}\n)"
+    connection.execute(text)
+    names = names or [column[0] for column in connection.description or ()]
+    while rows := connection.fetchmany(_ROWS) if names else []:
+        for row in rows:
+            common.print_json(dict(zip(names, map(_plain, row), strict=True)))
 
 
 def _plain(value: Any) -> Any:

@@ -32,6 +32,7 @@ from tipforce.host.dataset.store import Store, url_of
 from tipforce.host.decoding.log_part import Piece, Reading
 from tipforce.host.decoding.recording import Recording, State, Told
 from tipforce.host.decoding.services import BusEvent
+from tipforce.visible_text import visible
 from tipforce_tools.decode.dataset_sink import BASE, DatasetSink, put_file
 from tipforce_tools.decode.log_identity import (
     HASHED_BYTES,
@@ -253,8 +254,9 @@ class DatasetRun:
         piece = written.piece
         end = log.size if piece.end is None else piece.end
         log.source = msgspec.structs.replace(
-            log.source, name=url_of(piece.name), size=end, tail_sha256=tail_hash(piece.name, end), flushed=last,
-            last_part_start=piece.start, before_last_part=before, end=written.state, version=tipforce.__version__,
+            log.source, name=visible(url_of(piece.name)), size=end, tail_sha256=tail_hash(piece.name, end),
+            flushed=last, last_part_start=piece.start, before_last_part=before, end=written.state,
+            version=tipforce.__version__,
         )  # fmt: skip
         self._change.sources[log.source.id] = log.source
         events = self._events(name, written.events)

@@ -10,6 +10,7 @@ from pathlib import Path
 from tipforce.host.decoding.log_part import Reading
 from tipforce.host.logs.lines import decompressed, open_file
 from tipforce.host.logs.reader import log_kind
+from tipforce.visible_text import visible
 
 HASHED_BYTES = 1 << 16
 _COMPARED_BYTES = 1 << 12
@@ -59,4 +60,4 @@ def options_of(reading: Reading, hand: str | None) -> str:
     words += [f"{name} {value}" for name, value in given if value]
     if layouts.pdos:
         words.append(f"layouts {hashlib.sha256(repr(layouts).encode()).hexdigest()[:12]}")
-    return ", ".join(words)
+    return visible(", ".join(words))  # JSON has no surrogates, which names of files may have

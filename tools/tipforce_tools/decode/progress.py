@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from tipforce.host.decoding.log_part import Piece
+from tipforce_tools.cli.output import terminal
 
 _WIDTH = 30
 _EVERY_S = 0.1
@@ -43,7 +44,7 @@ class ProgressBar:
             share = min((self._before + position) / self._total, 1.0)
             bar = "#" * round(share * _WIDTH)
             done, total = (self._before + position) / 1e6, self._total / 1e6
-            print(f"\r[{bar:{_WIDTH}}] {done:.1f} of {total:.1f} MB", end="", file=sys.stderr, flush=True)
+            print(f"\r[{bar:{_WIDTH}}] {done:.1f} of {total:.1f} MB", end="", file=terminal(sys.stderr), flush=True)
             self._shown = True
 
     def add(self, piece: Piece) -> None:
@@ -54,4 +55,4 @@ class ProgressBar:
     def close(self) -> None:
         """Clear the bar."""
         if self._shown:
-            print("\r\x1b[K", end="", file=sys.stderr, flush=True)
+            print("\r\x1b[K", end="", file=terminal(sys.stderr), flush=True)

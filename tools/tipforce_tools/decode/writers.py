@@ -16,6 +16,7 @@ from tipforce.host.decoding.sample_table import Column, Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.output_file import CONTACT_TEXT, CSV, JSON_LINES, NewFile
+from tipforce.visible_text import visible_lines
 from tipforce_tools.decode import text_rows
 from tipforce_tools.decode.text_rows import CHANNEL, COUNTER, NODE, TIME
 
@@ -169,8 +170,9 @@ class StreamWriter:
         if self._kind != "csv":
             if len(table.channels) > 1 and CHANNEL not in base:
                 base = (base[0], CHANNEL, *base[1:])
-            rows = text_rows.json_rows if self._kind == "jsonl" else text_rows.people_rows
-            return rows(table, base)
+            if self._kind == "jsonl":
+                return text_rows.json_rows(table, base)
+            return visible_lines(text_rows.people_rows(table, base).decode()).encode()
         start = b""
         if self._shown is None:
             self._shown, start = self._shape.columns, text_rows.csv_header(base, self._shape.columns)

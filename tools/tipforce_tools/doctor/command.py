@@ -44,8 +44,8 @@ def run(args: argparse.Namespace) -> int:
             continue
         step = f"\n      -> {check.next_step}" if check.next_step else ""
         style = _STYLES[check.state]
-        out.print(f"[{style}]{check.state:4}[/{style}]", f"{check.topic}: ", end="", soft_wrap=True)
-        out.print(f"{check.finding}{step}", markup=False, highlight=False, soft_wrap=True)
+        out.print(f"{check.state:4}", style=style, end=" ", highlight=False)
+        out.print(f"{check.topic}: {check.finding}{step}", highlight=False, soft_wrap=True)
     return 1 if failed else 0
 
 

@@ -4,9 +4,6 @@ from __future__ import annotations
 
 import argparse
 import datetime
-import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -95,7 +92,8 @@ def _carry_out(job: Run, args: argparse.Namespace) -> None:
 
     if args.json:
         common.print_json(text.head_record(job.report))
-    with _progress(args, job.steps) as advance:
+    # The bar is drawn in a thread: two updates a second do not disturb the timings.
+    with common.progress(args, "report", job.steps, refresh_hz=2.0) as advance:
         for item in job.items(advance):
             if args.json:
                 common.print_json(text.record(item))
@@ -111,17 +109,3 @@ def _write(job: Run, args: argparse.Namespace) -> None:
 
     page, *others = write(job.report, args.output)
     common.note(args, f"written: {page}, and {len(others)} more files")
-
-
-@contextmanager
-def _progress(args: argparse.Namespace, total: int) -> Iterator[Callable[[], None]]:
-    """Show a progress bar on stderr, on a terminal only; yield the function that advances it."""
-    if args.quiet or not sys.stderr.isatty():
-        yield lambda: None
-        return
-    from rich.progress import Progress
-
-    # rich draws in a thread: two updates a second do not disturb the timings.
-    with Progress(console=common.console(args, stderr=True), transient=True, refresh_per_second=2) as progress:
-        task = progress.add_task("report", total=total)
-        yield lambda: progress.advance(task)

@@ -102,12 +102,11 @@ def _counted(count: int, one: str, many: str = "") -> str:
 
 def print_report(console: Console, report: Report) -> None:
     """Print the whole report."""
-    from rich.markup import escape
-
-    console.print(f"[bold]tipforce report[/bold], {headline(report)}")
-    console.print(escape(", ".join(f"{name} {value}" for name, value in report.machine.items())))
+    console.print("tipforce report", style="bold", end="")
+    console.print(f", {headline(report)}")
+    console.print(", ".join(f"{name} {value}" for name, value in report.machine.items()))
     for sentence in verdict(report):
-        console.print(escape(sentence))
+        console.print(sentence)
     _print_advice(console, advice(report))
     for study in report.studies:
         _print_study(console, study)
@@ -116,35 +115,35 @@ def print_report(console: Console, report: Report) -> None:
     if report.cases:
         _print_cases(console, report.cases)
     for lack in report.left_out:
-        console.print(f"[bold]left out[/bold] {lack.key}: {escape(lack.reason)}")
-    console.print(escape(summary(report)))
+        console.print("left out", style="bold", end="")
+        console.print(f" {lack.key}: {lack.reason}")
+    console.print(summary(report))
 
 
 def _print_study(console: Console, study: Study) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=f"{escape(study.title)} ({study.key})", title_justify="left")
+    table = Table(title=f"{study.title} ({study.key})", title_justify="left")
     table.add_column("method", ratio=4)
     table.add_column("setting", ratio=3)
-    table.add_column(escape(study.error_unit), ratio=2, justify="right")
+    table.add_column(study.error_unit, ratio=2, justify="right")
     if has_rms(study):
         table.add_column("root mean square", justify="right")
-    table.add_column(escape(study.work_unit.replace("s per", "time per")), justify="right", no_wrap=True)
+    table.add_column(study.work_unit.replace("s per", "time per"), justify="right", no_wrap=True)
     table.add_column("quartiles", no_wrap=True)
     if has_cpu(study):
         table.add_column("processor", justify="right", no_wrap=True)
     table.add_column("runs", justify="right")
     for one in study.series:
         for number, point in enumerate(one.points):
-            table.add_row(*map(escape, cells(study, one.method if not number else "", point)))
+            table.add_row(*cells(study, one.method if not number else "", point))
     console.print()
     console.print(table)
-    console.print(escape(f"reference: {shown_reference(study)}"))
+    console.print(f"reference: {shown_reference(study)}")
     for remark in study.remarks:
-        console.print(escape(f"- {remark}"))
+        console.print(f"- {remark}")
     for method, reason in study.left_out.items():
-        console.print(f"- left out: {escape(method)}: {escape(reason)}")
+        console.print(f"- left out: {method}: {reason}")
 
 
 def cells(study: Study, method: str, point: Point) -> list[str]:
@@ -159,7 +158,6 @@ def cells(study: Study, method: str, point: Point) -> list[str]:
 
 
 def _print_advice(console: Console, found: list[Advice]) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     if not found:
@@ -168,28 +166,28 @@ def _print_advice(console: Console, found: list[Advice]) -> None:
     for name in ("need", "method", "error", "processor time"):
         table.add_column(name, justify="right" if name == "error" else "left")
     for one in found:
-        table.add_row(*map(escape, shown_advice(one)))
+        table.add_row(*shown_advice(one))
     console.print()
     console.print(table)
 
 
 def _print_grid(console: Console, grid: Grid) -> None:
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
-    table = Table(title=escape(grid.title), title_justify="left")
+    table = Table(title=grid.title, title_justify="left")
     for name in (grid.corner, *grid.methods):
-        table.add_column(escape(name))
+        table.add_column(name)
     for row in grid.rows:
-        cells = []
+        cells: list[str | Text] = []
         for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
             told = shown_counts(cell)
-            cells.append(f"[bold red]{told}[/bold red]" if over and not reason else told)
-        table.add_row(escape(row.name), *cells)
+            cells.append(Text(told, "bold red") if over and not reason else told)
+        table.add_row(row.name, *cells)
     console.print()
     console.print(table)
     for remark in [*grid.remarks, *grid_reasons(grid)]:
-        console.print(escape(f"- {remark}"))
+        console.print(f"- {remark}")
 
 
 def grid_reasons(grid: Grid) -> list[str]:
@@ -202,8 +200,8 @@ def grid_reasons(grid: Grid) -> list[str]:
 
 
 def _print_cases(console: Console, cases: list[Judged]) -> None:
-    from rich.markup import escape
     from rich.table import Table
+    from rich.text import Text
 
     table = Table(title="Extreme cases", title_justify="left", show_lines=True)
     table.add_column("case", overflow="fold", ratio=2)
@@ -212,8 +210,8 @@ def _print_cases(console: Console, cases: list[Judged]) -> None:
     table.add_column("seen", overflow="fold", ratio=3)
     for one in cases:
         case, seen = one.case, one.observed
-        outcome = case.outcome if seen.held else f"[bold red]NOT {case.outcome}[/bold red]"
-        table.add_row(escape(case.key), outcome, escape(f"{case.situation}: {case.claim}"), escape(seen.figures))
+        outcome = case.outcome if seen.held else Text(f"NOT {case.outcome}", "bold red")
+        table.add_row(case.key, outcome, f"{case.situation}: {case.claim}", seen.figures)
     console.print()
     console.print(table)
 

@@ -83,7 +83,6 @@ def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
 
 
 def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
-    from rich.markup import escape
     from rich.table import Table
 
     table = Table(title=f"{args.scene}: parts", title_justify="left")
@@ -98,7 +97,6 @@ def _print_parts(args: argparse.Namespace, rows: list[dict[str, Any]]) -> None:
         cells = [row["part"], "built" if row["built"] else "left out", row["why"]]
         if args.cost:
             cells += ["" if row.get(key) is None else f"{row[key]:.1f}" for key in _COSTS]
-        cells[2] = escape(cells[2])
         table.add_row(*cells, _short(row["modules"]) if row["built"] else "", style=None if row["built"] else "dim")
     common.print_table(args, table)
 

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 import argparse
-import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
@@ -60,7 +58,7 @@ def run(args: argparse.Namespace) -> int:
             args, f"{path}: too much for a bus of {scene.bit_rate} bit/s: {100 * bus_load(scene)[0]:.0f} % load"
         )
     started_s = time.monotonic()
-    with _progress(args, options.duration_s or scene.duration_s) as advance:
+    with common.progress(args, "simulated seconds", options.duration_s or scene.duration_s, absolute=True) as advance:
         outcome = run_scene(scene, path.parent, options, advance)
     if args.json:
         _print_json(outcome)
@@ -83,19 +81,6 @@ def _options(args: argparse.Namespace) -> Options:
     named = any(value is not None for value in (args.interface, args.channel, args.bitrate))
     bus = Bus(interface=args.interface, channel=args.channel, bitrate=args.bitrate) if named else None
     return Options(args.duration, args.seed, args.log, bus, args.realtime)
-
-
-@contextmanager
-def _progress(args: argparse.Namespace, duration_s: float) -> Iterator[Callable[[float], None]]:
-    """Show a progress bar, on a terminal only."""
-    if args.quiet or not sys.stderr.isatty():
-        yield lambda _t_s: None
-        return
-    from rich.progress import Progress
-
-    with Progress(transient=True, console=common.console(args, stderr=True)) as progress:
-        task = progress.add_task("simulated seconds", total=duration_s)
-        yield lambda t_s: progress.update(task, completed=t_s)
 
 
 def _table(title: str, outcome: Outcome) -> Table:

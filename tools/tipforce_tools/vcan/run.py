@@ -7,6 +7,7 @@ import sys
 from collections.abc import Sequence
 
 from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.visible_text import visible
 from tipforce_tools.vcan import host, uml
 
 PLACES = ("auto", "host", "uml")
@@ -53,7 +54,7 @@ def run_with_vcan(
     _check(command, interfaces, timeout_s, place)
     uml.memory_bytes(memory)
     if shutil.which(command[0]) is None:
-        print(f"tipforce vcan: {command[0]}: command not found", file=sys.stderr)
+        print(f"tipforce vcan: {visible(command[0])}: command not found", file=sys.stderr)
         return NOT_FOUND
     # Flush, so that earlier output precedes that of the command.
     for stream in (sys.stdout, sys.stderr):

@@ -2,7 +2,7 @@
 
 websockets limits the time of a handshake and the size of a message, and reports when a page stops reading. Many
 connections cannot block others: beyond the limit, the one that has waited or read nothing for the longest time is
-dropped.
+dropped. Many requests or pings of one page cannot either: beyond its budget its connection is closed.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from websockets.asyncio.server import ServerConnection, serve
 from websockets.datastructures import Headers, MultipleValuesError
 from websockets.frames import CloseCode
 from websockets.http11 import Request, Response
+from websockets.protocol import Event
 
 from tipforce.errors import EnvironmentLackError
 from tipforce_tools.view.guard import COOKIE, SECURITY_HEADERS, Guard, Refusal
@@ -36,11 +37,14 @@ MAX_OTHERS = 64
 """Connections that fetch a file, or have not sent a request."""
 HANDSHAKE_S = 5.0
 MAX_REQUEST = 4096  # bytes
+MESSAGES_A_SECOND, MESSAGES_AT_ONCE = 100.0, 300.0
+"""Budget of one page: frames of its requests, pings and pongs. Zooming with a wheel sends about 100 a second."""
 SOCKET_PATH = "/live"
 _PUMP_S = 1.0 / FRAMES_A_SECOND
 _CLOSE_S = 2.0
 _SLOW_S = 1.0
 _SEND_BUFFER = 64 << 10  # bytes in the kernel for one page: its maximum backlog
+_RECEIVE_BUFFER = 4 << 10  # bytes in the kernel for one connection: what it can make the server parse at once
 _TYPES = {
     "html": "text/html; charset=utf-8", "js": "text/javascript; charset=utf-8", "css": "text/css; charset=utf-8",
     "svg": "image/svg+xml",
@@ -58,14 +62,35 @@ def static_files() -> dict[str, tuple[str, bytes]]:
 
 
 class Connection(ServerConnection):
-    """A connection that ViewServer counts from its start."""
+    """A connection that ViewServer counts from its start, and that ends when it exceeds its budget of messages."""
 
     view: ViewServer
+
+    def __init__(self, *parts: Any, **options: Any) -> None:
+        super().__init__(*parts, **options)
+        self._left, self._counted_s = MESSAGES_AT_ONCE, time.monotonic()
+        self._ending: asyncio.Task[None] | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
         """See asyncio.Protocol."""
         super().connection_made(transport)
         self.view.count(self)
+
+    def process_event(self, event: Event) -> None:
+        """See websockets: the request of the handshake, then each frame, also those that it answers itself."""
+        if self._ending is not None:
+            return
+        self.view.messages += 1
+        now_s = time.monotonic()
+        self._left = min(self._left + (now_s - self._counted_s) * MESSAGES_A_SECOND, MESSAGES_AT_ONCE) - 1.0
+        self._counted_s = now_s
+        if self._left >= 0.0:
+            super().process_event(event)
+            return
+        self.view.refused += 1
+        self.transport.pause_reading()
+        allowed = f"allowed are {MESSAGES_A_SECOND:g} messages a second"
+        self._ending = self.loop.create_task(self.close(CloseCode.POLICY_VIOLATION, allowed))
 
 
 class ViewServer:
@@ -77,6 +102,8 @@ class ViewServer:
         self._stopped = threading.Event()
         self._sockets: list[socket.socket] = []
         self.pages: set[Page] = set()
+        self.messages = self.refused = 0
+        """Requests and frames of all connections so far; connections that were closed for too many."""
         self._others: dict[ServerConnection, None] = {}
         self.loop, self._ending, self._pulse = asyncio.new_event_loop(), asyncio.Event(), Pulse()
         self._pumping = threading.Thread(target=self._pump, name="view pump", daemon=True)
@@ -91,6 +118,7 @@ class ViewServer:
                 raise EnvironmentLackError(
                     f"{address} port {port}: {error.strerror or error}; --port 0 selects a free port"
                 ) from error
+            one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _RECEIVE_BUFFER)
             guard.port = one.getsockname()[1]
             self._sockets.append(one)
 

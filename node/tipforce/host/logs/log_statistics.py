@@ -10,6 +10,7 @@ import numpy.typing as npt
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
+from tipforce.visible_text import visible
 
 FD, ERROR, REMOTE, DROPPED = "CAN FD frame", "error frame", "remote frame", "frame dropped by candump"
 UNREADABLE = "unreadable"
@@ -49,6 +50,7 @@ class LogNotes:
 
     def channel(self, name: str) -> int | None:
         """Return the number of an interface; None if there are already too many."""
+        name = visible(name)
         if name in self.channels:
             return self.channels.index(name)
         if len(self.channels) >= MAX_CHANNELS:
