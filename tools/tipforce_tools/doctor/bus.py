@@ -91,6 +91,7 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     from tipforce.device.emcy import SYNC_LENGTH
     from tipforce.host.decoding import status_words
     from tipforce.host.decoding.decoder import Decoder
+    from tipforce.host.decoding.duplicates import DuplicateNodes
     from tipforce.host.decoding.health import Health
 
     errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
@@ -103,6 +104,9 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     health = Health()
     health.take(frames, Decoder().decode(frames).values())
     faults = {node: words for node in health.nodes if (words := status_words.of_faults(health.now(node)[0]))}
+    for duplicate in {one.node_id: one for one in DuplicateNodes().add(frames)}.values():
+        cause, _, step = str(duplicate).partition(": ")
+        yield Check("nodes", "fail", cause, step)
     if beats:
         yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` identifies them")
     for node, words in sorted(faults.items()):

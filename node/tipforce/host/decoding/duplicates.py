@@ -1,0 +1,235 @@
+"""Detect two nodes with one node-id by what they send. Frames in, findings out; no clock and no bus inside.
+
+A request has one response, a reset one boot-up, a heartbeat period one heartbeat. A frame may be lost, late or repeated
+by the bus, so a finding needs a row of such observations, except two serial numbers (1018h:4) in response to one read.
+Frames that two nodes send at the same time, with the same bits, are one frame on a bus; with other data they end as
+error frames.
+"""
+
+from __future__ import annotations
+
+import threading
+from collections import deque
+from typing import NamedTuple
+
+import numpy as np
+
+from tipforce.device import codes
+from tipforce.device.emcy import COB_ID_COLLISION
+from tipforce.dictionary import table
+from tipforce.host.frames.frame_array import FrameArray
+
+PRODUCT, SERIAL = (0x1018, 2), (0x1018, 4)
+_PRODUCT_PLACE, _SERIAL_PLACE = bytes((0x18, 0x10, 2)), bytes((0x18, 0x10, 4))
+_DEFAULT_PRODUCT = table.product_code(table.MIN_GAUGES, simulated=False)  # of `tipforce lss`
+_BOOT, _GUARD = b"boot-up", b"guarding"  # requests other than SDO, which are known by index and sub-index
+_MOST_WAITING = 16  # responses that may still come to repeated requests
+_MOST_REQUESTS = 64  # of one node that are remembered
+_CERTAIN = 8  # second responses, of at most _WINDOW requests, three of four
+_WINDOW = 12
+_SINGLE = 3  # requests with one response, after which nobody else responds
+_STATE_CHANGES = 8  # from heartbeat to heartbeat, without an NMT command
+_BEATS = 11
+_SHORTEST_PERIOD_NS = 50_000_000  # receivers that read in batches give faster heartbeats any spacing
+_SHORT = 0.3  # of the period: a node that rounds its period to its cycle alternates by a third at most
+_UNEVEN = 1.25
+_SERVICES = frozenset((
+    codes.NMT_COB_ID, codes.EMCY_BASE, codes.SDO_RESPONSE_BASE, codes.SDO_REQUEST_BASE, codes.HEARTBEAT_BASE,
+    codes.HEARTBEAT_BASE | codes.REMOTE_FLAG,
+))  # fmt: skip
+_RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
+
+
+class Duplicate(NamedTuple):
+    """Two nodes with one node-id; ``serials`` are those seen, ``product`` is 0 if unknown. As text: cause and remedy."""
+
+    t_ns: int
+    node_id: int
+    cause: str
+    serials: tuple[int, ...] = ()
+    product: int = 0
+
+    def __str__(self) -> str:
+        """Return one line."""
+        if len(self.serials) > 1:
+            product = f" --product 0x{self.product:X}" if self.product not in (0, _DEFAULT_PRODUCT) else ""
+            numbers = ", ".join(map(str, self.serials))
+            step = f"give one another node-id: `tipforce lss assign ID --serial {self.serials[-1]}{product}`"
+            return f"{self.cause} (serial numbers {numbers}): {step}, then `tipforce nmt reset-comm {self.node_id}`"
+        if self.serials:
+            return f"{self.cause} (serial number {self.serials[0]}): power only one, and give it another node-id"
+        return f"{self.cause}: `tipforce scan` shows their serial numbers and how to give one another node-id"
+
+
+class _Node:
+    """What was seen of one node-id since its boot-up."""
+
+    __slots__ = ("answered", "answers", "beats", "changes", "doubled", "product", "serials", "state", "suspect", "waiting")
+
+    def __init__(self) -> None:
+        self.waiting: dict[bytes, int] = {}  # by request: responses that are due
+        self.answers: dict[bytes, bytes] = {}  # by request: the last response
+        self.serials: list[int] = []
+        self.answered = self.doubled = self.changes = self.product = 0
+        self.suspect = False
+        self.state = -1
+        self.beats: deque[int] = deque(maxlen=_BEATS)
+
+    def boot(self) -> None:
+        """Forget what was before a boot-up, except the counts of responses: two nodes boot one after the other."""
+        self.waiting = {_BOOT: self.waiting[_BOOT]} if _BOOT in self.waiting else {}
+        self.answers.clear()
+        self.serials.clear()
+        self.beats.clear()
+        self.changes, self.state = 0, -1
+
+    def request(self, place: bytes, most: int = _MOST_WAITING) -> None:
+        """Expect one more response."""
+        if len(self.waiting) >= _MOST_REQUESTS and place not in self.waiting:
+            self.waiting.clear()
+        self.waiting[place] = min(self.waiting.get(place, 0) + 1, most)
+
+    def response(self, place: bytes, data: bytes) -> bool:
+        """Count a response; return whether it is certain that two nodes respond."""
+        due = self.waiting.get(place)
+        if due is None:  # to a request that was not seen
+            return False
+        before = self.answers.get(place)
+        if due:
+            self.waiting[place] = due - 1
+            self.answered += 1
+            if self.answered >= _WINDOW:
+                self.answered, self.doubled = self.answered // 2, self.doubled // 2
+        # A server may abort a transfer that it has confirmed: an abort is a second response to its like only.
+        elif data[:1] != b"\x80" or before == data:
+            self.doubled += 1
+            self.suspect |= 2 * self.doubled >= self.answered
+        self.answers[place] = data
+        if place == _PRODUCT_PLACE and data[0] == 0x43:
+            self.product = int.from_bytes(data[4:], "little")
+        if place == _SERIAL_PLACE and data[0] == 0x43:
+            serial = int.from_bytes(data[4:], "little")
+            if serial not in self.serials:
+                self.serials.append(serial)
+            if not due and before is not None and before != data:
+                return True
+        return not due and self.doubled >= _CERTAIN and 4 * self.doubled >= 3 * self.answered
+
+    def heartbeat(self, state: int, t_ns: int) -> bool:
+        """Take a heartbeat; return whether it is certain that two nodes send them."""
+        self.changes = self.changes + 1 if self.state not in (-1, state) else 0
+        self.state = state
+        self.beats.append(t_ns)
+        return self.changes >= _STATE_CHANGES or (len(self.beats) == _BEATS and self._two_in_a_period())
+
+    def _two_in_a_period(self) -> bool:
+        """Return whether short and long intervals alternate, each pair as long as the others."""
+        times = list(self.beats)
+        periods = [late - early for early, late in zip(times, times[2:], strict=False)]
+        least = min(periods)
+        if least < _SHORTEST_PERIOD_NS or max(periods) > _UNEVEN * least:
+            return False
+        intervals = [late - early for early, late in zip(times, times[1:], strict=False)]
+        return min(max(intervals[::2]), max(intervals[1::2])) <= _SHORT * least
+
+
+class DuplicateNodes:
+    """Detect duplicates on one bus. ``found``: by node-id, until its next boot-up. For any thread.
+
+    Requests of this host are frames too: give them to ``frame`` before they are sent.
+    """
+
+    def __init__(self) -> None:
+        self.found: dict[int, Duplicate] = {}
+        self._nodes: dict[int, _Node] = {}
+        self._lock = threading.Lock()
+
+    def add(self, frames: FrameArray) -> list[Duplicate]:
+        """Process frames, FRAME (n,), in the order of reception; return the new findings."""
+        can_id = frames["can_id"]
+        services = ((can_id < 2 * codes.EMCY_BASE) & (can_id != codes.SYNC_COB_ID)) | (can_id >= codes.SDO_RESPONSE_BASE)
+        chosen = frames[services]
+        columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length"))
+        data = chosen["data"].tobytes()
+        new = [
+            self.frame(one, data[8 * k : 8 * k + length], t_ns)
+            for k, (t_ns, one, length) in enumerate(zip(*columns, strict=True))
+        ]
+        return [duplicate for duplicate in new if duplicate is not None]
+
+    def frame(self, can_id: int, data: bytes, t_ns: int) -> Duplicate | None:
+        """Process one frame, ``can_id`` with SocketCAN's flags; return a new finding."""
+        function, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
+        if function not in _SERVICES or (not node_id and can_id != codes.NMT_COB_ID):
+            return None
+        with self._lock:
+            if not function:
+                return self._commanded(data)
+            node = self._nodes.get(node_id)
+            if node is None:
+                node = self._nodes[node_id] = _Node()
+            cause = ""
+            if function == codes.HEARTBEAT_BASE and len(data) == 1:
+                cause = self._heartbeat(node_id, node, data[0], t_ns)
+            elif function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG:
+                node.request(_GUARD, 1)
+            elif len(data) == 8:
+                cause = _service(function, node_id, node, data)
+            if not cause:
+                return None
+            node.suspect = True
+            known = node_id in self.found and self.found[node_id].serials == tuple(node.serials)
+            self.found[node_id] = duplicate = Duplicate(t_ns, node_id, cause, tuple(node.serials), node.product)
+            return None if known else duplicate
+
+    def suspected(self, node_id: int) -> bool:
+        """Return whether a second response, or a finding, was seen since ``retry``."""
+        return node_id in self._nodes and self._nodes[node_id].suspect
+
+    def retry(self, node_id: int) -> None:
+        """Count responses and find again, for a read that is repeated until ``decided``."""
+        with self._lock:
+            self._nodes[node_id] = _Node()
+            self.found.pop(node_id, None)
+
+    def decided(self, node_id: int) -> bool:
+        """Return whether the responses since ``retry`` are those of two nodes, or of one."""
+        node = self._nodes[node_id]
+        return node_id in self.found or node.answered - node.doubled >= _SINGLE
+
+    def responses(self, node_id: int) -> tuple[int, int]:
+        """Return the number of first and of second responses since ``retry``."""
+        node = self._nodes[node_id]
+        return node.answered, node.doubled
+
+    def _commanded(self, data: bytes) -> None:
+        """An NMT command: each node changes its state, or boots, once."""
+        for node_id, node in self._nodes.items() if len(data) == 2 else ():
+            if data[1] in (0, node_id):
+                node.changes = 0
+                if data[0] in _RESETS:
+                    node.request(_BOOT)
+
+    def _heartbeat(self, node_id: int, node: _Node, content: int, t_ns: int) -> str:
+        state = content & 0x7F
+        if content & 0x80:  # node guarding: every second response has the toggle bit
+            return f"two nodes respond as node {node_id}" if node.response(_GUARD, bytes((state,))) else ""
+        if state == codes.INITIALISING:
+            self.found.pop(node_id, None)
+            node.boot()
+            return f"two nodes boot as node {node_id}" if node.response(_BOOT, b"\0") else ""
+        return f"two nodes send heartbeats as node {node_id}" if node.heartbeat(state, t_ns) else ""
+
+
+def _service(function: int, node_id: int, node: _Node, data: bytes) -> str:
+    """Take an SDO frame that begins a transfer, or an EMCY; return the cause of a finding."""
+    command, place = data[0], data[1:4]
+    if function == codes.SDO_REQUEST_BASE and (command == 0x40 or command >> 5 == 1):
+        node.request(place)
+    elif function == codes.SDO_RESPONSE_BASE and (command >> 4 == 4 or command in (0x60, 0x80)):
+        return f"two nodes respond as node {node_id}" if node.response(place, data) else ""
+    elif function == codes.EMCY_BASE and int.from_bytes(data[:2], "little") == COB_ID_COLLISION:
+        can_id = int.from_bytes(data[3:5], "little")  # of a tipforce node; others may send something else there
+        which = f"its identifier 0x{can_id:03X}" if can_id & codes.NODE_ID_MASK == node_id else "one of its identifiers"
+        return f"node {node_id} reports that another node sends {which} (EMCY 8150h)"
+    return ""
