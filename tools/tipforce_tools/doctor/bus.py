@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
 
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+BEATS_S = 5.0
+"""Listen so much longer where a node sends a few heartbeats: two nodes may send them."""
+_FEW_BEATS = range(2, 12)
 _LOADED = 0.8
 
 
@@ -63,6 +67,9 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     notifier = can.Notifier(bus, [buffer], timeout=0.1)
     try:
         time.sleep(listen_s)
+        if _is_undecided(buffer.can_ids()):
+            listen_s += BEATS_S
+            time.sleep(BEATS_S)
     finally:
         notifier.stop()
         bus.shutdown()
@@ -82,6 +89,12 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     else:
         yield Check("traffic", "ok", finding)
     yield from heard(frames)
+
+
+def _is_undecided(can_ids: Iterable[int]) -> bool:
+    """Return whether a node sent more heartbeats than one, and too few to tell whether two nodes send them."""
+    counts = Counter(can_id for can_id in can_ids if can_id > HEARTBEAT_BASE)
+    return any(count in _FEW_BEATS for count in counts.values())
 
 
 def heard(frames: FrameArray) -> Iterator[Check]:

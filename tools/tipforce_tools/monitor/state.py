@@ -134,13 +134,17 @@ class BusMonitor:
         """Process a FRAME array (k,) in the order of arrival."""
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
-        self._duplicates.add(frames)
+        for duplicate in self._duplicates.add(frames):
+            if duplicate.node_id in self._watched:
+                self._nodes.setdefault(duplicate.node_id, _Node())
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
         for part in self._modulus.parts(frames):
             found = self._decoder.decode(part)
             self._counters.add(found, self._modulus.modulus)
+            for samples in found.values():
+                self._duplicates.samples(samples, part, self._modulus.modulus)
             for (node_id, name), samples in found.items():
                 self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
             self._health.take(part, found.values())

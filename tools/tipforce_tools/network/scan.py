@@ -17,8 +17,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce scan`."""
     parser.epilog = (
-        "Exit code 1 if two nodes use one node-id: both respond to each request.\n"
-        "  tipforce scan -i socketcan -c can0"
+        "Exit code 1 if two nodes use one node-id: both respond to each request.\n  tipforce scan -i socketcan -c can0"
     )
     parser.add_argument(
         "--nodes", type=common.node_ids, default=list(range(1, 128)), metavar="IDS", help="1,2,5-9 (default: all)"

@@ -10,14 +10,19 @@ from __future__ import annotations
 
 import threading
 from collections import deque
-from typing import NamedTuple
+from itertools import pairwise
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from tipforce.device import codes
 from tipforce.device.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
+from tipforce.host.decoding.sync_modulus import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray
+
+if TYPE_CHECKING:
+    from tipforce.host.decoding.decoder import Samples
 
 PRODUCT, SERIAL = (0x1018, 2), (0x1018, 4)
 _PRODUCT_PLACE, _SERIAL_PLACE = bytes((0x18, 0x10, 2)), bytes((0x18, 0x10, 4))
@@ -30,6 +35,8 @@ _WINDOW = 12
 _SINGLE = 3  # requests with one response, after which nobody else responds
 _STATE_CHANGES = 8  # from heartbeat to heartbeat, without an NMT command
 _BEATS = 11
+_STEPS_BACK = 12  # of sample counters, with one step on between them
+_MOST_STEPS = 2  # from a sample to the next of the same node: a SYNC may be lost
 _SHORTEST_PERIOD_NS = 50_000_000  # receivers that read in batches give faster heartbeats any spacing
 _SHORT = 0.3  # of the period: a node that rounds its period to its cycle alternates by a third at most
 _UNEVEN = 1.25
@@ -41,7 +48,7 @@ _RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
 
 
 class Duplicate(NamedTuple):
-    """Two nodes with one node-id; ``serials`` are those seen, ``product`` is 0 if unknown. As text: cause and remedy."""
+    """Two nodes with one node-id; ``serials`` are those seen, ``product`` 0 is unknown. As text: cause and remedy."""
 
     t_ns: int
     node_id: int
@@ -64,7 +71,10 @@ class Duplicate(NamedTuple):
 class _Node:
     """What was seen of one node-id since its boot-up."""
 
-    __slots__ = ("answered", "answers", "beats", "changes", "doubled", "product", "serials", "state", "suspect", "waiting")
+    __slots__ = (
+        "answered", "answers", "beats", "changes", "doubled", "pdos", "product", "serials", "state", "suspect",
+        "waiting",
+    )  # fmt: skip
 
     def __init__(self) -> None:
         self.waiting: dict[bytes, int] = {}  # by request: responses that are due
@@ -74,6 +84,7 @@ class _Node:
         self.suspect = False
         self.state = -1
         self.beats: deque[int] = deque(maxlen=_BEATS)
+        self.pdos: dict[str, tuple[int, int, bytes, int, int]] = {}  # by PDO: counters, data, steps back, steps on
 
     def boot(self) -> None:
         """Forget what was before a boot-up, except the counts of responses: two nodes boot one after the other."""
@@ -81,6 +92,7 @@ class _Node:
         self.answers.clear()
         self.serials.clear()
         self.beats.clear()
+        self.pdos.clear()
         self.changes, self.state = 0, -1
 
     def request(self, place: bytes, most: int = _MOST_WAITING) -> None:
@@ -122,6 +134,22 @@ class _Node:
         self.beats.append(t_ns)
         return self.changes >= _STATE_CHANGES or (len(self.beats) == _BEATS and self._two_in_a_period())
 
+    def sample(self, name: str, counter: int, data: bytes, modulus: int) -> bool:
+        """Take a sample; return whether it is certain that two nodes send them.
+
+        Of two nodes that count on at each SYNC, every second counter is one that was there before, and each is the
+        next one of the last but one.
+        """
+        previous, last, before, back, on = self.pdos.get(name, (counter, counter, data, 0, 0))
+        step = (counter - last) % modulus
+        if 0 < step <= modulus // 2:
+            on += 1
+            back = back if on < 2 else 0
+        elif step or data != before:
+            back, on = back + 1 if 0 < (counter - previous) % modulus <= _MOST_STEPS else 0, 0
+        self.pdos[name] = last, counter, data, back, on
+        return back >= _STEPS_BACK
+
     def _two_in_a_period(self) -> bool:
         """Return whether short and long intervals alternate, each pair as long as the others."""
         times = list(self.beats)
@@ -129,8 +157,16 @@ class _Node:
         least = min(periods)
         if least < _SHORTEST_PERIOD_NS or max(periods) > _UNEVEN * least:
             return False
-        intervals = [late - early for early, late in zip(times, times[1:], strict=False)]
+        intervals = [late - early for early, late in pairwise(times)]
         return min(max(intervals[::2]), max(intervals[1::2])) <= _SHORT * least
+
+
+def services(frames: FrameArray) -> FrameArray:
+    """Return those of FRAME (n,) that are neither PDOs nor SYNCs."""
+    can_id = frames["can_id"]
+    other = ((can_id >= codes.TIME_COB_ID) & (can_id < codes.SDO_RESPONSE_BASE)) | (can_id == codes.SYNC_COB_ID)
+    chosen: FrameArray = frames[~other]
+    return chosen
 
 
 class DuplicateNodes:
@@ -146,9 +182,7 @@ class DuplicateNodes:
 
     def add(self, frames: FrameArray) -> list[Duplicate]:
         """Process frames, FRAME (n,), in the order of reception; return the new findings."""
-        can_id = frames["can_id"]
-        services = ((can_id < 2 * codes.EMCY_BASE) & (can_id != codes.SYNC_COB_ID)) | (can_id >= codes.SDO_RESPONSE_BASE)
-        chosen = frames[services]
+        chosen = services(frames)
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length"))
         data = chosen["data"].tobytes()
         new = [
@@ -175,12 +209,34 @@ class DuplicateNodes:
                 node.request(_GUARD, 1)
             elif len(data) == 8:
                 cause = _service(function, node_id, node, data)
-            if not cause:
-                return None
-            node.suspect = True
-            known = node_id in self.found and self.found[node_id].serials == tuple(node.serials)
-            self.found[node_id] = duplicate = Duplicate(t_ns, node_id, cause, tuple(node.serials), node.product)
-            return None if known else duplicate
+            return self._note(node_id, node, cause, t_ns) if cause else None
+
+    def samples(self, samples: Samples, frames: FrameArray, modulus: int) -> None:
+        """Process the samples of one message of a node, decoded from FRAME (n,); ``modulus``: of their counters."""
+        counter, stale = samples.columns.get("counter"), samples.columns.get("stale")
+        if counter is None or stale is None:
+            return
+        fresh = ~np.asarray(stale, np.bool_)
+        rows, data = samples.row[fresh].tolist(), frames["data"].tobytes()
+        for row, count in zip(rows, counter[fresh].tolist(), strict=True):
+            self.sample(
+                samples.node_id, samples.message.name, count, data[8 * row : 8 * row + 8], modulus,
+                int(frames["t_ns"][row]),
+            )  # fmt: skip
+
+    def sample(self, node_id: int, name: str, counter: int, data: bytes, modulus: int, t_ns: int) -> None:
+        """Process a sample that is not stale: the PDO ``name`` with its counter and data."""
+        if counter or modulus == SAMPLES:  # else that of no SYNC
+            with self._lock:
+                node = self._nodes.setdefault(node_id, _Node())
+                if node.sample(name, counter, data, modulus):
+                    self._note(node_id, node, f"two nodes send the samples of node {node_id}", t_ns)
+
+    def _note(self, node_id: int, node: _Node, cause: str, t_ns: int) -> Duplicate | None:
+        node.suspect = True
+        known = node_id in self.found and self.found[node_id].serials == tuple(node.serials)
+        self.found[node_id] = duplicate = Duplicate(t_ns, node_id, cause, tuple(node.serials), node.product)
+        return None if known else duplicate
 
     def suspected(self, node_id: int) -> bool:
         """Return whether a second response, or a finding, was seen since ``retry``."""
@@ -204,7 +260,11 @@ class DuplicateNodes:
 
     def _commanded(self, data: bytes) -> None:
         """An NMT command: each node changes its state, or boots, once."""
-        for node_id, node in self._nodes.items() if len(data) == 2 else ():
+        if len(data) != 2:
+            return
+        if data[1]:
+            self._nodes.setdefault(data[1] & codes.NODE_ID_MASK, _Node())
+        for node_id, node in self._nodes.items():
             if data[1] in (0, node_id):
                 node.changes = 0
                 if data[0] in _RESETS:

@@ -17,7 +17,7 @@ from tipforce.device import codes
 from tipforce.dictionary import indices
 from tipforce.dictionary.dbc import NMT_COMMANDS
 from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, emcy_text, state_text
-from tipforce.host.decoding.duplicates import DuplicateNodes
+from tipforce.host.decoding.duplicates import DuplicateNodes, services
 from tipforce.host.decoding.object_names import Describe, fingertip_names
 from tipforce.host.decoding.sdo_conversation import SdoConversation
 from tipforce.host.frames.frame_array import FrameArray
@@ -139,11 +139,11 @@ class BusEvents:
 
     def _add_duplicates(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the first finding of each node-id."""
-        for number in np.unique(frames["channel"]).tolist():
+        chosen = services(frames)
+        for number in set(chosen["channel"].tolist()):
             channel = channels[number]
-            for duplicate in self._duplicates.setdefault(channel, DuplicateNodes()).add(
-                frames[frames["channel"] == number]
-            ):
+            watch = self._duplicates.setdefault(channel, DuplicateNodes())
+            for duplicate in watch.add(chosen[chosen["channel"] == number]):
                 if self._node_ids is None or duplicate.node_id in self._node_ids:
                     self.append(BusEvent(duplicate.t_ns, channel, duplicate.node_id, "duplicate", 0, str(duplicate)))
 

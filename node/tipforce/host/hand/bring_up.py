@@ -195,9 +195,7 @@ def responding_nodes(connection: Bus) -> set[int]:
     return set(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
 
 
-def _find(
-    connection: Bus, reports: Sequence[FingerReport], nodes: set[int], on_event: OnEvent
-) -> list[FingerReport]:
+def _find(connection: Bus, reports: Sequence[FingerReport], nodes: set[int], on_event: OnEvent) -> list[FingerReport]:
     """Return the fingers without response."""
     for report in reports:
         report.seconds += FIND_S

@@ -89,7 +89,7 @@ class SdoChannel:
     ) -> None:
         self.node_id = node_id
         self._duplicates = DuplicateNodes() if duplicates is None else duplicates
-        self._ended_s = -SECOND_RESPONSE_S
+        self._ended_s = time.monotonic()
         self.timeout_s = checked_time("timeout_s", timeout_s)
         self.retries = retries
         self.has_blocks = True
