@@ -177,9 +177,9 @@ def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Pat
 
 def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
     slept: list[float] = []
-    monkeypatch.setattr("tipforce_tools.doctor.bus.time", SimpleNamespace(sleep=lambda s: slept.append(s)))
+    monkeypatch.setattr("tipforce_tools.doctor.bus.time", SimpleNamespace(sleep=slept.append))
     monkeypatch.setattr("tipforce_tools.doctor.bus.BEATS_S", 0.5)
-    for beats, longer in ((1, []), (2, [0.5]), (11, [0.5]), (12, [])):
+    for beats, longer in ((1, []), (2, [0.5]), (10, [0.5]), (11, [])):
         slept.clear()
         monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
         list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
 BEATS_S = 5.0
 """Listen so much longer where a node sends a few heartbeats: two nodes may send them."""
-_FEW_BEATS = range(2, 12)
+_FEW_BEATS = range(2, 11)
 _LOADED = 0.8
 
 

@@ -134,9 +134,7 @@ class BusMonitor:
         """Process a FRAME array (k,) in the order of arrival."""
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
-        for duplicate in self._duplicates.add(frames):
-            if duplicate.node_id in self._watched:
-                self._nodes.setdefault(duplicate.node_id, _Node())
+        self._take_duplicates(frames)
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
@@ -158,6 +156,12 @@ class BusMonitor:
                 faults, _ = self._health.now(node_id)
                 flags = {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
                 self._nodes[node_id].flags |= flags
+
+    def _take_duplicates(self, frames: FrameArray) -> None:
+        """Give a row to a node-id that two nodes use, also to one that sends no heartbeats."""
+        for duplicate in self._duplicates.add(frames):
+            if duplicate.node_id in self._watched:
+                self._nodes.setdefault(duplicate.node_id, _Node())
 
     def _count_traffic(self, frames: FrameArray) -> None:
         can_id = frames["can_id"]
