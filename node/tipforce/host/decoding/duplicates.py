@@ -32,6 +32,7 @@ _MOST_WAITING = 16  # responses that may still come to repeated requests
 _MOST_REQUESTS = 64  # of one node that are remembered
 _CERTAIN = 8  # second responses, of at most _WINDOW requests, three of four
 _WINDOW = 12
+_SECOND_NS = 200_000_000  # between two responses to one request, at most
 _SINGLE = 3  # requests with one response, after which nobody else responds
 _STATE_CHANGES = 8  # from heartbeat to heartbeat, without an NMT command
 _BEATS = 11
@@ -77,8 +78,8 @@ class _Node:
     )  # fmt: skip
 
     def __init__(self) -> None:
-        self.waiting: dict[bytes, int] = {}  # by request: responses that are due
-        self.answers: dict[bytes, bytes] = {}  # by request: the last response
+        self.waiting: dict[bytes, int] = {}  # by request: responses that are due; -1 after a second one
+        self.answers: dict[bytes, tuple[bytes, int]] = {}  # by request: the last response and its time
         self.serials: list[int] = []
         self.answered = self.doubled = self.changes = self.product = 0
         self.suspect = False
@@ -87,8 +88,7 @@ class _Node:
         self.pdos: dict[str, tuple[int, int, bytes, int, int]] = {}  # by PDO: counters, data, steps back, steps on
 
     def boot(self) -> None:
-        """Forget what was before a boot-up, except the counts of responses: two nodes boot one after the other."""
-        self.waiting = {_BOOT: self.waiting[_BOOT]} if _BOOT in self.waiting else {}
+        """Forget what was before a boot-up, except requests and responses: they may be late, and two nodes may boot."""
         self.answers.clear()
         self.serials.clear()
         self.beats.clear()
@@ -99,31 +99,37 @@ class _Node:
         """Expect one more response."""
         if len(self.waiting) >= _MOST_REQUESTS and place not in self.waiting:
             self.waiting.clear()
-        self.waiting[place] = min(self.waiting.get(place, 0) + 1, most)
+        self.waiting[place] = min(max(self.waiting.get(place, 0), 0) + 1, most)
 
-    def response(self, place: bytes, data: bytes) -> bool:
+    def response(self, place: bytes, data: bytes, t_ns: int) -> bool:
         """Count a response; return whether it is certain that two nodes respond."""
         due = self.waiting.get(place)
         if due is None:  # to a request that was not seen
             return False
-        before = self.answers.get(place)
+        if due < 0:  # a third one: requests of another client are not among the frames
+            self.doubled = 0
+            return False
+        before, before_ns = self.answers.get(place, (b"", t_ns))
         if due:
             self.waiting[place] = due - 1
             self.answered += 1
             if self.answered >= _WINDOW:
                 self.answered, self.doubled = self.answered // 2, self.doubled // 2
-        # A server may abort a transfer that it has confirmed: an abort is a second response to its like only.
-        elif data[:1] != b"\x80" or before == data:
+        else:
+            self.waiting[place] = -1
+            # A server may abort a transfer that it has confirmed: an abort is a second response to its like only.
+            if t_ns - before_ns > _SECOND_NS or (data[:1] == b"\x80" and before != data):
+                return False
             self.doubled += 1
             self.suspect |= 2 * self.doubled >= self.answered
-        self.answers[place] = data
+        self.answers[place] = data, t_ns
         if place == _PRODUCT_PLACE and data[0] == 0x43:
             self.product = int.from_bytes(data[4:], "little")
         if place == _SERIAL_PLACE and data[0] == 0x43:
             serial = int.from_bytes(data[4:], "little")
             if serial not in self.serials:
                 self.serials.append(serial)
-            if not due and before is not None and before != data:
+            if not due and before not in (b"", data):
                 return True
         return not due and self.doubled >= _CERTAIN and 4 * self.doubled >= 3 * self.answered
 
@@ -198,7 +204,8 @@ class DuplicateNodes:
             return None
         with self._lock:
             if not function:
-                return self._commanded(data)
+                self._commanded(data)
+                return None
             node = self._nodes.get(node_id)
             if node is None:
                 node = self._nodes[node_id] = _Node()
@@ -208,7 +215,7 @@ class DuplicateNodes:
             elif function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG:
                 node.request(_GUARD, 1)
             elif len(data) == 8:
-                cause = _service(function, node_id, node, data)
+                cause = _service(function, node_id, node, data, t_ns)
             return self._note(node_id, node, cause, t_ns) if cause else None
 
     def samples(self, samples: Samples, frames: FrameArray, modulus: int) -> None:
@@ -273,21 +280,21 @@ class DuplicateNodes:
     def _heartbeat(self, node_id: int, node: _Node, content: int, t_ns: int) -> str:
         state = content & 0x7F
         if content & 0x80:  # node guarding: every second response has the toggle bit
-            return f"two nodes respond as node {node_id}" if node.response(_GUARD, bytes((state,))) else ""
+            return f"two nodes respond as node {node_id}" if node.response(_GUARD, b"", t_ns) else ""
         if state == codes.INITIALISING:
             self.found.pop(node_id, None)
             node.boot()
-            return f"two nodes boot as node {node_id}" if node.response(_BOOT, b"\0") else ""
+            return f"two nodes boot as node {node_id}" if node.response(_BOOT, b"", t_ns) else ""
         return f"two nodes send heartbeats as node {node_id}" if node.heartbeat(state, t_ns) else ""
 
 
-def _service(function: int, node_id: int, node: _Node, data: bytes) -> str:
+def _service(function: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> str:
     """Take an SDO frame that begins a transfer, or an EMCY; return the cause of a finding."""
     command, place = data[0], data[1:4]
     if function == codes.SDO_REQUEST_BASE and (command == 0x40 or command >> 5 == 1):
         node.request(place)
     elif function == codes.SDO_RESPONSE_BASE and (command >> 4 == 4 or command in (0x60, 0x80)):
-        return f"two nodes respond as node {node_id}" if node.response(place, data) else ""
+        return f"two nodes respond as node {node_id}" if node.response(place, data, t_ns) else ""
     elif function == codes.EMCY_BASE and int.from_bytes(data[:2], "little") == COB_ID_COLLISION:
         can_id = int.from_bytes(data[3:5], "little")  # of a tipforce node; others may send something else there
         which = f"its identifier 0x{can_id:03X}" if can_id & codes.NODE_ID_MASK == node_id else "one of its identifiers"

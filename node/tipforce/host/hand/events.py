@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL
+from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL, SDO_RESPONSE_BASE
 from tipforce.dictionary.service_texts import emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray
@@ -64,7 +64,9 @@ class Supervisor:
         """Process received frames, FRAME (n,), and the time; return the events. Call it without frames too."""
         events: list[Event] = []
         if len(frames):
-            for duplicate in self._duplicates.add(frames):
+            # Not SDO: requests of the host itself are not among the frames of every link; its channels watch them.
+            sdo = (frames["can_id"] >= SDO_RESPONSE_BASE) & (frames["can_id"] < HEARTBEAT_BASE)
+            for duplicate in self._duplicates.add(frames[~sdo]):
                 if duplicate.node_id in self.states:
                     events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
             services = frames["can_id"] & np.uint32(~NODE_ID_MASK & 0xFFFFFFFF)
