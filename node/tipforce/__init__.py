@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from tipforce.dictionary.table import SOFTWARE_VERSION as __version__  # noqa: N811
     from tipforce.eds.load import EdsWarning as EdsWarning
     from tipforce.eds.load import device_from_eds as device_from_eds
+    from tipforce.errors import DuplicateNodeError as DuplicateNodeError
     from tipforce.errors import EnvironmentLackError as EnvironmentLackError
     from tipforce.errors import InputError as InputError
     from tipforce.errors import NoNewSampleError as NoNewSampleError
@@ -91,6 +92,7 @@ _MODULES = {
     "NoNewSampleError": "errors",
     "SdoAbortError": "errors",
     "RefusedError": "errors",
+    "DuplicateNodeError": "errors",
     "EnvironmentLackError": "errors",
     "__version__": "dictionary.table:SOFTWARE_VERSION",
 }
@@ -99,6 +101,7 @@ __all__ = [
     "Calibration",
     "Contact",
     "Contacts",
+    "DuplicateNodeError",
     "EdsWarning",
     "EnvironmentLackError",
     "Finger",

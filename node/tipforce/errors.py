@@ -37,5 +37,9 @@ class RefusedError(TipforceError):
     """The device rejected a valid request, or its content differs from the requested one."""
 
 
+class DuplicateNodeError(TipforceError):
+    """Two nodes use one node-id, so no value of it is known; the text says how to give one of them another."""
+
+
 class EnvironmentLackError(TipforceError):
     """The machine lacks an interface, a kernel module, a program or a permission; the text says how to provide it."""

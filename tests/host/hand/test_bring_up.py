@@ -17,7 +17,7 @@ from tipforce.device.node import Device
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration_file import write_calibration
-from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up, count_nodes
+from tipforce.host.hand.bring_up import STEPS, FingerReport, bring_up, responding_nodes
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, read_hand
 from tipforce.host.network import find
@@ -133,7 +133,7 @@ def test_two_nodes_with_one_id(tmp_path: Path) -> None:
     with hand_of(node(1, 1, tmp_path), node(1, 2, tmp_path), node(3, 3, tmp_path)) as (connection, _):
         reports, _ = up(connection, plan((1, 1), (3, 3), folder=tmp_path))
         assert [report.failed for report in reports] == ["find", ""]
-        assert "2 nodes have this node-id" in reports[0].error
+        assert "two nodes respond as node 1 (serial numbers 1, 2)" in reports[0].error
 
 
 def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -144,7 +144,7 @@ def test_responses_to_another_master_are_no_second_node(tmp_path: Path, monkeypa
             time.sleep(seconds)
 
         monkeypatch.setattr(find, "time", SimpleNamespace(sleep=sleep))
-        assert count_nodes(connection) == {1: 1}
+        assert responding_nodes(connection) == {1}
 
 
 def test_a_calibration_that_the_node_refuses(tmp_path: Path) -> None:

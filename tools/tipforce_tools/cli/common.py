@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Literal
 
-from tipforce.errors import InputError
+from tipforce.errors import DuplicateNodeError, InputError, TipforceError
 from tipforce_tools.cli.output import rich_console, visible_streams
 
 if TYPE_CHECKING:
@@ -77,8 +77,9 @@ def open_bus(args: argparse.Namespace) -> can.BusABC:
     return open_bus_by_options(**bus_options(args))
 
 
-def open_connection(args: argparse.Namespace) -> Bus:
-    """Return a host connection on that bus."""
+@contextmanager
+def open_connection(args: argparse.Namespace) -> Iterator[Bus]:
+    """Return a host connection on that bus. At its end raises DuplicateNodeError if two nodes have responded as one."""
     import threading
 
     from tipforce.host.network.bus import Bus
@@ -87,7 +88,15 @@ def open_connection(args: argparse.Namespace) -> Bus:
         raise InputError(
             f"--timeout {args.timeout:g}, --retries {args.retries}: allowed are a time over 0 s and 0 or more retries"
         )
-    return Bus(open_bus(args), args.timeout, args.retries)
+    with Bus(open_bus(args), args.timeout, args.retries) as connection:
+        try:
+            yield connection
+        except DuplicateNodeError:
+            raise
+        except TipforceError:
+            connection.check_duplicates()  # the cause of the error
+            raise
+        connection.check_duplicates()
 
 
 def number(text: str) -> float:

@@ -235,7 +235,7 @@ def event_lines(told: Told) -> Iterator[str]:
     counts: dict[tuple[str, int], dict[str, int]] = {}
     for event in told.events():
         of_node = counts.setdefault((event.channel, event.node_id), {})
-        what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS[event.kind]
+        what = f"EMCY {event.text}" if event.kind == "emcy" else _EVENTS.get(event.kind, event.text)
         of_node[what] = of_node.get(what, 0) + 1
     for (channel, node), found in sorted(counts.items()):
         yield f"{channel} node {node} (0x{node:02X}): " + "; ".join(f"{count} {what}" for what, count in found.items())

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Iterator, Mapping
+from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
     from tipforce.host.frames.frame_array import FrameArray
 
 VARIABLES = ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE", "CAN_CONFIG")
+BEATS_S = 5.0
+"""Listen so much longer where a node sends a few heartbeats: two nodes may send them."""
+_FEW_BEATS = range(2, 11)
 _LOADED = 0.8
 
 
@@ -63,6 +67,9 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     notifier = can.Notifier(bus, [buffer], timeout=0.1)
     try:
         time.sleep(listen_s)
+        if _is_undecided(buffer.can_ids()):
+            listen_s += BEATS_S
+            time.sleep(BEATS_S)
     finally:
         notifier.stop()
         bus.shutdown()
@@ -84,6 +91,12 @@ def bus_checks(options: Mapping[str, Any], listen_s: float) -> Iterator[Check]:
     yield from heard(frames)
 
 
+def _is_undecided(can_ids: Iterable[int]) -> bool:
+    """Return whether a node sent more heartbeats than one, and too few to tell whether two nodes send them."""
+    counts = Counter(can_id for can_id in can_ids if can_id > HEARTBEAT_BASE)
+    return any(count in _FEW_BEATS for count in counts.values())
+
+
 def heard(frames: FrameArray) -> Iterator[Check]:
     """Yield what frames, FRAME (n,), say: error frames, nodes, and their faults in words."""
     import numpy as np
@@ -91,6 +104,7 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     from tipforce.device.emcy import SYNC_LENGTH
     from tipforce.host.decoding import status_words
     from tipforce.host.decoding.decoder import Decoder
+    from tipforce.host.decoding.duplicates import DuplicateNodes
     from tipforce.host.decoding.health import Health
 
     errors = int(((frames["can_id"] & ERROR_FLAG) != 0).sum())
@@ -103,6 +117,9 @@ def heard(frames: FrameArray) -> Iterator[Check]:
     health = Health()
     health.take(frames, Decoder().decode(frames).values())
     faults = {node: words for node in health.nodes if (words := status_words.of_faults(health.now(node)[0]))}
+    for duplicate in {one.node_id: one for one in DuplicateNodes().add(frames)}.values():
+        cause, _, step = str(duplicate).partition(": ")
+        yield Check("nodes", "fail", cause, step)
     if beats:
         yield Check("nodes", "ok", f"heartbeats of {', '.join(map(str, beats))}", "`tipforce scan` identifies them")
     for node, words in sorted(faults.items()):

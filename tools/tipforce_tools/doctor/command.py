@@ -20,7 +20,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce doctor`."""
     parser.epilog = (
         "Checks the kernel, the interfaces, the source of the bus name, and the installed packages. With a bus it\n"
-        "also opens it and listens; it never sends. Without one it tries `tipforce vcan`, which can take seconds.\n"
+        "also opens it and listens; it never sends. It listens 5 s longer where a node sends a few heartbeats: two\n"
+        "nodes with one node-id may send them. Without a bus it tries `tipforce vcan`, which can take seconds.\n"
         "Exit code 1 if a check failed.\n"
         "  tipforce doctor\n"
         "  tipforce doctor -i socketcan -c can0"

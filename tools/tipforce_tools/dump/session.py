@@ -12,10 +12,11 @@ from tipforce.dictionary.signals import rpdo_messages, tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
 from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.object_names import eds_names, fingertip_names
 from tipforce.host.decoding.plan import Key
 from tipforce.host.decoding.sample_counter import SampleCounters
-from tipforce.host.decoding.services import Services
+from tipforce.host.decoding.services import Service, Services
 from tipforce.host.decoding.sync_modulus import SyncModulus
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.frames.frame_block import CandumpBlock
@@ -52,6 +53,7 @@ class Session:
         self.decoder = _decoder(args.gauges, eds) if args.decode or args.verbose else None
         names = eds_names(eds, fingertip_names(args.gauges)) if eds else fingertip_names(args.gauges)
         self.services = Services(names) if args.decode else None
+        self._duplicates: dict[int, DuplicateNodes] = {}  # by interface
         self.counters, self._modulus = SampleCounters(), SyncModulus()
         self._counted = _decoder(args.gauges, eds) if args.verbose else None  # of the parts of a block
         self._left = args.count
@@ -83,7 +85,13 @@ class Session:
         decoded = self.decoder.decode(block.frames) if self.decoder is not None else {}
         if self._args.verbose:
             self._count(block.frames, decoded)
-        services = () if self.services is None else self.services.describe(block.frames, block.interface)
+        services: Iterable[Service] = ()
+        if self.services is not None:
+            services = self.services.describe(block.frames, block.interface)
+            for number in set(block.interface.tolist()):
+                watch = self._duplicates.setdefault(number, DuplicateNodes())
+                for duplicate in watch.add(block.frames[block.interface == number]):
+                    common.note(self._args, f"tipforce dump: {duplicate}")
         text = self._writer.text(block, decoded if self._args.decode else {}, services)
         if text:
             sys.stdout.write(text)

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
 
 _DIGITS = {"N": 3, "degree": 2}
 _UNITS = {"degree": "deg"}
+TWO_NODES = "TWO NODES with this id"
+"""In place of the status: its values are those of either."""
 WIDE = 120
 """Width of the whole table in characters."""
 _WIDE_ONLY = frozenset({"Hz", "period ms p50/p99/max"})
@@ -53,6 +55,8 @@ def cells(node: NodeView) -> tuple[str, ...]:
     values = (f"{name}={_value(one)}" for name, one in node.readings.items() if name not in QUANTITIES)
     # A silent node has no present status, either.
     status = "STALE" if node.stale else " ".join((*node.status, *values)) or "-"
+    if node.duplicate:
+        status = TWO_NODES
     return shown_id(node.node_id), f"{node.rate_hz:.1f}", regular, age, *readings, status, nmt, emcy, str(node.lost)
 
 
@@ -82,6 +86,7 @@ def plain(buses: Sequence[BusView], bitrate: int) -> Iterator[str]:
         widths = [max(len(row[k]) for row in rows) for k in range(len(COLUMNS))]
         for row in rows:
             yield "  ".join(text.ljust(width) for text, width in zip(row, widths, strict=True)).rstrip()
+        yield from (node.duplicate for node in bus.nodes if node.duplicate)
         if not bus.nodes:
             yield "no node found yet"
 
@@ -107,11 +112,11 @@ def tables(buses: Sequence[BusView], bitrate: int, foot: str, width: int = WIDE)
             texts = cells(node)
             row = (Text(texts[k], style=_style(texts[k])) for k in kept)
             table.add_row(*row, style="dim" if node.stale else "")
-        found.append(table)
+        found += [table, *(Text(node.duplicate, style="bold red") for node in bus.nodes if node.duplicate)]
     return Group(*found, Text(foot, style="dim"))
 
 
 def _style(text: str) -> str:
-    if "STALE" in text or text.endswith("heartbeat lost"):
+    if "STALE" in text or text == TWO_NODES or text.endswith("heartbeat lost"):
         return "bold red"
     return "yellow" if text.startswith("unknown") else ""

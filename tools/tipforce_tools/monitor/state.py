@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -26,6 +26,7 @@ from tipforce.host.decoding import status_words
 from tipforce.host.decoding.contacts import status_of
 from tipforce.host.decoding.decoded_pdos import EdsFiles, Layouts
 from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.decoding.health import Health
 from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.decoding.sync_modulus import SyncModulus
@@ -80,6 +81,8 @@ class NodeView:
     nmt_lost: bool
     emergency: Emergency | None
     lost: int
+    duplicate: str = ""
+    """What shows that two nodes use this node-id, and what to do."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,6 +124,7 @@ class BusMonitor:
         self._counters = SampleCounters()
         self._health = Health()
         self._modulus = SyncModulus()
+        self._duplicates = DuplicateNodes()
         self._nodes: dict[int, _Node] = {}
         self._traffic = Window(columns=3)
         self._sync = Window()
@@ -130,12 +134,15 @@ class BusMonitor:
         """Process a FRAME array (k,) in the order of arrival."""
         can_id, t_ns = frames["can_id"], frames["t_ns"]
         self._count_traffic(frames)
+        self._take_duplicates(frames)
         data = (can_id & np.uint32(EXTENDED_FLAG | REMOTE_FLAG | ERROR_FLAG)) == 0
         self._sync.add(t_ns[data & (can_id == SYNC_COB_ID)])
         self._take_services(frames[data & ((can_id & NODE_ID_MASK) != 0)])
         for part in self._modulus.parts(frames):
             found = self._decoder.decode(part)
             self._counters.add(found, self._modulus.modulus)
+            for samples in found.values():
+                self._duplicates.samples(samples, part, self._modulus.modulus)
             for (node_id, name), samples in found.items():
                 self._take_samples(self._nodes.setdefault(node_id, _Node()), name, samples)
             self._health.take(part, found.values())
@@ -149,6 +156,12 @@ class BusMonitor:
                 faults, _ = self._health.now(node_id)
                 flags = {f"fault_{name}": bool(faults >> bit & 1) for bit, name, _ in FAULT_BITS}
                 self._nodes[node_id].flags |= flags
+
+    def _take_duplicates(self, frames: FrameArray) -> None:
+        """Give a row to a node-id that two nodes use, also to one that sends no heartbeats."""
+        for duplicate in self._duplicates.add(frames):
+            if duplicate.node_id in self._watched:
+                self._nodes.setdefault(duplicate.node_id, _Node())
 
     def _count_traffic(self, frames: FrameArray) -> None:
         can_id = frames["can_id"]
@@ -197,7 +210,10 @@ class BusMonitor:
         frames_hz, least, worst = self._traffic.sums(now_ns)
         lost = self._counters.lost_by_node()
         nodes = tuple(
-            _view(key, self._nodes[key], lost.get(key, 0), now_ns, described=key in self._described)
+            replace(
+                _view(key, self._nodes[key], lost.get(key, 0), now_ns, described=key in self._described),
+                duplicate=str(self._duplicates.found.get(key, "")),
+            )
             for key in sorted(self._nodes)
         )
         return BusView(self.name, frames_hz, least, worst, self._sync.rate_hz(now_ns), self._errors, nodes)

@@ -59,6 +59,7 @@ def run(args: argparse.Namespace) -> int:
             return 0
         try:
             states = command_and_wait(connection, args.command, args.ids, args.wait)
+            connection.check_duplicates(args.ids)
         except NotReachedError as error:
             _print(args, error.reached)
             raise

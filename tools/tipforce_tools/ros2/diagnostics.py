@@ -18,7 +18,7 @@ OK, WARN, ERROR, STALE = range(4)
 
 _LEVELS = {
     "emcy": ERROR, "heartbeat_lost": ERROR, "failed": ERROR, "bus_down": ERROR, "refused": ERROR, "babbling": ERROR,
-    "callback_failed": ERROR, "boot_up": WARN, "changed": WARN, "accepted": WARN, "restored": WARN,
+    "callback_failed": ERROR, "duplicate": ERROR, "boot_up": WARN, "changed": WARN, "accepted": WARN, "restored": WARN,
 }  # fmt: skip
 
 

@@ -8,7 +8,14 @@ from collections.abc import Callable, Sequence
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
+from tipforce.device.codes import (
+    EMCY_BASE,
+    HEARTBEAT_BASE,
+    NMT_COB_ID,
+    NODE_ID_MASK,
+    SYNC_COB_ID,
+    TPDO_BASES,
+)
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import Health
@@ -25,6 +32,7 @@ HEARTBEAT_TIMEOUT_S = 2.5
 ROW_TIMEOUT_S = 0.05
 HEALTH_YOUNG_NS = 3_000_000_000
 _SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
+_SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
 _UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
 
 
@@ -134,11 +142,11 @@ class Watcher:
         self._collector = Collector(node_ids, self._messages, self._gauges, ROW_TIMEOUT_S)
 
     def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
-        """Process heartbeats and EMCY one by one: they are few, and in a log each has its own time."""
+        """Process services one by one: they are few, and in a log each has its own time."""
         if not len(frames):
             return self._supervisor.add(frames, now_s)
         service = frames["can_id"] & _SERVICE
-        few = frames[((service == HEARTBEAT_BASE) | (service == EMCY_BASE)) & (frames["can_id"] != SYNC_COB_ID)]
+        few = frames[np.isin(service, _SERVICES) & (frames["can_id"] != SYNC_COB_ID)]
         events: list[Event] = []
         for k in range(len(few)):
             events += self._supervisor.add(few[k : k + 1], float(few["t_ns"][k]) * 1e-9)

@@ -17,6 +17,7 @@ from tipforce.device import codes
 from tipforce.dictionary import indices
 from tipforce.dictionary.dbc import NMT_COMMANDS
 from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, emcy_text, state_text
+from tipforce.host.decoding.duplicates import DuplicateNodes, services
 from tipforce.host.decoding.object_names import Describe, fingertip_names
 from tipforce.host.decoding.sdo_conversation import SdoConversation
 from tipforce.host.frames.frame_array import FrameArray
@@ -37,9 +38,9 @@ class Service(NamedTuple):
 
 
 class BusEvent(NamedTuple):
-    """An EMCY, or a change of an NMT state or of the calibration.
+    """An EMCY, a change of an NMT state or of the calibration, or two nodes with one node-id.
 
-    ``kind``: "emcy", "emcy_reset", "boot_up", "state" or "calibration".
+    ``kind``: "emcy", "emcy_reset", "boot_up", "state", "calibration" or "duplicate".
     """
 
     t_ns: int
@@ -105,7 +106,7 @@ class Services:
 
 
 class BusEvents:
-    """Collect EMCYs, changes of NMT states and of calibrations of ``node_ids`` (None: all); parts can be joined.
+    """Collect the events of ``node_ids`` (None: all); parts can be joined.
 
     By channel and node-id, ``states``: the last NMT state; ``calibrations``: the last CRC-32 read from 2103h:3.
     """
@@ -115,6 +116,7 @@ class BusEvents:
         self.states: dict[tuple[str, int], int] = {}
         self.calibrations: dict[tuple[str, int], int] = {}
         self.found: list[BusEvent] = []
+        self._duplicates: dict[str, DuplicateNodes] = {}
 
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
@@ -123,6 +125,7 @@ class BusEvents:
         wanted = (functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)
         read = np.flatnonzero(functions == codes.SDO_RESPONSE_BASE)
         wanted[read] = (frames["data"][read, :4] == np.frombuffer(_CRC_READ, np.uint8)).all(axis=1)
+        self._add_duplicates(frames, channels)
         few = np.flatnonzero(wanted)
         chosen = frames[few[can_id[few] & codes.NODE_ID_MASK != 0]]  # SYNC is EMCY's function with node-id 0
         data = chosen["data"].tobytes()
@@ -133,6 +136,16 @@ class BusEvents:
                 told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
                 if told is not None:
                     self.append(BusEvent(t_ns, channels[channel], node_id, *told))
+
+    def _add_duplicates(self, frames: FrameArray, channels: Sequence[str]) -> None:
+        """Add the first finding of each node-id."""
+        chosen = services(frames)
+        for number in set(chosen["channel"].tolist()):
+            channel = channels[number]
+            watch = self._duplicates.setdefault(channel, DuplicateNodes())
+            for duplicate in watch.add(chosen[chosen["channel"] == number]):
+                if self._node_ids is None or duplicate.node_id in self._node_ids:
+                    self.append(BusEvent(duplicate.t_ns, channel, duplicate.node_id, "duplicate", 0, str(duplicate)))
 
     def append(self, event: BusEvent) -> None:
         """Add an event, unless it repeats the state or the calibration of its node."""

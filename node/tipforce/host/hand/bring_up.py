@@ -6,7 +6,6 @@ Fingers are brought up in parallel; one that fails does not block the others. It
 from __future__ import annotations
 
 import time
-from collections import Counter
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
@@ -77,15 +76,15 @@ def bring_up(
     for finger in hand.finger:
         connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop
     reports = [FingerReport(finger) for finger in hand.finger]
-    answers = count_nodes(connection)
-    absent = _find(reports, answers, on_event)
+    nodes = responding_nodes(connection)
+    absent = _find(connection, reports, nodes, on_event)
     if absent:
         assign(connection, absent, hand.hand.store, on_event)
     side_by_side(
         lambda report: set_up(connection, hand, report, plans[report.plan.node_id], on_event),
         [report for report in reports if report.ok],
     )
-    return reports, set(answers)
+    return reports, nodes
 
 
 def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
@@ -188,26 +187,26 @@ def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
     return None
 
 
-def count_nodes(connection: Bus) -> Counter[int]:
-    """Request 1000h from every node-id; return the number of responses by node-id. Two: a duplicate node-id."""
+def responding_nodes(connection: Bus) -> set[int]:
+    """Request 1000h from every node-id; return those that respond."""
     frames = device_type_responses(connection, range(1, codes.NODE_ID_MASK + 1), FIND_S)
     frames = frames[(frames["data"][:, 1:4] == DEVICE_TYPE).all(axis=1)]  # not those that another master requested
     answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
-    return Counter(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
+    return set(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
 
 
-def _find(reports: Sequence[FingerReport], answers: Counter[int], on_event: OnEvent) -> list[FingerReport]:
+def _find(connection: Bus, reports: Sequence[FingerReport], nodes: set[int], on_event: OnEvent) -> list[FingerReport]:
     """Return the fingers without response."""
     for report in reports:
         report.seconds += FIND_S
-        if answers[report.plan.node_id]:
-            _attempt(report, "find", partial(_one_answer, answers[report.plan.node_id]), on_event)
-    return [report for report in reports if not answers[report.plan.node_id]]
+        if report.plan.node_id in nodes:
+            sdo = connection.sdo(report.plan.node_id)
+            _attempt(report, "find", partial(_check_alone, sdo), on_event)
+    return [report for report in reports if report.plan.node_id not in nodes]
 
 
-def _one_answer(count: int) -> str:
-    if count > 1:
-        raise RefusedError(f"{count} nodes have this node-id; power only one and assign it another (tipforce lss)")
+def _check_alone(sdo: SdoChannel) -> str:
+    sdo.check_duplicates()
     return ""
 
 

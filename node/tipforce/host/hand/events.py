@@ -12,14 +12,15 @@ from typing import Literal
 
 import numpy as np
 
-from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL
+from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL, SDO_RESPONSE_BASE
 from tipforce.dictionary.service_texts import emcy_text, state_text
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray
 
 Kind = Literal[
     "found", "assigned", "configured", "calibrated", "verified", "started", "failed",
     "boot_up", "heartbeat_lost", "heartbeat_back", "state", "emcy", "emcy_reset", "bus_down", "bus_up",
-    "babbling", "babbling_end", "changed", "accepted", "restored", "refused", "callback_failed",
+    "babbling", "babbling_end", "duplicate", "changed", "accepted", "restored", "refused", "callback_failed",
 ]  # fmt: skip
 
 UNSET_TIMEOUT_S = 2.5
@@ -52,6 +53,7 @@ class Supervisor:
         self.states: dict[int, int] = dict.fromkeys(node_ids, _UNKNOWN_STATE)
         """Last reported NMT state by node-id; -1 for a silent node."""
         self._heard_s: dict[int, float] = {}
+        self._duplicates = DuplicateNodes()
 
     def state_name(self, node_id: int) -> str:
         """Return the NMT state as text."""
@@ -62,6 +64,11 @@ class Supervisor:
         """Process received frames, FRAME (n,), and the time; return the events. Call it without frames too."""
         events: list[Event] = []
         if len(frames):
+            # Not SDO: requests of the host itself are not among the frames of every link; its channels watch them.
+            sdo = (frames["can_id"] >= SDO_RESPONSE_BASE) & (frames["can_id"] < HEARTBEAT_BASE)
+            for duplicate in self._duplicates.add(frames[~sdo]):
+                if duplicate.node_id in self.states:
+                    events.append(Event(now_s, duplicate.node_id, "duplicate", str(duplicate)))
             services = frames["can_id"] & np.uint32(~NODE_ID_MASK & 0xFFFFFFFF)
             for frame in frames[(services == HEARTBEAT_BASE) | (services == EMCY_BASE)]:
                 node_id = int(frame["can_id"]) & NODE_ID_MASK

@@ -7,7 +7,7 @@ import time
 from tipforce.device.codes import SYNC_COB_ID
 from tipforce.dictionary import objects
 from tipforce.errors import TipforceError
-from tipforce.host.hand.bring_up import count_nodes
+from tipforce.host.hand.bring_up import responding_nodes
 from tipforce.host.hand.file import HandFile
 from tipforce.host.hand.link import Link
 from tipforce.host.hand.sync_numbers import LARGEST
@@ -25,7 +25,7 @@ def wanted_overflow(link: Link, file: HandFile, nodes: set[int] | None) -> int |
         return _of_other_producer(link)
     if plan.numbered_sync != "auto":
         return LARGEST if plan.numbered_sync else 0
-    others = (set(count_nodes(link.connection)) if nodes is None else nodes) - set(file.node_ids)
+    others = (responding_nodes(link.connection) if nodes is None else nodes) - set(file.node_ids)
     return LARGEST if all(_takes_numbers(link, node_id) for node_id in others) else 0
 
 

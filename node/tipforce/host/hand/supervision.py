@@ -58,6 +58,9 @@ class Supervision:
             self._collector.expect(node_id, event.code == OPERATIONAL)
             if event.code != OPERATIONAL:
                 self._queue.need([node_id])
+        elif event.kind == "duplicate":
+            self._collector.hide(node_id)  # until SDO shows that one node responds
+            self._queue.need([node_id])
         elif event.kind == "heartbeat_back" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
             self._queue.need([node_id])
 

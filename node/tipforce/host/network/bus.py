@@ -68,6 +68,7 @@ class Bus:
         """1019h of the nodes: over 1, own SYNCs carry a number. A hand that was killed may have left it."""
         self.buffer = FrameBuffer()
         self.heartbeats = Heartbeats()
+        self.duplicates = self.heartbeats.duplicates
         self._listeners: list[Any] = [self.buffer, self.heartbeats]
         self._owned = owned
         self._shared: can.Notifier | None = None
@@ -150,7 +151,9 @@ class Bus:
             raise InputError(f"node-id {node_id!r}: allowed are 1 to 127")
         with self._lock:
             if node_id not in self._channels:
-                self._channels[node_id] = SdoChannel(self.network, node_id, self._timeout_s, self._retries)
+                self._channels[node_id] = SdoChannel(
+                    self.network, node_id, self._timeout_s, self._retries, duplicates=self.duplicates
+                )
             return self._channels[node_id]
 
     def nmt(self, command: str, node_id: int = 0) -> None:
@@ -183,10 +186,21 @@ class Bus:
 
     def send(self, can_id: int, data: bytes) -> None:
         """Send one frame with an 11-bit identifier. Raises EnvironmentLackError if the bus refuses it."""
+        self.duplicates.frame(can_id, data, time.time_ns())
         try:
             self.network.send_message(can_id, data)
         except (can.CanError, RuntimeError) as error:  # canopen raises it for a closed bus
             raise EnvironmentLackError(f"frame 0x{can_id:03X}: the bus refused it: {error}") from None
+
+    def check_duplicates(self, node_ids: Iterable[int] = ()) -> None:
+        """Raise DuplicateNodeError if two nodes use one of ``node_ids``, or one with which SDO was spoken.
+
+        Waits for second responses; sends requests only where there is a suspicion.
+        """
+        with self._lock:
+            spoken = set(self._channels)
+        for node_id in sorted(spoken.union(node_ids)):
+            self.sdo(node_id).check_duplicates(wait=True)
 
     def wait_for(self, can_ids: set[int], timeout_s: float = 1.0) -> FrameArray:
         """Read received frames until each of ``can_ids`` is among them; return all of them, in order.

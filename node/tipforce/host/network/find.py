@@ -10,7 +10,7 @@ from tipforce.device import codes
 from tipforce.dictionary import objects as od
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.table import REVISION
-from tipforce.errors import InputError, NoResponseError, SdoAbortError
+from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
 from tipforce.host.decoding import status_words
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.network.bus import Bus
@@ -38,6 +38,8 @@ class FoundNode:
     """"match", or the difference."""
     faults: str = ""
     """Its faults (2124h), in words."""
+    duplicate: str = ""
+    """What shows that two nodes use this node-id, and what to do."""
 
 
 def find_nodes(connection: Bus, node_ids: Iterable[int], wait_s: float = 1.2) -> list[FoundNode]:
@@ -88,9 +90,15 @@ def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
     state_name = "no heartbeat" if state is None else NMT_STATES.get(state, f"state {state}")
     if not answers:
-        return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown")
+        seen = connection.duplicates.found.get(node_id)
+        text = "" if seen is None else str(seen)
+        return FoundNode(node_id, state_name, "no SDO in this state", 0, "unknown", "unknown", duplicate=text)
     try:
-        return _identified(FingertipClient(connection.sdo(node_id)), state_name)
+        node = _identified(FingertipClient(connection.sdo(node_id)), state_name)
+        connection.sdo(node_id).check_duplicates(wait=True)
+        return node
+    except DuplicateNodeError as error:
+        return FoundNode(node_id, state_name, "two nodes", 0, "unknown", "unknown", duplicate=str(error))
     except SdoAbortError:
         device = "no identity object"
     except NoResponseError:

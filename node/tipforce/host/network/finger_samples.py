@@ -17,12 +17,13 @@ from tipforce.device import codes
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
-from tipforce.errors import InputError, NoNewSampleError, SdoAbortError
+from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding.columns import columns_of
 from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
 from tipforce.host.decoding.health import NAMES, Health, packed
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
+from tipforce.host.decoding.sync_modulus import SAMPLES
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -51,7 +52,9 @@ class ContactReader:
         gauges: int,
         pdos: dict[int, Message],
         calibration: Calibration | None,
+        passive: bool = False,
     ) -> None:
+        self._passive = passive
         self._connection, self._node_id, self._gauges = connection, node_id, gauges
         self._calibration = calibration
         self._needed = _needed(node_id, gauges, pdos)
@@ -81,9 +84,11 @@ class ContactReader:
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none.
 
-        Raises NoNewSampleError at ``deadline_s`` (monotonic); its text gives the reason.
+        Raises NoNewSampleError at ``deadline_s`` (monotonic), whose text gives the reason; DuplicateNodeError if two
+        nodes use its node-id.
         """
         while True:
+            self._check_duplicates()
             contact = self._take()
             if contact is not None:
                 return contact
@@ -109,6 +114,13 @@ class ContactReader:
             return found
         return self.next(deadline_s, period_s)
 
+    def _check_duplicates(self) -> None:
+        duplicate = self._connection.duplicates.found.get(self._node_id)
+        if duplicate is not None:
+            if not self._passive:
+                self._connection.sdo(self._node_id).check_duplicates()
+            raise DuplicateNodeError(str(duplicate))
+
     def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
         """Store a frame; called by the receiving thread."""
         with self._arrived:
@@ -130,7 +142,17 @@ class ContactReader:
                 continue
             words = np.frombuffer(data.ljust(8, b"\0")[:8], dtype="<u8")
             columns = columns_of(words, message.signals)
-            self._last[message.name] = {name: column[0] for name, column in columns.items()}
+            self._last[message.name] = values = {name: column[0] for name, column in columns.items()}
+            if "counter" in values and not values.get("stale"):
+                overflow = self._connection.sync_overflow
+                self._connection.duplicates.sample(
+                    self._node_id,
+                    message.name,
+                    int(values["counter"]),
+                    data,
+                    overflow if overflow > 1 else SAMPLES,
+                    int(1e9 * t_s),
+                )
             faults = packed(columns)
             if faults is not None:
                 self._health.pdo(self._node_id, int(1e9 * t_s), int(faults[0]))
@@ -210,7 +232,7 @@ def open_reader(connection: Bus, node_id: int, calibration: Calibration | None) 
 def passive_reader(connection: Bus, node_id: int, gauges: int) -> ContactReader:
     """Return a reader of the default PDOs of a node with ``gauges`` gauges; it sends nothing."""
     pdos = {one.cob_id_base + node_id: one for one in tpdo_messages(gauges) if one.cob_id_base}
-    return ContactReader(connection, node_id, gauges, pdos, None)
+    return ContactReader(connection, node_id, gauges, pdos, None, passive=True)
 
 
 def _needed(node_id: int, gauges: int, pdos: dict[int, Message]) -> list[str]:

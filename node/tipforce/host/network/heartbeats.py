@@ -1,4 +1,4 @@
-"""NMT state of every node from its heartbeats (CiA 301, 7.2.8.3.2)."""
+"""NMT state of every node from its heartbeats (CiA 301, 7.2.8.3.2), and nodes that use one node-id."""
 
 from __future__ import annotations
 
@@ -9,19 +9,24 @@ from collections.abc import Collection
 import can
 
 from tipforce.device.codes import HEARTBEAT_BASE, NODE_ID_MASK
+from tipforce.host.decoding.duplicates import DuplicateNodes
+from tipforce.socketcan import raw_can_id
 
 _AFTER_ERROR_S = 0.05
 
 
 class Heartbeats(can.Listener):
-    """Store each node's last heartbeat; any number of threads may wait for one."""
+    """Store each node's last heartbeat; any number of threads may wait for one. ``duplicates`` gets every frame."""
 
     def __init__(self) -> None:
         self._last: dict[int, tuple[float, int]] = {}
         self._arrived = threading.Condition()
+        self.duplicates = DuplicateNodes()
 
     def on_message_received(self, msg: can.Message) -> None:
         """Store a heartbeat; called by the Notifier's thread."""
+        if not msg.is_fd:
+            self.duplicates.frame(raw_can_id(msg), bytes(msg.data), round(1e9 * msg.timestamp))
         if not 0 < msg.arbitration_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
             return
         if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:

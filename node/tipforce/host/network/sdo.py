@@ -22,7 +22,8 @@ from tipforce.dictionary import table
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.names import resolve
 from tipforce.dictionary.types import Value
-from tipforce.errors import InputError, TipforceError
+from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
+from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
 from tipforce.host.network.sdo_exchange import Exchange, Turns
 
 T = TypeVar("T", bound=Value)
@@ -31,6 +32,10 @@ R = TypeVar("R")
 DEFAULT_TIMEOUT_S = 0.5
 DEFAULT_RETRIES = 2
 DEFAULT_DEADLINE_S = 20.0
+SECOND_RESPONSE_S = 0.05
+"""A second node responds to a request at most so much later than the first, unless its processor is overloaded."""
+_STEP_S = 0.002
+_MOST_PROBES = 16
 _DOMAIN = "D"  # the only type of objects that are long on a fingertip
 
 
@@ -67,6 +72,9 @@ class SdoChannel:
     without a valid response, ``deadline_s`` bounds a transfer with all its attempts. An abort by the node is a
     response: it is never retried. Long data goes in blocks, unless the node has refused a block transfer
     (``has_blocks``). ``clock`` returns seconds.
+
+    A transfer raises DuplicateNodeError if two nodes respond. ``duplicates`` receives the frames of the bus: after a
+    second response the channel reads the serial number until it is decided whether there are two.
     """
 
     def __init__(
@@ -77,8 +85,11 @@ class SdoChannel:
         retries: int = DEFAULT_RETRIES,
         deadline_s: float = DEFAULT_DEADLINE_S,
         clock: Callable[[], float] = time.monotonic,
+        duplicates: DuplicateNodes | None = None,
     ) -> None:
         self.node_id = node_id
+        self._duplicates = DuplicateNodes() if duplicates is None else duplicates
+        self._ended_s = time.monotonic()
         self.timeout_s = checked_time("timeout_s", timeout_s)
         self.retries = retries
         self.has_blocks = True
@@ -188,6 +199,37 @@ class SdoChannel:
         """Download for asyncio."""
         await self._wait_async(*self._download(index, sub, data))
 
+    def check_duplicates(self, wait: bool = False) -> None:
+        """Raise DuplicateNodeError if two nodes respond with this node-id. Without a suspicion nothing is sent.
+
+        ``wait``: for the second response to the last request.
+        """
+        while wait and time.monotonic() < self._ended_s + SECOND_RESPONSE_S and not self._suspected:
+            time.sleep(_STEP_S)
+        if not self._suspected:
+            return
+        watch, node_id = self._duplicates, self.node_id
+        watch.retry(node_id)
+        for number in range(_MOST_PROBES):
+            try:
+                self._transferred(*self._upload(*(SERIAL if number else PRODUCT), long=False))
+            except SdoAbortError:  # a response, too
+                pass
+            except NoResponseError:
+                break
+            end_s = time.monotonic() + SECOND_RESPONSE_S
+            while time.monotonic() < end_s and len(set(watch.responses(node_id))) > 1:
+                time.sleep(_STEP_S)
+            if watch.decided(node_id):
+                break
+        duplicate = watch.found.get(node_id)
+        if duplicate is not None:
+            raise DuplicateNodeError(str(duplicate))
+
+    @property
+    def _suspected(self) -> bool:
+        return self._duplicates.suspected(self.node_id)
+
     # --- for Exchange ----------------------------------------------------------------------------------------
 
     @property
@@ -201,7 +243,9 @@ class SdoChannel:
 
     def send(self, request: bytes) -> None:
         """Send a request. Raises can.CanError, or RuntimeError for a closed bus."""
-        self._network.send_message(codes.SDO_REQUEST_BASE + self.node_id, request)
+        can_id = codes.SDO_REQUEST_BASE + self.node_id
+        self._duplicates.frame(can_id, request, time.time_ns())
+        self._network.send_message(can_id, request)
 
     def bus_failure(self) -> Exception | None:
         """Return the error with which python-can's receiving thread has ended; no frame is received from then on."""
@@ -236,6 +280,14 @@ class SdoChannel:
         return f"write of 0x{index:04X}:{sub:02X}", attempt
 
     def _wait(self, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0) -> bytes:
+        self.check_duplicates()
+        try:
+            return self._transferred(what, attempt, deadline_s)
+        except NoResponseError:  # responses of two nodes among each other are valid for neither
+            self.check_duplicates()
+            raise
+
+    def _transferred(self, what: str, attempt: Callable[[int, int, int], Transfer], deadline_s: float = 0.0) -> bytes:
         turn = self._turns.request()
         try:
             turn.result()
@@ -252,6 +304,18 @@ class SdoChannel:
             self._end(exchange)
 
     async def _wait_async(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
+        await self._check_async()
+        try:
+            return await self._transferred_async(what, attempt)
+        except NoResponseError:
+            await self._check_async()
+            raise
+
+    async def _check_async(self) -> None:
+        if self._suspected:
+            await asyncio.to_thread(self.check_duplicates)
+
+    async def _transferred_async(self, what: str, attempt: Callable[[int, int, int], Transfer]) -> bytes:
         turn = self._turns.request()
         try:
             await asyncio.wrap_future(turn)
@@ -270,6 +334,7 @@ class SdoChannel:
 
     def _end(self, exchange: Exchange) -> None:
         self._exchange = None
+        self._ended_s = time.monotonic()
         exchange.cancel()
         self._turns.release()
 

@@ -1,0 +1,278 @@
+"""Two nodes with one node-id: every command that speaks or listens to them says it, with the remedy; and it helps."""
+
+from __future__ import annotations
+
+import itertools
+import json
+import re
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import SimpleNamespace
+
+import can
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import beam_calibration, connected, new_channel, running
+from tipforce.device.node import Device
+from tipforce.dictionary import objects as od
+from tipforce.errors import DuplicateNodeError
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
+from tipforce.host.hand.events import Supervisor
+from tipforce.host.hand.file import HandPlan
+from tipforce.host.hand.hand import Hand
+from tipforce.host.logs.reader import open_log
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.faulty_bus import Faults, FaultyBus
+from tipforce.running.store import FileStore
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
+from tipforce_tools.cli.main import main
+from tipforce_tools.doctor.bus import bus_checks, heard
+from tipforce_tools.monitor.state import BusMonitor
+from tipforce_tools.view.fingers import Finger
+from tipforce_tools.view.watcher import Watcher
+
+SAID = "two nodes respond as node 5"
+SPEAKING = (
+    "scan",
+    "scan --nodes 5 --wait 0.2 --json",
+    "read 5",
+    "tare 5",
+    "tare 5 --show",
+    "sdo read 5 0x1000 0",
+    "sdo read 5 calibration.generation",
+    "sdo write 5 0x1017 0 u16 200",
+    "sdo dump 5",
+    "config show 5",
+    "config save 5 FOLDER/saved.toml",
+    "config apply 5 FOLDER/settings.toml",
+    "config diff 5 FOLDER/settings.toml",
+    "config verify 5 FOLDER/settings.toml",
+    "calibrate apply FOLDER/cal.toml --node 5",
+    "calibrate verify FOLDER/cal.toml --node 5",
+    "calibrate guide --node 5 --auto --yes -q -o FOLDER/guided.toml",
+    "firmware 5",
+    "nmt reset-node 5 --wait",
+)
+
+
+def node(serial: int, folder: Path | None = None) -> Device:
+    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist(), 1.0, seed=serial)
+    store = None if folder is None else FileStore(folder / f"{serial}.json")
+    return fingertip_node(
+        5, source, serial=serial, save=store.save if store else None, load=store.load if store else None
+    )
+
+
+@pytest.fixture(scope="module", params=[1006, 1005], ids=["other serial", "same serial"])
+def bus(request: pytest.FixtureRequest) -> Iterator[tuple[str, int]]:
+    channel = new_channel()
+    with connected(node(1005), node(request.param), channel=channel):
+        yield channel, request.param
+
+
+@pytest.mark.parametrize("line", SPEAKING)
+def test_a_command_that_speaks_to_the_node_says_it(
+    line: str, bus: tuple[str, int], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write_calibration(tmp_path / "cal.toml", beam_calibration())
+    (tmp_path / "settings.toml").write_text('[objects]\n"heartbeat.producer_ms" = 500\n')
+    channel, serial = bus
+    words = line.replace("FOLDER", str(tmp_path)).split()
+    code = main([*words, "-i", "virtual", "-c", channel])
+    out, err = capsys.readouterr()
+    assert (code, err.count(SAID), "Traceback" in err) == (1, 1, False), err
+    if serial == 1006:
+        assert "(serial numbers 1005, 1006): give one another node-id: `tipforce lss assign ID --serial 1006" in err
+    else:
+        assert "(serial number 1005): power only one, and give it another node-id" in err
+    if "--json" in words:
+        assert json.loads(out)["duplicate"].startswith(SAID)
+
+
+def test_the_remedy_that_is_named_helps(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    channel = new_channel()
+    with connected(node(1005, tmp_path), node(1006, tmp_path), channel=channel):
+        assert main(["scan", "--wait", "0.2", "-i", "virtual", "-c", channel]) == 1
+        for command in re.findall(r"`tipforce ([^`]+)`", capsys.readouterr().err):
+            assert main([*command.replace("ID", "6").split(), "-i", "virtual", "-c", channel]) == 0
+        capsys.readouterr()
+        assert main(["scan", "--wait", "0.2", "--json", "-i", "virtual", "-c", channel]) == 0
+        found = [json.loads(line) for line in capsys.readouterr().out.splitlines()]
+        serials = [(one["node_id"], one["serial"], one["duplicate"]) for one in found]
+        assert serials == [(5, 1005, ""), (6, 1006, "")]
+
+
+# --- who only listens ---------------------------------------------------------------------------------------------
+
+
+SERVICES = {
+    "SDO": ({0x580, 0x600}, SAID),
+    "heartbeats": ({0x700}, "two nodes send heartbeats as node 5"),
+    "EMCY": ({0x080}, "node 5 reports that another node sends its identifier 0x705 (EMCY 8150h)"),
+}
+
+
+def log_of(service: str, folder: Path) -> Path:
+    """A candump log in which one service alone shows that there are two nodes, beside SYNCs and a third node."""
+    frames = [(0, 0x706, b"\x00")]
+    for k in range(12):
+        t_us = 500_000 * k
+        frames += [(t_us, 0x080, b""), (t_us, 0x706, b"\x05")]
+        if service == "SDO":
+            frames.append((t_us, 0x605, bytes((0x40, 0, 0x10, 0, 0, 0, 0, 0))))
+            frames += [(t_us + n, 0x585, bytes((0x43, 0, 0x10, 0, 0x94, 1, 2, 0))) for n in (1, 2)]
+        elif service == "heartbeats":
+            frames += [(t_us + n, 0x705, b"\x05") for n in (1, 100_000)]
+        elif k == 6:
+            frames.append((t_us, 0x085, bytes((0x50, 0x81, 0x11, 0x05, 0x07, 0, 0, 0))))
+    path = folder / f"{service}.log"
+    lines = [f"({t_us / 1e6:.6f}) vcan0 {can_id:03X}#{data.hex().upper()}" for t_us, can_id, data in frames]
+    path.write_text("\n".join(lines) + "\n")
+    return path
+
+
+@pytest.mark.parametrize("service", SERVICES)
+@pytest.mark.parametrize(
+    "line",
+    [
+        "decode LOG -o OUT.csv",
+        "decode LOG -o OUT.csv --json",
+        "dump LOG --decode",
+        "monitor LOG --once 5.8",
+        "monitor LOG --once 5.8 --json",
+    ],
+)
+def test_a_command_that_reads_a_log_says_it(
+    line: str, service: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = log_of(service, tmp_path)
+    words = line.replace("LOG", str(path)).replace("OUT", str(tmp_path / "out")).split()
+    assert main(words) == 0
+    out, err = capsys.readouterr()
+    assert SERVICES[service][1] in out + err
+    if line.startswith("decode"):
+        assert "duplicate" in (tmp_path / "out.events.csv").read_text()
+    if line == "monitor LOG --once 5.8 --json":
+        last = json.loads(out.splitlines()[-1])["buses"][0]["nodes"]
+        assert [bool(one["duplicate"]) for one in last] == [True, False]
+
+
+@pytest.mark.parametrize("service", SERVICES)
+def test_doctor_the_page_and_a_hand_say_it_of_frames(service: str, tmp_path: Path) -> None:
+    with open_log(str(log_of(service, tmp_path))) as log:
+        frames = np.concatenate(list(log))
+    cause = SERVICES[service][1]
+    assert [(one.state, one.finding) for one in heard(frames) if one.state == "fail"] == [("fail", cause)]
+    said = [] if service == "SDO" else [cause]  # their own SDO channels say that: those see all requests
+    _, events = Watcher(Finger, fingers=[Finger(5)]).add(frames, 0.0)
+    assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
+    events = Supervisor([5]).add(frames, 0.0)
+    assert [event.text.partition(":")[0] for event in events if event.kind == "duplicate"] == said
+
+
+def test_doctor_listens_longer_where_heartbeats_are_too_few(monkeypatch: pytest.MonkeyPatch) -> None:
+    slept: list[float] = []
+    monkeypatch.setattr("tipforce_tools.doctor.bus.time", SimpleNamespace(sleep=slept.append))
+    monkeypatch.setattr("tipforce_tools.doctor.bus.BEATS_S", 0.5)
+    for beats, longer in ((1, []), (2, [0.5]), (10, [0.5]), (11, [])):
+        slept.clear()
+        monkeypatch.setattr(FrameBuffer, "can_ids", lambda _self, n=beats: [0x706, 0x185, 0x185, *[0x705] * n])
+        list(bus_checks({"interface": "virtual", "channel": new_channel()}, 0.1))
+        assert slept == [0.1, *longer]
+
+
+def test_monitor_sees_the_samples_of_two_nodes() -> None:
+    channel = new_channel()
+    with connected(node(1005), node(1006), channel=channel) as (connection, _):
+        connection.nmt("start", 5)
+        connection.buffer.clear()
+        monitor = BusMonitor()
+        for _ in range(40):
+            connection.sync()
+            time.sleep(0.005)
+        monitor.feed(received_pdos(connection))
+    assert monitor.view(0).nodes[0].duplicate.startswith("two nodes send the samples of node 5")
+
+
+def received_pdos(connection: Bus) -> FrameArray:
+    """The received frames that are PDOs."""
+    frames = connection.buffer.take_all()
+    return frames[(frames["can_id"] >= 0x180) & (frames["can_id"] < 0x580)]
+
+
+@pytest.mark.parametrize("passive", [False, True])
+def test_a_second_node_that_comes_while_samples_are_read_ends_them(passive: bool) -> None:
+    channel = new_channel()
+    with connected(node(1005), channel=channel) as (connection, _):
+        connection.nmt("start", 5)
+        stream = connection.finger(5).samples()
+        assert next(stream).node_id == 5
+        if passive:
+            connection.finger(5).close()
+        own = connection.finger(5, passive=passive)
+        with running([node(1006)], channel):
+            connection.wait_for({0x705})
+            connection.nmt("start", 5)
+
+            def read() -> None:
+                for _ in range(200):
+                    connection.sync()
+                    own.read(timeout_s=1.0)
+
+            with pytest.raises(DuplicateNodeError, match="node 5"):
+                read()
+
+
+def test_a_hand_shows_no_value_of_two_nodes_and_goes_on_when_one_has_gone() -> None:
+    channel = new_channel()
+    seen: list[tuple[str, str]] = []
+    plan = HandPlan(sync_hz=50.0, heartbeat_ms=100)
+    with connected(node(1005), channel=channel) as (connection, _), Hand.open([5], bus=connection, plan=plan) as hand:
+        hand.on_event(lambda event: seen.append((event.kind, event.text)))
+        for row in itertools.islice(hand.rows(timeout_s=5.0), 5):
+            assert row
+        with running([node(1006)], channel):
+            until(lambda: any(kind == "duplicate" for kind, _ in seen))
+            until(lambda: any(kind == "failed" and SAID in text for kind, text in seen))
+            assert not hand.settled()
+        until(hand.settled)
+
+
+def until(is_done: Callable[[], bool]) -> None:
+    for _ in range(2000):
+        if is_done():
+            return
+        time.sleep(0.01)
+    raise AssertionError("not in 20 s")
+
+
+# --- one node ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize(
+    "faults",
+    [
+        Faults(drop=0.02),
+        Faults(delay=0.3, delay_s=0.08),
+        Faults(duplicate=0.05),
+        Faults(drop=0.02, reorder=0.05, delay=0.1),
+    ],
+    ids=["drop", "delay", "duplicate", "all"],
+)
+def test_one_node_on_a_faulty_bus_is_never_two(faults: Faults, seed: int) -> None:
+    """Time-outs of 20 ms: a late response comes after its request was repeated."""
+    channel = new_channel()
+    with connected(node(1005), channel=channel):
+        faulty = FaultyBus(can.Bus(interface="virtual", channel=channel), faults, seed)
+        with Bus(faulty, timeout_s=0.02, retries=20) as connection:
+            for k in range(40):
+                connection.sdo(5).read((od.IDENTITY_SERIAL, od.FAULTS, od.CALIBRATION_GENERATION)[k % 3])
+            connection.check_duplicates([5])
+            assert connection.duplicates.found == {}
