@@ -18,7 +18,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers, kinds, latest, until
 from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects as od
-from tipforce.errors import InputError
+from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
@@ -79,7 +79,15 @@ def watched(folder: Path, policy: str = "refuse", numbered: bool = True) -> Iter
 
 
 def tare(master: Bus) -> None:
-    FingertipClient(master.sdo(2)).tare()
+    """Until it is accepted: on a loaded machine the finger's sample may be stale, and it refuses."""
+
+    def accepted() -> bool:
+        with contextlib.suppress(SdoAbortError):
+            FingertipClient(master.sdo(2)).tare()
+            return True
+        return False
+
+    until(accepted, "the finger should take the tare")
 
 
 def offset(master: Bus) -> None:

@@ -21,7 +21,7 @@ from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.server import ViewServer
 
-WAIT_S = 10.0
+WAIT_S = 60.0
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
 

@@ -22,7 +22,7 @@ from tools.view.test_watcher import cycle, written
 CHROMIUM = next(
     (path for name in ("chromium", "chromium-browser", "google-chrome") if (path := shutil.which(name))), ""
 )
-WAIT_MS = 15_000
+WAIT_MS = 60_000
 GOOD = CONTACT | CALIBRATED
 
 
