@@ -12,8 +12,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tools.ros2.test_loopback import LOOPBACK
+
 HERE = Path(__file__).parent
-LOOPBACK = 'ip link set lo up multicast on && ip route add 224.0.0.0/4 dev lo && exec "$@"'
 
 
 @pytest.fixture(scope="module")

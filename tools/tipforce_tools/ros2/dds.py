@@ -29,8 +29,8 @@ HIGHEST_DOMAIN = 232
 """The ports of higher domains are over 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
 _ACK_NS = 100_000_000  # a reliable writer waits for a slow reader at most so long
 _VERSION = int(version("cyclonedds").partition(".")[0])
-# Cyclone DDS asks a reader of Fast DDS for the minimal object of its type and receives the complete one: they never match
-# if the type has a sequence. Without information about types they match by the type's name, as ROS 2 nodes do.
+# Cyclone DDS asks a reader of Fast DDS for the minimal object of its type and receives the complete one: they never
+# match if the type has a sequence. Without information about types they match by the type's name.
 _FAST_DDS = (
     '<CycloneDDS><Domain id="any"><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>'
     "</Domain></CycloneDDS>"
