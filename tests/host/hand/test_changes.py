@@ -47,9 +47,9 @@ class Watched:
         return next(e.text for e in self.events if e.kind in wanted and e.node_id == 2)
 
     def kinds(self) -> list[str]:
-        """What happened to finger 2; a busy machine may also miss heartbeats."""
+        """What happened to finger 2; a busy machine may also miss heartbeats, and start the finger again."""
         mine = [event.kind for event in self.events if event.node_id == 2]
-        return [kind for kind in mine if not kind.startswith("heartbeat")]
+        return [kind for kind in mine if not kind.startswith(("heartbeat", "started"))]
 
     def shown(self) -> list[float]:
         """Every P of finger 2 so far."""
