@@ -46,6 +46,7 @@ docs: bootstrap-docs ## build the documentation site: build/site/index.html
 
 long: bootstrap-test ## run every long check at full size, and write the reports; about two hours
 	tests/wheel.sh
+	tests/ros2.sh
 	$(PYTHON) -m bench.fuzz --frames 10000000 --jobs 2
 	$(PYTHON) -m bench.fuzz_sdo --conversations 1000000
 	$(PYTHON) -m bench.device

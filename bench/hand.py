@@ -83,7 +83,7 @@ def _run(hand: Hand, seconds: float) -> tuple[np.ndarray, int, float, float]:
     """Latencies of the rows (ns), rows that lack a finger, and what it took: seconds, and of CPU time."""
     latency_ns: list[np.ndarray] = []
     incomplete = 0
-    iterator = hand.blocks(5.0)
+    iterator = hand.blocks(60.0)  # a loaded machine starts the process that sends the SYNC late
     started_s, cpu_s = 0.0, 0.0
     hand.start()
     for rows in iterator:

@@ -61,7 +61,7 @@ def test_a_checker_sees_the_type_of_every_name(tmp_path: Path) -> None:
     (tmp_path / "names.py").write_text("\n".join(lines))
     done = subprocess.run(
         [sys.executable, "-m", "mypy", "--strict", "--no-incremental", str(tmp_path / "names.py")],
-        capture_output=True, text=True, check=False, timeout=300, cwd=ROOT,
+        capture_output=True, text=True, check=False, timeout=800, cwd=ROOT,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert done.stdout.count("Revealed type is") == len(lines) - len(PACKAGES)

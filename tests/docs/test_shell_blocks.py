@@ -132,6 +132,6 @@ def test_the_bus_over_udp_is_pasted(tmp_path: Path) -> None:
         pytest.skip(f"no network namespace here: {done.stderr.decode().strip()}")
     environment = {**os.environ, "PATH": path, "PYTHONPATH": os.pathsep.join(sys.path)}
     done_pasting = subprocess.run(
-        command, input=pasted, capture_output=True, text=True, timeout=120, check=False, cwd=tmp_path, env=environment
+        command, input=pasted, capture_output=True, text=True, timeout=600, check=False, cwd=tmp_path, env=environment
     )
     assert done_pasting.stdout.splitlines()[-1:] == ["4.4"], done_pasting.stderr

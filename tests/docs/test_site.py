@@ -34,7 +34,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = subprocess.run(
         [sys.executable, "-m", "mkdocs", "build", "--strict", "--quiet", "--site-dir", str(folder)],
         cwd=ROOT, env={**os.environ, "NO_MKDOCS_2_WARNING": "1"},
-        capture_output=True, text=True, timeout=150, check=False,
+        capture_output=True, text=True, timeout=600, check=False,
     )  # fmt: skip
     assert (done.returncode, done.stdout + done.stderr) == (0, "")
     return folder
@@ -81,7 +81,7 @@ def test_the_search_works_from_the_disk(site: Path, browser: Browser) -> None:
     page.goto(f"{(site / 'index.html').as_uri()}")
     page.locator("label.md-search__icon[for=__search]").first.click(force=True)
     page.locator("input.md-search__input").press_sequentially("theta_unresolved")
-    expect(page.locator(".md-search-result__item").first).to_contain_text("theta_unresolved", timeout=30_000)
+    expect(page.locator(".md-search-result__item").first).to_contain_text("theta_unresolved", timeout=60_000)
     assert wrong == []
     page.close()
 

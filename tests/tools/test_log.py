@@ -169,6 +169,8 @@ def send():
         while True:
             bus.send(can.Message(arbitration_id=0x285, data=number.to_bytes(4, "little"), is_extended_id=False))
             number += 1
+            if number == 100:
+                print("100 frames", flush=True)
             threading.Event().wait(0.001)
 threading.Thread(target=send, daemon=True).start()
 sys.exit(main(["log", "-i", "virtual", "-c", "x", "-o", sys.argv[1]]))
@@ -178,10 +180,13 @@ sys.exit(main(["log", "-i", "virtual", "-c", "x", "-o", sys.argv[1]]))
 @pytest.mark.parametrize(("number", "name"), [(signal.SIGINT, "run.log"), (signal.SIGTERM, "run.log.gz")])
 def test_a_signal_closes_the_file(number: int, name: str, tmp_path: Path) -> None:
     path = tmp_path / name
-    with subprocess.Popen([sys.executable, "-c", CHILD, path], stderr=subprocess.PIPE, text=True) as process:
+    with subprocess.Popen(
+        [sys.executable, "-c", CHILD, path], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
+    ) as process:
+        assert process.stdout is not None
         assert process.stderr is not None
         assert process.stderr.readline() == f"tipforce log: recording to {path}\n"
-        time.sleep(0.3)
+        assert process.stdout.readline() == "100 frames\n"
         os.kill(process.pid, number)
         said = process.stderr.read()
         assert process.wait(30) == 130

@@ -170,9 +170,16 @@ def test_stdin_and_bad_lines() -> None:
 
 
 def test_a_signal_ends_an_endless_loop(log: Path) -> None:
-    words = [sys.executable, "-m", "tipforce_tools.cli.main", "replay", "-i", "virtual", "-c", "x", str(log)]
-    with subprocess.Popen([*words, "--loop", "inf"], stderr=subprocess.PIPE, text=True) as process:
-        time.sleep(1.5)
+    code = (
+        "import sys, threading, can\nfrom tipforce_tools.cli.main import main\n"
+        "bus = can.Bus(interface='virtual', channel='x')\n"
+        "threading.Thread(target=lambda: print(bus.recv() and 'sent', flush=True), daemon=True).start()\n"
+        "sys.exit(main(['replay', '-i', 'virtual', '-c', 'x', sys.argv[1], '--loop', 'inf']))\n"
+    )
+    words = [sys.executable, "-c", code, str(log)]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "sent\n"
         os.kill(process.pid, signal.SIGTERM)
         _, err = process.communicate(timeout=30)
     assert process.returncode == 130

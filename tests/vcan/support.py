@@ -18,7 +18,7 @@ from multiprocessing.context import ForkServerProcess
 from pathlib import Path
 from typing import Protocol, Self
 
-WAIT_S = 30.0  # only a test that fails waits so long: in User-mode Linux everything is slow
+WAIT_S = 120.0  # only a test that fails waits so long: in User-mode Linux everything is slow
 BUS = ("-i", "socketcan", "-c", "vcan0")
 REPOSITORY = Path(__file__).parents[2]
 NODE_ID = 5

@@ -18,7 +18,7 @@ from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers, kinds, latest, until
 from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects as od
-from tipforce.errors import InputError
+from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.calibration_file import write_calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
@@ -47,9 +47,9 @@ class Watched:
         return next(e.text for e in self.events if e.kind in wanted and e.node_id == 2)
 
     def kinds(self) -> list[str]:
-        """What happened to finger 2; a busy machine may also miss heartbeats."""
+        """What happened to finger 2; a busy machine may also miss heartbeats, and start the finger again."""
         mine = [event.kind for event in self.events if event.node_id == 2]
-        return [kind for kind in mine if not kind.startswith("heartbeat")]
+        return [kind for kind in mine if not kind.startswith(("heartbeat", "started"))]
 
     def shown(self) -> list[float]:
         """Every P of finger 2 so far."""
@@ -79,7 +79,15 @@ def watched(folder: Path, policy: str = "refuse", numbered: bool = True) -> Iter
 
 
 def tare(master: Bus) -> None:
-    FingertipClient(master.sdo(2)).tare()
+    """Until it is accepted: on a loaded machine the finger's sample may be stale, and it refuses."""
+
+    def accepted() -> bool:
+        with contextlib.suppress(SdoAbortError):
+            FingertipClient(master.sdo(2)).tare()
+            return True
+        return False
+
+    until(accepted, "the finger should take the tare")
 
 
 def offset(master: Bus) -> None:

@@ -27,7 +27,7 @@ from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
-WAIT_S = 10.0
+WAIT_S = 60.0
 
 
 class Fingers:

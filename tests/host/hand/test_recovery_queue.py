@@ -10,10 +10,12 @@ import pytest
 from tipforce.host.hand import recovery_queue as module
 from tipforce.host.hand.recovery_queue import RecoveryQueue
 
+WAIT_S = 60.0
+
 
 def wait_until_idle(queue: RecoveryQueue) -> None:
     """Tick as the hand's thread does."""
-    deadline_s = time.monotonic() + 10
+    deadline_s = time.monotonic() + WAIT_S
     while queue.waiting():
         assert time.monotonic() < deadline_s
         queue.tick()
@@ -43,17 +45,17 @@ def test_a_need_while_mending_is_met_afterwards() -> None:
         running[0] += 1
         most[0] = max(most[0], running[0])
         begun.release()
-        go_on.wait(10)
+        go_on.wait(WAIT_S)
         running[0] -= 1
         return True
 
     queue = RecoveryQueue(recover)
     queue.need([5])
-    assert begun.acquire(timeout=10)
+    assert begun.acquire(timeout=WAIT_S)
     queue.need([5])
     go_on.set()
     wait_until_idle(queue)
-    assert begun.acquire(timeout=10)
+    assert begun.acquire(timeout=WAIT_S)
     assert most == [1]
     queue.close()
 

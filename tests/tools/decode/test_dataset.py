@@ -234,7 +234,7 @@ def killed_runs(tmp_path: Path, lines: list[str], instants: int, seed: int) -> N
             assert set(rows_of_dataset(data)) <= set(expected)
         assert decode(log, "-o", f"{data}/", "-j", 1) == 0
         assert rows_of_dataset(data) == expected
-        deadline = time.monotonic() + 20
+        deadline = time.monotonic() + 60
         while globbed(data) != {file.path for file in opened(str(data))[1].files()} and time.monotonic() < deadline:
             time.sleep(0.2)  # a worker of the killed run writes its last file
             assert decode(log, "-o", f"{data}/", "-j", 1) == 0

@@ -18,7 +18,7 @@ import rosless
 
 from tipforce_tools.cli.shipped import shipped_folder
 
-WAIT_S = 30.0  # far more than on an idle machine
+WAIT_S = 120.0  # far more than on an idle machine
 _EMPTY = b"\x00\x01\x00\x00" + bytes(4)  # as rosidl sends it, padded; the encoder of rosless leaves its byte out
 
 
@@ -49,6 +49,8 @@ def _watch(process: subprocess.Popen[str]) -> dict[str, Any]:
         contacts.append(contact.read(timeout=WAIT_S))
         return contacts
 
+    _until(more, lambda seen: len(seen) >= 10)
+    _all(refused)  # the reader takes what arrives before it has compared the qualities of service
     _until(more, lambda seen: sum(math.isfinite(one.force) for one in seen) >= 60)
     found["contacts"] = [_dict(one) for one in contacts]
     wrenches = {one["header"]["stamp"]["nanosec"]: one for one in _all(wrench)}

@@ -54,6 +54,18 @@ def test_the_domain_and_the_range_are_those_of_ros() -> None:
     )] == [False, False, True, True, False]  # fmt: skip
 
 
+def test_the_configuration_keeps_that_of_the_user() -> None:
+    wanted = "<IgnoreTypeInformation>1.15</IgnoreTypeInformation>"  # that of Fast DDS
+    uri, local = {"CYCLONEDDS_URI": "file:///a.xml"}, {"ROS_LOCALHOST_ONLY": "1"}
+    assert wanted in dds.configuration({})
+    assert "127.0.0.1" not in dds.configuration({})
+    first, *rest = dds.configuration(uri | local).split(",")
+    assert wanted in first
+    assert rest[0] == "file:///a.xml"  # of two values the later one counts
+    assert "127.0.0.1" in rest[1]
+    assert [dds.configuration(one, cyclone_version=0) for one in ({}, uri)] == ["", "file:///a.xml"]
+
+
 def test_names_are_absolute() -> None:
     assert [dds.namespace(one) for one in ("/", "", "left", "/robot/left/")] == ["", "", "/left", "/robot/left"]
     assert dds.dds_name("/left/thumb/wrench") == "rt/left/thumb/wrench"

@@ -21,7 +21,7 @@ from tipforce_tools.view.guard import Guard
 from tipforce_tools.view.model import Model
 from tipforce_tools.view.server import ViewServer
 
-WAIT_S = 10.0
+WAIT_S = 60.0
 START_NS = 1_700_000_000_000_000_000
 MS = 1_000_000
 
@@ -130,7 +130,7 @@ class Page:
 
     def __init__(self, server: ViewServer, **options: Any) -> None:
         port = server.guard.port
-        options = {"origin": f"http://127.0.0.1:{port}"} | options
+        options = {"origin": f"http://127.0.0.1:{port}", "open_timeout": WAIT_S, "ping_interval": None} | options
         self._connecting = connect(
             f"ws://127.0.0.1:{port}/live", compression=None, max_size=None, max_queue=1, **options
         )

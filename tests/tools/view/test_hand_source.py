@@ -19,7 +19,7 @@ from tipforce_tools.cli.main import main
 from tipforce_tools.view import command
 from tipforce_tools.view.demo import PULLS, load_at, simulated_hand
 
-WAIT_S = 20.0
+WAIT_S = 60.0
 
 
 def test_the_simulated_hand_is_shown_as_it_is_loaded() -> None:

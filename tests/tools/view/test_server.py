@@ -256,7 +256,7 @@ def test_a_pump_that_fails_is_told() -> None:
 
     with serving(source) as server, Page(server) as page:
         source.pump = fail  # type: ignore[method-assign]
-        deadline_s = time.monotonic() + 5
+        deadline_s = time.monotonic() + WAIT_S
         while not source.model.error and time.monotonic() < deadline_s:
             time.sleep(0.01)
         assert page.ask("setup")["picture"]["error"] == "OSError: bus is gone"

@@ -10,6 +10,7 @@ import os
 import re
 from collections.abc import Mapping
 from functools import cache
+from importlib.metadata import version
 from typing import Any, Literal
 
 from cyclonedds.core import DDSException, Policy, Qos
@@ -27,6 +28,13 @@ Profile = Literal["sensor data", "events", "static"]
 HIGHEST_DOMAIN = 232
 """The ports of higher domains are over 65535 (DDSI-RTPS 2.5, 9.6.2.3)."""
 _ACK_NS = 100_000_000  # a reliable writer waits for a slow reader at most so long
+_VERSION = int(version("cyclonedds").partition(".")[0])
+# Cyclone DDS asks a reader of Fast DDS for the minimal object of its type and receives the complete one: they never
+# match if the type has a sequence. Without information about types they match by the type's name.
+_FAST_DDS = (
+    '<CycloneDDS><Domain id="any"><Compatibility><IgnoreTypeInformation>1.15</IgnoreTypeInformation></Compatibility>'
+    "</Domain></CycloneDDS>"
+)
 _LOOPBACK = (
     '<CycloneDDS><Domain id="any"><General><Interfaces><NetworkInterface address="127.0.0.1"/></Interfaces></General>'
     "<Discovery><ParticipantIndex>auto</ParticipantIndex><MaxAutoParticipantIndex>32</MaxAutoParticipantIndex><Peers>"
@@ -47,8 +55,7 @@ class RosDomain:
 
     def __init__(self, domain: int, environment: Mapping[str, str] = os.environ) -> None:
         try:
-            # The library reads CYCLONEDDS_URI by itself, unless a domain is configured.
-            self._domain = Domain(domain, _loopback(environment)) if loopback_only(environment) else None
+            self._domain = Domain(domain, configuration(environment))
             self._participant: Any = DomainParticipant(domain)
         except DDSException as error:
             uri = environment.get("CYCLONEDDS_URI")
@@ -115,6 +122,19 @@ def loopback_only(environment: Mapping[str, str]) -> bool:
     return wanted.upper() == "LOCALHOST" if wanted else environment.get("ROS_LOCALHOST_ONLY", "0") == "1"
 
 
+def configuration(environment: Mapping[str, str], cyclone_version: int = _VERSION) -> str:
+    """Return the configuration of Cyclone DDS: that of the user, CYCLONEDDS_URI, before what ROS 2 needs beside it.
+
+    Of two values Cyclone takes the later one. Versions before 11 do not start with an element that they do not know.
+    """
+    parts = [
+        _FAST_DDS if cyclone_version >= 11 else "",
+        environment.get("CYCLONEDDS_URI", ""),
+        _LOOPBACK if loopback_only(environment) else "",
+    ]
+    return ",".join(filter(None, parts))
+
+
 def dds_name(topic: str) -> str:
     """Return the DDS name of an absolute ROS topic."""
     return f"rt{topic}"
@@ -163,8 +183,3 @@ def _serialised(struct: type[IdlStruct]) -> type[IdlStruct]:
         return message
 
     return type(struct.__name__, (struct,), {"__init__": init, "serialize": serialize})
-
-
-def _loopback(environment: Mapping[str, str]) -> str:
-    given = environment.get("CYCLONEDDS_URI")
-    return f"{given},{_LOOPBACK}" if given else _LOOPBACK
