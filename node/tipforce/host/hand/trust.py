@@ -192,12 +192,13 @@ class Trust:
                     finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
 
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:
-        """Return the fingers that answered no SYNC for so long; each once, until it answers again."""
+        """Return the verified fingers that answered no SYNC for so long; each once, until it answers again."""
         with self.lock:
             found = [
                 k
                 for k, one in enumerate(self._fingers)
-                if not one.unanswered
+                if self.shown[k]
+                and not one.unanswered
                 and self._row - one.answered_row >= _SETTLED_ROWS
                 and now_s - one.answered_s > limit_s
             ]
