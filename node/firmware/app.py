@@ -52,9 +52,12 @@ class Firmware:
         clock: Clock,
         programs: "Programs | None" = None,
         restart: "Callable[[], None]" = lambda: None,
+        restarted: bool = False,
     ) -> None:
         self.gauges, self.port, self._clock = gauges, port, clock
         self.device = fingertip_node(node_id, gauges, gauges.n, serial, store.save, store.load, programs=programs)
+        if restarted:
+            self.device.wear.drain()
         # The bit rate stored by LSS applies from power-on (CiA 305); without one, that of the board.
         self.device.lss.bit_rate = port.bit_rate
         self.device.lss.restore(self.device.storage.read_blob(lss.GROUP))

@@ -1,5 +1,7 @@
 """Start a node from the settings in board.py: the common part of both main programs."""
 
+import machine  # type: ignore[import-not-found]
+
 from tipforce_loader import board, boot
 from tipforce_loader.flash import FileSlots, FlashStore
 
@@ -15,7 +17,10 @@ def node(port: "CanPort") -> Firmware:
     """Return the node on this board with this controller."""
     gauges = Gauges(board.chips(), board.COUNTS_PER_MICROSTRAIN)  # type: ignore[no-untyped-call]
     store = FlashStore(FileSlots(board.FOLDER))
-    return Firmware(board.NODE_ID, gauges, port, store, board.serial(), Clock(), boot.programs, board.restart)
+    restarted = machine.reset_cause() != machine.PWRON_RESET
+    return Firmware(
+        board.NODE_ID, gauges, port, store, board.serial(), Clock(), boot.programs, board.restart, restarted
+    )
 
 
 def run(port: "CanPort") -> None:

@@ -144,6 +144,7 @@ def test_saturated_gauge_reads_the_end_of_the_range(sign: int, end: int, status:
 def test_value_beyond_integer16_saturates_and_says_so(gain: float, end: int, status: int) -> None:
     talk = finger(calibrated=False, load=(30.0, 90.0, 0.0))
     assert talk.put("f", 0x6123, 1, gain * 1000.0) == 0
+    assert talk.put("f", 0x6148, 1, -1e6) == talk.put("f", 0x6149, 1, 1e6) == 0  # by default it is what INTEGER16 holds
     assert talk.sync().gauges[0] == end
     assert talk.get("B", 0x6150, 1) == status
     assert talk.get("f", 0x6130, 1) == pytest.approx(gain * 3000.0)

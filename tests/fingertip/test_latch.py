@@ -90,13 +90,13 @@ def test_event_driven_health_carries_the_last_latch() -> None:
     talk = finger()
     talk.sync()
     assert talk.put("I", 0x1803, 1, 0x40000485) == 0
-    # 23.00 degC, u(P) 1 mN, no front-end fault, 2126h: the commit and the COB-ID.
-    talk.say("< 485#FC08.0100.0000.02.00")  # a change of 2126h
-    talk.say("> 000#8005\n> 000#0105\n< 485#FC08.0100.0000.02.00")
+    # 23.00 degC, u(P) 1 mN, no front-end fault, 2126h: 1017h, the commit and the COB-ID.
+    talk.say("< 485#FC08.0100.0000.03.00")  # a change of 2126h
+    talk.say("> 000#8005\n> 000#0105\n< 485#FC08.0100.0000.03.00")
     talk.advance(999_999)
     talk.quiet()
     talk.advance(1)
-    talk.say("< 485#FC08.0100.0000.02.00")
+    talk.say("< 485#FC08.0100.0000.03.00")
 
 
 @pytest.mark.parametrize(

@@ -124,7 +124,7 @@ class LssSlave:
         content = struct.pack(_STORED, self.pending_node_id, self._bit_rate_index)
         if not self._device.storage.available:
             return _STORE_UNSUPPORTED
-        return _OK if self._device.storage.save_blob(GROUP, content) else _STORE_FAILED
+        return _STORE_FAILED if self._device.storage.save_blob(GROUP, content) else _OK
 
     # --- identify (6.6) -------------------------------------------------------------------------------------
 

@@ -13,6 +13,7 @@ from .storage import COMMUNICATION, Storage
 from .sync import SyncConsumer
 from .time_stamp import TimeConsumer
 from .tpdo import TransmitPdos
+from .wear import WearBudget
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -77,6 +78,7 @@ class Device:
         self._outbox: "list[Frame]" = []
         self._routes: "dict[int, Callable[[bytes], None]]" = {}
         self._booted = False
+        self.wear = WearBudget(self)
         self.storage = Storage(self, save, load)
         self.nmt = Nmt(self)
         self.emcy = Emcy(self)

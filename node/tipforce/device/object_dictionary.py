@@ -2,7 +2,7 @@
 
 import struct
 
-from . import codes
+from . import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     Entry = tuple[str, str, int, Value, "int | float | None", "int | float | None"]
 
 # Flags of an entry.
-TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED = 1, 2, 4, 8, 16
+TPDO, RPDO, ADD_NODE_ID, ANY_FLOAT, NOT_STORED, COUNTED, VIEW = 1, 2, 4, 8, 16, 32, 64
 
 SIZES = {"B": 1, "b": 1, "H": 2, "h": 2, "I": 4, "i": 4, "f": 4}  # module ``wide_types`` adds to these tables
 RANGES = {
@@ -70,12 +70,9 @@ def decode(kind: str, data: bytes) -> "Value":
     return number - (1 << 8 * len(data)) if number > RANGES[kind][1] else number
 
 
-def _nearest_real32(limit: "int | float | None") -> "int | float | None":
-    return None if limit is None else decode("f", encode("f", limit))  # type: ignore[return-value]
-
-
-def _nothing(_index: int, _sub: int) -> int:
-    return 0
+def nearest_real32(value: "int | float | None") -> "int | float | None":
+    """Return what a REAL32 keeps of a value; None stays None."""
+    return None if value is None else decode("f", encode("f", value))  # type: ignore[return-value]
 
 
 class ObjectDictionary:
@@ -85,13 +82,15 @@ class ObjectDictionary:
     of the stored one; ``writers[index](sub, value)`` returns an abort code, or 0 to accept; an accepted value is
     stored. ``sizes[index]`` is the only length that a DOMAIN or string object accepts. ``sinks[index](sub, size)``
     returns an abort code, or what takes a long download in parts (``sdo_server.Sink``). ``dummies`` are the types that
-    an RPDO may map as placeholders (7.4.7.1). ``watch(index, sub)`` returns the key of the value that a write changes
-    if that matters, else 0; ``changed()`` is called after such a change. ``row(keys)`` returns a faster reader of all
-    values of a TPDO's mapping, or None.
+    an RPDO may map as placeholders (7.4.7.1). ``changed()`` is called after a write that changes the bytes of an entry
+    with the flag COUNTED; ``edited`` is set by a change of any setting but 1020h. ``row(keys)`` returns a faster reader
+    of all values of a TPDO's mapping, or None. ``views`` reads (index, sub) and writes (index, sub, value) the entries
+    with the flag VIEW that have no hook of their own: they hold no value.
     """
 
     __slots__ = (
-        "_entries", "changed", "dummies", "node_id", "readers", "row", "sinks", "sizes", "values", "watch", "writers",
+        "_entries", "changed", "dummies", "edited", "node_id", "readers", "row", "sinks", "sizes", "values", "views",
+        "writers",
     )  # fmt: skip
 
     def __init__(self, node_id: int) -> None:
@@ -103,18 +102,24 @@ class ObjectDictionary:
         self.sizes: "dict[int, int]" = {}
         self.dummies = DUMMIES
         self.sinks: "dict[int, Callable[[int, int | None], Sink | int]]" = {}
-        self.watch: "Callable[[int, int], int]" = _nothing
         self.changed: "Callable[[], None] | None" = None
+        self.edited = False
+        self.views: "tuple[Callable[[int, int], Value], Callable[[int, int, Value], int]] | None" = None
         self.row: "Callable[[list[tuple[int, int]]], Callable[[], list[Value]] | None] | None" = None
 
-    def add(self, index: int, sub: int, entry: "Entry") -> None:
-        """Declare an entry: (type, access, flags, default, low, high). It starts at its default."""
+    def add(self, index: int, sub: int, entry: "Entry") -> "Entry":
+        """Declare an entry: (type, access, flags, default, low, high). It starts at its default.
+
+        Return the entry as it is kept: default and limits of a REAL32 are what a client can read and write.
+        """
         kind, access, flags, default, low, high = entry
-        if kind == "f" and not (low is None and high is None):
-            # As a client can write them: 1e30 is not a REAL32; its nearest REAL32 is above it.
-            entry = (kind, access, flags, default, _nearest_real32(low), _nearest_real32(high))
+        if kind == "f":
+            numbers = nearest_real32(default), nearest_real32(low), nearest_real32(high)  # type: ignore[arg-type]
+            if numbers != (default, low, high):
+                entry = (kind, access, flags) + numbers  # type: ignore[assignment]
         self._entries.setdefault(index, {})[sub] = entry
-        self.values[index << 8 | sub] = default + self.node_id if flags & ADD_NODE_ID else default  # type: ignore[operator]
+        self.values[index << 8 | sub] = self.default(index, sub)
+        return entry
 
     def find(self, index: int, sub: int) -> "Entry | int":
         """Return the entry, or the abort code if it does not exist."""
@@ -149,6 +154,8 @@ class ObjectDictionary:
         reader = self.readers.get(index)
         if reader is not None and (sub or self._entries[index][0][1] != "const"):
             return reader(sub)
+        if self.views is not None and self._entries[index][sub][2] & VIEW:
+            return self.views[0](index, sub)
         return self.values[index << 8 | sub]
 
     def integer(self, index: int, sub: int = 0) -> int:
@@ -194,16 +201,20 @@ class ObjectDictionary:
         abort = check(entry, value)
         if abort:
             return abort
-        watched = self.watch(index, sub)
-        before = self.values[watched] if watched else 0
+        if entry[2] & VIEW and self.views is not None:
+            return self.views[1](index, sub, value)
+        setting = index != communication.VERIFY_CONFIGURATION and is_setting(entry)
+        before = encode(entry[0], self.values[index << 8 | sub]) if setting else data
         writer = self.writers.get(index)
         if writer is not None:
             abort = writer(sub, value)
             if abort:
                 return abort
         self.values[index << 8 | sub] = value
-        if watched and self.values[watched] != before and self.changed is not None:
-            self.changed()
+        if before != data:
+            self.edited = True
+            if entry[2] & COUNTED and self.changed is not None:
+                self.changed()
         return 0
 
     def stored_entries(self, first: int, last: int) -> "Iterator[tuple[int, int, str]]":
@@ -211,9 +222,13 @@ class ObjectDictionary:
         for index in self.indices(first, last):
             subs = self._entries[index]
             for sub in sorted(subs):
-                kind, access, flags = subs[sub][:3]
-                if access == "rw" and not flags & NOT_STORED:
-                    yield index, sub, kind
+                if is_setting(subs[sub]):
+                    yield index, sub, subs[sub][0]
+
+
+def is_setting(entry: "Entry") -> bool:
+    """Return whether the value of an entry is stored."""
+    return entry[1] == "rw" and not entry[2] & NOT_STORED
 
 
 def check(entry: "Entry", value: "Value") -> int:

@@ -94,7 +94,7 @@ class ProgramDownload:
             return codes.DEVICE_STATE
         if size is None:
             return codes.LENGTH
-        return _ABORTS[self._programs.begin(size)] or self
+        return self._device.wear.spend(1) or _ABORTS[self._programs.begin(size)] or self
 
     def _refuses(self) -> bool:
         return self._device.nmt.state == codes.OPERATIONAL or self._programs.locked
@@ -107,7 +107,7 @@ class ProgramDownload:
         if self._refuses():
             return codes.DEVICE_STATE
         if value == CLEAR:
-            return _ABORTS[self._programs.clear()]
+            return self._device.wear.spend(1) or _ABORTS[self._programs.clear()]
         if value == RESET or (value == START and self._programs.ready):
             abort = _ABORTS[self._programs.start()] if value == START else 0
             if not abort:

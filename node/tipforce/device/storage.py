@@ -12,22 +12,28 @@ from .object_dictionary import check, decode, encode
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
 
     from .node import Device
     from .object_dictionary import ObjectDictionary, Value
 
     Group = tuple[str, Callable[[], bytes], Callable[[bytes | None], None]]
+    Blob = tuple[str, bytes]  # name, what is stored: CRC and content, or empty
 
 ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds groups from 4 on
+_COMMUNICATION_NAME = "communication"
 _HEAD = "<HBH"
 _RESTORED = b""  # stored after a restore: empty, so the defaults apply after the next reset
 
 
 class Storage:
-    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h."""
+    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h.
 
-    __slots__ = ("_device", "_groups", "_load", "_save", "after_communication", "damaged")
+    Storing other content than boot-up would have loaded clears 1020h, in the store too, unless 1020h was written after
+    the last change of a setting (7.5.2.21).
+    """
+
+    __slots__ = ("_device", "_groups", "_load", "_save", "_verified", "after_communication", "damaged")
 
     def __init__(
         self,
@@ -41,10 +47,12 @@ class Storage:
         self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
         self.after_communication: "Callable[[], None] | None" = None  # called when that group was restored
         self._groups: "dict[int, Group]" = {}
-        self.add_range(COMMUNICATION, "communication", communication.FIRST, communication.LAST)
+        self._verified = False  # 1020h was written since the last reset; ``od.edited``: a setting was changed since
+        self.add_range(COMMUNICATION, _COMMUNICATION_NAME, communication.FIRST, communication.LAST)
         self.add_range(APPLICATION, "application", communication.FIRST_PROFILE, communication.LAST_PROFILE)
         device.od.writers[communication.STORE_PARAMETERS] = self._write_store
         device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
+        device.od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
         for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
             device.od.readers[index] = self._reader(device.od, index << 8)
 
@@ -68,6 +76,7 @@ class Storage:
 
     def restore(self, subs: "list[int] | None" = None) -> None:
         """Set the groups (all, or those given) to their stored values or their defaults; called on each reset."""
+        self._verified = False
         for sub in sorted(self._groups):
             if subs is None or sub in subs:
                 name, _dump, restore = self._groups[sub]
@@ -82,9 +91,9 @@ class Storage:
         """Return True if parameters can be stored."""
         return self._save is not None
 
-    def save_blob(self, name: str, data: bytes) -> bool:
-        """Store ``data`` under its own name, outside the groups of 1010h."""
-        return self._save is not None and self._save(name, with_crc(data))
+    def save_blob(self, name: str, data: bytes) -> int:
+        """Store ``data`` under its own name, outside the groups of 1010h; return 0 or an abort code."""
+        return self._write([(name, with_crc(data))], False)
 
     def read_blob(self, name: str) -> "bytes | None":
         """Return the data stored by ``save_blob``, empty if there is none, None if it is damaged."""
@@ -104,22 +113,53 @@ class Storage:
     def _write_store(self, sub: int, value: "Value") -> int:
         if value != codes.SIGNATURE_SAVE:
             return codes.NOT_TRANSFERRED
-        return self._each(sub, lambda dump: with_crc(dump()))
+        groups = [(name, with_crc(dump())) for name, dump in self._chosen(sub)]
+        return self._write(groups, self._verified and not self._device.od.edited)
 
     def _write_restore(self, sub: int, value: "Value") -> int:
         if value != codes.SIGNATURE_LOAD:
             return codes.NOT_TRANSFERRED
-        return self._each(sub, lambda _dump: _RESTORED)
+        return self._write([(name, _RESTORED) for name, _dump in self._chosen(sub)], False)
 
-    def _each(self, sub: int, content: "Callable[[Callable[[], bytes]], bytes]") -> int:
+    def _chosen(self, sub: int) -> "list[tuple[str, Callable[[], bytes]]]":
+        return [self._groups[number][:2] for number in sorted(self._groups) if sub in (ALL, number)]
+
+    def _write(self, blobs: "list[Blob]", verified: bool) -> int:
+        """Write all blobs if the budget of wear allows it; return 0 or an abort code. Every write passes here."""
         if self._save is None:
             return codes.HARDWARE
-        for number in sorted(self._groups):
-            if sub in (ALL, number):
-                name, dump, _restore = self._groups[number]
-                if not self._save(name, content(dump)):
-                    return codes.HARDWARE
+        clears = not verified and any(self._changes(name, blob) for name, blob in blobs)
+        if clears:
+            blobs = self._without_verification(blobs)
+        abort = self._device.wear.spend(len(blobs))
+        if abort:
+            return abort
+        if clears:
+            self._device.od.restore_defaults(communication.VERIFY_CONFIGURATION, communication.VERIFY_CONFIGURATION)
+        for name, blob in blobs:
+            if not self._save(name, blob):
+                return codes.HARDWARE
         return 0
+
+    # --- 1020h ----------------------------------------------------------------------------------------------
+
+    def _write_verification(self, _sub: int, _value: "Value") -> int:
+        self._verified = True
+        self._device.od.edited = False
+        return 0
+
+    def _changes(self, name: str, blob: bytes) -> bool:
+        """Return whether boot-up will load other content than before, besides 1020h."""
+        return _without_1020(name, blob[4:]) != _without_1020(name, self.read_blob(name) or b"")
+
+    def _without_verification(self, blobs: "list[Blob]") -> "list[Blob]":
+        """The same with 1020h left out, and out of what is stored already, which is written first."""
+        name = _COMMUNICATION_NAME
+        if name in [other for other, _blob in blobs]:
+            return [(other, with_crc(_without_1020(other, blob[4:])) if blob else blob) for other, blob in blobs]
+        stored = self.read_blob(name) or b""
+        content = _without_1020(name, stored)
+        return blobs if content == stored else [(name, with_crc(content))] + blobs
 
 
 def with_crc(data: bytes) -> bytes:
@@ -141,15 +181,30 @@ def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
 def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes | None") -> None:
     """Set the defaults, then apply the records of ``data``. A record that no longer fits the dictionary is skipped."""
     od.restore_defaults(first, last)
-    offset, size = 0, struct.calcsize(_HEAD)
-    while data and offset + size <= len(data):
-        index, sub, length = struct.unpack(_HEAD, data[offset : offset + size])
-        offset += size + length
-        if offset <= len(data) and first <= index <= last and not od.writable(index, sub, length):
+    for index, sub, _head, content in _records(data or b""):
+        if first <= index <= last and not od.writable(index, sub, len(content)):
             entry = od.find(index, sub)
             try:
-                value = decode(entry[0], data[offset - length : offset])  # type: ignore[index]
+                value = decode(entry[0], content)  # type: ignore[index]
             except UnicodeError:
                 continue
             if not check(entry, value):  # type: ignore[arg-type]
                 od.values[index << 8 | sub] = value
+
+
+def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
+    """Yield (index, sub, head, content) of each complete record."""
+    offset, size = 0, struct.calcsize(_HEAD)
+    while offset + size <= len(data):
+        head = data[offset : offset + size]
+        index, sub, length = struct.unpack(_HEAD, head)
+        offset += size + length
+        if offset <= len(data):
+            yield index, sub, head, data[offset - length : offset]
+
+
+def _without_1020(name: str, data: bytes) -> bytes:
+    """The content of a group without its records of 1020h."""
+    if name != _COMMUNICATION_NAME:
+        return data
+    return b"".join([h + c for index, _sub, h, c in _records(data) if index != communication.VERIFY_CONFIGURATION])

@@ -30,6 +30,7 @@ EMCY_CODES = {
     emcy.PDO_LENGTH: "PDO length",
     emcy.SYNC_LENGTH: "SYNC length",
     emcy.RPDO_TIMEOUT: "RPDO timeout",
+    emcy.WEAR_BUDGET_EMPTY: "too many stores or erases",
 }
 NMT_STATES = {
     codes.INITIALISING: "boot-up",

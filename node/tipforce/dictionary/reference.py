@@ -21,8 +21,8 @@ For a node with {n} gauges; 2200h and 2201h are there on a simulated node only, 
 firmware with program slots only. A dotted name and its
 sub-index (`calibration.matrix:3`) works wherever an index does. Sub-indices and sizes are decimal. PDO says
 into which direction an entry may be mapped (T or R); *staged* entries form the calibration record, in this
-order; a *state* is never stored. The numbers 6xxxh, 7xxxh and 9xxxh of the profile area are one value as
-REAL32, INTEGER16 and INTEGER32. Everything is little-endian.
+order; a *state* is never stored; a change of a *counted* entry counts in 2126h. The numbers 6xxxh, 7xxxh and 9xxxh
+of the profile area are one value as REAL32, INTEGER16 and INTEGER32. Everything is little-endian.
 
 Unknown is 0x8000 in INTEGER16, 0x80000000 in INTEGER32, 0xFFFF in UNSIGNED16 and NaN in REAL32."""
 _HEAD = (
@@ -110,7 +110,12 @@ def _pdo_cell(row: Row) -> str:
 
 
 def _notes(row: Row) -> str:
-    notes = ((table.STAGED, "staged"), (table.NOT_STORED, "state"), (table.VIEW, "view of 6xxxh"))
+    notes = (
+        (table.STAGED, "staged"),
+        (table.NOT_STORED, "state"),
+        (table.VIEW, "view of 6xxxh"),
+        (table.COUNTED, "counted"),
+    )
     return ", ".join(text for flag, text in notes if row.flags & flag)
 
 

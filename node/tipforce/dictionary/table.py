@@ -42,6 +42,7 @@ ADD_NODE_ID = 4  # the default is this number plus the node-id
 STAGED = 8  # part of the calibration record, in table order; any REAL32 may be staged, NaN included
 VIEW = 16  # another form of a 6xxxh value: not a value of its own, never stored
 NOT_STORED = 32  # read-write, but a state and not a setting
+COUNTED = 64  # decides what is sent or what it means: a change of it counts in 2126h
 
 MAX_MAPPED = 8
 

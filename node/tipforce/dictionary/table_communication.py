@@ -4,6 +4,7 @@ from tipforce.device import codes, communication
 from tipforce.dictionary.table import (
     ADD_NODE_ID,
     ARRAY,
+    COUNTED,
     DOMAIN,
     MAX_MAPPED,
     NOT_STORED,
@@ -49,7 +50,7 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
                 (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
             ),
         ),
-        var(communication.COB_ID_SYNC, "COB-ID SYNC", "sync.cob_id", U32, "rw", 0, codes.SYNC_COB_ID),
+        var(communication.COB_ID_SYNC, "COB-ID SYNC", "sync.cob_id", U32, "rw", COUNTED, codes.SYNC_COB_ID),
         var(communication.SYNC_WINDOW, "Synchronous window length", "sync.window_us", U32, "rw", 0, 0, unit="us"),
         var(
             communication.DEVICE_NAME, "Manufacturer device name", "device_name", STRING, "const", 0,
@@ -82,7 +83,9 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
             communication.HIGH_RESOLUTION_TIME, "High resolution time stamp", "time.high_resolution_us",
             U32, "rw", TPDO | RPDO | NOT_STORED, unit="us",
         ),
-        var(communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID, codes.EMCY_BASE),
+        var(
+            communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID | COUNTED, codes.EMCY_BASE,
+        ),
         var(communication.EMCY_INHIBIT_TIME, "Inhibit time EMCY", "emcy.inhibit_100us", U16, "rw", unit="100 us"),
         array(
             communication.CONSUMER_HEARTBEAT, "Consumer heartbeat time", "heartbeat.consumer", 4,
@@ -90,8 +93,8 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
             U32, "rw",
         ),
         var(
-            communication.PRODUCER_HEARTBEAT, "Producer heartbeat time", "heartbeat.producer_ms", U16, "rw", 0, 1000,
-            unit="ms",
+            communication.PRODUCER_HEARTBEAT, "Producer heartbeat time", "heartbeat.producer_ms", U16, "rw", COUNTED,
+            1000, unit="ms",
         ),
         record(
             communication.IDENTITY, "Identity object", "identity",
@@ -102,7 +105,7 @@ def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
         ),
         var(
             communication.SYNC_OVERFLOW, "Synchronous counter overflow value", "sync.counter_overflow", U8, "rw",
-            0, 0, 0, 240,
+            COUNTED, 0, 0, 240,
         ),
         record(
             communication.VERIFY_CONFIGURATION, "Verify configuration", "verify_configuration",
@@ -129,16 +132,17 @@ def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object
     number, message, base, enabled, transmission, event_ms, mapped = pdo
     slug = "%s%d" % (direction, number)
     title = "%s%d %s" % (direction.upper(), number, message.lower())
+    counted = COUNTED if direction == "tpdo" else 0
     cob_id = base | (codes.NO_RTR if direction == "tpdo" else 0) | (0 if enabled else codes.COB_ID_INVALID)
     entries: list[tuple[Any, ...]] = [
-        (1, "COB-ID", "cob_id", U32, "rw", ADD_NODE_ID if base else 0, cob_id),
-        (2, "Transmission type", "transmission_type", U8, "rw", 0, transmission),
+        (1, "COB-ID", "cob_id", U32, "rw", counted | (ADD_NODE_ID if base else 0), cob_id),
+        (2, "Transmission type", "transmission_type", U8, "rw", counted, transmission),
     ]
     if direction == "tpdo":
-        entries.append((3, "Inhibit time", "inhibit_100us", U16, "rw", 0, 0, None, None, "100 us"))
-    entries.append((5, "Event timer", "event_timer_ms", U16, "rw", 0, event_ms, None, None, "ms"))
+        entries.append((3, "Inhibit time", "inhibit_100us", U16, "rw", counted, 0, None, None, "100 us"))
+    entries.append((5, "Event timer", "event_timer_ms", U16, "rw", counted, event_ms, None, None, "ms"))
     if direction == "tpdo":
-        entries.append((6, "SYNC start value", "sync_start", U8, "rw", 0, 0, 0, 240))
+        entries.append((6, "SYNC start value", "sync_start", U8, "rw", counted, 0, 0, 240))
     bits = tuple(index << 16 | sub << 8 | mapped_bits(index) for index, sub in mapped)
     slots = bits + (0,) * (MAX_MAPPED - len(bits))
     return (
@@ -150,9 +154,9 @@ def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object
             slug + ".mapping",
             (
                 (0, 1, "Number of mapped objects", slug + ".mapped",
-                 U8, "rw", 0, len(bits), 0, MAX_MAPPED, ""),
+                 U8, "rw", counted, len(bits), 0, MAX_MAPPED, ""),
                 (1, MAX_MAPPED, "Mapped object %d", slug + ".mapping",
-                 U32, "rw", 0, slots, None, None, ""),
+                 U32, "rw", counted, slots, None, None, ""),
             ),
         ),
     )

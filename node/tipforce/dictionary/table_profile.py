@@ -2,6 +2,7 @@
 
 from tipforce.dictionary.table import (
     ARRAY,
+    COUNTED,
     I16,
     I32,
     INT16_FORM,
@@ -41,7 +42,7 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
 
     yield from (
         single(0x6110, "AI sensor type", "sensor_type", total, U16, "ro", 0, tuple(c[4] for c in chans)),
-        single(0x6112, "AI operating mode", "operating_mode", total, U8, "rw", 0, 1, 1, 1),
+        single(0x6112, "AI operating mode", "operating_mode", total, U8, "rw", COUNTED, 1, 1, 1),
         single(0x6114, "AI sample period", "sample_period_us", total, U32, "rw", 0, 500, 100, 1000000, "us"),
         single(0x6125, "AI autozero", "autozero", n, U32, "wo"),
         single(0x6131, "AI physical unit", "unit", total, U32, "ro", 0, tuple(c[2] for c in chans)),
@@ -54,8 +55,8 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
             ),
         ),
         single(0x6150, "AI status", "channel_status", total, U8, "ro", TPDO),
-        single(0x61A0, "AI filter type", "filter_type", n, U8, "rw", 0, 0, 0, 100),
-        single(0x61A1, "AI filter constant", "filter_constant", n, U16, "rw", 0, 1, 1, 65535),
+        single(0x61A0, "AI filter type", "filter_type", n, U8, "rw", COUNTED, 0, 0, 100),
+        single(0x61A1, "AI filter constant", "filter_constant", n, U16, "rw", COUNTED, 1, 1, 65535),
     )
     zero: "float | tuple[float, ...]" = 0.0
     full: "float | tuple[float, ...]" = 1000.0 * converter[1]
@@ -81,7 +82,8 @@ def profile(n: int, converter: "Converter") -> "Iterator[Object]":
         flags = TPDO if access == "ro" else 0
         digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
         yield array(
-            0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access, flags,
+            0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access,
+            flags if access == "ro" else COUNTED,
             default if isinstance(default, float) else default[:count], unit=unit,
         )
         for form, kind, suffix in ((INT16_FORM, I16, "int16"), (INT32_FORM, I32, "int32")):

@@ -61,7 +61,7 @@ class Fingertip(Application):
         self._waiting_faults = 0
         self._waiting: "Reading | None" = None  # read for a tare or zero; the next latch has not taken it yet
         self.sample = Sample(None, self.channels.scaling, None)
-        self.interrupts = Interrupts(device, n, self.channels.exact)
+        self.interrupts = Interrupts(device, self.channels.exact)
         self.reports = Reports(device)
         device.application = self
         device.storage.add_group(CALIBRATION_GROUP, "calibration", self.calibration.dump, self.calibration.restore)
@@ -91,6 +91,7 @@ class Fingertip(Application):
         """Parameters are restored: forget tare and samples, take the scaling as it stands."""
         self.channels.load()
         self.channels.one_filter()
+        self.source.reset(self.device)
         self.device.od.values[indices.COMMAND << 8] = 0
         self._tare = NO_TARE
         self._latches_by_sync_until_us = 0
@@ -214,6 +215,7 @@ class Fingertip(Application):
         return Sample(
             reading, self.channels.scaling, self.calibration.active, self._tare, self.sample.present(), faults, stale,
             0, now_us, self.frozen, filtered, self.ends, self.sample.overloaded,
+            self.channels.spans,
         )  # fmt: skip
 
     def _newest(self) -> Sample:
@@ -271,7 +273,7 @@ class Fingertip(Application):
         scaling, active = self.channels.scaling, self.calibration.active
         now = Sample(
             last.reading, scaling, active, faults=last.faults, stale=last.stale, frozen=last.frozen,
-            filtered=last.filtered, ends=self.ends,
+            filtered=last.filtered, ends=self.ends, spans=self.channels.spans,
         )  # fmt: skip
         if now.unknown() & scalar.UNKNOWN_FORCE:
             return codes.DEVICE_STATE

@@ -195,5 +195,6 @@ class Calibration:
         if not NORM_MIN <= largest <= NORM_MAX:
             return codes.TOO_HIGH if largest > NORM_MAX else codes.TOO_LOW
         self.active = self._unpack(record)
+        self._od.edited = True
         self._generation = (self._generation + 1) & 0xFFFFFFFF
         return 0

@@ -3,9 +3,11 @@
 from math import sqrt
 
 from tipforce.device import codes
-from tipforce.device.object_dictionary import decode, encode
+from tipforce.device.object_dictionary import encode, nearest_real32
 from tipforce.dictionary import indices, table
 from tipforce.sensor.contact import scalar
+
+from .sample import outside
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
@@ -32,19 +34,16 @@ _SCALING = (
 _INTERRUPTS = (
     indices.INTERRUPT_DELTA, indices.INTERRUPT_LOWER, indices.INTERRUPT_UPPER, indices.INTERRUPT_HYSTERESIS,
 )  # fmt: skip
-_SETTINGS = _SCALING + _INTERRUPTS + (indices.SPAN_START, indices.SPAN_END)
+_SPAN = (indices.SPAN_START, indices.SPAN_END)
 _FIELD_SETTINGS = (indices.SCALING_1_FIELD, indices.SCALING_2_FIELD)  # in counts: no decimal digits in integer forms
 _FILTER = (indices.FILTER_TYPE, indices.FILTER_CONSTANT)
 
 
-def _real32(value: float) -> float:
-    """What REAL32 keeps of a value: settings are held as they will be stored, so that a restart changes nothing."""
-    kept: float = decode("f", encode("f", value))  # type: ignore[assignment]
-    return kept
-
-
 class Channels:
-    """Process values, their status, and the settings of each channel. ``scaling`` is (gain, bias) per gauge."""
+    """Process values, their status, and the settings of each channel.
+
+    ``scaling`` is (gain, bias) per gauge, ``spans`` (start, end) of it.
+    """
 
     def __init__(self, od: "ObjectDictionary", n: int, fingertip: "Fingertip") -> None:
         self._od = od
@@ -52,16 +51,20 @@ class Channels:
         self._fingertip = fingertip
         self._per_unit = [10.0 ** channel[3] for channel in table.channels(n)]
         self.scaling: "list[tuple[float, float]]" = []
+        self.spans: "list[tuple[float, float]]" = []
         od.readers[indices.PROCESS_VALUE] = self.exact
         od.row = self.row
         od.readers[indices.CHANNEL_STATUS] = self._status
         od.readers[indices.FIELD_VALUE] = lambda sub: self._counts(sub, scalar.NAN)
         for beyond, highest, unknown in _FORMS:
             self._own_form(beyond, highest, unknown)
+        od.views = self._read_view, self._write_view
         for index in _SCALING:
             od.writers[index] = self._scaling_writer(index)
         for index in _INTERRUPTS:
-            od.writers[index] = self._interrupt_writer(index)
+            od.writers[index] = self._writer(index, fingertip.on_settings)
+        for index in _SPAN:
+            od.writers[index] = self._writer(index, self.load)
         od.writers[indices.SAMPLE_PERIOD_US] = self._write_period
         od.writers[indices.AUTOZERO] = self._write_autozero
         for index in _FILTER:
@@ -69,13 +72,10 @@ class Channels:
         self.load()
 
     def _own_form(self, beyond: int, highest: int, unknown: int) -> None:
-        """The integer objects of one form: views of the REAL32 values."""
-        readers, writers = self._od.readers, self._od.writers
+        """The live integer objects of one form: views of the REAL32 values."""
+        readers = self._od.readers
         readers[beyond + indices.FIELD_VALUE] = lambda sub: self._counts(sub, unknown)
         readers[beyond + indices.PROCESS_VALUE] = lambda sub: self._integer(self.exact(sub), sub, highest, unknown)
-        for index in _SETTINGS:
-            readers[beyond + index] = self._setting_reader(index, highest)
-            writers[beyond + index] = self._setting_writer(index)
 
     # --- live values ----------------------------------------------------------------------------------------
 
@@ -149,11 +149,11 @@ class Channels:
         return -highest if scaled <= -highest else round(scaled)
 
     def _status(self, sub: int) -> int:
-        """6150h: valid, or why not. A value that INTEGER16 cannot hold counts as an overload."""
+        """6150h: valid, or why not. A value outside its span, or that INTEGER16 cannot hold, counts as an overload."""
         value, sample = self.exact(sub), self._fingertip.sample
         if value == value:  # noqa: PLR0124
             scaled = value * self._per_unit[sub - 1]
-            over = (scaled > MAX_I16) - (scaled < -MAX_I16)
+            over = (scaled > MAX_I16) - (scaled < -MAX_I16) or outside(value, *self._span(sub))
             if not over and sub <= self._n and sample.lost >> sub - 1 & 1:
                 return NOT_VALID  # a gauge that is left out: its reading is shown all the same
             return (0, OVERLOAD_HIGH, OVERLOAD_LOW)[over]
@@ -165,7 +165,7 @@ class Channels:
     # --- settings -------------------------------------------------------------------------------------------
 
     def load(self) -> None:
-        """Compute the scaling from 6120h-6124h again and set the sample period of the source."""
+        """Take scaling (6120h-6124h) and span of the gauges, and set the sample period of the source."""
         values, gains = self._od.values, []
         for sub in range(1, self._n + 1):
             if values[indices.SCALING_1_FIELD << 8 | sub] == values[indices.SCALING_2_FIELD << 8 | sub]:
@@ -176,7 +176,12 @@ class Channels:
             gain = (p2 - p1) / (f2 - f1)  # type: ignore[operator]
             gains.append((gain, p1 - gain * f1 + offset))  # type: ignore[operator]
         self.scaling = gains
+        self.spans = [self._span(sub) for sub in range(1, self._n + 1)]
         self._fingertip.source.period_us = values[indices.SAMPLE_PERIOD_US << 8 | 1]  # type: ignore[assignment]
+
+    def _span(self, sub: int) -> "tuple[float, float]":
+        start, end = [self._od.values[index << 8 | sub] for index in _SPAN]
+        return start, end  # type: ignore[return-value]
 
     def one_filter(self) -> None:
         """No write leaves a filter that is not offered or not that of all gauges, but a store of another making may."""
@@ -206,10 +211,11 @@ class Channels:
             gain, bias = self.scaling[k]
             key = indices.PROCESS_OFFSET << 8 | k + 1
             before: float = self._od.values[key]  # type: ignore[assignment]
-            offsets[key] = offset = _real32(before - (gain * counts[k] + bias))
+            offsets[key] = offset = nearest_real32(before - (gain * counts[k] + bias))  # type: ignore[assignment]
             if offset - offset != 0.0:
                 return codes.DEVICE_STATE  # with this scaling no REAL32 brings the gauge to zero
         self._od.values.update(offsets)
+        self._od.edited = True
         self.load()
         return 0
 
@@ -227,34 +233,30 @@ class Channels:
 
         return write
 
-    def _interrupt_writer(self, index: int) -> "Callable[[int, Value], int]":
+    def _writer(self, index: int, apply: "Callable[[], None]") -> "Callable[[int, Value], int]":
         def write(sub: int, value: "Value") -> int:
             self._od.values[index << 8 | sub] = value
-            self._fingertip.on_settings()
+            apply()
             return 0
 
         return write
 
-    def _setting_reader(self, index: int, highest: int) -> "Callable[[int], Value]":
-        def read(sub: int) -> int:
-            value: float = self._od.values[index << 8 | sub]  # type: ignore[assignment]
-            return self._to_integer(value, self._setting_scale(index, sub), highest)
+    def _read_view(self, index: int, sub: int) -> "Value":
+        """A setting in an integer form."""
+        real, per_unit = self._real(index, sub)
+        value: float = self._od.values[real << 8 | sub]  # type: ignore[assignment]
+        return self._to_integer(value, per_unit, MAX_I16 if index - real == table.INT16_FORM else MAX_I32)
 
-        return read
+    def _write_view(self, index: int, sub: int, value: "Value") -> int:
+        if value == self._read_view(index, sub):
+            return 0  # what a client read: the digits that this form does not show stay
+        real, per_unit = self._real(index, sub)
+        return self._od.download(real, sub, encode("f", float(value) / per_unit))
 
-    def _setting_writer(self, index: int) -> "Callable[[int, Value], int]":
-        def write(sub: int, value: "Value") -> int:
-            real = _real32(float(value) / self._setting_scale(index, sub))
-            writer = self._od.writers.get(index)
-            abort = writer(sub, real) if writer is not None else 0
-            if not abort:
-                self._od.values[index << 8 | sub] = real
-            return abort
-
-        return write
-
-    def _setting_scale(self, index: int, sub: int) -> float:
-        return 1.0 if index in _FIELD_SETTINGS else self._per_unit[sub - 1]
+    def _real(self, index: int, sub: int) -> "tuple[int, float]":
+        """Index of the REAL32 form of a setting, and the factor to its integer forms."""
+        real = index & 0xFFF | indices.FIELD_VALUE & 0xF000
+        return real, 1.0 if real in _FIELD_SETTINGS else self._per_unit[sub - 1]
 
     def _write_period(self, _sub: int, value: "Value") -> int:
         # One converter serves all gauges: the period of one channel is that of all.

@@ -36,7 +36,7 @@ def build(
                 if kind == "D":
                     value = b""
                 entry = (kind, access, core_flags, value, low, high)
-                od.add(index, first + k, shared.setdefault(entry, entry))
+                shared[entry] = od.add(index, first + k, shared.get(entry, entry))
     if eds:
         od.readers[communication.STORED_EDS] = lambda _sub: eds
     first = communication.IDENTITY << 8
@@ -54,8 +54,9 @@ def _flags(flags: int) -> int:
         (table.RPDO, od_flags.RPDO),
         (table.ADD_NODE_ID, od_flags.ADD_NODE_ID),
         (table.STAGED, od_flags.ANY_FLOAT | od_flags.NOT_STORED),
-        (table.VIEW, od_flags.NOT_STORED),
+        (table.VIEW, od_flags.VIEW | od_flags.NOT_STORED),
         (table.NOT_STORED, od_flags.NOT_STORED),
+        (table.COUNTED, od_flags.COUNTED),
     ):
         if flags & ours:
             found |= theirs

@@ -26,11 +26,10 @@ class Interrupts:
     known or unknown.
     """
 
-    __slots__ = ("_device", "_n", "_sent", "_value", "_zones", "watched")
+    __slots__ = ("_device", "_sent", "_value", "_zones", "watched")
 
-    def __init__(self, device: "Device", n: int, value: "Callable[[int], float]") -> None:
+    def __init__(self, device: "Device", value: "Callable[[int], float]") -> None:
         self._device = device
-        self._n = n
         self._value = value
         self.watched: "dict[int, list[int]]" = {}  # channel -> numbers of the TPDOs that carry it
         self._sent: "dict[int, float]" = {}
@@ -75,9 +74,9 @@ class Interrupts:
         return _INSIDE
 
     def _configured(self, sub: int) -> bool:
-        _symbol, _what, _unit, _digits, _kind, _text, low, high = table.channels(self._n)[sub - 1]
+        low, high = [self._device.od.default(index, sub) for index in _LIMITS[:2]]
         delta, (lower, upper, _) = self._setting(indices.INTERRUPT_DELTA, sub), [self._setting(k, sub) for k in _LIMITS]
-        return delta > 0.0 or lower > low or upper < high
+        return delta > 0.0 or lower > low or upper < high  # type: ignore[operator]
 
     def _setting(self, index: int, sub: int) -> float:
         return float(self._device.od.values[index << 8 | sub])

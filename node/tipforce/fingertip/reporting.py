@@ -1,6 +1,6 @@
 """What a node reports by itself: EMCY for each fault, TPDOs on a change of 2124h and of 2126h (docs/objects.md)."""
 
-from tipforce.device import communication, emcy
+from tipforce.device import emcy
 from tipforce.dictionary import indices, table
 
 TYPE_CHECKING = False
@@ -18,14 +18,7 @@ _BY_BIT = {
     table.FAULT_TEMPERATURE: (table.EMCY_TEMPERATURE, emcy.TEMPERATURE),
     table.FAULT_OVERLOAD: (table.EMCY_OVERLOAD, emcy.PROFILE),
 }
-# What PDO values mean besides the mapping: settings of the profile area by the index of their REAL32 form.
-_SETTINGS = (
-    indices.OPERATING_MODE, indices.SCALING_1_FIELD, indices.SCALING_1_PROCESS, indices.SCALING_2_FIELD,
-    indices.SCALING_2_PROCESS, indices.PROCESS_OFFSET, indices.SPAN_START, indices.SPAN_END, indices.FILTER_TYPE,
-    indices.FILTER_CONSTANT,
-)  # fmt: skip
 _EVENT_DRIVEN = 254  # and above: transmission types of a TPDO that an event sends
-_COB_ID_AND_TYPE = (1, 2)  # sub-indices of 1800h and on
 
 
 class Reports:
@@ -36,7 +29,6 @@ class Reports:
     def __init__(self, device: "Device") -> None:
         self._device = device
         self.reset()
-        device.od.watch = meaning
         device.od.changed = self.changed
         device.od.readers[indices.CONFIGURATION_COUNTER] = lambda _sub: self.counter
 
@@ -48,7 +40,7 @@ class Reports:
         self._next_us = 0
 
     def changed(self) -> None:
-        """What PDO values mean is another thing now: count, and say so before the first PDO of the new meaning."""
+        """What is sent, or what it means, is another thing now: count, and say so before the first PDO of it."""
         self.counter = (self.counter + 1) & 0xFF
         self._device.tpdos.announce(indices.CONFIGURATION_COUNTER)
 
@@ -116,17 +108,3 @@ def _error(bit: int, sample: "Sample") -> "tuple[int, int] | None":
 
 def _of_contradiction(bit: int, detail: int) -> bool:
     return bit == table.FAULT_CONTRADICTION or detail >> 8 == table.FAULT_CONTRADICTION
-
-
-def meaning(index: int, sub: int) -> int:
-    """The key of the value that a write to an entry changes where PDO values mean something else then, else 0."""
-    if index >= indices.FIELD_VALUE:
-        real = index & 0xFFF | indices.FIELD_VALUE & 0xF000
-        return real << 8 | sub if real in _SETTINGS and sub else 0
-    if index == communication.SYNC_OVERFLOW:
-        return index << 8
-    if communication.TPDO <= index <= communication.LAST_TPDO:
-        return index << 8 | sub if sub in _COB_ID_AND_TYPE else 0
-    if communication.TPDO_MAPPING <= index <= communication.LAST_TPDO_MAPPING:
-        return index << 8 | sub
-    return 0

@@ -1,6 +1,7 @@
 """One latched sample: from counts to strain, force, contact and uncertainty, each computed when first asked for."""
 
 from tipforce.device.codes import NEVER_US
+from tipforce.device.object_dictionary import nearest_real32
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
@@ -8,6 +9,8 @@ from .source import Source
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from .active_calibration import Active, Covariance
     from .judgement import Judgement
     from .source import Reading
@@ -28,11 +31,12 @@ class Sample:
 
     ``scaling`` has (gain, bias) per gauge: microstrain = gain * counts + bias. ``was_present`` is bit 0 of the sample
     before, for the hysteresis of contact; ``frozen`` has a bit for each gauge whose reading stands still. ``filtered``
-    is what a filter makes of the counts, in place of them; ``ends`` are the converter's ends. A sample without a
-    reading has no values, only a status.
+    is what a filter makes of the counts, in place of them; ``ends`` are the converter's ends; ``spans`` has the start
+    and the end of each gauge's span in microstrain. A sample without a reading has no values, only a status.
 
-    A gauge that is saturated, frozen or contradicts the others is lost. With more than three gauges the others go on
-    giving the force as long as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge is missing.
+    A gauge that is saturated, outside its span, frozen or contradicts the others is lost. With more than three gauges
+    the others go on giving the force as long as they have rank 3 (``spared``); status bit 2 and 2124h say that a gauge
+    is missing.
     ``overloaded`` is bit 15 of 2124h: the force is beyond the overload force; ``was_overloaded`` that of the sample
     before, for its hysteresis.
     """
@@ -58,6 +62,7 @@ class Sample:
         filtered: "list[float] | None" = None,
         ends: "tuple[int, int]" = _ENDS,
         was_overloaded: bool = False,
+        spans: "Sequence[tuple[float, float]]" = (),
     ) -> None:
         self.reading = reading
         self.active = active
@@ -88,8 +93,12 @@ class Sample:
             shown = counts if filtered is None else filtered
             self.microstrains = [g * c + b for c, (g, b) in zip(shown, scaling)]  # noqa: B905
         self.seen = faults  # all that a source can say by itself
-        if reading is not None and active is not None and active.converter is not None:
-            self._limit(active.converter, scaling)
+        if reading is not None:
+            if active is not None and active.converter is not None:
+                self._limit(active.converter, scaling)
+            for microstrain, (start, end) in zip(self.microstrains, spans):  # noqa: B905
+                if not start <= microstrain <= end:
+                    self._leave_spans(spans)
             faults |= self._saturated()
         self.lost |= faults & _GAUGES
         self.solver = None if active is None else active.solver(self.lost)
@@ -121,6 +130,11 @@ class Sample:
             microstrain = gain * self.reading.counts[k] + bias
             if limit > 0.0 and not self.overloads[k]:
                 self.overloads[k] = (microstrain >= limit) - (microstrain <= -limit)
+
+    def _leave_spans(self, spans: "Sequence[tuple[float, float]]") -> None:
+        """A gauge outside its span (6148h, 6149h) is saturated too."""
+        for k, (start, end) in enumerate(spans):
+            self.overloads[k] = self.overloads[k] or outside(self.microstrains[k], start, end)
 
     def status(self) -> int:
         """The status byte 2120h of this sample."""
@@ -272,3 +286,12 @@ class Sample:
             f1, f2, f3 = self.force()
             u_miss = scalar.miss_uncertainty(f1, f2, f3, self.covariance())
         return bits | scalar.status_bits(P, u_P, u_theta, miss, u_miss, theta, self.active.limits, self._was_present)
+
+
+def outside(value: float, start: float, end: float) -> int:
+    """1 for a value above the end of a span, -1 below its start, else 0: all three as the REAL32 that a client reads.
+
+    Nothing checks that the start is below the end: where it is not, a value may be both, and counts as above.
+    """
+    shown: float = nearest_real32(value)  # type: ignore[assignment]
+    return 1 if shown > end else -(shown < start)

@@ -52,6 +52,9 @@ class Source:
     def attach(self, device: "Device") -> None:
         """Called once, when the node is built: a source with objects of its own handles their access here."""
 
+    def reset(self, device: "Device") -> None:
+        """Called at each reset of the node: objects of its own return to their power-on values."""
+
     def close(self) -> None:
         """Release what it holds."""
 

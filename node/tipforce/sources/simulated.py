@@ -54,6 +54,9 @@ class SimulatedSource(Source):
         self.fault = 0
         self.fault_gauge = 1
         self.fault_magnitude = 0.0  # DRIFT: microstrain per second
+        self._fault_by_bus = False  # by 2200h
+        self._load_by_bus: "tuple[float, float, float] | None" = None  # by 2201h, in place of ``_own_load``
+        self._own_load = self.load
         self.forces = forces
         self.front_end = front_end
         if front_end is not None:
@@ -69,6 +72,7 @@ class SimulatedSource(Source):
         """Inject a fault of 2200h into ``gauge`` (from 1) from now on; fault 0 ends it."""
         if fault != self.fault:
             self._fault_since_us = now_us
+        self._fault_by_bus = False
         self.fault, self.fault_gauge, self.fault_magnitude = fault, gauge, magnitude
 
     def read(self, now_us: int) -> "Reading | None":
@@ -112,19 +116,30 @@ class SimulatedSource(Source):
             fields: "list[Value]" = [device.od.values[indices.SIMULATED_FAULT << 8 | k] for k in (1, 2, 3)]
             fields[sub - 1] = value
             self.set_fault(int(fields[0]), int(fields[1]), float(fields[2]), device.now_us)
+            self._fault_by_bus = True
             return 0
 
         def write_load(sub: int, value: "Value") -> int:
             if self.forces is not None:
                 return codes.DEVICE_STATE
+            if self.load is not self._load_by_bus:
+                self._own_load = self.load
             load = list(self.load)
             load[sub - 1] = float(value)
-            self.load = (load[0], load[1], load[2])
+            self.load = self._load_by_bus = (load[0], load[1], load[2])
             return 0
 
         device.od.writers[indices.SIMULATED_FAULT] = write_fault
         device.od.writers[indices.SIMULATED_LOAD] = write_load
         device.od.readers[indices.SIMULATED_LOAD] = lambda sub: self.load[sub - 1]
+
+    def reset(self, device: "Device") -> None:
+        """Undo what 2200h and 2201h set; a fault and a load that the program set stay."""
+        device.od.restore_defaults(indices.SIMULATED_FAULT, indices.SIMULATED_FAULT)
+        if self._fault_by_bus:
+            self.set_fault(0, 1, 0.0, device.now_us)
+        if self.load is self._load_by_bus:
+            self.load = self._own_load
 
     def _static_force(self) -> "Forces":
         """Return F1, F2, F3 of the present load, resolved once."""

@@ -73,6 +73,10 @@ def converter_limit(dut: Dut) -> None:
 @case("tipforce 2126h", "{0} counts where it changes a value, and only then", own=True, each=[
     ("a process value offset", "f", 0x6124, 1, 7.0), ("a span", "f", 0x6149, 1, 999.0),
     ("a filter", "B", 0x61A0, 1, 1), ("a transmission type", "B", 0x1802, 2, 7), ("1019h", "B", 0x1019, 0, 9),
+    ("the identifier of SYNC", "I", 0x1005, 0, 0x91), ("that of EMCY", "I", 0x1014, 0, 0x80000091),
+    ("the heartbeat", "H", 0x1017, 0, 997), ("an inhibit time", "H", 0x1802, 3, 5),
+    ("an event timer", "H", 0x1802, 5, 500), ("a SYNC start value", "B", 0x1802, 6, 3),
+    ("a limit of an interrupt", "f", 0x6135, 1, 5.0),
 ])  # fmt: skip
 def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float) -> None:
     before = dut.integer("B", 0x2126)
@@ -80,6 +84,16 @@ def counted(dut: Dut, _what: str, kind: str, index: int, sub: int, value: float)
     dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
     dut.put(kind, index, sub, value)
     dut.holds("B", 0x2126, 0, before + 1 & 0xFF)
+
+
+@case("tipforce 2126h", "{0} written back as it was read does not count", own=True, each=[
+    ("an interrupt limit", 0x6135, 1), ("its INTEGER16 form", 0x7135, 1), ("a span", 0x6148, 4), ("1005h", 0x1005, 0),
+])  # fmt: skip
+def written_back(dut: Dut, _what: str, index: int, sub: int) -> None:
+    before = dut.integer("B", 0x2126)
+    abort = dut.try_write(index, sub, dut.read(index, sub))
+    check(not abort, "accepted", f"abort {abort:08X}")
+    dut.holds("B", 0x2126, 0, before)
 
 
 @case("tipforce 2126h", "a commit, a tare and its end count; a commit of the same record does not", own=True)
