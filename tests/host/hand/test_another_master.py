@@ -17,6 +17,7 @@ import pytest
 
 from host.hand.simulated_hand import SimulatedHand, simulated_hand
 from tipforce.device import codes, communication
+from tipforce.device.node import Device
 from tipforce.dictionary import indices, objects, table, types
 from tipforce.dictionary.entries import Entry
 from tipforce.dictionary.rows import Row, rows
@@ -35,13 +36,8 @@ UNSURE_S = 0.1
 COUNTS: Counter[tuple[str, str, str]] = Counter()
 
 
-def _node() -> object:
-    """A finger as the hand sets it up, to ask which values it takes."""
-    return fingertip_node(2, SimulatedSource([[1.0, 0.0, 0.0]] * 3), serial=2)
-
-
-def upload(device: object, index: int, sub: int) -> bytes:
-    found = device.od.upload(index, sub)  # type: ignore[attr-defined]
+def upload(device: Device, index: int, sub: int) -> bytes:
+    found = device.od.upload(index, sub)
     return found if isinstance(found, bytes) else b""
 
 
@@ -62,7 +58,7 @@ def candidates(row: Row, present: bytes) -> list[bytes]:
     return [n.to_bytes(size, "little") for n in dict.fromkeys(found) if row.access == "wo" or n != value]
 
 
-def sequence(device: object, row: Row, data: bytes) -> list[Write]:
+def sequence(device: Device, row: Row, data: bytes) -> list[Write]:
     """The writes by which a master changes an object: those of a PDO by the procedure of CiA 301, 7.5.2.35."""
     first, last = communication.RPDO, communication.LAST_TPDO_MAPPING
     write: Write = row.index, row.sub, data
@@ -89,22 +85,24 @@ def writable() -> list[Row]:
 
 
 def accepted_values(limit: int) -> list[tuple[Row, bytes]]:
-    """Values that a finger takes, at most so many for an object."""
+    """Values that a finger takes, at most so many for an object; one that it refuses where it takes none."""
     found = []
+    device = fingertip_node(2, SimulatedSource([[1.0, 0.0, 0.0]] * 3), serial=2)
+    device.step(0, [])
+    initial = dict(device.od.values)
     for row in writable():
-        taken = 0
-        device = _node()
-        device.step(0, [])  # type: ignore[attr-defined]
-        for data in candidates(row, upload(device, row.index, row.sub)):
-            writes = sequence(device, row, data)
-            aborted = [device.od.download(*write) for write in writes]  # type: ignore[attr-defined]
-            if taken < limit and (not any(aborted) or row.access == "wo"):
-                taken += 1
-                found.append((row, data))
-                device = _node()
-                device.step(0, [])  # type: ignore[attr-defined]
-        if not taken:
-            found.append((row, candidates(row, upload(device, row.index, row.sub))[0]))
+        values = candidates(row, upload(device, row.index, row.sub))
+        taken = []
+        for data in values:
+            aborted = [device.od.download(*write) for write in sequence(device, row, data)]
+            if not any(aborted) or row.access == "wo":
+                taken.append((row, data))
+            device.od.values.update(initial)
+            device.tpdos.reset()
+            device.rpdos.reset()
+            if len(taken) == limit:
+                break
+        found += taken or [(row, values[0])]
     return found
 
 
