@@ -14,6 +14,7 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.rows import CHANGED, DOUBTFUL, NO_ANSWER, PRESENT, Rows
 from tipforce.host.hand.sync_numbers import RESTARTED, SyncNumbers
+from tipforce.host.hand.trust import COUNTER
 
 SYNC = (0x80, b"")
 PERIOD_NS = 1_000_000
@@ -275,46 +276,98 @@ def test_pdos_of_two_samples_are_mixed_and_not_shown() -> None:
 # --- changes of what values mean
 
 
+READ = bytes.fromhex("4f262100")  # an SDO response: 2126h:00, one byte
+
+
 def test_values_after_a_change_are_not_shown_until_it_is_verified() -> None:
     stream = Stream(1, 2)
-    stream.collector.verify(1, 3)
+    trust = stream.collector.trust
+    trust.learn(1, {COUNTER: 3})
     stream.add(health(1, 3), sync(1), answer(1, 1), answer(2, 1))
     stream.add(sync(2), answer(1, 2), health(1, 4), sync(3), answer(1, 3), answer(2, 2), answer(2, 3))
     assert stream.reasons == [[PRESENT, PRESENT], [PRESENT, PRESENT], [CHANGED, PRESENT]]
-    assert stream.collector.take_changes() == {1}
+    assert trust.take_changes() == [1]
     stream.add(health(1, 4), sync(4), answer(1, 4), answer(2, 4))
-    assert not stream.collector.take_changes()
-    stream.collector.verify(1, 4)
-    stream.add(sync(5), answer(1, 5), answer(2, 5))
+    assert not trust.take_changes()
+    trust.learn(1, {COUNTER: 4})
+    stream.add(health(1, 4), sync(5), answer(1, 5), answer(2, 5))
     assert stream.reasons[3:] == [[CHANGED, PRESENT], [PRESENT, PRESENT]]
     assert stream.collector.tally.changed.tolist() == [2, 0]
 
 
 def test_a_change_during_a_verification_is_not_overlooked() -> None:
     stream = Stream(1)
-    stream.collector.verify(1, 255)
+    trust = stream.collector.trust
+    trust.learn(1, {COUNTER: 255})
     stream.add(health(1, 0), sync(1), answer(1, 1))
-    stream.collector.verify(1, 255)  # what was read before that change
-    stream.add(sync(2), answer(1, 2))
-    assert stream.collector.take_changes() == {1}
+    trust.learn(1, {COUNTER: 255})  # what was read before that change
+    assert trust.unsure(1) == [COUNTER]
+    stream.add(health(1, 0), sync(2), answer(1, 2))
+    assert trust.take_changes() == [1]
     assert stream.reasons == [[CHANGED], [CHANGED]]
 
 
 def test_answers_before_the_verification_are_not_shown_when_they_are_processed_after_it() -> None:
     stream = Stream(1)
-    stream.collector.verify(1, 3)
-    stream.add(sync(1), answer(1, 1), health(1, 4), sync(2), answer(1, 2))
-    stream.collector.verify(1, 6)
+    stream.collector.trust.learn(1, {COUNTER: 3})
+    stream.add(health(1, 3), sync(1), answer(1, 1), health(1, 4), sync(2), answer(1, 2))
+    stream.collector.trust.learn(1, {COUNTER: 6})
     stream.add(sync(3), answer(1, 3), health(1, 5), sync(4), answer(1, 4))
-    stream.add((0x581, bytes.fromhex("4f2621000600 0000")), sync(5), answer(1, 5))
+    stream.add((0x581, READ + bytes((6, 0, 0, 0))), sync(5), answer(1, 5))
     assert stream.reasons == [[PRESENT], [CHANGED], [CHANGED], [CHANGED], [PRESENT]]
 
 
 def test_values_after_a_boot_up_are_not_shown() -> None:
     stream = Stream(1)
-    stream.collector.verify(1, 3)
-    stream.add(sync(1), answer(1, 1), (0x701, b"\0"), sync(2), answer(1, 2))
+    stream.collector.trust.learn(1, {COUNTER: 3})
+    stream.add(health(1, 3), sync(1), answer(1, 1), (0x701, b"\0"), sync(2), answer(1, 2))
     assert stream.reasons == [[PRESENT], [CHANGED]]
+
+
+OFFSET = 0x612402
+DOWNLOAD, DONE, VALUE = "23246102 0000a040", "60246102 00000000", "43246102 0000a040"
+OTHER = "43246102 0000b040"
+KNOWN = {OFFSET: 0x40A00000, COUNTER: 3}
+
+
+@pytest.mark.parametrize(
+    ("frames", "reason"),
+    [
+        ([], PRESENT),
+        ([(0x601, "40246102 00000000"), (0x581, VALUE)], PRESENT),  # a read
+        ([(0x602, DOWNLOAD)], PRESENT),  # to another node
+        ([(0x601, DOWNLOAD)], CHANGED),
+        ([(0x601, DOWNLOAD), (0x581, VALUE), (0x581, READ.hex() + "03000000")], CHANGED),  # responses to before
+        ([(0x601, DOWNLOAD), (0x581, DONE), (0x581, READ.hex() + "03000000")], CHANGED),  # the counter alone
+        ([(0x601, DOWNLOAD), (0x581, DONE), (0x581, VALUE), (0x581, READ.hex() + "03000000")], PRESENT),
+        ([(0x601, DOWNLOAD), (0x581, DONE), (0x581, OTHER), (0x581, READ.hex() + "03000000")], CHANGED),
+        ([(0x601, "c2246102 04000000"), (0x581, "a4246102 7f000000"), (0x601, "81000000a0400000")], CHANGED),
+        ([(0x000, "0101")], CHANGED),
+        ([(0x000, "0102")], PRESENT),
+        ([(0x7E5, "1105000000000000")], CHANGED),
+        ([(0x7E5, "4c00000000000000")], PRESENT),  # LSS: who has no node-id?
+        ([(0x201, "0100")], CHANGED),
+        ([(0x201, "0000")], PRESENT),  # command 0
+        ([(0x601, "2301220200000000")], PRESENT),  # the load on a simulated finger
+    ],
+)
+def test_requests_by_anybody_make_values_unsure(frames: list[tuple[int, str]], reason: int) -> None:
+    stream = Stream(1)
+    stream.collector.trust.learn(1, KNOWN)
+    stream.add((0x581, bytes.fromhex(VALUE)), (0x581, READ + bytes((3, 0, 0, 0))))
+    stream.add(*[(can_id, bytes.fromhex(data)) for can_id, data in frames])
+    stream.add(sync(1), answer(1, 1))
+    assert stream.reasons == [[reason]]
+
+
+def test_a_finger_that_may_send_anothers_pdo_hides_the_other() -> None:
+    known = {0x180101: 0x40000281, COUNTER: 3}
+    stream = Stream(1, 2, 3)
+    for node_id in (1, 2, 3):
+        stream.collector.trust.learn(node_id, known if node_id == 1 else {})
+    stream.add((0x581, bytes.fromhex("4301180181020040")), (0x581, READ + bytes((3, 0, 0, 0))))
+    stream.add((0x601, bytes.fromhex("2301180182020040")), sync(1), answer(1, 1), answer(2, 1), answer(3, 1))
+    assert stream.reasons == [[CHANGED, CHANGED, PRESENT]]
 
 
 # --- both

@@ -16,10 +16,12 @@ import numpy as np
 
 from tipforce.device import codes, communication
 from tipforce.device.codes import INITIALISING
-from tipforce.dictionary import names, objects, table
+from tipforce.dictionary import objects, table
 from tipforce.dictionary.signals import tpdo_messages
+from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences, verify_configuration
+from tipforce.host.configuration.device_objects import FingertipObjects
 from tipforce.host.hand.events import Event, Kind
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import set_overflow
@@ -88,28 +90,32 @@ def bring_up(
 
 
 def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
-    """Return the settings of a finger in the file, with the PDOs and the heartbeat of the hand added."""
-    wanted = dict(hand.configuration(finger))
-    gauges = finger.gauges
-    for number, message in enumerate(tpdo_messages(gauges), start=1):
+    """Return the settings of a finger in the file, with SYNC, PDOs, EMCY and heartbeat of the hand added."""
+    settings = FingertipObjects(finger.node_id, finger.gauges).settings
+    wanted = {
+        place: (settings[place].entry, settings[place].default)
+        for place in ((communication.COB_ID_SYNC, 0), (communication.COB_ID_EMCY, 0))
+    } | hand.configuration(finger)
+
+    def want(index: int, sub: int, value: Value) -> None:
+        wanted[index, sub] = settings[index, sub].entry, value
+
+    for number, message in enumerate(tpdo_messages(finger.gauges)):
         used = message.name in hand.messages or message.name == "Health"
-        if message.cob_id_base and (communication.TPDO + number - 1, 1) not in wanted:
+        index, mapping = communication.TPDO + number, communication.TPDO_MAPPING + number
+        if message.cob_id_base and (index, 1) not in wanted:
             cob_id = message.cob_id_base + finger.node_id | codes.NO_RTR | (0 if used else codes.COB_ID_INVALID)
-            wanted |= _one(f"tpdo{number}.cob_id", cob_id, gauges)
-            wanted |= _one(f"tpdo{number}.transmission_type", message.transmission_type, gauges)
-        if used:  # rows are decoded by this mapping
-            wanted |= _one(f"tpdo{number}.mapped", len(message.mapping), gauges)
-            for sub, (index, of, bits) in enumerate(message.mapping, start=1):
-                wanted |= _one(f"tpdo{number}.mapping:{sub}", index << 16 | of << 8 | bits, gauges)
-            if message.event_timer_ms:
-                wanted |= _one(f"tpdo{number}.event_timer_ms", HEALTH_MS, gauges)
-    wanted |= _one("heartbeat.producer_ms", hand.hand.heartbeat_ms, gauges)
+            want(index, 1, cob_id)
+            want(index, 2, message.transmission_type)
+        if used:  # rows are decoded by this mapping; an inhibit time or a start value would leave SYNCs unanswered
+            want(mapping, 0, len(message.mapping))
+            for sub, (mapped, of, bits) in enumerate(message.mapping, start=1):
+                want(mapping, sub, mapped << 16 | of << 8 | bits)
+            want(index, 3, 0)
+            want(index, 5, HEALTH_MS if message.event_timer_ms else 0)
+            want(index, 6, 0)
+    want(communication.PRODUCER_HEARTBEAT, 0, hand.hand.heartbeat_ms)
     return dict(sorted(wanted.items()))
-
-
-def _one(name: str, value: int, gauges: int) -> Configuration:
-    entry = names.resolve(name, gauges)
-    return {(entry.index, entry.sub): (entry, value)}
 
 
 def set_up(
@@ -153,7 +159,7 @@ def assign(
 
 
 def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: bool) -> str:
-    address = _select(master, plan)
+    address = select(master, plan)
     if address is None:
         who = f"a node with serial {plan.serial}" if plan.serial else "a node without a node-id"
         raise NoResponseError(
@@ -172,7 +178,7 @@ def _assign_one(connection: Bus, master: LssMaster, plan: FingerPlan, store: boo
     return f"{address}: node-id {plan.node_id}" + (f", before {former}" if former != codes.LSS_UNCONFIGURED else "")
 
 
-def _select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
+def select(master: LssMaster, plan: FingerPlan) -> LssAddress | None:
     """Return the node of this serial, real or simulated; without a serial the next one without a node-id."""
     for simulated in (False, True):
         product = table.product_code(plan.gauges, simulated)

@@ -11,20 +11,19 @@ Frames are processed one after another: a bus gives a few at a time, for which n
 from __future__ import annotations
 
 import struct
-import threading
 from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
-from tipforce.dictionary import objects
+from tipforce.device.codes import SYNC_COB_ID
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.pdo_columns import PdoColumns, health_places
+from tipforce.host.hand.pdo_columns import PdoColumns
 from tipforce.host.hand.rows import CHANGED, DOUBTFUL, MIXED, NO_ANSWER, PRESENT, Rows, Tally
 from tipforce.host.hand.sync_numbers import LARGEST, RESTARTED, SyncNumbers
+from tipforce.host.hand.trust import Trust
 
 AHEAD = LARGEST // 2
 """An answer may precede its SYNC's place by so many numbers: the SYNCs between were not received."""
@@ -32,8 +31,6 @@ AHEAD = LARGEST // 2
 _UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is right
 _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_ANSWER, PRESENT, DOUBTFUL, CHANGED)  # by state
-_UNKNOWN, _HIDDEN = -1, -2  # in place of a 2126h; both unknown: nothing is watched
-_COUNTER_READ = 0x4F | objects.CONFIGURATION_COUNTER.index << 8  # an SDO response: 2126h:00, one byte
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
@@ -77,7 +74,8 @@ class Collector:
             for number, message in enumerate(self._messages)
             for k, node_id in enumerate(self.node_ids)
         }
-        self._health, self._change_shift = health_places(known["Health"], self.node_ids)
+        answers = {can_id: k for can_id, (_, k, _, _) in self._answers.items()}
+        self.trust = Trust(self.node_ids, answers, known["Health"], gauges)
         self._rows: dict[int, _Row] = {}  # open ones, and emitted ones that a late answer may belong to
         # By row and slot, answers that the next SYNC decides on: the last row when it arrived, word, state if right.
         self._held: dict[tuple[int, int], tuple[int, int, int]] = {}
@@ -87,55 +85,14 @@ class Collector:
         self._epoch = 0  # the first row of this count
         # Counts whose answers may still come: the last row, the last number, the modulus.
         self._ended: list[tuple[int, int, int]] = []
-        self._lock = threading.Lock()
         self._absent: set[int] = set()  # fingers for which no row waits
         self._unsettled = [True] * fingers  # missing in the last row; matters without numbers
         self._last_counter = [-1] * fingers
-        self._verified = [_UNKNOWN] * fingers  # 2126h for which the hand knows what the values mean
-        self._seen = [_UNKNOWN] * fingers  # the last 2126h; its values are shown while it is the verified one
-        self._health_s: dict[int, float] = {}  # by finger: when its health PDO came, or its 2126h was asked for
-        self._changes: set[int] = set()
         self._nothing = self._emit(0)
-
-    def hide(self, node_id: int) -> None:
-        """Show no values of a finger before it is verified. For any thread."""
-        with self._lock:
-            self._verified[self.node_ids.index(node_id)] = _HIDDEN
-
-    def verify(self, node_id: int, counter: int) -> None:
-        """Show the values of a finger only after its 2126h was ``counter``, and until it is another. For any thread.
-
-        A health PDO or an SDO response says what 2126h was, in its place between the answers: those that came before
-        are processed later on a busy host. Before the first SYNC it is ``counter``.
-        """
-        k = self.node_ids.index(node_id)
-        with self._lock:
-            self._verified[k] = counter
-            if self._last < 0:
-                self._seen[k] = counter
-            if self._seen[k] == counter:
-                self._changes.discard(node_id)
-
-    def take_changes(self) -> set[int]:
-        """Return the fingers whose 2126h became one that is not verified, since the last call."""
-        with self._lock:
-            found, self._changes = self._changes, set()
-        return found
-
-    def seen(self, node_id: int) -> int:
-        """Return the last 2126h of a finger in the frames processed; negative: none."""
-        return self._seen[self.node_ids.index(node_id)]
-
-    def unwatched(self, now_s: float, limit_s: float) -> list[int]:
-        """Return the fingers whose values are shown although their health PDO did not come for ``limit_s``."""
-        shown = [k for k, counter in enumerate(self._verified) if counter >= 0 and self._seen[k] == counter]
-        found = [k for k in shown if now_s - self._health_s.setdefault(k, now_s) > limit_s]
-        self._health_s |= dict.fromkeys(found, now_s)
-        return [self.node_ids[k] for k in found]
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
-        with self._lock:
+        with self.trust.lock:
             (self._absent.discard if present else self._absent.add)(self.node_ids.index(node_id))
 
     def restart(self) -> int:
@@ -149,7 +106,7 @@ class Collector:
 
         ``now_s`` is a monotonic time. Call it without frames too, to detect an unanswered SYNC.
         """
-        with self._lock:
+        with self.trust.lock:
             for t_ns, can_id, length, word in _FIELDS.iter_unpack(frames.tobytes()):
                 if can_id in self._answers:
                     slot, k, least, shift = self._answers[can_id]
@@ -157,10 +114,8 @@ class Collector:
                         self._answer(slot, k, word, word >> shift & 0xFF, t_ns)
                 elif can_id == SYNC_COB_ID:
                     self._sync(word & 0xFF if length == 1 else 0, t_ns, now_s)
-                elif can_id in self._health:
-                    k, least = self._health[can_id]
-                    if length >= least:
-                        self._watch(k, can_id, word, now_s)
+                elif can_id in self.trust.ids:
+                    self.trust.note(can_id, length, word, now_s)
             count = self._ready(now_s) - self._first
             return self._emit(count) if count else self._nothing
 
@@ -206,28 +161,9 @@ class Collector:
 
     # --- answers ----------------------------------------------------------------------------------------------------
 
-    def _watch(self, k: int, can_id: int, word: int, now_s: float) -> None:
-        """A frame that may say what 2126h is, or a heartbeat: after another, or a boot-up, values are doubtful."""
-        if self._verified[k] == _UNKNOWN:
-            return
-        if can_id >= HEARTBEAT_BASE:
-            if not word & 0xFF:
-                self._verified[k], self._seen[k] = _HIDDEN, _UNKNOWN
-        elif can_id < SDO_RESPONSE_BASE:
-            self._health_s[k] = now_s
-            self._change(k, word >> self._change_shift & 0xFF)
-        elif word & 0xFFFFFFFF == _COUNTER_READ:
-            self._change(k, word >> 32 & 0xFF)
-
-    def _change(self, k: int, counter: int) -> None:
-        if self._seen[k] != counter:
-            self._seen[k] = counter
-            if self._verified[k] != counter:
-                self._changes.add(self.node_ids[k])
-
     def _answer(self, slot: int, k: int, word: int, counter: int, t_ns: int) -> None:
         """Store an answer with ``counter``, or note that it is late, or that it can be that to no SYNC."""
-        state = _LIVE if self._verified[k] == self._seen[k] else _CHANGED
+        state = _LIVE if self.trust.shown[k] else _CHANGED
         row = last = self._last
         number = self._numbers.number
         held = False

@@ -41,6 +41,7 @@ from tipforce.host.hand.recovery_queue import RecoveryQueue
 from tipforce.host.hand.rows import Rows, Tally
 from tipforce.host.hand.supervision import Supervision
 from tipforce.host.hand.sync_producer import sync_data
+from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
 
@@ -90,7 +91,7 @@ class Hand:
         self._end_sync: Callable[[], None] = lambda: None
         self._thread: threading.Thread | None = None
         self._stopped = threading.Event()
-        self._dropped = 0  # on links that were lost
+        self._dropped = self._dropped_before = 0  # on links that were lost; of all at the last step
 
     @classmethod
     def open(
@@ -150,10 +151,11 @@ class Hand:
         """Start to receive, to send SYNCs (unless sync_hz is 0), and to monitor."""
         if self._thread is not None:
             raise InputError("the hand is already started")
-        self._prepare()
+        self._recovery.overflow = wanted_overflow(self._link, self.file, self._nodes)
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
+        self._prepare()
         self._start_sync()
 
     def rows(self, timeout_s: float | None = None) -> HandRows:
@@ -194,10 +196,10 @@ class Hand:
         return "unknown: reception has ended" if self.error is not None else self._supervisor.state_name(node_id)
 
     def settled(self) -> bool:
-        """Return whether frames are received, every finger is operational and no recovery is active."""
+        """Return whether every finger is operational and in the rows that come, and no recovery is active."""
         states = self._supervisor.states.values()
         well = self.error is None and all(state == OPERATIONAL for state in states)
-        return well and not self._queue.waiting()
+        return well and not self._queue.waiting() and self._collector.trust.settled(time.monotonic())
 
     @property
     def error(self) -> BaseException | None:
@@ -254,8 +256,11 @@ class Hand:
 
     def _prepare(self) -> None:
         """While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean."""
-        self._recovery.overflow = wanted_overflow(self._link, self.file, self._nodes)
         self._each(self._recovery.prepare)
+        states = self._supervisor.states
+        for node_id, state in states.items():
+            if state >= 0 and (state != OPERATIONAL or node_id not in self._recovery.meaning):
+                self._queue.need([node_id])
 
     def _each(self, act: Callable[[int], None]) -> None:
         """Do something with every finger that responds, in parallel; a failure is an event."""
@@ -277,8 +282,6 @@ class Hand:
             state = self._link.connection.heartbeats.state(node_id)
             if state is not None:
                 self._supervisor.know(node_id, state, time.monotonic())
-                if state != OPERATIONAL or node_id not in self._recovery.meaning:
-                    self._queue.need([node_id])
 
     # --- the receiving thread -----------------------------------------------------------------------------------
 
@@ -299,8 +302,12 @@ class Hand:
         frames = self._link.receive(timeout_s)
         now_s = time.monotonic()
         self._load.add(frames, now_s)
+        if self._dropped + self._link.dropped != self._dropped_before:
+            self._dropped_before = self._dropped + self._link.dropped
+            self._collector.trust.suspect(self.node_ids, [COUNTER])
         rows = self._collector.add(frames, now_s)
         if len(rows):
+            self._collector.trust.count_rows(rows.reason, now_s)
             self._jitter.add(rows.sync_ns)
             self._delivery.put(rows)
         self._supervision.process(frames, now_s)

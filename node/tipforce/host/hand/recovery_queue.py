@@ -24,12 +24,10 @@ class RecoveryQueue:
         self._busy: set[int] = set()
         self._due_s: dict[int, float] = {}
 
-    def need(self, node_ids: Collection[int], after_s: float = 0.0) -> None:
-        """Request the recovery of these fingers now, or after a time that begins again with each request."""
-        due_s = time.monotonic() + after_s if after_s else 0.0
+    def need(self, node_ids: Collection[int]) -> None:
+        """Request the recovery of these fingers now."""
         with self._lock:
-            for node_id in node_ids:
-                self._due_s[node_id] = due_s
+            self._due_s |= dict.fromkeys(node_ids, 0.0)
         self.tick()
 
     def drop(self, node_id: int) -> None:

@@ -16,8 +16,7 @@ from tipforce.host.hand.recovery import LOST, Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
 
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
-_CHANGE_SETTLES_S = 0.25  # from the last change of another master: a node has one SDO server, which both would use
-_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read: another master may have switched the health PDO off
+_HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
@@ -39,17 +38,22 @@ class Supervision:
         for event in self._supervisor.add(frames, self._heard_s) + self._babbling.add(frames, now_s):
             self._on_event(event)
             self._react(event)
-        for node_id in self._collector.take_changes():
-            self._changed(node_id)
-        silent = self._collector.unwatched(now_s, _HEALTH_SILENT_S)
-        self._queue.need([n for n in silent if self._supervisor.states[n] == OPERATIONAL])  # starts what is due, too
+        trust, states = self._collector.trust, self._supervisor.states
+        for node_id in trust.take_changes():
+            text = "it was changed by another master: its values are unknown until they are verified"
+            self._on_event(Event(time.monotonic(), node_id, "changed", text))
+        for node_id in trust.take_unanswered(now_s, 1.5 * self._supervisor.timeout_s):
+            if states[node_id] == OPERATIONAL:
+                self._on_event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
+                trust.suspect([node_id])
+        self._queue.need(trust.due(now_s, _HEALTH_SILENT_S))  # starts what is due, too
         self._probe(now_s)
 
     def _react(self, event: Event) -> None:
         """Request the recovery that an event calls for."""
         node_id = event.node_id
         if event.kind == "boot_up":
-            self._recovery.meaning.pop(node_id, None)  # known again when it has been set up
+            self._recovery.booted(node_id)
             self._queue.need([node_id])
         elif event.kind == "heartbeat_lost":
             self._recovery.silent(node_id)
@@ -58,18 +62,11 @@ class Supervision:
             self._collector.expect(node_id, event.code == OPERATIONAL)
             if event.code != OPERATIONAL:
                 self._queue.need([node_id])
-        elif event.kind == "duplicate":
-            self._collector.hide(node_id)  # until SDO shows that one node responds
+        elif event.kind == "heartbeat_back":
             self._queue.need([node_id])
-        elif event.kind == "heartbeat_back" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
+        elif event.kind == "duplicate" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
+            self._collector.trust.suspect([node_id])  # until SDO shows what it is, and that one node responds
             self._queue.need([node_id])
-
-    def _changed(self, node_id: int) -> None:
-        """Verify a finger whose 2126h changed; the first change since the last verification is an event."""
-        if self._recovery.doubt(node_id):
-            text = "its configuration was changed by another master: its values are unknown until they are verified"
-            self._on_event(Event(time.monotonic(), node_id, "changed", text))
-        self._queue.need([node_id], _CHANGE_SETTLES_S)
 
     def _probe(self, now_s: float) -> None:
         """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""

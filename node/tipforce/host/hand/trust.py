@@ -1,0 +1,366 @@
+"""Whether the hand knows what the values of its fingers mean, judged from the frames in the order of the bus.
+
+``known`` is what the hand has read and accepted: each watched object of a finger, as the wire carries it. A download or
+a command to the finger, by whomever, makes what it may change unsure; an SDO response or a health PDO after it says
+what that is now. Values are shown while no object is unsure. An object that is seen otherwise is a change, on which
+``foreign_changes`` decides.
+"""
+
+from __future__ import annotations
+
+import math
+import threading
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.device import codes, communication, emcy
+from tipforce.dictionary import indices, objects, table
+from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.rows import rows
+from tipforce.dictionary.signals import Message
+from tipforce.host.hand.rows import NO_ANSWER, PRESENT
+
+VERIFY_S = 0.02  # from the last request of another to the reading: a node has one SDO server, which both would use
+DECIDE_S = 0.25  # the same where something was changed, a long transfer is open, or the node restarts
+_AGAIN_S = 0.1  # between two readings
+_TRANSFER_S = 0.5  # a download without a response for so long has none
+_SETTLED_S = 1.0  # a row without the finger's value for so long, and so many rows, is no frame that was lost
+_SETTLED_ROWS = 20
+_ORDER_S = 0.01  # a response so soon after a command may be to a request before it
+_LSS_CONFIGURES = (codes.LSS_NODE_ID, codes.LSS_BIT_TIMING, codes.LSS_ACTIVATE, codes.LSS_STORE)
+_ABORT, _BLOCK_END = 0x80, 0xA1  # first byte of an SDO abort, and of the last response to a block download
+
+
+def key_of(entry: Entry[Any]) -> int:
+    """Return index and sub-index as one number, index << 8 | sub."""
+    return entry.index << 8 | entry.sub
+
+
+COUNTER, SERIAL = key_of(objects.CONFIGURATION_COUNTER), key_of(objects.IDENTITY_SERIAL)
+COMMANDED = (objects.CALIBRATION_ACTIVE_CRC, objects.TARE_F1, objects.TARE_F2, objects.TARE_F3)
+"""What commands change, besides the offsets."""
+
+
+class Finger:
+    """What is known of one finger; objects by ``key_of``."""
+
+    __slots__ = (
+        "answered_row", "answered_s", "block_until_s", "changed", "claims", "due_s", "flight_s", "health_s", "hidden",
+        "known", "pending", "place", "seen", "shown_row", "told", "transfer", "unanswered", "unsure",
+    )  # fmt: skip
+
+    def __init__(self) -> None:
+        self.known: Mapping[int, int] = {}
+        self.seen: dict[int, int] = {}
+        self.unsure: set[int] = set()
+        self.hidden = False  # the hand itself configures it, or is going to
+        self.changed = self.told = False  # something was seen otherwise; that is an event
+        self.pending = False  # to be verified
+        self.due_s = 0.0
+        # By object, the identifiers that it may send, though it should not; None: any.
+        self.claims: dict[int, set[int | None]] = {}
+        self.place, self.transfer = -1, frozenset[int]()  # of the last download, and what it may change
+        self.flight_s, self.block_until_s = -math.inf, -math.inf
+        self.health_s = math.inf
+        self.answered_row = self.shown_row = 0
+        self.answered_s, self.unanswered = math.inf, False
+
+
+class Trust:
+    """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
+
+    ``ids`` are the identifiers that ``note`` wants. Every method takes ``lock``, except ``note``, whose caller has it.
+    ``shown[k]``: the values of finger k are shown.
+    """
+
+    def __init__(self, node_ids: Sequence[int], answers: Mapping[int, int], health: Message, gauges: int) -> None:
+        self.lock = threading.Lock()
+        self.shown = [True] * len(node_ids)
+        self._node_ids = tuple(node_ids)
+        self._fingers = [Finger() for _ in node_ids]
+        self._answers = answers
+        self._rows, self._real_rows = rows(gauges, True), rows(gauges)
+        self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
+        offsets = [objects.PROCESS_OFFSET[k + 1] for k in range(gauges)]
+        self._commanded = frozenset((COUNTER, *(key_of(entry) for entry in (*COMMANDED, *offsets))))
+        self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
+        self._fixed = {codes.NMT_COB_ID: (self._nmt, -1, 2), codes.LSS_REQUEST_COB_ID: (self._lss, -1, 1)}
+        for k, node_id in enumerate(node_ids):
+            self._fixed |= {
+                health.cob_id_base + node_id: (self._health, k, health.length_bytes),
+                codes.EMCY_BASE + node_id: (self._emcy, k, 8),
+                codes.HEARTBEAT_BASE + node_id: (self._heartbeat, k, 1),
+                codes.SDO_RESPONSE_BASE + node_id: (self._response, k, 8),
+                codes.SDO_REQUEST_BASE + node_id: (self._request, k, 1),
+                codes.RPDO_BASES[0] + node_id: (self._command, k, 1),
+            }
+        self.ids = dict(self._fixed)
+
+    # --- for the thread that recovers -----------------------------------------------------------------------------
+
+    def hide(self, node_id: int) -> None:
+        """Show no values before ``learn``: the hand configures the finger itself."""
+        with self.lock:
+            self._at(node_id).hidden = True
+            self._judge()
+
+    def learn(self, node_id: int, known: Mapping[int, int]) -> None:
+        """Show values while each object is seen as in ``known``, in frames that may still wait to be processed."""
+        with self.lock:
+            finger = self._at(node_id)
+            finger.known, finger.hidden, finger.changed, finger.told = known, False, False, False
+            finger.unsure = {key for key, value in known.items() if finger.seen.get(key) != value}
+            for key in finger.unsure:
+                finger.seen.pop(key, None)
+            finger.claims = {key: values for key, values in finger.claims.items() if values != {known.get(key)}}
+            finger.pending, finger.due_s = bool(finger.unsure), self._now_s + _AGAIN_S
+            self.ids = dict(self._fixed)
+            for k, one in enumerate(self._fingers):
+                cob_id = one.known.get(communication.RPDO << 8 | 1, codes.COB_ID_INVALID)
+                if not cob_id & codes.COB_ID_INVALID:
+                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, k, 1))
+            self._judge()
+
+    def refuse(self, node_id: int, changed: Collection[int]) -> None:
+        """Keep values unknown until these objects are seen as they are known."""
+        with self.lock:
+            finger = self._at(node_id)
+            finger.hidden, finger.pending, finger.changed, finger.told = False, False, True, True
+            finger.unsure |= set(changed)
+            self._judge()
+
+    def suspect(self, node_ids: Collection[int], keys: Collection[int] | None = None) -> None:
+        """Make objects (None: all) of fingers unsure: another may have changed them unseen."""
+        with self.lock:
+            for node_id in node_ids:
+                finger = self._at(node_id)
+                self._doubt(finger, finger.known if keys is None else keys, -math.inf)
+            self._judge()
+
+    def give_up(self, node_id: int) -> None:
+        """Do not verify a silent finger again before it sends; what is unsure remains so."""
+        with self.lock:
+            self._at(node_id).pending = False
+
+    def unsure(self, node_id: int) -> list[int]:
+        """Return the objects to read; 2126h at least."""
+        with self.lock:
+            return sorted(self._at(node_id).unsure | {COUNTER}, key=lambda key: (key == COUNTER, key))
+
+    def changed(self, node_id: int) -> bool:
+        """Return whether a change is to be decided on."""
+        with self.lock:
+            return self._at(node_id).changed and self._at(node_id).pending
+
+    # --- for the thread that receives -----------------------------------------------------------------------------
+
+    def take_changes(self) -> list[int]:
+        """Return the fingers of which a change was seen since the last call."""
+        with self.lock:
+            told = [k for k, one in enumerate(self._fingers) if one.changed and not one.told]
+            for k in told:
+                self._fingers[k].told = True
+            return [self._node_ids[k] for k in told]
+
+    def due(self, now_s: float, health_s: float) -> list[int]:
+        """Return the fingers to verify now: unsure ones, and those whose health PDO did not come for ``health_s``."""
+        with self.lock:
+            self._now_s, due = now_s, []
+            for node_id, finger in zip(self._node_ids, self._fingers, strict=True):
+                if not finger.known or finger.hidden:
+                    finger.health_s = now_s
+                    continue
+                unverified = finger.pending and (finger.unsure or finger.changed) and now_s >= finger.due_s
+                if unverified or now_s - min(finger.health_s, now_s) > health_s:
+                    finger.due_s = now_s + (DECIDE_S if finger.changed else _AGAIN_S)
+                    finger.health_s = now_s
+                    due.append(node_id)
+            return due
+
+    def count_rows(self, reasons: npt.NDArray[np.uint8], now_s: float) -> None:
+        """Note the reasons (m, k) of rows."""
+        with self.lock:
+            self._row += len(reasons)
+            self._period_s, self._row_s = min(now_s - self._row_s, 10.0), now_s
+            for k, finger in enumerate(self._fingers):
+                if (reasons[:, k] == PRESENT).any():
+                    finger.shown_row = self._row
+                if (reasons[:, k] != NO_ANSWER).any() or finger.answered_s == math.inf:
+                    finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
+
+    def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:
+        """Return the verified fingers that answered no SYNC for so long; each once, until it answers again."""
+        with self.lock:
+            found = [
+                k
+                for k, one in enumerate(self._fingers)
+                if self.shown[k]
+                and not one.unanswered
+                and self._row - one.answered_row >= _SETTLED_ROWS
+                and now_s - one.answered_s > limit_s
+            ]
+            for k in found:
+                self._fingers[k].unanswered = True
+            return [self._node_ids[k] for k in found]
+
+    def settled(self, now_s: float) -> bool:
+        """Return whether rows come, and all fingers are in them."""
+        with self.lock:
+            come = now_s - self._row_s < max(_SETTLED_S, 3.0 * self._period_s)
+            return come and all(
+                shown and self._row - finger.shown_row < _SETTLED_ROWS
+                for shown, finger in zip(self.shown, self._fingers, strict=True)
+            )
+
+    def note(self, can_id: int, length: int, word: int, now_s: float) -> None:
+        """Process a frame whose identifier is in ``ids``; ``word`` is its data, little-endian."""
+        handle, k, least = self.ids[can_id]
+        if length >= least:
+            handle(self._fingers[k], word, now_s)
+            self._judge()
+
+    # --- frames -----------------------------------------------------------------------------------------------------
+
+    def _nmt(self, _finger: Finger, word: int, now_s: float) -> None:
+        command, node_id = word & 0xFF, word >> 8 & 0xFF
+        for of, finger in zip(self._node_ids, self._fingers, strict=True):
+            if node_id in (0, of):
+                restarts = command in (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
+                if restarts:
+                    self._forget(finger)
+                self._doubt(finger, (COUNTER,), now_s, DECIDE_S if restarts else VERIFY_S)
+
+    def _lss(self, _finger: Finger, word: int, now_s: float) -> None:
+        if word & 0xFF in _LSS_CONFIGURES:  # of which node the frame does not say
+            for finger in self._fingers:
+                self._doubt(finger, (SERIAL, COUNTER), now_s)
+
+    def _command(self, finger: Finger, word: int, now_s: float) -> None:
+        if word:  # an RPDO; command 0 is none
+            self._doubt(finger, self._commanded, now_s)
+
+    def _emcy(self, _finger: Finger, word: int, now_s: float) -> None:
+        if word & 0xFFFF == emcy.COB_ID_COLLISION:  # of two senders one may be another finger
+            for finger in self._fingers:
+                self._forget(finger)
+                self._doubt(finger, (COUNTER,), now_s)
+
+    def _heartbeat(self, finger: Finger, word: int, _now_s: float) -> None:
+        if not word & 0xFF and finger.known:  # a boot-up: it is set up again
+            self._forget(finger)
+            finger.hidden, finger.pending = True, False
+
+    def _health(self, finger: Finger, word: int, now_s: float) -> None:
+        finger.health_s = now_s
+        self._observe(finger, COUNTER, word >> self._shift & 0xFF, now_s)
+
+    def _response(self, finger: Finger, word: int, now_s: float) -> None:
+        first, place = word & 0xFF, _place(word)
+        if first >> 5 == 2 and first & 2:  # an expedited upload
+            size = 4 - (first >> 2 & 3) if first & 1 else 4
+            self._observe(finger, place, word >> 32 & (1 << 8 * size) - 1, now_s)
+        elif first >> 5 in (1, 5) or (first in (0x60, _ABORT) and place == finger.place):
+            finger.flight_s = -math.inf  # of a download: what is read after it is what is there
+            if first in (_ABORT, _BLOCK_END):
+                finger.block_until_s = -math.inf
+
+    def _request(self, finger: Finger, word: int, now_s: float) -> None:
+        """Process an SDO request to a finger: a download, or a part of one, makes what it may change unsure."""
+        first, specifier = word & 0xFF, word >> 5 & 7
+        in_block = now_s < finger.block_until_s  # a segment of a block may begin with any byte
+        if in_block and first == _ABORT:
+            finger.block_until_s = -math.inf
+        elif in_block or specifier == 0:
+            if first != 0x40:  # an upload by another: then nobody sends a block
+                self._doubt(finger, finger.transfer, now_s, DECIDE_S)
+                finger.flight_s = now_s
+                finger.block_until_s = now_s + _TRANSFER_S if in_block else -math.inf
+        elif specifier in (1, 6):
+            finger.place = _place(word)
+            finger.transfer = self._changed_by(finger, finger.place)
+            expedited = specifier == 1 and first & 2
+            self._doubt(finger, finger.transfer, now_s, VERIFY_S if expedited else DECIDE_S)
+            finger.flight_s = now_s
+            if _sends(finger.place):
+                finger.claims.setdefault(finger.place, set()).add(word >> 32 if expedited else None)
+            finger.block_until_s = now_s + _TRANSFER_S if specifier == 6 else -math.inf
+
+    def _changed_by(self, finger: Finger, place: int) -> frozenset[int]:
+        """Return what a download to a place may change."""
+        at = place >> 8, place & 0xFF
+        row = self._rows.get(at)
+        if row is not None and at not in self._real_rows:
+            return frozenset()  # the load on a simulated finger
+        if row is not None and row.flags & table.VIEW:
+            place = (indices.FIELD_VALUE & 0xF000 | row.index & 0xFFF) << 8 | row.sub
+        if place in finger.known:
+            return frozenset((place, COUNTER))
+        if row is None or row.access == "wo" or row.flags & table.RPDO:  # a command
+            return self._commanded
+        return frozenset((COUNTER,))
+
+    # --- judgement --------------------------------------------------------------------------------------------------
+
+    def _at(self, node_id: int) -> Finger:
+        return self._fingers[self._node_ids.index(node_id)]
+
+    def _doubt(self, finger: Finger, keys: Collection[int], now_s: float, after_s: float = VERIFY_S) -> None:
+        """Make objects unsure until they are read."""
+        if not keys:
+            return
+        for key in keys:
+            finger.seen.pop(key, None)
+        finger.unsure.update(key for key in keys if key in finger.known)
+        finger.flight_s = max(finger.flight_s, now_s + _ORDER_S - _TRANSFER_S)
+        finger.pending, finger.due_s = True, now_s + (DECIDE_S if finger.changed else after_s)
+
+    def _forget(self, finger: Finger) -> None:
+        """Nothing of a finger is sure; an identifier that it claims remains so."""
+        finger.seen.clear()
+        finger.unsure = set(finger.known)
+
+    def _observe(self, finger: Finger, key: int, value: int, now_s: float) -> None:
+        before, known = finger.seen.get(key), finger.known.get(key, value)
+        if value == known and now_s - finger.flight_s <= _TRANSFER_S:
+            return  # perhaps the response to a request before the download
+        finger.seen[key] = value
+        if value == known:
+            finger.claims.pop(key, None)
+        elif _sends(key):
+            finger.claims[key] = {value}
+        if value != known:
+            finger.unsure.add(key)
+            if before != value and not finger.hidden:
+                finger.changed = finger.pending = True
+                finger.due_s = now_s + DECIDE_S
+        elif key in finger.unsure:
+            finger.unsure.discard(key)
+            finger.pending |= finger.changed and not finger.unsure
+
+    def _judge(self) -> None:
+        for k, finger in enumerate(self._fingers):
+            self.shown[k] = not (finger.hidden or finger.unsure or self._claimed(k))
+
+    def _claimed(self, k: int) -> bool:
+        """Return whether another finger may send what is taken for an answer of this one."""
+        return any(
+            value is None or (not value & codes.COB_ID_INVALID and self._answers.get(value & codes.STANDARD_MASK) == k)
+            for other in self._fingers
+            if other.claims and other is not self._fingers[k]
+            for values in other.claims.values()
+            for value in values
+        )
+
+
+def _place(word: int) -> int:
+    """Return the index and sub-index in an SDO frame, as ``key_of`` does."""
+    return (word >> 8 & 0xFFFF) << 8 | word >> 24 & 0xFF
+
+
+def _sends(key: int) -> bool:
+    """Return whether an object is an identifier that a finger sends: of a TPDO, of its EMCY."""
+    index, sub = key >> 8, key & 0xFF
+    return index == communication.COB_ID_EMCY or (communication.TPDO <= index <= communication.LAST_TPDO and sub == 1)

@@ -1,0 +1,376 @@
+"""A running Hand, its fingers and another master on one bus in simulated time, in one thread.
+
+The nodes respond after ``LATENCY_US``, the hand looks every millisecond, and what its other threads do is done in
+between. Loads are known for each SYNC, so that every row can be compared with what pressed on the fingers.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import heapq
+import itertools
+import time
+from collections.abc import Callable, Iterator, Sequence
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from host.bus_with_nodes import beam_calibration
+from tipforce.device.node import Device
+from tipforce.dictionary.entries import Entry
+from tipforce.fingertip.node import fingertip_node
+from tipforce.host.frames.frame_array import FrameArray, frame_array
+from tipforce.host.hand import bring_up as bring_up_module
+from tipforce.host.hand import hand as hand_module
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
+from tipforce.host.hand.hand import Hand
+from tipforce.host.hand.rows import PRESENT, Rows
+from tipforce.host.network.bus import Bus
+from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.lss import LssMaster
+from tipforce.host.network.sdo import SdoChannel
+from tipforce.host.network.sdo_exchange import Exchange
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
+from tipforce.sources.simulated import SimulatedSource
+
+LATENCY_US, LOOK_US, REQUEST_US = 150, 1000, 200
+SYNC_HZ, HEARTBEAT_MS = 100, 100
+FIRST_NEWTONS = {1: 1.5, 2: 3.4}
+TOLERANCE_NEWTONS, TOLERANCE_DEG = 0.02, 1.0
+NODE_IDS = (1, 2)
+_BEGIN_NS = 1_700_000_000_000_000_000
+
+
+def force_newtons(t_us: int, node_id: int) -> float:
+    """What presses on a finger at a SYNC: 40 mN more than at the one before, over 0.25 s."""
+    return FIRST_NEWTONS[node_id] + 4e-6 * (t_us % 250_000)
+
+
+class Line:
+    """The bus, in microseconds: nodes, the host's frames, and what is due."""
+
+    def __init__(self, node_ids: Sequence[int]) -> None:
+        self.now_us = 1_000_000
+        self.stores: dict[int, dict[str, bytes]] = {n: {} for n in node_ids}
+        self.devices: dict[int, Device] = {}
+        self.sources: dict[int, SimulatedSource] = {}
+        self.host: list[tuple[int, int, bytes]] = []
+        self.echo = True  # the host receives its own frames, as a SocketCAN receiver does
+        self.ears: list[Callable[[int, bytes], None]] = []
+        self.look: Callable[[], None] = lambda: None
+        self.jobs: list[Callable[[], Any]] = []
+        self._working = False
+        self._numbers = itertools.count()
+        self._queue: list[tuple[int, int, Callable[[], None]]] = []
+        self._due_us: dict[int, int] = {}
+        for n in node_ids:
+            self.switch_on(n)
+        self._next_look_us = self.now_us
+
+    def switch_on(self, serial: int, node_id: int | None = None) -> None:
+        """Power a node of this serial, with what it stored."""
+        source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
+        store = self.stores[serial]
+
+        def save(name: str, data: bytes) -> bool:
+            store[name] = data
+            return True
+
+        node = fingertip_node(node_id or serial, source, serial=serial, save=save, load=store.get)
+        self.devices[serial], self.sources[serial] = node, source
+        self._step(serial, [])
+
+    def now_s(self) -> float:
+        """The simulated time."""
+        return 1e-6 * self.now_us
+
+    def now_ns(self) -> int:
+        """The same as a time stamp."""
+        return _BEGIN_NS + 1000 * self.now_us
+
+    def at(self, after_us: int, act: Callable[[], None]) -> None:
+        """Do something later."""
+        heapq.heappush(self._queue, (self.now_us + after_us, next(self._numbers), act))
+
+    def put(self, can_id: int, data: bytes, sender: object = None, seen: bool = True) -> None:
+        """A frame on the bus: each node takes it, and responds later."""
+        if seen:
+            self.host.append((self.now_ns(), can_id, bytes(data)))
+        for ear in self.ears:
+            ear(can_id, data)
+        for serial in self.devices:
+            if serial is not sender and serial != sender:
+                if can_id == 0x080:
+                    self.sources[serial].load = (force_newtons(self.now_us, serial), 10.0, 30.0)
+                self._step(serial, [(can_id, bytes(data))])
+
+    def _step(self, serial: int, frames: list[tuple[int, bytes]]) -> None:
+        sent, due_us = self.devices[serial].step(self.now_us, frames)
+        self._due_us[serial] = due_us
+        for can_id, data in sent:
+            self.at(LATENCY_US, lambda can_id=can_id, data=bytes(data): self.put(can_id, data, serial))
+
+    def advance(self, until_us: int) -> None:
+        """Let time pass."""
+        while True:
+            next_us = min([self._next_look_us, *self._due_us.values(), *[one[0] for one in self._queue[:1]]])
+            if next_us > until_us:
+                self.now_us = until_us
+                return
+            self.now_us = max(self.now_us, next_us)
+            if self._queue and self._queue[0][0] <= self.now_us:
+                heapq.heappop(self._queue)[2]()
+            elif self._next_look_us <= self.now_us:
+                self._next_look_us = self.now_us + LOOK_US
+                self.look()
+                if self.jobs and not self._working:
+                    self._working = True
+                    try:
+                        self.jobs.pop(0)()
+                    finally:
+                        self._working = False
+            else:
+                for serial, due_us in list(self._due_us.items()):
+                    if due_us <= self.now_us:
+                        self._step(serial, [])
+
+    def run(self, seconds: float) -> None:
+        """Let time pass from here on."""
+        self.advance(self.now_us + round(1e6 * seconds))
+
+
+class _Network:
+    """What SdoChannel and LssMaster need of a canopen.Network."""
+
+    notifier = None
+
+    def __init__(self, line: Line, echo: bool) -> None:
+        self._line, self._echo = line, echo
+        self._callbacks: dict[int, list[Callable[..., None]]] = {}
+        line.ears.append(self._hear)
+
+    def subscribe(self, can_id: int, callback: Callable[..., None]) -> None:
+        self._callbacks.setdefault(can_id, []).append(callback)
+
+    def unsubscribe(self, can_id: int, callback: Callable[..., None]) -> None:
+        self._callbacks[can_id].remove(callback)
+
+    def send_message(self, can_id: int, data: bytes) -> None:
+        self._line.put(can_id, bytes(data), seen=self._echo)
+
+    def _hear(self, can_id: int, data: bytes) -> None:
+        for callback in self._callbacks.get(can_id, []):
+            callback(can_id, bytearray(data), 0.0)
+
+
+class _Heartbeats:
+    def __init__(self, line: Line) -> None:
+        self._line, self._last = line, dict[int, tuple[float, int]]()
+        line.ears.append(self._hear)
+
+    def _hear(self, can_id: int, data: bytes) -> None:
+        if 0x700 < can_id < 0x780 and len(data) == 1:
+            self._last[can_id - 0x700] = self._line.now_s(), data[0]
+
+    def state(self, node_id: int) -> int | None:
+        return self._last[node_id][1] if node_id in self._last else None
+
+    def wait(self, node_id: int, states: Sequence[int], since_s: float, timeout_s: float) -> bool:
+        until_s = self._line.now_s() + timeout_s
+        while True:
+            heard_s, state = self._last.get(node_id, (-1.0, -1))
+            if heard_s >= since_s and state in states:
+                return True
+            if self._line.now_s() >= until_s:
+                return False
+            self._line.run(1e-3)
+
+
+class Channel(SdoChannel):
+    """SDO whose waiting lets simulated time pass."""
+
+    def __init__(self, line: Line, network: Any, node_id: int) -> None:
+        super().__init__(network, node_id, clock=line.now_s)
+        self._line = line
+
+    def _wait(self, what: str, attempt: Any, deadline_s: float = 0.0) -> bytes:
+        self._exchange = exchange = Exchange(self, what, attempt, deadline_s)
+        try:
+            while True:
+                exchange.step()
+                if exchange.done.done():
+                    return exchange.done.result()
+                self._line.run(1e-6 * REQUEST_US)
+        finally:
+            self._exchange = None
+
+
+class Connection(Bus):
+    """A host on the line."""
+
+    def __init__(self, line: Line, echo: bool = True) -> None:
+        self._line, self._sdo = line, dict[int, Channel]()
+        self.network: Any = _Network(line, echo)
+        self.heartbeats: Any = _Heartbeats(line)
+
+    def sdo(self, node_id: int) -> SdoChannel:
+        if node_id not in self._sdo:
+            self._sdo[node_id] = Channel(self._line, self.network, node_id)
+        return self._sdo[node_id]
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _Link:
+    dropped = 0
+
+    def __init__(self, line: Line, echo: bool) -> None:
+        self._line, self.connection = line, Connection(line, echo)
+        self._on = False
+
+    def receive(self, _timeout_s: float) -> FrameArray:
+        frames, self._line.host = self._line.host, []
+        return frame_array(frames)
+
+    def start_sync(self, period_s: float, data: Sequence[bytes]) -> Callable[[], None]:
+        self._on, numbers = True, itertools.cycle(data)
+
+        def sync() -> None:
+            if self._on:
+                self._line.put(0x080, next(numbers))
+                self._line.at(round(1e6 * period_s), sync)
+
+        self._line.at(0, sync)
+        return lambda: setattr(self, "_on", False)
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+class _Pool:
+    def __init__(self, line: Line) -> None:
+        self._line = line
+
+    def submit(self, act: Callable[..., Any], *words: Any) -> None:
+        self._line.jobs.append(lambda: act(*words))
+
+    def shutdown(self, **_options: Any) -> None:
+        """Nothing runs."""
+
+
+class SimulatedHand:
+    """The hand, its events and rows, and another master."""
+
+    def __init__(self, line: Line, hand: Hand) -> None:
+        self.line, self.hand = line, hand
+        self.master = Connection(line)
+        self.events: list[Event] = []
+        self.rows: list[Rows] = []
+        self.shown = self.wrong = 0
+        self.wrongs: list[str] = []
+        self._free: dict[int, float] = {}  # by node-id: from then on another meaning was accepted
+        hand.on_event(self._event)
+        hand.on_rows(self._check)
+
+    def _event(self, event: Event) -> None:
+        self.events.append(event)
+
+    def kinds(self, node_id: int) -> list[str]:
+        """What happened to a finger."""
+        return [event.kind for event in self.events if event.node_id == node_id]
+
+    def _check(self, rows: Rows) -> None:
+        self.rows.append(rows)
+        for row in range(len(rows)):
+            t_us = (int(rows.sync_ns[row]) - _BEGIN_NS) // 1000
+            for k, node_id in enumerate(NODE_IDS):
+                if rows.reason[row, k] != PRESENT or np.isnan(rows.columns["P"][row, k]):
+                    continue
+                P, phi, theta = (float(rows.columns[name][row, k]) for name in ("P", "phi", "theta"))
+                self.shown += 1
+                accepted = any(
+                    event.kind == "accepted" and event.node_id == node_id and event.text.startswith("by another")
+                    for event in self.events
+                )
+                off = abs(P - force_newtons(t_us, node_id)) > TOLERANCE_NEWTONS
+                off |= abs(phi - 10.0) > TOLERANCE_DEG or abs(theta - 30.0) > TOLERANCE_DEG
+                if off and not accepted:
+                    self.wrong += 1
+                    self.wrongs.append(f"{t_us * 1e-6:.3f} s: finger {node_id} shows {P:.3f} N, {phi:.1f}, {theta:.1f}")
+
+    def is_shown(self, node_id: int, seconds: float = 0.1) -> bool:
+        """Let time pass; return whether the finger was in every row."""
+        self.rows.clear()
+        self.line.run(seconds)
+        k = NODE_IDS.index(node_id)
+        return bool(self.rows) and all((rows.reason[:, k] == PRESENT).all() for rows in self.rows)
+
+    def write(self, entry: Entry[Any], value: Any, node_id: int = 2) -> bool:
+        """By the other master; return whether the node accepted it."""
+        from tipforce.errors import SdoAbortError
+
+        try:
+            self.master.sdo(node_id).write(entry, value)
+        except SdoAbortError:
+            return False
+        return True
+
+
+@contextlib.contextmanager
+def simulated_hand(policy: str = "refuse", echo: bool = True) -> Iterator[SimulatedHand]:
+    """A hand of fingers 1 and 2 that runs."""
+    with pytest.MonkeyPatch.context() as patch:
+        line = Line(NODE_IDS)
+        patch.setattr(time, "monotonic", line.now_s)
+        patch.setattr(time, "time_ns", line.now_ns)
+
+        def ask(self: LssMaster, service: int, payload: bytes, expected: int, timeout_s: float | None = None) -> Any:
+            answers: list[bytes] = []
+            done = SimpleNamespace(done=lambda: bool(answers), set_result=answers.append)
+            self._awaited = expected, done  # type: ignore[assignment]
+            self._send(service, payload)
+            until_us = line.now_us + round(1e6 * (0.1 if timeout_s is None else timeout_s))
+            while not answers and line.now_us < until_us:
+                line.run(5e-4)
+            return answers[0] if answers else None
+
+        patch.setattr(LssMaster, "_ask", ask)
+        for module in (hand_module, bring_up_module):
+            patch.setattr(module, "side_by_side", lambda act, of: [act(one) for one in of])
+        link = _Link(line, echo)
+        file = HandFile(
+            finger=tuple(FingerPlan(node_id=n, serial=n) for n in NODE_IDS),
+            hand=HandPlan(sync_hz=SYNC_HZ, heartbeat_ms=HEARTBEAT_MS, foreign_changes=policy, numbered_sync=True),  # type: ignore[arg-type]
+            bus={}, folder="",
+        )  # fmt: skip
+        hand = Hand(file, link)  # type: ignore[arg-type]
+        hand._queue._pool = _Pool(line)  # type: ignore[assignment]
+        thread = SimpleNamespace(start=lambda: setattr(line, "look", lambda: hand._step(0.0)), join=lambda: None)
+        patch.setattr(hand_module.threading, "Thread", lambda **_options: thread)
+        line.run(0.01)
+        for n in NODE_IDS:
+            FingertipClient(link.connection.sdo(n)).apply_calibration(beam_calibration(), store=True)
+        reports, _ = _brought_up(hand)
+        assert reports == ["finger 1: up", "finger 2: up"]
+        hand.start()
+        seen = SimulatedHand(line, hand)
+        line.run(0.3)
+        yield seen
+        line.look = lambda: None
+
+
+def _brought_up(hand: Hand) -> tuple[list[str], None]:
+    """As ``Hand.bring_up``, without the search for nodes."""
+    reports = []
+    for plan in hand.file.finger:
+        report = bring_up_module.FingerReport(plan)
+        wanted = bring_up_module.wanted_settings(hand.file, plan)
+        bring_up_module.set_up(hand.connection, hand.file, report, wanted, lambda _event: None)
+        reports.append(str(report))
+    hand._nodes = set(hand.node_ids)
+    return reports, None
