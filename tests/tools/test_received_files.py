@@ -25,15 +25,14 @@ from tools.decode.logs import decode, log_lines, write_log
 MARK = "5EC4E7"
 """Stands in every file outside; no output may have it."""
 OUTSIDE = {
-    "keep.txt": MARK,
-    "x.toml": f"{MARK} = 1\n",
-    "x.json": json.dumps({"application": MARK}),
-    "x.csv": f"t_s,{MARK}\n0,1\n",
-    "x.log": f"(1.000000) can0 123#{MARK}\n",
-    "x.png": "",
-    "x.eds": f"[FileInfo]\nFileName={MARK}\n[{MARK}]\n",
-    "x.py": f"print({MARK!r})\n",
-    "x.parquet": MARK,
+    ".toml": f"{MARK} = 1\n",
+    ".json": json.dumps({"application": MARK}),
+    ".csv": f"t_s,{MARK}\n0,1\n",
+    ".log": f"(1.000000) can0 123#{MARK}\n",
+    ".png": "",
+    ".eds": f"[FileInfo]\nFileName={MARK}\n[{MARK}]\n",
+    ".py": f"print({MARK!r})\n",
+    ".parquet": MARK,
 }
 NAMES = [
     "../x", "/etc/passwd", "{outside}/x", "a/../../x", "a/../../received/../x", "link", "folder/x", "..\\x",
@@ -48,9 +47,10 @@ def received(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     outside = tmp_path / "outside"
     inside = outside / "received"
     inside.mkdir(parents=True)
-    for name, content in OUTSIDE.items():
-        (outside / name).write_text(content)
-        (inside / f"link{Path(name).suffix}").symlink_to(outside / name)
+    (outside / "keep.txt").write_text(MARK)
+    for suffix, content in OUTSIDE.items():
+        (outside / f"x{suffix}").write_text(content)
+        (inside / f"link{suffix}").symlink_to(outside / f"x{suffix}")
     (inside / "folder").symlink_to(outside)
     (inside / "a").mkdir()
     monkeypatch.chdir(inside)
@@ -309,6 +309,7 @@ def used_and_refused(received: Path, capfd: pytest.CaptureFixture[str]) -> set[i
     lines = capfd.readouterr().err.splitlines()
     assert len(lines) == 1
     assert "data/_tipforce/manifest-" in lines[0]
+    assert "of a dataset, at `$." in lines[0]
     codes = use(received / "data", capfd)
     assert codes == {2}
     return codes

@@ -189,7 +189,7 @@ def read_manifest(store: Store) -> Manifest | None:
                 return found
             reason = f"format {found.format}, this tipforce reads {FORMAT}; generation {found.generation}"
         except msgspec.MsgspecError as error:
-            reason = str(error)
+            reason = re.sub("matching regex .* - at", "with the name of a log or a file of a dataset, at", str(error))
         _refuse_earlier(store.name, text)
         raise InputError(
             f"{place}: not a manifest that this tipforce reads ({reason}): update it if a newer one wrote the dataset; "
