@@ -335,6 +335,7 @@ class Hand:
         rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
         for node_id in self.node_ids:
             self._recovery.silent(node_id)
+        self._collector.trust.suspect(self.node_ids, [COUNTER])
         if len(rows):
             self._delivery.put(rows)
         while not self._stopped.wait(REOPEN_S):

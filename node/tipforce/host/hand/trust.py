@@ -81,7 +81,7 @@ class Trust:
         self.shown = [True] * len(node_ids)
         self._node_ids = tuple(node_ids)
         self._fingers = [Finger() for _ in node_ids]
-        self._answers = answers
+        self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | answers
         self._rows, self._real_rows = rows(gauges, True), rows(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
         offsets = [objects.PROCESS_OFFSET[k + 1] for k in range(gauges)]
