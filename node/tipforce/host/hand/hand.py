@@ -279,6 +279,7 @@ class Hand:
             if not len(self._link.receive(0.0)):
                 break
         for node_id in self.node_ids:
+            self._collector.trust.hide(node_id)
             state = self._link.connection.heartbeats.state(node_id)
             if state is not None:
                 self._supervisor.know(node_id, state, time.monotonic())
