@@ -279,6 +279,7 @@ class Hand:
             if not len(self._link.receive(0.0)):
                 break
         for node_id in self.node_ids:
+            self._collector.trust.hide(node_id)
             state = self._link.connection.heartbeats.state(node_id)
             if state is not None:
                 self._supervisor.know(node_id, state, time.monotonic())
@@ -335,6 +336,7 @@ class Hand:
         rows = self._collector.add(np.zeros(0, dtype=FRAME), math.inf)
         for node_id in self.node_ids:
             self._recovery.silent(node_id)
+        self._collector.trust.suspect(self.node_ids, [COUNTER])
         if len(rows):
             self._delivery.put(rows)
         while not self._stopped.wait(REOPEN_S):

@@ -100,7 +100,8 @@ def only_tare(changes: list[Difference]) -> bool:
 
 def needed(changes: list[Difference], wanted: Configuration) -> bool:
     """Return whether the communication of the finger is not that of the hand, which cannot use another."""
-    return any(entry.index <= communication.LAST and (entry.index, entry.sub) in wanted for entry, _, _ in changes)
+    places = [(entry.index, entry.sub) for entry, _, _ in changes if entry.index <= communication.LAST]
+    return any(place in wanted or place[0] == communication.SYNC_OVERFLOW for place in places)
 
 
 def write_back(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import time
+from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 
@@ -52,7 +53,8 @@ class Recovery:
         self._plans = {finger.node_id: finger for finger in file.finger}
         self._overflow_before: dict[int, int] = {}
         self._silent: set[int] = set()
-        self._booted: set[int] = set()
+        self._boots: Counter[int] = Counter()
+        self._set_up: dict[int, int] = {}  # after so many boot-ups
         self.overflow: int | None = None
         self.meaning: dict[int, Meaning] = {}
 
@@ -105,7 +107,7 @@ class Recovery:
 
     def booted(self, node_id: int) -> None:
         """Note that a finger booted: it is to be set up."""
-        self._booted.add(node_id)
+        self._boots[node_id] += 1
 
     def _say(self, node_id: int, kind: Kind, text: str) -> None:
         self._on_event(Event(time.monotonic(), node_id, kind, text))
@@ -119,22 +121,24 @@ class Recovery:
             command_and_wait(connection, "start", [node_id], max(1.0, 5e-3 * self._file.hand.heartbeat_ms))
             self._say(node_id, "started", f"was {NMT_STATES.get(state, 'silent')}")
             return True
+        boots = self._boots[node_id]
         self._trust.hide(node_id)
         if state == STOPPED:
             connection.nmt("preop", node_id)  # no SDO in STOPPED
         report = FingerReport(self._plans[node_id])
         set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
-        if report.ok:
-            return self._learn(node_id)
-        return self._supervisor.states[node_id] < 0
+        if report.ok and self._learn(node_id):
+            self._set_up[node_id] = boots
+            return True
+        return not report.ok and self._supervisor.states[node_id] < 0
 
     def _has_booted(self, node_id: int) -> bool:
         """Return whether a finger booted, also where it was silent and the boot-up was lost: 2126h began again."""
         if node_id in self._silent:
             if self._connection().sdo(node_id).read(objects.CONFIGURATION_COUNTER) < self.meaning[node_id].counter:
-                self._booted.add(node_id)
+                self._boots[node_id] += 1
             self._silent.discard(node_id)
-        return node_id in self._booted
+        return self._boots[node_id] > self._set_up.get(node_id, 0)
 
     def _number(self, client: FingertipClient) -> None:
         if self.overflow is not None:
@@ -147,11 +151,9 @@ class Recovery:
         if not as_wanted(found, self._wanted[node_id], self._file.calibration(plan)):
             return False
         changes = differences(self.meaning.get(node_id, found), found)
-        if not changes:
-            self._show(node_id, found)
-        elif not self._decide(node_id, found, changes):  # lost at the reset, or stored by another before it
-            return False
-        self._booted.discard(node_id)
+        if changes:  # lost at the reset, or stored by another before it
+            return self._decide(node_id, found, changes)
+        self._show(node_id, found)
         return True
 
     def _read(self, node_id: int) -> Meaning:

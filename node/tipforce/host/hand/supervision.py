@@ -46,7 +46,8 @@ class Supervision:
             if states[node_id] == OPERATIONAL:
                 self._on_event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
                 trust.suspect([node_id])
-        self._queue.need(trust.due(now_s, _HEALTH_SILENT_S))  # starts what is due, too
+        due = trust.due(now_s, _HEALTH_SILENT_S)
+        self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
         self._probe(now_s)
 
     def _react(self, event: Event) -> None:

@@ -27,10 +27,11 @@ VERIFY_S = 0.02  # from the last request of another to the reading: a node has o
 DECIDE_S = 0.25  # the same where something was changed, a long transfer is open, or the node restarts
 _AGAIN_S = 0.1  # between two readings
 _TRANSFER_S = 0.5  # a download without a response for so long has none
-_SETTLED_S = 1.0  # a row without the finger's value for so long, and so many rows, is no frame that was lost
-_SETTLED_ROWS = 20
+_SETTLED_S, _SETTLED_ROWS = 1.0, 5  # without a row for so long, or a value in so many, it is not settled
+_UNANSWERED_ROWS = 20  # rows without an answer: these are not frames that were lost
 _ORDER_S = 0.01  # a response so soon after a command may be to a request before it
 _LSS_CONFIGURES = (codes.LSS_NODE_ID, codes.LSS_BIT_TIMING, codes.LSS_ACTIVATE, codes.LSS_STORE)
+_ANY = range(1, 9)  # data lengths
 _ABORT, _BLOCK_END = 0x80, 0xA1  # first byte of an SDO abort, and of the last response to a block download
 
 
@@ -66,7 +67,7 @@ class Finger:
         self.flight_s, self.block_until_s = -math.inf, -math.inf
         self.health_s = math.inf
         self.answered_row = self.shown_row = 0
-        self.answered_s, self.unanswered = math.inf, False
+        self.answered_s, self.unanswered = math.inf, False  # the time of the last answer; said that there is none
 
 
 class Trust:
@@ -81,21 +82,21 @@ class Trust:
         self.shown = [True] * len(node_ids)
         self._node_ids = tuple(node_ids)
         self._fingers = [Finger() for _ in node_ids]
-        self._answers = answers
+        self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | answers
         self._rows, self._real_rows = rows(gauges, True), rows(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
         offsets = [objects.PROCESS_OFFSET[k + 1] for k in range(gauges)]
         self._commanded = frozenset((COUNTER, *(key_of(entry) for entry in (*COMMANDED, *offsets))))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
-        self._fixed = {codes.NMT_COB_ID: (self._nmt, -1, 2), codes.LSS_REQUEST_COB_ID: (self._lss, -1, 1)}
+        self._fixed = {codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)), codes.LSS_REQUEST_COB_ID: (self._lss, -1, _ANY)}
         for k, node_id in enumerate(node_ids):
             self._fixed |= {
-                health.cob_id_base + node_id: (self._health, k, health.length_bytes),
-                codes.EMCY_BASE + node_id: (self._emcy, k, 8),
-                codes.HEARTBEAT_BASE + node_id: (self._heartbeat, k, 1),
-                codes.SDO_RESPONSE_BASE + node_id: (self._response, k, 8),
-                codes.SDO_REQUEST_BASE + node_id: (self._request, k, 1),
-                codes.RPDO_BASES[0] + node_id: (self._command, k, 1),
+                health.cob_id_base + node_id: (self._health, k, range(health.length_bytes, 9)),
+                codes.EMCY_BASE + node_id: (self._emcy, k, range(8, 9)),
+                codes.HEARTBEAT_BASE + node_id: (self._heartbeat, k, range(1, 2)),
+                codes.SDO_RESPONSE_BASE + node_id: (self._response, k, range(8, 9)),
+                codes.SDO_REQUEST_BASE + node_id: (self._request, k, _ANY),
+                codes.RPDO_BASES[0] + node_id: (self._command, k, _ANY),
             }
         self.ids = dict(self._fixed)
 
@@ -121,7 +122,7 @@ class Trust:
             for k, one in enumerate(self._fingers):
                 cob_id = one.known.get(communication.RPDO << 8 | 1, codes.COB_ID_INVALID)
                 if not cob_id & codes.COB_ID_INVALID:
-                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, k, 1))
+                    self.ids.setdefault(cob_id & codes.STANDARD_MASK, (self._command, k, _ANY))
             self._judge()
 
     def refuse(self, node_id: int, changed: Collection[int]) -> None:
@@ -188,7 +189,7 @@ class Trust:
             for k, finger in enumerate(self._fingers):
                 if (reasons[:, k] == PRESENT).any():
                     finger.shown_row = self._row
-                if (reasons[:, k] != NO_ANSWER).any() or finger.answered_s == math.inf:
+                if (reasons[:, k] != NO_ANSWER).any() or not self.shown[k]:
                     finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
 
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:
@@ -199,7 +200,7 @@ class Trust:
                 for k, one in enumerate(self._fingers)
                 if self.shown[k]
                 and not one.unanswered
-                and self._row - one.answered_row >= _SETTLED_ROWS
+                and self._row - one.answered_row >= _UNANSWERED_ROWS
                 and now_s - one.answered_s > limit_s
             ]
             for k in found:
@@ -217,8 +218,8 @@ class Trust:
 
     def note(self, can_id: int, length: int, word: int, now_s: float) -> None:
         """Process a frame whose identifier is in ``ids``; ``word`` is its data, little-endian."""
-        handle, k, least = self.ids[can_id]
-        if length >= least:
+        handle, k, lengths = self.ids[can_id]
+        if length in lengths:
             handle(self._fingers[k], word, now_s)
             self._judge()
 
