@@ -90,7 +90,7 @@ def test_a_bus_behind_it(buses: tuple[can.BusABC, FaultyBus]) -> None:
     faulty.faults = Faults(drop=0.5, delay=0.5, delay_s=0.01)
     for k in range(100):
         sender.send(can.Message(arbitration_id=0x181, data=[k], is_extended_id=False))
-    found = []
+    found: list[bytes] = []
     while len(found) < 100 - faulty.counts["drop"]:
         delayed = faulty.recv(10.0)
         assert delayed is not None

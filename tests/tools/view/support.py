@@ -130,9 +130,9 @@ class Page:
 
     def __init__(self, server: ViewServer, **options: Any) -> None:
         port = server.guard.port
-        options = {"origin": f"http://127.0.0.1:{port}", "open_timeout": WAIT_S, "ping_interval": None} | options
+        usual: dict[str, Any] = {"origin": f"http://127.0.0.1:{port}", "open_timeout": WAIT_S, "ping_interval": None}
         self._connecting = connect(
-            f"ws://127.0.0.1:{port}/live", compression=None, max_size=None, max_queue=1, **options
+            f"ws://127.0.0.1:{port}/live", compression=None, max_size=None, max_queue=1, **(usual | options)
         )
         self._number = 0
 
