@@ -128,7 +128,7 @@ def checked(readings: Readings, model: Model) -> Readings:
 
 def _check_rails(strain: FloatArray, loads: FloatArray, model: Model) -> None:
     limit = np.inf if model.saturation_strain is None else model.saturation_strain
-    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), strain.shape[1])
+    limits = np.broadcast_to(floats("rail", limit), strain.shape[1])
     if model.saturation_strain is not None and np.isinf(limits).all():
         return
     found = rails(strain, loads, limits)
