@@ -22,18 +22,16 @@ def floats(name: str, values: npt.ArrayLike) -> FloatArray:
     """
     try:
         given = np.ma.asarray(values) if isinstance(values, list | tuple | np.ma.MaskedArray) else np.asarray(values)
-        real = given.dtype.kind in "iuf" or (given.dtype.kind == "O" and all(map(_is_real, given.flat)))
+        if given.dtype.kind not in "iuf" and not (given.dtype.kind == "O" and all(map(_is_real, given.flat))):
+            raise TypeError
         if np.ma.is_masked(given):
-            raise InputError(
-                f"{name}: {np.ma.count_masked(given)} masked entries: allowed are numbers, NaN for unknown"
-            )
-        found: FloatArray = np.asarray(given, dtype=np.float64)
-    except (TypeError, ValueError, UserWarning):
-        real = False
-    if not real:
-        shown = repr(values)
-        raise InputError(f"{name}: {shown if len(shown) < _SHOWN else shown[:_SHOWN] + '...'} is no array of numbers")
-    return found
+            count = np.count_nonzero(np.ma.getmaskarray(given))
+            raise InputError(f"{name}: {count} masked entries: allowed are numbers, NaN for unknown")
+        return np.asarray(given, dtype=np.float64)
+    except (TypeError, ValueError):
+        shown = " ".join(repr(values).split())
+        shown = shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "..."
+        raise InputError(f"{name}: {shown} is no array of numbers") from None
 
 
 def _is_real(value: object) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,6 +92,18 @@ class Calibration:
             object.__setattr__(self, name, values if values.size else np.zeros(n))
             if values.size and values.shape != (n,):
                 raise InputError(f"calibration {name}: shape {values.shape}, allowed is ({n},)")
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        for field_ in fields(self):
+            if field_.type in ("int", "float"):
+                object.__setattr__(self, field_.name, _number(field_.name, getattr(self, field_.name), field_.type))
+        if self.parameter_covariance is not None:
+            n = self.gauges
+            blocks = _array("parameter_covariance", self.parameter_covariance)
+            object.__setattr__(self, "parameter_covariance", blocks)
+            if blocks.shape != (n, 4, n, 4):
+                raise InputError(f"calibration parameter_covariance: shape {blocks.shape}, allowed is {(n, 4, n, 4)}")
 
     @classmethod
     def from_microstrain(
@@ -223,6 +235,15 @@ class Calibration:
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
     return floats(f"calibration {name}", values)
+
+
+def _number(name: str, value: Any, kind: object) -> int | float:
+    if kind == "int" and isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return int(value)
+    number = _array(name, value)
+    if number.shape != () or kind == "int":
+        raise InputError(f"calibration {name}: {value!r}, allowed is one {'integer' if kind == 'int' else 'number'}")
+    return float(number)
 
 
 def _packing(n: int) -> str:

@@ -90,7 +90,7 @@ def _unpacker(place: str, kind: str) -> Any:
 
             return zstandard.ZstdDecompressor().decompressobj().decompress
         if kind == "lz4":
-            import lz4.frame
+            import lz4.frame  # type: ignore[import-untyped]
 
             return lz4.frame.LZ4FrameDecompressor().decompress
     except ImportError as error:

@@ -149,7 +149,7 @@ def _check_model(model: Model, n: int) -> None:
         if not 0.0 <= getattr(model, name) < 1.0:
             raise InputError(f"{name} = {getattr(model, name)!r}: allowed is 0 to 1 (small angles)")
     for name in ("noise_strain", "saturation_strain"):
-        array = np.asarray(1.0 if getattr(model, name) is None else getattr(model, name), dtype=np.float64)
+        array = floats(name, 1.0 if getattr(model, name) is None else getattr(model, name))
         most = MOST if name == "noise_strain" else np.inf
         if array.shape not in {(), (n,)} or not ((array > 0.0) & (array <= most)).all():
             raise InputError(

@@ -201,11 +201,11 @@ def detect(
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")
-    V = np.asarray(strain, dtype=np.float64)
+    V = floats("strain", strain)
     n = len(model.A)
     if V.ndim < 1 or V.shape[-1] != n:
         raise InputError(f"strain has the shape {V.shape}: allowed is (..., {n})")
-    factor = np.asarray(variance_factor, dtype=np.float64)
+    factor = floats("variance_factor", variance_factor)
     alarm = scalar_redundancy.chi_square_threshold(false_alarm_rate, n - 3)
     exclusion = scalar_redundancy.chi_square_threshold(exclusion_rate, n - 4)
     with np.errstate(invalid="ignore", over="ignore"):
