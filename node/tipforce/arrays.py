@@ -1,5 +1,8 @@
 """Names of numpy's array types; shapes and units are in the docstrings that use them."""
 
+import numbers
+from decimal import Decimal
+
 import numpy as np
 import numpy.typing as npt
 
@@ -8,11 +11,28 @@ from tipforce.errors import InputError
 FloatArray = npt.NDArray[np.float64]
 BoolArray = npt.NDArray[np.bool_]
 IntArray = npt.NDArray[np.int64]
+_SHOWN = 80  # characters of a value in a message
 
 
 def floats(name: str, values: npt.ArrayLike) -> FloatArray:
-    """Return values as an array of float64. Raises InputError naming ``name`` if they are no array of real numbers."""
+    """Return values as an array of float64; NaN and infinity stay.
+
+    Raises InputError naming ``name`` for what is no array of real numbers: text, complex numbers, truth values, rows of
+    different lengths, and masked entries, whose values do not count.
+    """
     try:
-        return np.asarray(values, dtype=np.float64)
+        given = np.ma.asarray(values) if isinstance(values, list | tuple | np.ma.MaskedArray) else np.asarray(values)
+        if given.dtype.kind not in "iuf" and not (given.dtype.kind == "O" and all(map(_is_real, given.flat))):
+            raise TypeError
+        if np.ma.is_masked(given):
+            count = np.count_nonzero(np.ma.getmaskarray(given))
+            raise InputError(f"{name}: {count} masked entries: allowed are numbers, NaN for unknown")
+        return np.asarray(given, dtype=np.float64)
     except (TypeError, ValueError):
-        raise InputError(f"{name}: {values!r} is no array of numbers") from None
+        shown = " ".join(repr(values).split())
+        shown = shown if len(shown) <= _SHOWN else shown[:_SHOWN] + "..."
+        raise InputError(f"{name}: {shown} is no array of numbers") from None
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, numbers.Real | Decimal) and not isinstance(value, bool | np.bool_)

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import inspect
 import threading
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +13,7 @@ import pytest
 
 import tipforce
 from tipforce import sensor
+from tipforce.host.decoding import status_words
 from tipforce.scene import beam_calibration
 from tipforce.sensor import FABRICATED
 
@@ -18,6 +21,7 @@ NAN, INF = float("nan"), float("inf")
 CALIBRATION = beam_calibration("I", pull=True)
 SQUARE = np.eye(3)
 MODES = sensor.modes(FABRICATED, 0.02)
+SLIT = sensor.slit_stop(FABRICATED, MODES)
 
 
 def readings(**factors: float) -> tipforce.Readings:
@@ -95,3 +99,175 @@ def test_no_wait_without_a_limit_and_no_flood_of_syncs() -> None:
         ):
             with pytest.raises(tipforce.InputError):
                 call()
+
+
+# --- arrays of every public name
+
+
+STRAIN4 = np.vstack((sensor.strain_matrix(FABRICATED, "I"), [[1e-4, 0.0, 1e-4]]))
+C4 = np.linalg.pinv(STRAIN4)
+PARITY = sensor.parity(C4, 1e-12 * np.eye(4))
+GOOD = readings()
+OUTPUTS = {"Contacts", "NodeLog", "Fit"}
+"""What tipforce makes, not users."""
+
+
+def fit(**columns: object) -> object:
+    """A fit of good readings with one column replaced."""
+    return tipforce.fit_calibration(replace(GOOD, **columns))  # type: ignore[arg-type]
+
+
+ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
+    "estimate": (
+        lambda microstrain, temperature_degC: tipforce.estimate(
+            CALIBRATION, microstrain, temperature_degC=temperature_degC
+        ),
+        {"microstrain": [[1.0, 2.0, 3.0]], "temperature_degC": [20.0]},
+    ),
+    "Calibration.from_microstrain": (
+        tipforce.Calibration.from_microstrain,
+        {"matrix": CALIBRATION.C * 1e-6, "offset": [0.0, 1.0, 2.0], "covariance": SQUARE},
+    ),
+    "Calibration.from_microstrain noise": (
+        lambda noise: tipforce.Calibration.from_microstrain(CALIBRATION.C * 1e-6, noise=noise),
+        {"noise": [1.0, 2.0, 1.0]},
+    ),
+    "Calibration": (
+        tipforce.Calibration,
+        {
+            "C": CALIBRATION.C, "offset_strain": [0.0, 0.0, 0.0], "covariance_strain2": 1e-12 * SQUARE,
+            "converter_limit_strain": [1.0, 1.0, 1.0], "offset_temperature_strain_per_K": [0.0, 0.0, 0.0],
+            "parameter_covariance": np.zeros((3, 4, 3, 4)), "tip_radius_m": 0.015, "model_uncertainty": 0.01,
+            "calibrated_force_newtons": 5.0,
+        },
+    ),
+    "Readings": (fit, {name: getattr(GOOD, name) for name in ("strain", "P_newtons", "phi_rad", "theta_rad")}),
+    "Readings by time": (
+        fit,
+        {"t_s": np.arange(30.0), "weight": np.ones(30), "temperature_degC": np.full(30, 20.0)},
+    ),
+    "Model": (
+        lambda **given: tipforce.fit_calibration(GOOD, sensor.Model(**given)),
+        {"noise_strain": [1e-6, 1e-6, 1e-6], "saturation_strain": [1.0, 1.0, 1.0]},
+    ),
+    "Prior": (
+        lambda A: tipforce.fit_calibration(GOOD, sensor.Model(prior=sensor.Prior(A))),
+        {"A": sensor.strain_matrix(FABRICATED, "I")},
+    ),
+    "apparent_force": (
+        lambda wrenches: sensor.apparent_force(FABRICATED, "I", wrenches), {"wrenches": np.zeros((1, 6))}
+    ),
+    "condition_number": (sensor.condition_number, {"matrix": SQUARE}),
+    "contacts": (lambda F_newtons: sensor.contacts(F_newtons, pull=True), {"F_newtons": [1.0, 0.0, 2.0]}),
+    "covariance_of_estimate": (
+        sensor.covariance_of_estimate,
+        {
+            "C": CALIBRATION.C, "noise_covariance": 1e-12 * SQUARE, "parameter_covariance": np.zeros((3, 4, 3, 4)),
+            "F_newtons": [1.0, 0.0, 2.0],
+        },
+    ),
+    "curvature": (sensor.curvature, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
+    "detect": (
+        lambda strain, variance_factor: sensor.detect(PARITY, strain, variance_factor=variance_factor),
+        {"strain": np.zeros((2, 4)), "variance_factor": [1.0, 1.0]},
+    ),
+    "first_order_holds": (sensor.first_order_holds, {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE}),
+    "force_from_strain": (
+        sensor.force_from_strain,
+        {"C": SQUARE, "strain": [1.0, 2.0, 3.0], "offset_strain": [0.0] * 3, "tare_newtons": [0.0] * 3},
+    ),
+    "force_vector": (sensor.force_vector, {"P_newtons": [1.0], "phi_rad": [0.0], "theta_rad": [0.0]}),
+    "linear_fit": (sensor.linear_fit, {"strain": SQUARE, "F_newtons": SQUARE}),
+    "noise_gain": (sensor.noise_gain, {"C": SQUARE}),
+    "off_axis_wrenches": (
+        lambda theta_rad: sensor.off_axis_wrenches(FABRICATED, theta_rad), {"theta_rad": [0.1, 0.2]}
+    ),
+    "overload": (
+        lambda times_s, loads_newtons: sensor.overload(MODES, SLIT, times_s, loads_newtons),
+        {"times_s": np.arange(3) * 1e-4, "loads_newtons": np.zeros((3, 3))},
+    ),
+    "parity": (sensor.parity, {"C": C4, "covariance_strain2": 1e-12 * np.eye(4)}),
+    "respond": (lambda loads_newtons: sensor.respond(MODES, loads_newtons, 1e-4), {"loads_newtons": np.zeros((5, 3))}),
+    "standard_uncertainties": (
+        lambda F_newtons, covariance_F: sensor.standard_uncertainties(F_newtons, covariance_F, pull=True),
+        {"F_newtons": [1.0, 0.0, 2.0], "covariance_F": SQUARE},
+    ),
+}  # fmt: skip
+
+
+def masked(values: object) -> object:
+    """The same numbers, the first of them masked."""
+    array = np.ma.array(values, dtype=np.float64, copy=True)
+    array[(0,) * array.ndim] = np.ma.masked
+    return array
+
+
+NO_NUMBERS: dict[str, Callable[[object], object]] = {
+    "masked": masked,
+    "complex": lambda values: np.asarray(values) + 1j,
+    "text": lambda values: np.asarray(values).astype(str),
+    "truth": lambda values: np.ones(np.shape(values), dtype=np.bool_),
+    "objects": lambda values: np.full(np.shape(values), object()),
+    "rows of different lengths": lambda _: [[1.0, 2.0], [3.0]],
+}
+
+
+@pytest.mark.parametrize("kind", NO_NUMBERS)
+@pytest.mark.parametrize(("name", "argument"), [(name, key) for name, (_, given) in ARRAYS.items() for key in given])
+def test_what_is_no_array_of_numbers_is_refused_by_name(name: str, argument: str, kind: str) -> None:
+    call, given = ARRAYS[name]
+    with pytest.raises(tipforce.InputError) as refused:
+        call(**{**given, argument: NO_NUMBERS[kind](given[argument])})
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize("name", ARRAYS)
+def test_these_arrays_are_numbers(name: str) -> None:
+    call, given = ARRAYS[name]
+    call(**given)
+    plain = {key: np.ma.array(value) for key, value in given.items()}  # nothing is masked
+    call(**plain)
+
+
+def test_every_public_name_with_arrays_is_tried() -> None:
+    tried = {name.split(" ")[0] for name in ARRAYS} | OUTPUTS
+    timed = {"impact", "strain_row"}  # their arrays are times and places of a simulation
+    for module in (tipforce, sensor):
+        for name in module.__all__:
+            public = getattr(module, name)
+            with suppress(TypeError, ValueError):
+                annotations = [str(p.annotation) for p in inspect.signature(public).parameters.values()]
+                assert name in tried | timed or not any("Array" in annotation for annotation in annotations), name
+
+
+@pytest.mark.parametrize("noise", [-1.0, 0.0, NAN, INF, [1.0, -1.0, 1.0], [], [[1.0, 1.0, 1.0]], "1", True, None])
+def test_noise_that_no_gauge_has_is_refused(noise: object) -> None:
+    with pytest.raises(tipforce.InputError, match=r"calibration.*noise"):
+        tipforce.Calibration.from_microstrain(CALIBRATION.C * 1e-6, noise=noise)  # type: ignore[arg-type]
+
+
+def test_without_a_force_range_no_value_is_plainly_ok() -> None:
+    """The value stays up to a strain that no structure survives, and its status says that nothing bounds it."""
+    unranged = tipforce.Calibration.from_microstrain(CALIBRATION.C * 1e-6, noise=0.5, pull=True)
+    for microstrain in (2e4, 3.1e4, 1e5, 9.9e5):
+        reading = [-125.0, 728.7, microstrain]
+        contact = tipforce.estimate(unranged, reading)
+        ranged = tipforce.estimate(replace(unranged, calibrated_force_newtons=1e6), reading)
+        assert contact.has(tipforce.Status.UNRANGED).tolist() == [microstrain <= 3e4]
+        assert contact.has(tipforce.Status.OVERLOAD).tolist() == [microstrain > 3e4]
+        assert np.isnan(contact.P_newtons[0]) == np.isnan(ranged.P_newtons[0]) == (microstrain > 3e4)
+        assert not ranged.has(tipforce.Status.UNRANGED).any()
+    small = tipforce.estimate(unranged, [-125.0, 728.7, 323.6])
+    assert small.P_newtons[0] == pytest.approx(4.4, abs=0.01)
+    assert "the calibration states no force range" in status_words.doubts(int(small.status[0]))
+    assert not status_words.doubts(int(tipforce.estimate(CALIBRATION, [-125.0, 728.7, 323.6]).status[0]))
+
+
+def test_a_gauge_that_is_left_out_is_no_overload() -> None:
+    """Four gauges, one at the end of its converter: the others give the force."""
+    four = tipforce.Calibration(C4, np.zeros(4), 1e-12 * np.eye(4), pull=True)
+    strain = STRAIN4 @ sensor.force_vector(2.0, 1.0, 1.0) * 1e6
+    strain[3] = 9e5
+    contact = tipforce.estimate(four, [strain], lost=np.array([8]))
+    assert contact.P_newtons[0] == pytest.approx(2.0, rel=1e-6)
+    assert not contact.has(tipforce.Status.OVERLOAD).any()

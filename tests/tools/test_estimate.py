@@ -31,8 +31,12 @@ OFFSET = np.array([20e-6, -30e-6, 5e-6])
 def calibration(tmp_path: Path) -> Path:
     path = tmp_path / "cal.toml"
     write_calibration(
-        path, Calibration(calibration_matrix(FABRICATED, "I"), OFFSET, 1e-12 * np.eye(3), layout_code=1, pull=True)
-    )
+        path,
+        Calibration(
+            calibration_matrix(FABRICATED, "I"), OFFSET, 1e-12 * np.eye(3), layout_code=1, pull=True,
+            calibrated_force_newtons=10.0,
+        ),
+    )  # fmt: skip
     return path
 
 

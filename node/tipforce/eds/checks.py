@@ -51,6 +51,7 @@ def _count(section: Section, *keys: str) -> int | None:
 
 def _check_lists(file: EdsFile, found: Description) -> None:
     listed: set[int] = set()
+    known = file.objects.keys() | file.subs.keys()
     for name in _LISTS:
         section = file.sections.get(name)
         if section is None:
@@ -62,7 +63,7 @@ def _check_lists(file: EdsFile, found: Description) -> None:
             found.findings.append(section.finding(key, f"the list has {len(own)}"))
         for key, text in own:
             index = _listed_index(file, text)
-            if index is None or index not in file.objects | file.subs:
+            if index is None or index not in known:
                 found.findings.append(section.finding(key, "the file has no such section"))
                 continue
             if values.integer(text).value != index:
@@ -70,7 +71,7 @@ def _check_lists(file: EdsFile, found: Description) -> None:
             if index in listed:
                 found.findings.append(section.finding(key, "listed twice"))
             listed.add(index)
-    unlisted = sorted((found.objects.keys() & (file.objects.keys() | file.subs.keys())) - listed)
+    unlisted = sorted((found.objects.keys() & known) - listed)
     if unlisted:
         shown = ", ".join(f"0x{index:04X}" for index in unlisted[:_SHOWN]) + (", ..." if unlisted[_SHOWN:] else "")
         found.add(
@@ -85,6 +86,8 @@ def _check_parameter_values(file: EdsFile, found: Description) -> None:
     if given and not found.is_dcf:
         first = min(given, key=lambda one: one.line)
         told = f"{len(given)} ParameterValues, but no [DeviceComissioning], as a DCF has; the DefaultValues apply"
+        without = sum(not one.get("DefaultValue") for one in given)
+        told += f", where there is none ({without}) the ParameterValue" if without else ""
         found.findings.append(first.finding("ParameterValue", told))
 
 

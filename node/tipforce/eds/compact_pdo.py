@@ -53,12 +53,17 @@ def _add(
     number = 0
     while missing and number < _MOST:
         index = first + number
-        if index not in found.objects:
-            found.objects[index] = _parameter(section, found, index, number, mask, bases)
-            missing -= 1
         mapping = index + communication.MAPPING
+        made = []
+        if index not in found.objects:
+            made.append(_parameter(section, found, index, number, mask, bases))
+            missing -= 1
         if mapping not in found.objects:
-            found.objects[mapping] = _mapping(section, mapping, granularity)
+            made.append(_mapping(section, mapping, granularity))
+        for one in made:
+            found.objects[one.index] = one
+            for entry in one.entries.values():
+                found.take(entry)
         number += 1
 
 

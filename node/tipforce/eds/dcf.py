@@ -19,7 +19,9 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
     sections = dict(file.sections)
     sections.pop(_COMMISSIONING, None)
     for one in sections.values():
-        one.keys.pop("parametervalue", None)
+        text = one.keys.pop("parametervalue", None)
+        if text and not described.is_dcf and not one.get("DefaultValue"):  # it is the default, see EntryReader
+            one.keys["defaultvalue"], one.written["defaultvalue"] = text, "DefaultValue"
     without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
     for (index, sub), value in sorted(values.items()):
         section = file.entry(index, sub) if sub == 0 or index in file.subs else None
@@ -31,7 +33,12 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
             section.keys["parametervalue"] = _text(described, index, sub, value)
             section.written["parametervalue"] = "ParameterValue"
     _list_objects(file, without)
-    lines = [line for one in sections.values() for line in _lines(file, one, lists)]
+    lines: list[str] = []
+    replaced = {id(one["value"]) for index, one in file.lists.items() if index in lists and "value" in one}
+    numbers = {id(one): index for index, one in file.objects.items() if index in lists}
+    for one in sections.values():
+        if id(one) not in replaced:
+            lines += [*one.text_lines(), *_list_lines(one, lists.get(numbers.get(id(one), -1)))]
     lines += [line for index in sorted(without) for line in _object_lines(described, index, values)]
     commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]
     if described.bit_rate is not None:
@@ -39,15 +46,12 @@ def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) ->
     return "\n".join([*lines, *commissioning, "CANopenManager=0", ""])
 
 
-def _lines(file: EdsFile, section: Section, lists: Mapping[int, Mapping[int, str]]) -> list[str]:
-    """Return a section; behind that of a compact object the list of its values."""
-    found = section.text_lines()
-    index = next((number for number, one in file.objects.items() if one is section), None)
-    if index is not None and index in lists:
-        values = lists[index]
-        found += [f"[{section.name}Value]", f"NrOfEntries={len(values)}"]
-        found += [*(f"{sub}={text}" for sub, text in sorted(values.items())), ""]
-    return [] if any(section is one.get("value") for k, one in file.lists.items() if k in lists) else found
+def _list_lines(section: Section, values: Mapping[int, str] | None) -> list[str]:
+    """Return the list of the values of a compact object, which stands behind its section."""
+    if values is None:
+        return []
+    texts = (f"{sub}={text}" for sub, text in sorted(values.items()))
+    return [f"[{section.name}Value]", f"NrOfEntries={len(values)}", *texts, ""]
 
 
 def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
@@ -55,8 +59,8 @@ def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
     section = file.sections.get("optionalobjects")
     if section is None:
         return
-    for index in sorted(indices):
-        count = sum(key.isdigit() for key in section.keys) + 1
+    first = sum(key.isdigit() for key in section.keys) + 1
+    for count, index in enumerate(sorted(indices), first):
         for key, text in ((str(count), f"0x{index:04X}"), ("supportedobjects", str(count))):
             section.keys[key] = text
             section.written.setdefault(key, key)

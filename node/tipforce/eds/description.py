@@ -6,10 +6,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from tipforce.dictionary.types import TYPES, DataType, Value
-from tipforce.eds.sections import Finding
+from tipforce.eds.sections import Finding, Findings
+from tipforce.errors import InputError
 
 NULL, DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0, 2, 5, 6, 7, 8, 9  # object codes (CiA 301, 7.4.3)
 READ_ONLY, CONSTANT, WRITE_ONLY = "ro", "const", "wo"
+MOST_ENTRIES = 100_000
+"""Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
+
+MOST_VALUE_BYTES = 64 << 20
+"""Names and values of all entries, with the files of a DCF: a section may stand for 254 entries."""
 
 
 @dataclass(slots=True)
@@ -76,7 +82,7 @@ class Description:
     path: Path
     node_id: int
     objects: dict[int, Object] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: Findings = field(default_factory=Findings)
     content: bytes = b""
     vendor_name: str = ""
     product_name: str = ""
@@ -88,6 +94,20 @@ class Description:
     lss: bool = True
     dummies: frozenset[int] | None = None
     is_dcf: bool = False
+    count: int = 0
+    value_bytes: int = 0
+
+    def take(self, entry: Entry) -> Entry:
+        """Count an entry, and return it. Raises InputError beyond MOST_ENTRIES and MOST_VALUE_BYTES."""
+        self.count += 1
+        if self.count > MOST_ENTRIES:
+            raise InputError(f"{self.path}:{entry.line}: {entry.place}: more than {MOST_ENTRIES} entries, the limit")
+        self.value_bytes += len(entry.name)
+        self.value_bytes += sum(len(v) for v in (entry.default, entry.value) if isinstance(v, str | bytes))
+        if self.value_bytes > MOST_VALUE_BYTES:
+            told = f"more than {MOST_VALUE_BYTES} bytes of names and values up to it, the limit"
+            raise InputError(f"{self.path}:{entry.line}: {entry.place}: {told}")
+        return entry
 
     def add(self, line: int, text: str) -> None:
         """Note what is wrong at ``line``."""

@@ -105,18 +105,20 @@ class EntryReader:
         return bool(value)
 
     def _read_values(self, entry: Entry, section: Section) -> None:
-        entry.has_default = bool(section.get("DefaultValue"))
-        entry.default, entry.has_node_id = self._value(entry, section, "DefaultValue")
+        # Editors of some vendors write the default of a device as ParameterValue, also in an EDS.
+        key = "DefaultValue" if section.get("DefaultValue") or self._into.is_dcf else "ParameterValue"
+        entry.has_default = bool(section.get(key))
+        entry.default, entry.has_node_id = self._value(entry, section, key)
         if section.get("ParameterValue") and self._into.is_dcf:
             entry.value, _ = self._value(entry, section, "ParameterValue")
         for key in ("UploadFile", "DownloadFile"):
             name = section.get(key)
             if name:
-                content, told = file_content(self._into.path, name)
-                if entry.type.python is not bytes:
+                if entry.type.python is bytes:
+                    content, told = file_content(self._into.path, name)
+                    entry.value = entry.value if content is None else content
+                else:
                     told = f"only a DOMAIN has a file, not {entry.type.name}; not read"
-                elif content is not None:
-                    entry.value = content
                 if told:
                     self._into.findings.append(section.finding(key, told))
 

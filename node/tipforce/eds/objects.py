@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from tipforce.device import communication
 from tipforce.eds import description as eds
 from tipforce.eds import standard, values
@@ -11,6 +13,7 @@ from tipforce.eds.sections import EdsFile, Section
 
 _OBJECT_CODES = (eds.NULL, eds.DOMAIN, eds.DEFTYPE, eds.DEFSTRUCT, eds.VAR, eds.ARRAY, eds.RECORD)
 _MOST_COMPACT = 254
+_LONGEST_NAME = 255  # CiA 306-1 has 241
 _CODE_OF_WORD = {"domain": eds.DOMAIN, "var": eds.VAR, "array": eds.ARRAY, "record": eds.RECORD}
 
 
@@ -43,14 +46,14 @@ class _Object:
             if self._index >= communication.FIRST and code != eds.NULL:
                 self._say("ObjectType", "a type definition has no value; left out")
             return None
-        name = self._own.get("ParameterName") if self._section is not None else None
+        name = self._name(self._own) if self._section is not None else None
         if not name:
             name = f"{self._index:04X}h"
             if self._section is not None:
                 self._say("ParameterName", f"called {name!r}")
         found = Object(self._index, name, code, self._own.line)
         if code in (eds.VAR, eds.DOMAIN):
-            found.entries[0] = self._entries.read(0, self._own, name, code == eds.DOMAIN)
+            found.entries[0] = self._into.take(self._entries.read(0, self._own, name, code == eds.DOMAIN))
         else:
             self._read_list(found)
         return found if found.entries else None
@@ -109,23 +112,29 @@ class _Object:
         inherited = None if self._section is None else self._section
         for sub in sorted(self._subs):
             section = self._subs[sub]
-            name = section.get("ParameterName") or ""
+            name = self._name(section)
             if not name:
                 name = f"{found.name} {sub}"
                 self._into.findings.append(section.finding("ParameterName", f"called {name!r}"))
             code = self._object_type(section) if section.get("ObjectType") else eds.VAR
             if code not in (eds.VAR, eds.DOMAIN):
                 self._into.findings.append(section.finding("ObjectType", "a sub-index is a VAR; read as one"))
-            found.entries[sub] = self._entries.read(sub, section, name, code == eds.DOMAIN, inherited)
+            entry = self._entries.read(sub, section, name, code == eds.DOMAIN, inherited)
+            found.entries[sub] = self._into.take(entry)
         self._check_count(found)
 
     def _read_compact(self, found: Object, section: Section, count: int) -> None:
         lists = self._file.lists.get(self._index, {})
+        listed = {name: _listed(section) for name, section in lists.items()}
+        read: dict[str | None, Entry] = {}  # by the type that CiA 301 has, where it has one
         for sub in range(1, count + 1):
-            name = _listed(lists.get("name"), sub) or f"{found.name}{sub}"
-            entry = self._entries.read(sub, section, name, False, quiet=sub > 1)
-            entry.denotation = _listed(lists.get("denotation"), sub) or ""
-            text = _listed(lists.get("value"), sub)
+            name = listed.get("name", {}).get(sub) or f"{found.name}{sub}"
+            letter = standard.standard_letter(self._index, sub)
+            if letter not in read:
+                read[letter] = self._entries.read(sub, section, name, False, quiet=sub > 1)
+            entry = self._into.take(replace(read[letter], sub=sub, name=name))
+            entry.denotation = listed.get("denotation", {}).get(sub) or ""
+            text = listed.get("value", {}).get(sub)
             if text is not None and "value" in lists:
                 self._apply_listed(entry, lists["value"], text)
             found.entries[sub] = entry
@@ -186,6 +195,12 @@ class _Object:
                 self._subs[0].finding("DefaultValue", f"the highest sub-index is {highest}; the value stays")
             )
 
+    def _name(self, section: Section) -> str:
+        name = section.get("ParameterName") or ""
+        if len(name) > _LONGEST_NAME:
+            self._into.findings.append(section.finding("ParameterName", f"cut to {_LONGEST_NAME} characters"))
+        return name[:_LONGEST_NAME]
+
     def _say(self, key: str, what: str) -> None:
         if self._section is not None:
             self._into.findings.append(self._section.finding(key, what))
@@ -196,10 +211,11 @@ def _sub_of(key: str) -> int | None:
     return values.integer(key).value if key[:1].isdigit() else None
 
 
-def _listed(section: Section | None, sub: int) -> str | None:
-    if section is None:
-        return None
-    plain = section.get(str(sub))
-    if plain is not None:
-        return plain
-    return next((text for key, text in section.keys.items() if _sub_of(key) == sub), None)
+def _listed(section: Section) -> dict[int, str]:
+    """Return the texts of a list by sub-index; ``1`` applies before ``0x1``, else the first."""
+    found: dict[int, str] = {}
+    for key, text in section.keys.items():
+        sub = _sub_of(key)
+        if sub is not None and (sub not in found or key == str(sub)):
+            found[sub] = text
+    return found

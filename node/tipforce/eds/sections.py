@@ -13,7 +13,13 @@ _OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})", re.IGNORECASE)
 _SUB = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*sub\s*(?:0x)?([0-9a-f]{1,2})", re.IGNORECASE)
 _LIST = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*(name|value|denotation)", re.IGNORECASE)
 _NEAR_OBJECT = re.compile(r"(?:0x)?[0-9][0-9a-f]{3}(?!.*objectlinks$)", re.IGNORECASE)
-_MOST_BYTES = 32 << 20
+MOST_BYTES, MOST_LINES, MOST_CHARACTERS = 32 << 20, 1_000_000, 64 << 20
+"""Of a file: its bytes, its lines, and the characters of its sections, in which an XDD may repeat a parameter."""
+
+LONGEST_TEXT = 1 << 16
+"""Most characters of a name or a value; CiA 306-1 has lines of 255."""
+
+MOST_FINDINGS = 100_000
 _SHOWN_CHARACTERS = 80
 
 
@@ -61,6 +67,21 @@ class Section:
         return Finding(self.line_of(key), self.complaint(key, what))
 
 
+class Findings(list[Finding]):
+    """The findings in a file; too many of them are the end: InputError."""
+
+    def __init__(self, path: str | Path = "") -> None:
+        super().__init__()
+        self._path = path
+
+    def append(self, finding: Finding) -> None:
+        """Add a finding. Raises InputError beyond MOST_FINDINGS."""
+        if len(self) >= MOST_FINDINGS:
+            told = f"{MOST_FINDINGS} remarks up to here, which is the limit; the file is no EDS of a device"
+            raise InputError(f"{self._path}:{finding.line}: {told}")
+        super().append(finding)
+
+
 def shortened(text: str) -> str:
     """Return a text as a message shows it."""
     return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
@@ -77,8 +98,23 @@ class EdsFile:
     objects: dict[int, Section] = field(default_factory=dict)
     subs: dict[int, dict[int, Section]] = field(default_factory=dict)
     lists: dict[int, dict[str, Section]] = field(default_factory=dict)
-    findings: list[Finding] = field(default_factory=list)
+    findings: Findings = field(default_factory=Findings)
     is_xml: bool = False
+    path: str | Path = ""
+    characters: int = 0
+
+    def take(self, line: int, *texts: str) -> None:
+        """Count texts of the file before they are stored. Raises InputError beyond the limits."""
+        longest = max(map(len, texts))
+        if longest > LONGEST_TEXT:
+            raise self.error(line, f"a name or value of {longest} characters; allowed are {LONGEST_TEXT}")
+        self.characters += sum(map(len, texts))
+        if self.characters > MOST_CHARACTERS:
+            raise self.error(line, f"more than {MOST_CHARACTERS} characters in its sections, which is the limit")
+
+    def error(self, line: int, what: str) -> InputError:
+        """The error for a file that is beyond a limit."""
+        return InputError(f"{self.path}:{line}: {what}")
 
     @property
     def text(self) -> str:
@@ -110,14 +146,14 @@ def read(path: str | Path) -> EdsFile:
         content = Path(path).read_bytes()
     except (OSError, ValueError) as error:
         raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
-    if len(content) > _MOST_BYTES:
-        raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {_MOST_BYTES}")
+    if len(content) > MOST_BYTES:
+        raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {MOST_BYTES}")
     text, finding = decoded(content)
     if text.lstrip().startswith("<"):
         from tipforce.eds.xdd_reader import read_xdd
 
         return read_xdd(path, content)
-    found = parse(text)
+    found = parse(text, path)
     found.findings[:0] = finding
     if not found.sections:
         raise InputError(
@@ -141,11 +177,14 @@ def decoded(content: bytes) -> tuple[str, list[Finding]]:
         return content.decode("cp1252", "replace"), [Finding(line, told)]
 
 
-def parse(text: str) -> EdsFile:
-    """Never raises: lines that are no part of an EDS, and what occurs twice, become findings."""
-    found = EdsFile()
+def parse(text: str, path: str | Path = "") -> EdsFile:
+    """Lines that are no part of an EDS, and what occurs twice, become findings. Raises InputError beyond the limits."""
+    found = EdsFile(path=path, findings=Findings(path))
     section: Section | None = None
-    for number, raw in enumerate(text.replace("\r\n", "\n").replace("\r", "\n").split("\n"), 1):
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > MOST_LINES:
+        raise found.error(count, f"{count} lines; allowed are {MOST_LINES}")
+    for number, raw in enumerate(text.split("\n"), 1):
         line = raw.strip(" \t\x00\x1a\ufeff")
         if not line or line.startswith((";", "#")):
             continue
@@ -181,6 +220,7 @@ def _shown(line: str) -> str:
 
 def open_section(found: EdsFile, name: str, number: int) -> Section:
     """Add a section that begins at a line; a second one of its name is reported, and not applied."""
+    found.take(number, name)
     section = Section(name, number)
     key = "".join(name.lower().split())
     if key in found.sections:
@@ -207,6 +247,7 @@ def open_section(found: EdsFile, name: str, number: int) -> Section:
 
 def add_key(found: EdsFile, section: Section, name: str, value: str, number: int) -> None:
     """Add a key of a line; a second one of its name is reported, and not applied."""
+    found.take(number, name, value)
     key = "".join(name.lower().split())
     if key != name.lower():
         found.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")

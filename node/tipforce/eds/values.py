@@ -21,6 +21,7 @@ _AS_ZERO = "read as 0"
 _READ = "{}"  # in a remark: the number with its sign
 _COMMENT = re.compile(r";|#|//")
 _MOST_DIGITS = 40
+_LONGEST_SUM = 255  # characters; a line of CiA 306-1
 
 
 class Read(NamedTuple):
@@ -46,6 +47,8 @@ def integer(text: str, node_id: int = 0) -> Read:
     plain, remark = uncommented(text)
     if not plain:
         return Read(None, False, "no number")
+    if len(plain) > _LONGEST_SUM:
+        return Read(None, False, f"{len(plain)} characters are no number")
     if not _NODE_ID.search(plain):
         value, told = _number(plain)
         return Read(value, False, told or remark)

@@ -8,7 +8,7 @@ from pathlib import Path
 from xml.parsers import expat
 
 from tipforce.device import communication
-from tipforce.eds.sections import EdsFile, Section, add_key, open_section
+from tipforce.eds.sections import MOST_LINES, EdsFile, Findings, Section, add_key, open_section
 from tipforce.errors import InputError
 
 _ACCESS = {
@@ -39,11 +39,19 @@ _DIGITS = re.compile(r"[0-9A-Fa-f]+")
 _HEXADECIMAL = ("dataType", "objFlags")
 _PDO_ACCESS = {"TPDO": "rwr", "RPDO": "rww"}
 _KBIT = 1000
+DEEPEST, MOST_ATTRIBUTES = 64, 64
+"""Levels of elements, and attributes of one; CiA 311 has about 12 and 20."""
+
+_LONGEST_TEXT = 255  # characters of an element of _IDENTITY
 Attributes = Mapping[str, str]
 
 
 def read_xdd(path: str | Path, content: bytes) -> EdsFile:
-    """Return the objects of an XDD or XDC. Raises InputError for what is no XML, or has a document type of its own."""
+    """Return the objects of an XDD or XDC.
+
+    Raises InputError for what is no XML, has a document type of its own (so there are no entities), or has more than
+    MOST_LINES elements, DEEPEST levels, or the limits of ``EdsFile.take``.
+    """
     reader = _Reader(str(path))
     try:
         reader.parser.Parse(content, True)
@@ -67,13 +75,31 @@ class _Reader:
         self._parameters: dict[str, dict[str, str]] = {}
         self._parameter: dict[str, str] | None = None
         self._objects: list[tuple[int, str, Attributes]] = []
-        self._index = self._text = ""
+        self._index = ""
+        self._text: str | None = None  # of an element of _IDENTITY
+        self._depth = self._elements = 0
 
     def _doctype(self, *_: object) -> None:
-        raise InputError(f"{self._path}: a document type of its own (DOCTYPE); an XDD has none")
+        raise self._error("a document type of its own (DOCTYPE); an XDD has none")
+
+    def _error(self, what: str) -> InputError:
+        return InputError(f"{self._path}:{self.parser.CurrentLineNumber}: {what}")
+
+    def _check_limits(self, given: Attributes) -> None:
+        self._depth += 1
+        self._elements += 1
+        if self._depth > DEEPEST:
+            raise self._error(f"elements in more than {DEEPEST} levels, which is the limit")
+        if self._elements > MOST_LINES:
+            raise self._error(f"more than {MOST_LINES} elements, which is the limit")
+        if len(given) > MOST_ATTRIBUTES:
+            raise self._error(f"an element with {len(given)} attributes; allowed are {MOST_ATTRIBUTES}")
 
     def _start(self, tag: str, given: dict[str, str]) -> None:
-        name, self._text = tag.rpartition(":")[2], ""
+        self._check_limits(given)
+        given = {key: " ".join(value.splitlines()).strip() for key, value in given.items()}
+        name = tag.rpartition(":")[2]
+        self._text = "" if name in _IDENTITY else None
         line = self.parser.CurrentLineNumber
         if name == "CANopenObject":
             self._index = given.get("index", "")
@@ -102,18 +128,23 @@ class _Reader:
             parameter.setdefault("dataType", f"{_TYPES[name]:04X}")
 
     def _characters(self, text: str) -> None:
-        self._text += text
+        if self._text is not None:
+            self._text += text
+            if len(self._text) > _LONGEST_TEXT:
+                raise self._error(f"a name of more than {_LONGEST_TEXT} characters, which is the limit")
 
     def _end(self, tag: str) -> None:
+        self._depth -= 1
         name = tag.rpartition(":")[2]
         if name == "parameter":
             self._parameter = None
-        elif name in _IDENTITY and self._text.strip():
-            self._info.setdefault(_IDENTITY[name], self._text.strip())
+        elif name in _IDENTITY and self._text and self._text.strip():
+            self._info.setdefault(_IDENTITY[name], " ".join(self._text.split()))
+        self._text = None
 
     def file(self) -> EdsFile:
         """Return the sections."""
-        found = EdsFile(is_xml=True)
+        found = EdsFile(is_xml=True, path=self._path, findings=Findings(self._path))
         _section(found, "FileInfo", {"FileName": Path(self._path).name})
         _section(found, "DeviceInfo", self._info)
         if self._dummies:
@@ -133,7 +164,7 @@ class _Reader:
 def _section(found: EdsFile, name: str, keys: Attributes, line: int = 1) -> Section:
     section = open_section(found, name, line)
     for key, value in keys.items():
-        add_key(found, section, key, " ".join(value.splitlines()), line)
+        add_key(found, section, key, value, line)
     return section
 
 

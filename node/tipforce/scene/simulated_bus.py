@@ -33,6 +33,7 @@ Load = tuple[float, float, float]
 
 NO_LOAD: Load = (0.0, 0.0, 0.0)
 FAULTS = {"none": 0, "stuck": STUCK, "open": OPEN, "saturated": SATURATED, "silent": SILENT, "drift": DRIFT}
+_LARGEST_NEWTONS = 15.0  # the slit of the fabricated body closes at 15.2 N, it yields at 25 N (sensor.design.materials)
 _ROUNDING_MICROSTRAIN = 0.1
 _WAKE_COB_ID = codes.STANDARD_MASK
 _numbers = itertools.count()
@@ -200,7 +201,10 @@ def beam_calibration(layout: str = "I", pull: bool = False, noise_microstrain: f
     C = calibration_matrix(FABRICATED, layout)
     variance = (noise_microstrain * 1e-6) ** 2 + (_ROUNDING_MICROSTRAIN * 1e-6) ** 2 / 12
     n = C.shape[1]
-    return Calibration(C, np.zeros(n), np.eye(n) * variance, layout_code=layout_code(layout), pull=pull)
+    return Calibration(
+        C, np.zeros(n), np.eye(n) * variance, layout_code=layout_code(layout), pull=pull,
+        calibrated_force_newtons=_LARGEST_NEWTONS,
+    )  # fmt: skip
 
 
 def _pulls(load: Load) -> bool:

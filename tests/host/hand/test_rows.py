@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import random
 import struct
 
 import numpy as np
@@ -13,7 +14,7 @@ from hypothesis import strategies as st
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.rows import CHANGED, DOUBTFUL, NO_ANSWER, PRESENT, Rows
-from tipforce.host.hand.sync_numbers import RESTARTED, SyncNumbers
+from tipforce.host.hand.sync_numbers import LARGEST, RESTARTED, SyncNumbers
 from tipforce.host.hand.trust import COUNTER
 
 SYNC = (0x80, b"")
@@ -397,6 +398,92 @@ def test_however_the_stream_is_cut(numbered: bool, plan: list[tuple[bool, bool, 
     assert [number for number, _ in stream.rows] == list(range(len(stream.rows)))
     assert stream.collector.tally.missing.tolist() == [sum(row[k] is None for row in expected) for k in (0, 1)]
     assert stream.collector.tally.late.tolist() == [0, 0]
+
+
+def faulty_frames(seed: int, numbered: bool) -> list[tuple[int, bytes]]:
+    """SYNCs and answers of two fingers with lost, doubled, late, stale and foreign ones; the counters wrap."""
+    pick = random.Random(seed)
+    number, sample = pick.randint(1, 240), pick.randint(0, 255)
+    frames: list[tuple[int, bytes]] = []
+    for _ in range(pick.randint(1, 25)):
+        number = (number + (pick.randint(0, 3) if pick.random() < 0.1 else 0)) % 240 + 1
+        sample += 1
+        counter = number if numbered else sample
+        if pick.random() > 0.15:
+            frames.append(sync(number) if numbered else SYNC)
+        for node_id in (1, 2):
+            if pick.random() < 0.2:
+                continue
+            frames.append(answer(node_id, counter, 10 * sample + node_id, stale=pick.random() < 0.05))
+            if pick.random() < 0.1:
+                frames.append(pick.choice((frames[-1], answer(node_id, counter, 9))))
+        if frames and pick.random() < 0.1:
+            frames.append(pick.choice(frames[-8:]))
+    return frames
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+@given(st.integers(0, 1 << 32), st.lists(st.integers(1, 9), max_size=60), st.booleans())
+def test_faults_have_the_same_rows_however_the_stream_is_cut(
+    numbered: bool, seed: int, cuts: list[int], absent: bool
+) -> None:
+    frames = faulty_frames(seed, numbered)
+    results = []
+    for sizes in ([], [1] * len(frames), cuts):
+        stream = Stream(1, 2, messages=("Contact",), wait_s=1e6)
+        stream.collector.expect(2, not absent)
+        place = 0
+        for size in [*sizes, len(frames)]:
+            stream.add(*frames[place : place + size])
+            place += size
+        stream.now_s = 2e6
+        stream.add()
+        tally = stream.collector.tally
+        counts = [count.tolist() for count in (tally.missing, tally.doubtful, tally.late, tally.repeated)]
+        results.append((repr(stream.rows), stream.reasons, stream.numbered, counts))
+    assert results[0] == results[1] == results[2]
+
+
+@pytest.mark.parametrize("cut", [1, 20])
+def test_without_numbers_a_lost_answer_has_no_counter(cut: int) -> None:
+    """A missing answer is no counter 0, and of three equal ones two are duplicates."""
+    frames = [
+        SYNC,
+        answer(1, 254),
+        SYNC,
+        answer(1, 255),
+        SYNC,
+        *(one for k in (0, 1, 1, 1) for one in (SYNC, answer(1, k))),
+    ]
+    stream = Stream(1)
+    for place in range(0, len(frames), cut):
+        stream.add(*frames[place : place + cut])
+    stream.add(SYNC)
+    assert [reason for (reason,) in stream.reasons[:7]] == [
+        PRESENT, PRESENT, NO_ANSWER, PRESENT, PRESENT, DOUBTFUL, DOUBTFUL
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("own", [True, False])
+@pytest.mark.parametrize("seed", range(4))
+def test_syncs_with_random_numbers_make_no_flood_of_rows(own: bool, seed: int) -> None:
+    """Rows of SYNCs that were not received are at most as many as SYNCs were, and one count; the tally has them all."""
+    pick, syncs = random.Random(seed), 3000
+    collector = Collector((1, 2), wait_s=1e-3, own_sync=own)
+    t_ns = rows = 0
+    for _ in range(syncs):
+        t_ns += pick.choice((1, 1, 20, 60, 110)) * PERIOD_NS
+        rows += len(collector.add(frame_array([(t_ns, 0x80, bytes((pick.randint(1, 255),)))]), 1e-9 * t_ns))
+    assert syncs - 1 <= rows <= 2 * syncs + LARGEST
+    assert not own or collector.tally.unreceived > 10 * rows
+    number = 0
+    for number in range(1, 400):  # an orderly count follows: shown after half of the numbers
+        t_ns += PERIOD_NS
+        frames = [(t_ns, 0x80, bytes((number % 240 + 1,)))]
+        frames += [(t_ns, 0x280 + k, answer(k, number % 240 + 1)[1]) for k in (1, 2)]
+        found = collector.add(frame_array(frames), 1e-9 * t_ns)
+    assert len(found) == 1
+    assert not found.missing.any()
 
 
 def test_columns_are_there_although_nobody_answers() -> None:

@@ -105,9 +105,9 @@ def _stored(sdo: SdoChannel) -> Description | None:
     except SdoAbortError:
         return None
     text, findings = decoded(content)
-    file = parse(text)
-    file.findings[:0] = findings
     try:  # the node does not choose files of this machine: its UploadFile is below no folder
+        file = parse(text)
+        file.findings[:0] = findings
         return describe(file, Path(os.devnull, "1021h"), content, sdo.node_id)
     except InputError:
         return None

@@ -15,7 +15,9 @@ Columns: t_s (receive time, seconds of the epoch; a UTC timestamp in Parquet), c
 counter (unwrapped), P_N, phi_deg, theta_deg, F1_N.., SG1_ue.. (microstrain), status flags; those in the log.
 --resample takes the mean over each interval, for phi and theta of their directions; `n_P_N` is the number of samples.
 Lost samples (gaps in the counter) and bad lines are reported on stderr; with --json and -o, as a summary on stdout.
-exit codes: 0 ok, 1 a bad line with --strict, a full disk, a damaged log or one of other devices, 2 usage
+A packed log may unpack to 200 times its bytes, or 256 MiB; a log may have 256 interfaces.
+exit codes: 0 ok, 1 a bad line with --strict, a full disk, a damaged log or one of other devices, frames left out of
+more than 256 interfaces, 2 usage
 
   tipforce decode run.log                                    text
   tipforce decode run.log -o run.csv

@@ -8,8 +8,9 @@ from contextlib import suppress
 from pathlib import Path
 
 from tipforce.host.decoding.log_part import Reading
-from tipforce.host.logs.lines import decompressed, open_file
+from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.reader import log_kind
+from tipforce.host.logs.unpacking import decompressed
 from tipforce.visible_text import visible
 
 HASHED_BYTES = 1 << 16

@@ -15,7 +15,7 @@ from tipforce.host.decoding import status_words
 from tipforce.host.decoding.log_part import StrictError
 from tipforce.host.decoding.recording import Recording, Told
 from tipforce.host.decoding.sample_table import Column, Table
-from tipforce.host.frames.frame_array import FrameArray
+from tipforce.host.frames.frame_array import MAX_CHANNELS, FrameArray
 from tipforce_tools.cli import common
 from tipforce_tools.cli.listening import counted
 from tipforce_tools.decode import choice
@@ -33,7 +33,7 @@ _FIRST_ROWS = 100_000  # inspected before the first is written, so that rare col
 
 
 def decode(args: Namespace) -> int:
-    """Decode logs; return 0, or 1 for a bad line with --strict.
+    """Decode logs; return 0, or 1 for a bad line with --strict, and where frames of too many interfaces are left out.
 
     Raises InputError for unusable input, EnvironmentLackError for a missing package, OSError for a full disk.
     """
@@ -71,7 +71,17 @@ def decode(args: Namespace) -> int:
     elif args.summary:
         for line in (*summaries.lines(summary, recording.told), *summaries.event_lines(recording.told)):
             print(line)
-    return code
+    dropped = summaries.bad_lines(recording.told).get("interface", 0)
+    if dropped:
+        print(f"tipforce decode: {_left_out(dropped)}", file=sys.stderr)
+    return 1 if dropped else code
+
+
+def _left_out(frames: int) -> str:
+    return (
+        f"{counted(frames, 'frame')} left out: a log may have {MAX_CHANNELS} interfaces; decode the others apart, as "
+        "with `grep ' can300 ' run.log | tipforce decode -`"
+    )
 
 
 class _Steps:

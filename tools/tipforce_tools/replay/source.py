@@ -7,10 +7,11 @@ from collections.abc import Iterator
 from itertools import islice
 from pathlib import Path
 
-from tipforce.errors import InputError
+from tipforce.errors import InputError, TipforceError
 from tipforce.host.frames.frame_block import CandumpBlock
 from tipforce.host.logs.candump import BadLineError, CandumpParser
-from tipforce.host.logs.lines import decompressed, open_file
+from tipforce.host.logs.lines import open_file
+from tipforce.host.logs.unpacking import decompressed
 from tipforce_tools.dump.text_source import text_blocks
 
 STDIN = "-"
@@ -66,19 +67,20 @@ def _parsed(lines: list[bytes], parser: CandumpParser) -> Iterator[CandumpBlock]
 
 
 def _message_blocks(path: Path) -> Iterator[CandumpBlock]:
-    import can
-
     from tipforce.host.live.receive_python_can import message_block
+    from tipforce.host.logs.library_formats import message_reader
 
     names: dict[str, int] = {}
     try:
-        with can.LogReader(path) as reader:
+        with message_reader(path) as reader:
             messages = iter(reader)
             while chunk := list(islice(messages, _BLOCK_FRAMES)):
                 for message in chunk:
                     if isinstance(message.channel, int):
                         message.channel = f"can{message.channel}"
                 yield message_block(chunk, names)
+    except TipforceError:
+        raise
     except OSError as error:
         raise InputError(f"{path}: {error.strerror or error}") from error
     except Exception as error:  # python-can's readers raise any exception on a damaged file

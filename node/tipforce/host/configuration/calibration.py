@@ -5,7 +5,7 @@ from __future__ import annotations
 import binascii
 import struct
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from itertools import islice
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -92,6 +92,18 @@ class Calibration:
             object.__setattr__(self, name, values if values.size else np.zeros(n))
             if values.size and values.shape != (n,):
                 raise InputError(f"calibration {name}: shape {values.shape}, allowed is ({n},)")
+        self._check_numbers()
+
+    def _check_numbers(self) -> None:
+        for field_ in fields(self):
+            if field_.type in ("int", "float"):
+                object.__setattr__(self, field_.name, _number(field_.name, getattr(self, field_.name), field_.type))
+        if self.parameter_covariance is not None:
+            n = self.gauges
+            blocks = _array("parameter_covariance", self.parameter_covariance)
+            object.__setattr__(self, "parameter_covariance", blocks)
+            if blocks.shape != (n, 4, n, 4):
+                raise InputError(f"calibration parameter_covariance: shape {blocks.shape}, allowed is {(n, 4, n, 4)}")
 
     @classmethod
     def from_microstrain(
@@ -121,6 +133,8 @@ class Calibration:
             deviation = _array("noise", noise)
             if deviation.shape not in {(), (n,)}:
                 raise InputError(f"calibration noise: shape {deviation.shape}, allowed are one number and ({n},)")
+            if not ((deviation > 0.0) & (deviation < np.inf)).all():
+                raise InputError(f"calibration noise: {deviation.min():g} microstrain, allowed is above 0, finite")
             covariance = np.diag(np.broadcast_to(deviation**2, n))
         zero = np.zeros(n) if offset is None else _array("offset", offset) * 1e-6
         found = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)
@@ -221,6 +235,15 @@ class Calibration:
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
     return floats(f"calibration {name}", values)
+
+
+def _number(name: str, value: Any, kind: object) -> int | float:
+    if kind == "int" and isinstance(value, int | np.integer) and not isinstance(value, bool):
+        return int(value)
+    number = _array(name, value)
+    if number.shape != () or kind == "int":
+        raise InputError(f"calibration {name}: {value!r}, allowed is one {'integer' if kind == 'int' else 'number'}")
+    return float(number)
 
 
 def _packing(n: int) -> str:

@@ -32,6 +32,7 @@ FLAGS = {
     "outside_pad": scalar.OUTSIDE_PAD,
     "beyond_first_order": estimate_rows.BEYOND_FIRST_ORDER,
     "gauge_left_out": estimate_rows.LEFT_OUT,
+    "unranged": estimate_rows.UNRANGED,
     "contradiction": status_words.CONTRADICTION,
     "beyond_calibrated": status_words.BEYOND_CALIBRATED,
     "temperature_outside": status_words.TEMPERATURE,

@@ -25,7 +25,8 @@ _NAN = float("nan")
 class Status(enum.IntFlag):
     """The status byte of a sample (2120h); bits 12 to 15 are those of 2124h, as far as they could be seen.
 
-    Bit 8: the finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge.
+    Bit 8: the finger did not answer; bit 9: see ``first_order_holds``; bit 10: the force does without a gauge;
+    bit 11: the calibration states no force range.
     """
 
     CONTACT = scalar.CONTACT_PRESENT
@@ -39,6 +40,7 @@ class Status(enum.IntFlag):
     NO_ANSWER = status_words.NO_ANSWER
     BEYOND_FIRST_ORDER = status_words.BEYOND_FIRST_ORDER
     LEFT_OUT = status_words.LEFT_OUT
+    UNRANGED = status_words.UNRANGED
     CONTRADICTION = status_words.CONTRADICTION
     BEYOND_CALIBRATED = status_words.BEYOND_CALIBRATED
     TEMPERATURE = status_words.TEMPERATURE

@@ -25,7 +25,7 @@ from tipforce.sensor.contact.first_order import first_order_holds
 
 CHUNK = 50_000
 
-BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT, FROZEN = 1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 16
+BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT, FROZEN, UNRANGED = 1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 16, 1 << 17
 """Beside the bits of the status byte and bits 12 to 15 of 2124h, in one integer per row."""
 _WORDS = {
     scalar.CONTACT_PRESENT: "no_contact",  # said where the bit is clear
@@ -34,6 +34,7 @@ _WORDS = {
     scalar.OUTSIDE_PAD: "outside_pad",
     BEYOND_FIRST_ORDER: "beyond_first_order",
     LEFT_OUT: "gauge_left_out",
+    UNRANGED: "unranged",
     status_words.BEYOND_CALIBRATED: "beyond_calibrated",
     status_words.TEMPERATURE: "temperature",
 }
@@ -158,6 +159,7 @@ def estimate(
         (status_words.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
         (SATURATED | LEFT_OUT | status_words.OVERLOAD, Status.SATURATED),
         (LEFT_OUT, Status.LEFT_OUT),
+        (UNRANGED, Status.UNRANGED),
         (FROZEN, Status.FAULT),
     ):
         status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
@@ -210,6 +212,8 @@ def estimated(
     contact, u = _both_senses(F, covariance, pull)
     status = _judged_status(found, data.unloaded[rows], missing, still)
     counts = (status & _NO_VALUE) == 0
+    if not calibration.calibrated_force_newtons > 0.0:
+        status[counts] |= UNRANGED
     limits = model.Limits(
         calibration.contact_on_newtons,
         calibration.contact_off_newtons,

@@ -18,6 +18,9 @@ from tipforce.host.decoding.status_words import BEYOND_CALIBRATED, CONTRADICTION
 from tipforce.sensor.contact import scalar_parity, scalar_redundancy
 
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
+LARGEST_STRAIN = 0.03
+"""Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
+``sensor.design.materials`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
 RELEASE = 0.95
 """Of the overload force: an overload ends below."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain
@@ -130,6 +133,9 @@ class Judge:
         F = used.sum(axis=2) / gain[:, np.newaxis]
         faults |= np.where(known, left, 0)
         faults |= self._forces(F, was_overloaded)
+        if not self._calibration.overload_force_newtons > 0.0:
+            kept = (left[:, np.newaxis] >> np.arange(n) & 1) == 0
+            faults |= np.where((kept & (np.abs(V) > LARGEST_STRAIN)).any(axis=1), OVERLOAD, 0)
         covariance += self._added(F, V, matrix, kelvin, work.doubts, faults)
         return Judged(F, matrix, covariance, faults)
 

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
 
 _OUR_NAME = re.compile(r"TIP(\d+)_(\w+)")
 _UNKNOWN = "unknown"
+_MOST_MAPPED = 64  # CiA 301, 7.5.2.34
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,8 @@ def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
             continue
         count = _value(found, path, communication.TPDO_MAPPING + number, 0, node) or 0
         mapping = communication.TPDO_MAPPING + number
+        if not 0 <= count <= _MOST_MAPPED:
+            raise InputError(f"{path}: 0x{mapping:04X}:00 = {count}: allowed are 0 to {_MOST_MAPPED} mapped objects")
         words = [_value(found, path, mapping, sub, node) or 0 for sub in range(1, count + 1)]
         pdos[message.name] = _pdo(str(path), cob_id, words)
     return NodeLayout(node, gauges, pdos)

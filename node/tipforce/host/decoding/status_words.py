@@ -10,8 +10,8 @@ from collections.abc import Iterable
 from tipforce.dictionary import table
 from tipforce.sensor.contact import scalar
 
-NO_ANSWER, BEYOND_FIRST_ORDER, LEFT_OUT = 1 << 8, 1 << 9, 1 << 10
-"""Bits of the host: no response; see ``first_order_holds``; the force does without a gauge."""
+NO_ANSWER, BEYOND_FIRST_ORDER, LEFT_OUT, UNRANGED = 1 << 8, 1 << 9, 1 << 10, 1 << 11
+"""Bits of the host: no response; see ``first_order_holds``; the force does without a gauge; 2112h:1 is not known."""
 CONTRADICTION, BEYOND_CALIBRATED = 1 << table.FAULT_CONTRADICTION, 1 << table.FAULT_BEYOND_CALIBRATED
 TEMPERATURE, OVERLOAD = 1 << table.FAULT_TEMPERATURE, 1 << table.FAULT_OVERLOAD
 JUDGED = CONTRADICTION | BEYOND_CALIBRATED | TEMPERATURE | OVERLOAD
@@ -29,6 +29,7 @@ WORDS = {
     scalar.OUTSIDE_PAD: "theta outside the pad",
     BEYOND_FIRST_ORDER: "uncertainty beyond first order",
     LEFT_OUT: "a gauge is left out",
+    UNRANGED: "the calibration states no force range",
     CONTRADICTION: "gauges contradict each other",
     BEYOND_CALIBRATED: "beyond the calibrated force",
     TEMPERATURE: "temperature outside the calibration or unknown",
@@ -46,6 +47,7 @@ BY_NAME = {
     "fault": WORDS[scalar.FRONT_END_FAULT],
     "beyond_first_order": WORDS[BEYOND_FIRST_ORDER],
     "gauge_left_out": WORDS[LEFT_OUT],
+    "unranged": WORDS[UNRANGED],
     "contradiction": WORDS[CONTRADICTION],
     "beyond_calibrated": WORDS[BEYOND_CALIBRATED],
     "temperature_outside": WORDS[TEMPERATURE],
@@ -82,7 +84,7 @@ def doubts(status: int) -> list[str]:
     """What is to be known of a force that has a value; the words on angles only while there is contact."""
     if status & scalar.SATURATED and not status & OVERLOAD:
         status |= LEFT_OUT  # the other gauges give the force
-    said = LEFT_OUT | JUDGED
+    said = LEFT_OUT | UNRANGED | JUDGED
     if status & scalar.CONTACT_PRESENT:
         said |= _OF_ANGLES
     return [text for bit, text in WORDS.items() if status & said & bit]

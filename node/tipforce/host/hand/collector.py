@@ -10,6 +10,7 @@ Frames are processed one after another: a bus gives a few at a time, for which n
 
 from __future__ import annotations
 
+import math
 import struct
 from collections.abc import Sequence
 from typing import Any
@@ -32,13 +33,14 @@ _UNDECIDED_WAITS = 4  # for the next SYNC, where it decides whether a value is r
 _EMPTY, _LIVE, _DOUBTFUL, _CHANGED = range(4)  # states of an answer
 _REASON = (NO_ANSWER, PRESENT, DOUBTFUL, CHANGED)  # by state
 _ANY_NUMBER = 0, 1  # end of a count and its modulus, where the numbers of the count are not known
+_NO_TIME = -math.inf  # between the frames of a call no row times out: its answer may be among them
 _FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
 
 
 class _Row:
     """One SYNC, and the answers to it by slot: message and finger."""
 
-    __slots__ = ("number", "opened_s", "received", "states", "t_ns", "words")
+    __slots__ = ("counters", "number", "opened_s", "reasons", "received", "states", "t_ns", "words")
 
     def __init__(self, t_ns: int, opened_s: float, number: int, received: bool, slots: int) -> None:
         self.t_ns = t_ns
@@ -47,6 +49,8 @@ class _Row:
         self.received = received
         self.words = [0] * slots
         self.states = [_EMPTY] * slots
+        self.reasons: list[int] = []  # by finger, when the row closes
+        self.counters: list[int] = []
 
 
 class Collector:
@@ -83,12 +87,16 @@ class Collector:
         self._first = 0  # the first open row
         self._last = -1  # the row of the last SYNC
         self._epoch = 0  # the first row of this count
+        # Rows that may be made of SYNCs that were not received: at most as many as SYNCs were, and LARGEST. So random
+        # numbers make no flood of rows; beyond, the count is taken as restarted, and the SYNCs are counted only.
+        self._gap_rows = LARGEST
         # Counts whose answers may still come: the last row, the last number, the modulus.
         self._ended: list[tuple[int, int, int]] = []
         self._absent: set[int] = set()  # fingers for which no row waits
         self._unsettled = [True] * fingers  # missing in the last row; matters without numbers
         self._last_counter = [-1] * fingers
-        self._nothing = self._emit(0)
+        self._closed: list[_Row] = []  # and not emitted
+        self._nothing = self._emit()
 
     def expect(self, node_id: int, present: bool) -> None:
         """Wait for a finger in each row, or not: one that is not operational. For any thread."""
@@ -112,12 +120,15 @@ class Collector:
                     slot, k, least, shift = self._answers[can_id]
                     if length >= least and self._last >= 0:
                         self._answer(slot, k, word, word >> shift & 0xFF, t_ns)
+                        if self._absent or min(self._latest) >= self._first:
+                            self._close(_NO_TIME)
                 elif can_id == SYNC_COB_ID:
                     self._sync(word & 0xFF if length == 1 else 0, t_ns, now_s)
+                    self._close(_NO_TIME)
                 elif can_id in self.trust.ids:
                     self.trust.note(can_id, length, word, now_s)
-            count = self._ready(now_s) - self._first
-            return self._emit(count) if count else self._nothing
+            self._close(now_s)
+            return self._emit() if self._closed else self._nothing
 
     # --- SYNCs ------------------------------------------------------------------------------------------------------
 
@@ -127,6 +138,10 @@ class Collector:
         before, modulus, before_ns = numbers.number, numbers.modulus, numbers.last_ns
         steps = numbers.step(number, t_ns)
         number = numbers.number
+        self._gap_rows = min(self._gap_rows + 1, LARGEST)
+        if steps - 1 > self._gap_rows:
+            self.tally.unreceived += steps - 1
+            steps = RESTARTED
         if self._ended:
             self._ended = [one for one in self._ended if last - one[0] < AHEAD]
         if steps == RESTARTED:
@@ -142,6 +157,7 @@ class Collector:
             missed = (number - steps + k - 1) % numbers.modulus + 1
             self._rows[last + k] = _Row(missed_ns, now_s, missed, False, self._slots)
         self.tally.unreceived += steps - 1
+        self._gap_rows -= steps - 1
         self._last = last + steps
         self._rows[self._last] = _Row(t_ns, now_s, number, True, self._slots)
         if self._held:
@@ -211,17 +227,15 @@ class Collector:
     # --- rows -------------------------------------------------------------------------------------------------------
 
     def _ready(self, now_s: float) -> int:
-        """Return the first row that cannot be emitted yet."""
+        """Return the first row that cannot be closed yet."""
         row, last = self._first, self._last
         if row > last:
             return row
         # A node sends its answers in order: if a later one is present, the missing one is lost, and the row does not
         # wait. Rows older than the window cannot receive an answer.
-        fingers = len(self.node_ids)
-        awaited = [at for slot, at in enumerate(self._latest) if slot % fingers not in self._absent]
-        whole = min(awaited, default=last)
+        whole = self._whole()
         sure = max(self._epoch - 1, last - self._numbers.window)
-        undecided = {of for of, _ in self._held}
+        undecided = {of for of, _ in self._held} if self._held else ()
         if not self._numbers.number:  # an answer after the next SYNC is not the one to this
             sure = last - 1
             settled = all(s == _LIVE for s in self._rows[last - 1].states) if last > row else not any(self._unsettled)
@@ -233,30 +247,76 @@ class Collector:
             row += 1
         return row
 
-    def _emit(self, count: int) -> Rows:
-        """Return the first ``count`` open rows, and close them."""
-        first, fingers = self._first, len(self.node_ids)
-        rows = [self._rows[row] for row in range(first, first + count)]
-        self._first += count
-        for row in range(first - LARGEST, first - LARGEST + count):
-            self._rows.pop(row, None)
+    def _whole(self) -> int:
+        """Return the last row after which each awaited finger has answered, to it or to a later one."""
+        if not self._absent:
+            return min(self._latest, default=self._last)
+        fingers = len(self.node_ids)
+        awaited = [at for slot, at in enumerate(self._latest) if slot % fingers not in self._absent]
+        return min(awaited, default=self._last)
+
+    def _close(self, now_s: float) -> None:
+        """Close the rows that are ready; after each frame, so that rows do not depend on how frames are cut into calls.
+
+        What a closed row has no longer changes: a later answer to it is late.
+        """
+        for number in range(self._first, self._ready(now_s)):
+            row = self._rows[number]
+            self._judge(row)
+            self._closed.append(row)
+            self._rows.pop(number - LARGEST, None)
+            self._first = number + 1
+
+    def _judge(self, row: _Row) -> None:
+        """Store why each finger is missing in a row, and its counter; -1: no answer."""
+        fingers = len(self.node_ids)
+        reasons = [_REASON[state] for state in row.states[:fingers]]
+        shift = self._messages[0].counter_shift
+        counters = [word >> shift & 0xFF for word in row.words[:fingers]]
+        if len(self._messages) > 1:
+            self._join(row, reasons, counters)
+        if not row.number:
+            self._find_repeats(row, reasons, counters)
+        if any(reasons):
+            counters = [-1 if why == NO_ANSWER else own for why, own in zip(reasons, counters, strict=True)]
+            self._unsettled = [why != PRESENT for why in reasons]
+        elif not row.number:
+            self._unsettled = [False] * fingers
+        row.reasons, row.counters = reasons, counters
+        self._last_counter = counters
+
+    def _join(self, row: _Row, reasons: list[int], counters: list[int]) -> None:
+        """Add the reasons of the messages after the first."""
+        fingers = len(self.node_ids)
+        for at in range(fingers, self._slots):
+            k, why = at % fingers, _REASON[row.states[at]]
+            reasons[k] = max(reasons[k], why)
+            if (
+                reasons[k] == PRESENT
+                and row.words[at] >> self._messages[at // fingers].counter_shift & 0xFF != counters[k]
+            ):
+                reasons[k] = MIXED
+
+    def _find_repeats(self, row: _Row, reasons: list[int], counters: list[int]) -> None:
+        """Without numbers: a counter that stands still and is not marked stale is that of a duplicate."""
+        fingers, stale = len(self.node_ids), self._messages[-1].stale_mask
+        words = row.words[-fingers:]
+        for k, before in enumerate(self._last_counter):
+            if counters[k] == before and reasons[k] == PRESENT and not words[k] & stale:
+                reasons[k] = DOUBTFUL
+                self.tally.doubtful[k] += 1
+
+    def _emit(self) -> Rows:
+        """Return the closed rows."""
+        rows, self._closed = self._closed, []
+        count, fingers = len(rows), len(self.node_ids)
         columns: dict[str, npt.NDArray[Any]] = {}
-        counter, reason = np.zeros((count, fingers), dtype=np.int64), np.zeros((count, fingers), dtype=np.uint8)
         for number, message in enumerate(self._messages):
             part = slice(number * fingers, (number + 1) * fingers)
             words = [word for row in rows for word in row.words[part]]
             columns |= {name: values.reshape(count, fingers) for name, values in message.columns(words).items()}
-            own = np.array([word >> message.counter_shift & 0xFF for word in words], dtype=np.int64)
-            own = own.reshape(count, fingers)
-            why = np.array([_REASON[state] for row in rows for state in row.states[part]], dtype=np.uint8)
-            reason = np.maximum(reason, why.reshape(count, fingers))
-            if number:
-                reason = np.where((own != counter) & (reason == PRESENT), np.uint8(MIXED), reason)
-            else:
-                counter = own
-        numbered = np.array([row.number > 0 for row in rows], dtype=np.bool_)
-        if not numbered.all():
-            reason = self._repeats(reason, counter, columns["stale"], numbered)
+        counter = np.array([row.counters for row in rows], dtype=np.int64).reshape(count, fingers)
+        reason = np.array([row.reasons for row in rows], dtype=np.uint8).reshape(count, fingers)
         if reason.any():
             missing = reason != PRESENT
             counter[missing] = -1
@@ -265,20 +325,8 @@ class Collector:
             self.tally.missing += missing.sum(axis=0)
             self.tally.mixed += (reason == MIXED).sum(axis=0)
             self.tally.changed += (reason == CHANGED).sum(axis=0)
-        if count:
-            self._unsettled = (reason[-1] != PRESENT).tolist()
-            self._last_counter = counter[-1].tolist()
-            self.tally.repeated += columns["stale"].sum(axis=0)
+        self.tally.repeated += columns["stale"].sum(axis=0)
         self.tally.rows += count
+        numbered = np.array([row.number > 0 for row in rows], dtype=np.bool_)
         sync_ns = np.array([row.t_ns for row in rows], dtype=np.int64)
-        return Rows(first, sync_ns, numbered, counter, reason, columns)
-
-    def _repeats(
-        self, reason: npt.NDArray[np.uint8], counter: npt.NDArray[np.int64], stale: npt.NDArray[np.bool_],
-        numbered: npt.NDArray[np.bool_],
-    ) -> npt.NDArray[np.uint8]:  # fmt: skip
-        """Without numbers: a counter that stands still and is not marked stale is that of a duplicate."""
-        before = np.concatenate(([self._last_counter], counter[:-1]))
-        again = (counter == before) & ~stale & (reason == PRESENT) & ~numbered[:, np.newaxis]
-        self.tally.doubtful += again.sum(axis=0)
-        return np.where(again, np.uint8(DOUBTFUL), reason)
+        return Rows(self._first - count, sync_ns, numbered, counter, reason, columns)

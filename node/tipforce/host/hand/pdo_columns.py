@@ -21,6 +21,7 @@ class PdoColumns:
     def __init__(self, message: Message) -> None:
         self.cob_id_base, self.length_bytes = message.cob_id_base, message.length_bytes
         self.counter_shift = next(signal.start_bit for signal in message.signals if signal.name == COUNTER)
+        self.stale_mask = sum(1 << signal.start_bit for signal in message.signals if signal.name == "stale")
         self._signals = tuple(signal for signal in message.signals if signal.name != COUNTER)
         self._pack, self._dtype = packed_row(self._signals)
 

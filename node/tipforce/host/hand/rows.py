@@ -67,7 +67,7 @@ class Tally:
     node_ids: tuple[int, ...]
     rows: int = 0
     unreceived: int = 0
-    """Rows whose SYNC was not received: its number was left out."""
+    """SYNCs that were not received: their numbers were left out. Each has a row, up to a bound; see ``Collector``."""
     missing: npt.NDArray[np.int64] = field(init=False)
     """Rows without a certain, complete answer."""
     delayed: npt.NDArray[np.int64] = field(init=False)

@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import sqlite3
 import struct
-from collections.abc import Iterator
+from collections.abc import Generator, Iterator
+from contextlib import closing
+from io import BufferedReader, TextIOWrapper
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,13 +15,19 @@ from typing import Any
 import can
 import numpy as np
 
-from tipforce.errors import EnvironmentLackError, InputError, LogError
+from tipforce.errors import EnvironmentLackError, LogError, TipforceError
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
+from tipforce.host.logs.lines import open_file
 from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
+from tipforce.host.logs.unpacking import BoundedLines, Expansion, decompressed, unpacked_chunk
 from tipforce.socketcan import raw_can_id
 
 BLOCK_MESSAGES = 8192
 _PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
+_OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
+_CONTAINER, _CONTAINER_HEAD = 10, 16
+_LONGEST_OBJECT = 1 << 20
+_COMPUTED = re.compile(r"\bAS\s*\(|\bVIRTUAL\b", re.IGNORECASE)
 
 
 def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
@@ -26,9 +36,11 @@ def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
     Raises LogError for a file that is not of the format in its name, EnvironmentLackError for a missing package.
     """
     try:
-        reader = _reader(path)
+        reader = message_reader(path)
     except NotImplementedError as error:  # python-can names the package
         raise EnvironmentLackError(f"{path}: {error}; for .mf4: pip install asammdf") from error
+    except TipforceError:
+        raise
     except Exception as error:  # readers raise various exceptions for a damaged file
         raise LogError(
             f"{path}: can't be read as {path.suffix}: {error or type(error).__name__}; the file is damaged or of "
@@ -46,16 +58,68 @@ def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         reader.stop()
 
 
-def _reader(path: Path) -> Any:
-    suffix = path.suffix.lower()
-    if suffix == ".blf":  # its reader does not close a file that it rejects
-        file = path.open("rb")
-        try:
-            return can.BLFReader(file)
-        except BaseException:
-            file.close()
-            raise
-    return can.LogReader(path, **({"relative_timestamp": False} if suffix == ".asc" else {}))
+def message_reader(path: Path) -> Any:
+    """Return python-can's reader of a file that unpacks within limits: what it gets are bounded lines or containers."""
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    suffix = suffixes[-2] if suffixes[-1:] == [".gz"] and len(suffixes) == 2 else suffixes[-1]
+    kind = {".asc": can.ASCReader, ".csv": can.CSVReader, ".trc": can.TRCReader}.get(suffix)
+    if suffix == ".db":
+        _check_table(path)
+    if kind is None and suffix != ".blf":
+        return can.LogReader(path)
+    file = open_file(path)
+    try:
+        source: Any = decompressed(file, str(path))
+        if kind is None:
+            return _BlfReader(BufferedReader(source), path)
+        text = TextIOWrapper(BufferedReader(BoundedLines(source, file, str(path))), "utf-8", "replace")
+        return kind(text, **({"relative_timestamp": False} if suffix == ".asc" else {}))
+    except BaseException:
+        file.close()
+        raise
+
+
+def _check_table(path: Path) -> None:
+    """Raise LogError for an SQLite file whose table of messages is computed: few bytes could be rows without end."""
+    with closing(sqlite3.connect(f"{path.absolute().as_uri()}?mode=ro", uri=True)) as connection:
+        found = connection.execute("SELECT type, sql FROM sqlite_master WHERE name = 'messages'").fetchall()
+    if any(kind != "table" or _COMPUTED.search(sql or "") for kind, sql in found):
+        raise LogError(f"{path}: messages is a view, or has computed columns: allowed is a plain table")
+
+
+class _BlfReader(can.BLFReader):
+    """python-can's reader, which unpacks a container to any size, and never ends at an object of 0 bytes."""
+
+    def __init__(self, file: BufferedReader, path: Path) -> None:
+        super().__init__(file)
+        self._place = str(path)
+
+    def __iter__(self) -> Generator[can.Message, None, None]:
+        expansion, packed_bytes = Expansion(self._place), 0
+        while head := self.file.read(_OBJECT.size):
+            signature, _, _, size, kind = _OBJECT.unpack(head)
+            if signature != b"LOBJ" or size < _OBJECT.size:
+                raise ValueError(f"an object of {size} bytes with the signature {signature!r}")
+            data = self.file.read(size - _OBJECT.size)
+            self.file.read(size % 4)
+            packed_bytes += len(data)
+            if kind != _CONTAINER:
+                continue
+            method, content = int.from_bytes(data[:2], "little"), data[_CONTAINER_HEAD:]
+            if method:
+                content = unpacked_chunk(self._place, "zlib", content)
+                expansion.take(packed_bytes, len(content))
+            self._check_objects(self._tail + content)
+            yield from self._parse_container(content)
+        self.stop()
+
+    def _check_objects(self, data: bytes) -> None:
+        place = 0
+        while (place := data.find(b"LOBJ", place, place + 8)) >= 0 and place + _OBJECT.size <= len(data):
+            size = _OBJECT.unpack_from(data, place)[3]
+            if not _OBJECT.size <= size <= _LONGEST_OBJECT:
+                raise ValueError(f"an object of {size} bytes: allowed are {_OBJECT.size} to {_LONGEST_OBJECT}")
+            place += size
 
 
 def _packed(path: Path, messages: Iterator[can.Message], notes: LogNotes) -> bytes:
@@ -67,7 +131,7 @@ def _packed(path: Path, messages: Iterator[can.Message], notes: LogNotes) -> byt
             for message in islice(messages, BLOCK_MESSAGES):
                 count += 1
                 rows += _row(path, message, notes)
-        except InputError:
+        except TipforceError:
             raise
         except Exception as error:  # as above
             notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")

@@ -10,13 +10,13 @@ from collections.abc import Iterator
 from contextlib import suppress
 from io import FileIO
 from pathlib import Path
-from typing import Any, Protocol
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.errors import InputError
 from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
+from tipforce.host.logs.unpacking import PACKED, decompressed, first_bytes
 
 BLOCK_BYTES = 1 << 19
 """Small enough that a block and its results stay in the processor's cache; also the longest line."""
@@ -26,18 +26,10 @@ PADDING_BYTES = 256
 
 TOO_LONG = "not a candump line"
 _POLL_S = 0.05
-_GZIP, _ZSTD, _BOM = b"\x1f\x8b", b"\x28\xb5\x2f\xfd", b"\xef\xbb\xbf"
+_BOM = b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
-_ZSTD_STEP_BYTES = 1024  # bounds the output of one step
 
 Text = npt.NDArray[np.uint8]
-
-
-class Readable(Protocol):
-    """Source of bytes."""
-
-    def readinto(self, buffer: Any, /) -> int | None:
-        """Fill the start of ``buffer``; return the number of bytes, 0 at the end."""
 
 
 def open_file(path: Path) -> FileIO:
@@ -47,21 +39,6 @@ def open_file(path: Path) -> FileIO:
     except OSError as error:
         hint = "; a dataset is read by decode, plot, dataset and read_log" if path.is_dir() else ""
         raise InputError(f"{path}: {error.strerror}{hint}") from error
-
-
-def decompressed(file: FileIO, place: str) -> Readable:
-    """Return ``file`` itself, or its content if it is gzip or zstd (by its first bytes, not by its name)."""
-    start = first_bytes(file)
-    if start.startswith(_GZIP):
-        return _Gzip(file)
-    return _Zstd(file, place) if start.startswith(_ZSTD) else file
-
-
-def first_bytes(file: FileIO) -> bytes:
-    """Return the first bytes of a file without consuming them; of a pipe none."""
-    with suppress(OSError):
-        return os.pread(file.fileno(), 16, 0)
-    return b""
 
 
 class LineBlocks:
@@ -183,7 +160,7 @@ def is_plain(path: Path) -> bool:
     if not path.is_file():
         return False
     with open_file(path) as file:
-        return not first_bytes(file).startswith((_GZIP, _ZSTD))
+        return not first_bytes(file).startswith(PACKED)
 
 
 def _widen(file: FileIO) -> None:
@@ -200,56 +177,3 @@ def _keep_freed_memory() -> None:
     Without it, each block's arrays are returned to the system and mapped again, which doubles the time.
     """
     np.empty(_KEPT_BYTES, dtype=np.uint8)  # never written, so no memory is used
-
-
-class _Gzip:
-    """Unpack gzip; of a truncated file return all data before the end."""
-
-    def __init__(self, file: FileIO) -> None:
-        import gzip
-
-        self._file = gzip.GzipFile(fileobj=file)
-
-    def readinto(self, buffer: Any, /) -> int:
-        """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error at the end of a truncated file."""
-        return self._file.readinto1(buffer)
-
-
-class _Zstd:
-    """Unpack zstd in steps of bounded size. zstandard's own stream reader does not detect a truncated file."""
-
-    def __init__(self, file: FileIO, place: str) -> None:
-        try:
-            import zstandard
-        except ImportError:
-            raise EnvironmentLackError(f"{place} is zstd: `pip install 'tipforce[zstd]'`, or unpack it first") from None
-        self._file = file
-        self._library = zstandard
-        self._frame: Any = None
-        self._packed = b""
-        self._unpacked = memoryview(b"")
-
-    def readinto(self, buffer: Any, /) -> int:
-        """Fill the start of ``buffer``. Raises EOFError for a truncated file, OSError for data that is not zstd."""
-        while not self._unpacked:
-            self._packed = self._packed or self._file.read(_ZSTD_STEP_BYTES)
-            if not self._packed:
-                if self._frame is not None:
-                    raise EOFError("the end of the zstd frame is missing")
-                return 0
-            self._step()
-        count = min(len(buffer), len(self._unpacked))
-        buffer[:count] = self._unpacked[:count]
-        self._unpacked = self._unpacked[count:]
-        return count
-
-    def _step(self) -> None:
-        if self._frame is None:
-            self._frame = self._library.ZstdDecompressor().decompressobj()
-        try:
-            self._unpacked = memoryview(self._frame.decompress(self._packed))
-        except self._library.ZstdError as error:
-            raise OSError(str(error)) from None
-        self._packed = b""
-        if self._frame.eof:
-            self._packed, self._frame = self._frame.unused_data, None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -11,9 +12,10 @@ from typing import Any
 import numpy as np
 
 from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.errors import EnvironmentLackError, LogError
+from tipforce.errors import EnvironmentLackError, LogError, TipforceError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
+from tipforce.host.logs.unpacking import MOST_CHUNK_BYTES, Expansion, unpacked_chunk
 
 SCHEMA = "can_msgs/msg/Frame"
 _BLOCK_MESSAGES = 8192
@@ -29,18 +31,21 @@ def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
     Raises EnvironmentLackError without the package mcap, LogError for a file that has no CAN frames.
     """
     try:
-        from mcap.reader import NonSeekingReader
+        from mcap.stream_reader import StreamReader
     except ImportError:
         raise EnvironmentLackError(f"{path} is MCAP: `pip install 'tipforce[mcap]'`") from None
     found = False
     with path.open("rb") as stream:
-        messages = _messages(NonSeekingReader(stream))
+        reader = StreamReader(stream, emit_chunks=True, record_size_limit=MOST_CHUNK_BYTES)
+        messages = _messages(reader.records, path)
         while True:
             rows, count = bytearray(), 0
             try:
                 for channel, log_time_ns, data in islice(messages, _BLOCK_MESSAGES):
                     count += 1
                     rows += _row(path, notes, channel, log_time_ns, data)
+            except TipforceError:
+                raise
             except Exception as error:  # the reader raises various exceptions for a damaged file
                 notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
                 count = 0
@@ -53,10 +58,38 @@ def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         raise LogError(f"{path}: no CAN frames ({SCHEMA}) in it; `tipforce decode run.log -o run.mcap` writes them")
 
 
-def _messages(reader: Any) -> Iterator[tuple[str, int, bytes]]:
-    for schema, channel, message in reader.iter_messages(log_time_order=False):
-        if schema is not None and schema.name == SCHEMA and channel.message_encoding == "cdr":
-            yield channel.topic, message.log_time, message.data
+def _messages(records: Iterable[Any], path: Path) -> Iterator[tuple[str, int, bytes]]:
+    from mcap.records import Channel, Message, Schema
+
+    schemas: dict[int, str] = {}
+    topics: dict[int, str] = {}
+    for record in _unpacked(records, path):
+        if isinstance(record, Schema):
+            schemas[record.id] = record.name
+        elif isinstance(record, Channel):
+            if schemas.get(record.schema_id) == SCHEMA and record.message_encoding == "cdr":
+                topics[record.id] = record.topic
+        elif isinstance(record, Message) and record.channel_id in topics:
+            yield topics[record.channel_id], record.log_time, record.data
+
+
+def _unpacked(records: Iterable[Any], path: Path) -> Iterator[Any]:
+    """Yield the records in the chunks, too; mcap itself unpacks a chunk to any size."""
+    from mcap.records import Chunk
+    from mcap.stream_reader import breakup_chunk
+
+    expansion, packed_bytes = Expansion(str(path)), 0
+    for record in records:
+        if not isinstance(record, Chunk):
+            yield record
+            continue
+        packed_bytes += len(record.data)
+        if record.compression:
+            content = unpacked_chunk(str(path), record.compression, record.data)
+            expansion.take(packed_bytes, len(content))
+            yield from breakup_chunk(replace(record, compression="", data=content))
+        else:
+            yield from breakup_chunk(record)
 
 
 def _row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes) -> bytes:

@@ -12,8 +12,9 @@ from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser
 from tipforce.host.logs.candump_bulk import CandumpBulk
-from tipforce.host.logs.lines import LineBlocks, first_bytes, open_file
+from tipforce.host.logs.lines import LineBlocks, open_file
 from tipforce.host.logs.log_statistics import DROPPED, FD, LogNotes
+from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
 MESSAGE_SUFFIXES = (".asc", ".blf", ".csv", ".db", ".mf4", ".trc")

@@ -128,7 +128,7 @@ def checked(readings: Readings, model: Model) -> Readings:
 
 def _check_rails(strain: FloatArray, loads: FloatArray, model: Model) -> None:
     limit = np.inf if model.saturation_strain is None else model.saturation_strain
-    limits = np.broadcast_to(np.asarray(limit, dtype=np.float64), strain.shape[1])
+    limits = np.broadcast_to(floats("rail", limit), strain.shape[1])
     if model.saturation_strain is not None and np.isinf(limits).all():
         return
     found = rails(strain, loads, limits)
@@ -149,7 +149,7 @@ def _check_model(model: Model, n: int) -> None:
         if not 0.0 <= getattr(model, name) < 1.0:
             raise InputError(f"{name} = {getattr(model, name)!r}: allowed is 0 to 1 (small angles)")
     for name in ("noise_strain", "saturation_strain"):
-        array = np.asarray(1.0 if getattr(model, name) is None else getattr(model, name), dtype=np.float64)
+        array = floats(name, 1.0 if getattr(model, name) is None else getattr(model, name))
         most = MOST if name == "noise_strain" else np.inf
         if array.shape not in {(), (n,)} or not ((array > 0.0) & (array <= most)).all():
             raise InputError(

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.distributions import variance_factors
 from tipforce.sensor.calibration.nonlinearity import Nonlinearity
@@ -142,10 +142,10 @@ def covariance_of_estimate(
     where all rows have the same noise; offset_known: the readings were tared afresh, and the 1 drops out
     (the tare's own noise belongs into noise_covariance). Raises InputError for other shapes.
     """
-    matrix, F = np.asarray(C, dtype=np.float64), np.asarray(F_newtons, dtype=np.float64)
+    matrix, F = floats("C", C), floats("F", F_newtons)
     n = matrix.shape[-1]
-    Sigma = np.asarray(noise_covariance, dtype=np.float64)
-    blocks = np.asarray(parameter_covariance, dtype=np.float64)
+    Sigma = floats("noise_covariance", noise_covariance)
+    blocks = floats("parameter_covariance", parameter_covariance)
     if matrix.shape != (3, n) or Sigma.shape != (n, n) or blocks.shape != (n, 4, n, 4) or F.shape[-1:] != (3,):
         raise InputError(
             f"C {matrix.shape}, noise {Sigma.shape}, parameters {blocks.shape}, F {F.shape}: allowed are (3, n), "

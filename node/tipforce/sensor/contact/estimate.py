@@ -155,7 +155,7 @@ def status(
     """
     _check_limits(limits)
     P, theta = contact.P_newtons, contact.theta_rad
-    u, u_miss = np.asarray(uncertainties, dtype=np.float64), np.asarray(u_miss_newtons, dtype=np.float64)
+    u, u_miss = floats("uncertainties", uncertainties), floats("u_miss_newtons", u_miss_newtons)
     if P.ndim != 1 or u.shape not in {(3,), (P.size, 3)} or u_miss.shape not in {(), P.shape}:
         raise InputError(
             f"contact {P.shape}, uncertainties {u.shape}, u_miss_newtons {u_miss.shape}: "

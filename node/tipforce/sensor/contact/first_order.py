@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import BoolArray, FloatArray
+from tipforce.arrays import BoolArray, FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 
@@ -32,7 +32,7 @@ def curvature(F_newtons: npt.ArrayLike, covariance_F: npt.ArrayLike) -> FloatArr
     The load sense has no effect. F1 = F3 = 0: all infinite. Numbers that are not finite: NaN. Raises
     InputError for other shapes.
     """
-    F = np.asarray(F_newtons, dtype=np.float64)
+    F = floats("F", F_newtons)
     u = standard_uncertainties(F, covariance_F, pull=True)
     found = contacts(F, pull=True)
     P, u_P, u_phi = found.P_newtons, u[..., 0], u[..., 1]
@@ -69,7 +69,7 @@ def _sine_uncertainty(f: FloatArray, covariance_F: npt.ArrayLike) -> FloatArray:
     hypotenuse = np.hypot(f[..., 0], f[..., 2])
     x = np.clip(f[..., 1] / hypotenuse, -1.0, 1.0)
     gradient = np.stack([-x * f[..., 0] / hypotenuse, np.ones_like(x), -x * f[..., 2] / hypotenuse], axis=-1)
-    covariance = np.asarray(covariance_F, dtype=np.float64)
+    covariance = floats("covariance_F", covariance_F)
     variance = np.einsum("...i,...ij,...j->...", gradient, covariance, gradient)
     result: FloatArray = np.sqrt(np.maximum(variance, 0.0))
     return result

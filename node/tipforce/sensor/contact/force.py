@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 
 
@@ -16,7 +16,7 @@ def force_vector(P_newtons: npt.ArrayLike, phi_rad: npt.ArrayLike, theta_rad: np
     the tip, theta the angle of the contact on it, both from the x-axis. Raises InputError where the shapes do
     not broadcast.
     """
-    P, phi, theta = (np.asarray(value, dtype=np.float64) for value in (P_newtons, phi_rad, theta_rad))
+    P, phi, theta = floats("P", P_newtons), floats("phi", phi_rad), floats("theta", theta_rad)
     try:
         P, phi, theta = np.broadcast_arrays(P, phi, theta)
     except ValueError:
@@ -39,8 +39,8 @@ def force_from_strain(
     or a scalar. NaN or infinity in a strain makes that row NaN or infinite, no other. Raises InputError where
     the shapes do not fit.
     """
-    matrix, V = np.asarray(C, dtype=np.float64), np.asarray(strain, dtype=np.float64)
-    offset, tare = np.asarray(offset_strain, dtype=np.float64), np.asarray(tare_newtons, dtype=np.float64)
+    matrix, V = floats("C", C), floats("strain", strain)
+    offset, tare = floats("offset_strain", offset_strain), floats("tare", tare_newtons)
     if matrix.ndim != 2 or matrix.shape[0] != 3:
         raise InputError(f"C has the shape {matrix.shape}: allowed is (3, n), n gauges")
     n = matrix.shape[1]

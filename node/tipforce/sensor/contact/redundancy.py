@@ -96,7 +96,7 @@ def structure_matrix(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Flo
     pseudo-inverse with unequal gauges, it gives some A with C A = I but not the true one. C: (3, n). Raises
     InputError where the shapes do not fit, C has no rank 3, or the covariance is not positive definite.
     """
-    matrix, covariance = _matrix(C), np.asarray(covariance_strain2, dtype=np.float64)
+    matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     _root(covariance, matrix.shape[1])
     if np.linalg.matrix_rank(matrix) < 3:
         raise InputError("the calibration cannot separate the three forces: allowed is C of rank 3")
@@ -116,7 +116,7 @@ def without(
     number (2-norm) of their matrix over the limit. Raises InputError as structure_matrix() does, and for gauges
     that do not exist.
     """
-    A, covariance = structure_matrix(C, covariance_strain2), np.asarray(covariance_strain2, dtype=np.float64)
+    A, covariance = structure_matrix(C, covariance_strain2), floats("covariance_strain2", covariance_strain2)
     n = len(A)
     if any(not 0 <= gauge < n for gauge in left_out):
         raise InputError(f"left_out = {list(left_out)}: allowed are gauges 0 to {n - 1}")
@@ -137,7 +137,7 @@ def parity(C: npt.ArrayLike, covariance_strain2: npt.ArrayLike) -> Parity:
 
     Raises InputError as structure_matrix() does, and for n = 3, where every reading fits some force.
     """
-    matrix, covariance = _matrix(C), np.asarray(covariance_strain2, dtype=np.float64)
+    matrix, covariance = _matrix(C), floats("covariance_strain2", covariance_strain2)
     n = matrix.shape[1]
     if n < 4:
         raise InputError("three gauges have no parity direction: fault detection needs at least four")
@@ -201,11 +201,11 @@ def detect(
     for name, rate in (("false_alarm_rate", false_alarm_rate), ("exclusion_rate", exclusion_rate)):
         if not 0.0 < rate < 1.0:
             raise InputError(f"{name} = {rate!r}: allowed is above 0 and below 1")
-    V = np.asarray(strain, dtype=np.float64)
+    V = floats("strain", strain)
     n = len(model.A)
     if V.ndim < 1 or V.shape[-1] != n:
         raise InputError(f"strain has the shape {V.shape}: allowed is (..., {n})")
-    factor = np.asarray(variance_factor, dtype=np.float64)
+    factor = floats("variance_factor", variance_factor)
     alarm = scalar_redundancy.chi_square_threshold(false_alarm_rate, n - 3)
     exclusion = scalar_redundancy.chi_square_threshold(exclusion_rate, n - 4)
     with np.errstate(invalid="ignore", over="ignore"):
@@ -234,7 +234,7 @@ def _matrix(C: npt.ArrayLike) -> FloatArray:
 
 def _root(covariance_strain2: npt.ArrayLike, n: int) -> FloatArray:
     """Return the lower Cholesky factor."""
-    covariance = np.asarray(covariance_strain2, dtype=np.float64)
+    covariance = floats("covariance_strain2", covariance_strain2)
     if covariance.shape != (n, n):
         raise InputError(f"covariance_strain2 has the shape {covariance.shape}: allowed is {(n, n)}")
     try:

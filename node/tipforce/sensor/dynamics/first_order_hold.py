@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.mode_step import Hold, hold
 from tipforce.sensor.dynamics.model import Modes
@@ -99,7 +99,7 @@ def respond_at(
 
     Raises InputError for shapes that do not fit, or times that fall or are not finite.
     """
-    t, F = np.asarray(times_s, dtype=np.float64), checked_loads(loads_newtons)
+    t, F = floats("times_s", times_s), checked_loads(loads_newtons)
     if t.shape != (len(F),) or not np.isfinite(t).all() or (np.diff(t) < 0.0).any():
         raise InputError(f"times of shape {t.shape}: allowed are {len(F)} finite numbers that do not fall")
     g = F @ modes.load_shape.T
@@ -117,7 +117,7 @@ def respond_at(
 
 def checked_loads(loads_newtons: npt.ArrayLike) -> FloatArray:
     """Return loads as (m, 3), m at least 1. Raises InputError for another shape."""
-    F = np.asarray(loads_newtons, dtype=np.float64)
+    F = floats("loads", loads_newtons)
     if F.ndim != 2 or F.shape[1] != 3 or len(F) < 1:
         raise InputError(f"loads of shape {F.shape}: allowed is (m, 3), m at least 1")
     return F

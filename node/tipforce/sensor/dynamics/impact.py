@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
@@ -81,7 +81,7 @@ def overload(
     The sample times are those of the load and must rise strictly. Raises InputError for times or shapes that do
     not fit, or loads that are not finite.
     """
-    t, F = np.asarray(times_s, dtype=np.float64), checked_loads(loads_newtons)
+    t, F = floats("times_s", times_s), checked_loads(loads_newtons)
     if t.shape != (len(F),) or not (np.diff(t) > 0.0).all() or not np.isfinite(t).all():
         raise InputError(f"times of shape {t.shape}: allowed are {len(F)} finite numbers that rise strictly")
     if not np.isfinite(F).all():
@@ -132,7 +132,7 @@ class _Rows:
 
 
 def _checked_times(times_s: npt.ArrayLike, until_s: float) -> FloatArray:
-    t = np.asarray(times_s, dtype=np.float64).reshape(-1)
+    t = floats("times_s", times_s).reshape(-1)
     if not 0.0 < until_s < math.inf:
         raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
     if not ((t >= 0.0) & (t <= until_s)).all() or (np.diff(t) < 0.0).any():

@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.arrays import FloatArray
+from tipforce.arrays import FloatArray, floats
 from tipforce.errors import InputError
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.layouts import POINTS, Layout, layout
@@ -65,7 +65,7 @@ def strain_row(
     """
     _check_place(beam, side, face)
     length = geometry.a_m if beam == "H" else geometry.d_m
-    s = np.asarray(position_m, dtype=np.float64)
+    s = floats("position_m", position_m)
     if not bool(np.all((s >= -_SLACK * length) & (s <= (1.0 + _SLACK) * length))):
         raise InputError(f"position_m = {position_m!r} on beam {beam}: allowed is 0 to {length!r} m from the joint")
     sign = -1.0 if side == "left" else 1.0
@@ -96,7 +96,7 @@ def shifted_matrix(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) 
     InputError for an unusable layout, a last axis that is not n, or a gauge shifted off its beam.
     """
     points = layout(gauges)
-    shifts = np.asarray(shifts_m, dtype=np.float64)
+    shifts = floats("shifts_m", shifts_m)
     if shifts.ndim == 0:
         shifts = np.full(len(points), float(shifts))
     if shifts.shape[-1] != len(points):

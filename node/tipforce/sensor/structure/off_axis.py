@@ -133,7 +133,7 @@ def planar_part(geometry: Geometry, wrench_matrix: FloatArray) -> FloatArray:
 
 def off_axis_wrenches(geometry: Geometry, theta_rad: npt.ArrayLike) -> FloatArray:
     """Return the wrenches of 1 N along z at the contact angles theta, shape (..., 6)."""
-    theta = np.asarray(theta_rad, dtype=np.float64)
+    theta = floats("theta", theta_rad)
     zero, one = np.zeros_like(theta), np.ones_like(theta)
     r = geometry.r_m
     return np.stack((zero, zero, one, r * np.sin(theta), -r * np.cos(theta), zero), axis=-1)
@@ -141,7 +141,7 @@ def off_axis_wrenches(geometry: Geometry, theta_rad: npt.ArrayLike) -> FloatArra
 
 def off_centre_wrenches(phi_rad: npt.ArrayLike, z_m: float) -> FloatArray:
     """Return the addition to the planar wrench by 1 N in the plane, applied z_m off the middle plane: (..., 6)."""
-    phi = np.asarray(phi_rad, dtype=np.float64)
+    phi = floats("phi", phi_rad)
     zero = np.zeros_like(phi)
     return np.stack((zero, zero, zero, -z_m * np.sin(phi), z_m * np.cos(phi), zero), axis=-1)
 

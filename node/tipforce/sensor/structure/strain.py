@@ -113,7 +113,7 @@ def row_equilibrated_condition_number(matrix: npt.ArrayLike) -> float:
 
     This is the figure for gauges whose noise is the same fraction of their own range. A zero row gives inf.
     """
-    rows = np.asarray(matrix, dtype=np.float64)
+    rows = floats("matrix", matrix)
     lengths = np.linalg.norm(rows, axis=1, keepdims=True)
     return condition_number(rows / lengths) if lengths.all() else float("inf")
 
