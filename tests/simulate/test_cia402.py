@@ -185,7 +185,9 @@ def test_a_file_that_is_no_drive_is_refused() -> None:
     assert drive_module.Drive is Drive
 
 
-def test_base_node_402_drives_it_on_a_virtual_bus() -> None:
+def test_base_node_402_drives_it_on_a_virtual_bus(monkeypatch: pytest.MonkeyPatch) -> None:
+    for limit in [name for name in vars(BaseNode402) if name.startswith("TIMEOUT_")]:
+        monkeypatch.setattr(BaseNode402, limit, 60.0)  # seconds
     network = canopen.Network()
     network.connect(interface="virtual", channel="machine-402")
     try:
@@ -193,7 +195,7 @@ def test_base_node_402_drives_it_on_a_virtual_bus() -> None:
             node = BaseNode402(5, str(shipped_eds("cia402")))
             network.add_node(node)
             node.sdo[0x1017].raw = 20
-            node.nmt.wait_for_heartbeat(2)
+            node.nmt.wait_for_heartbeat(60)
             node.setup_402_state_machine()
             node.nmt.state = "OPERATIONAL"
             node.op_mode = "PROFILED POSITION"

@@ -162,10 +162,13 @@ def test_silence_ends_it(tmp_path: Path) -> None:
 
 CHILD = """
 import sys, threading, can
+from can.interfaces.virtual import channels
 from tipforce_tools.cli.main import main
 def send():
     with can.Bus("x", interface="virtual") as bus:
         number = 0
+        while len(channels["x"]) < 2:  # the recorder's bus
+            threading.Event().wait(0.001)
         while True:
             bus.send(can.Message(arbitration_id=0x285, data=number.to_bytes(4, "little"), is_extended_id=False))
             number += 1

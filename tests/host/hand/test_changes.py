@@ -219,7 +219,7 @@ def test_the_hands_own_tare_does_not_accept_a_foreign_change(tmp_path: Path) -> 
         offset(seen.master)
         seen.told("refused")
         seen.hand.tare(2)
-        until(lambda: seen.kinds().count("refused") == 2, "it should be refused again")
+        until(lambda: seen.kinds().count("refused") >= 2, "it should be refused again")
         latest(seen.hand, 1)
         assert np.isnan(next(seen.hand.blocks(5.0)).columns["P"][:, 1]).all()
 

@@ -37,7 +37,7 @@ def _obey(bus: tipforce.SimulatedBus) -> None:
         elif what == "fault":
             bus.inject_fault(int(rest[0]), rest[1])
         elif what == "end":
-            signal.raise_signal(signal.SIGINT)
+            signal.raise_signal(signal.SIGTERM)  # SIGINT is ignored in what a shell runs in the background
 
 
 if __name__ == "__main__":
