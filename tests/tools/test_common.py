@@ -178,7 +178,7 @@ def test_colour(
     for name, value in environment.items():
         monkeypatch.setenv(name, value)
     for stderr in (False, True):
-        common.console(bus_arguments(*words), stderr=stderr).print("[bold red]x")
+        common.console(bus_arguments(*words), stderr=stderr).print("x", style="bold red")
         out, err = capsys.readouterr()
         assert ("\x1b[1;31m" in (err if stderr else out)) is coloured
         assert ("\x1b" in out + err) is coloured  # plain is plain: not bold, either

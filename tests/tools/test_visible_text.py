@@ -141,9 +141,9 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     found = tmp_path_factory.mktemp("hostile")
     for name, text in FILES.items():
         (found / name).write_bytes(text.encode("utf-8", "surrogateescape"))
-    name = f"{KEY}\nINJECTED".encode()
+    channel = f"{KEY}\nINJECTED".encode()
     start = block(0x0A0D0D0A, struct.pack("<IHHq", 0x1A2B3C4D, 1, 0, -1), "<")
-    start += block(1, struct.pack("<HHIHH", 227, 0, 0, 2, len(name)) + name + bytes(-len(name) % 4 + 4), "<")
+    start += block(1, struct.pack("<HHIHH", 227, 0, 0, 2, len(channel)) + channel + bytes(-len(channel) % 4 + 4), "<")
     packets = [socketcan(0x285, bytes.fromhex(f"2E1129239A1103{k:02X}")) for k in range(50)]
     frames = (block(6, struct.pack("<IIIII", 0, 0, k, len(one), len(one)) + one, "<") for k, one in enumerate(packets))
     (found / "lines.pcapng").write_bytes(start + b"".join(frames))
@@ -158,9 +158,9 @@ def hostile_devices(folder: Path) -> Iterator[Device]:
     for device in (finger(5), device_of(read_eds(folder / "any.eds", 6))):
         od = device.od
         for index, subs in od._entries.items():
-            for sub, (kind, *rest) in subs.items():
+            for sub, (kind, access, flags, _, low, high) in subs.items():
                 if kind in ("s", "D"):
-                    od.add(index, sub, (kind, *rest[:2], HOSTILE.encode() if kind == "D" else HOSTILE, *rest[3:]))
+                    od.add(index, sub, (kind, access, flags, HOSTILE.encode() if kind == "D" else HOSTILE, low, high))
         yield device
 
 
