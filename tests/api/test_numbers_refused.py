@@ -206,8 +206,8 @@ NO_NUMBERS: dict[str, Callable[[object], object]] = {
     "masked": masked,
     "complex": lambda values: np.asarray(values) + 1j,
     "text": lambda values: np.asarray(values).astype(str),
-    "truth": lambda values: np.ones(np.shape(values), dtype=np.bool_),
-    "objects": lambda values: np.full(np.shape(values), object()),
+    "truth": lambda values: np.ones(np.asarray(values).shape, dtype=np.bool_),
+    "objects": lambda values: np.full(np.asarray(values).shape, object()),
     "rows of different lengths": lambda _: [[1.0, 2.0], [3.0]],
 }
 

@@ -11,7 +11,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 import can
-import lz4.frame
+import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
 import pytest
 import zstandard
@@ -63,7 +63,7 @@ def mcap(path: Path, kind: CompressionType, message: bytes) -> None:
         schema = writer.register_schema(mcap_frames.SCHEMA, "ros2msg", b"")
         channel = writer.register_channel("can0", "cdr", schema)
         writer.add_message(channel, 0, message, 0)
-        writer.finish()
+        writer.finish()  # type: ignore[no-untyped-call]
 
 
 def database(path: Path, sql: str) -> None:

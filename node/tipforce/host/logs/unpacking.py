@@ -139,6 +139,11 @@ class _Gzip(RawIOBase):
         """As of every source."""
         return True
 
+    def close(self) -> None:
+        """Close the file."""
+        self._packed.close()
+        super().close()
+
     def readinto(self, buffer: Any, /) -> int:
         """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error at the end of a truncated file."""
         count = self._file.readinto1(buffer)
@@ -165,6 +170,11 @@ class _Zstd(RawIOBase):
     def readable(self) -> bool:
         """As of every source."""
         return True
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill the start of ``buffer``. Raises EOFError for a truncated file, OSError for data that is not zstd."""
