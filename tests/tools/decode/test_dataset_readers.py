@@ -59,7 +59,8 @@ def of_polars(folder: Path) -> Sums:
 
 def of_duckdb(folder: Path) -> Sums:
     rows = f"read_parquet('{folder}/**', hive_partitioning = true)"
-    return duckdb.sql(f"select node, count(*), sum(P_N) from {rows} group by node order by node").fetchall()
+    found: Sums = duckdb.sql(f"select node, count(*), sum(P_N) from {rows} group by node order by node").fetchall()
+    return found
 
 
 READERS = [of_pandas, of_dask, of_pyarrow, of_polars, of_duckdb]
