@@ -39,7 +39,7 @@ def of_pandas(folder: Path) -> Sums:
 
 def of_dask(folder: Path) -> Sums:
     rows = dask.dataframe.read_parquet(folder, columns=["P_N", "node"])
-    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]).compute())
+    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]).compute(scheduler="synchronous"))
 
 
 def _of_frame(frame: Any) -> Sums:
