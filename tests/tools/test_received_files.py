@@ -62,7 +62,7 @@ def received(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 def tree(root: Path, left_out: Path) -> dict[str, bytes]:
     """The content of every file below a folder, without one folder."""
-    found = {}
+    found: dict[str, bytes] = {}
     for place, folders, files in os.walk(root):
         folders[:] = [name for name in folders if Path(place, name) != left_out]
         found |= {str(Path(place, name)): b"" for name in folders}

@@ -39,7 +39,7 @@ def of_pandas(folder: Path) -> Sums:
 
 def of_dask(folder: Path) -> Sums:
     rows = dask.dataframe.read_parquet(folder, columns=["P_N", "node"])
-    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]).compute())
+    return _of_frame(rows.groupby("node", observed=True)["P_N"].agg(["size", "sum"]).compute(scheduler="synchronous"))
 
 
 def _of_frame(frame: Any) -> Sums:
@@ -59,7 +59,8 @@ def of_polars(folder: Path) -> Sums:
 
 def of_duckdb(folder: Path) -> Sums:
     rows = f"read_parquet('{folder}/**', hive_partitioning = true)"
-    return duckdb.sql(f"select node, count(*), sum(P_N) from {rows} group by node order by node").fetchall()
+    found: Sums = duckdb.sql(f"select node, count(*), sum(P_N) from {rows} group by node order by node").fetchall()
+    return found
 
 
 READERS = [of_pandas, of_dask, of_pyarrow, of_polars, of_duckdb]
