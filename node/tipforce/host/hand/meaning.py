@@ -119,8 +119,18 @@ def write_back(
         if any(any(before.values[place][1]) for place in _TARE):
             raise RefusedError(f"node {client.node_id}: its tare before cannot be set again; tare it by the hand")
         client.clear_tare()
-    rest = {place: (one, one.decode(data)) for place, (one, data) in before.values.items() if one.access == "rw"}
+    objects_changed = {_with_mapping(index) for index, _ in places}
+    rest = {
+        place: (one, one.decode(data))
+        for place, (one, data) in before.values.items()
+        if one.access == "rw" and _with_mapping(one.index) in objects_changed
+    }
     apply_differences(client.sdo, dict(sorted(rest.items())))
+
+
+def _with_mapping(index: int) -> int:
+    """Return the index; of a PDO that of its communication parameter, for its mapping too."""
+    return index & ~communication.MAPPING if communication.RPDO <= index <= communication.LAST_TPDO_MAPPING else index
 
 
 def _has(found: Meaning, calibration: Calibration | None) -> bool:

@@ -10,6 +10,7 @@ from contextlib import suppress
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
+from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
@@ -194,7 +195,7 @@ class Recovery:
                 return True
             except RefusedError as error:
                 text = f"{text}; {error}"
-        if unusable:
+        if unusable and not all(is_mapping(entry.index) for entry, _, _ in changes):
             self._collector.expect(node_id, False)  # its PDO may be off: no row waits for it
         self._trust.refuse(node_id, [key_of(entry) for entry, _, _ in changes])
         self._say(node_id, "refused", f"another master changed {text}; its values stay unknown until that is undone")

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -70,6 +70,9 @@ class Finger:
         self.answered_s, self.unanswered = math.inf, False  # the time of the last answer; said that there is none
 
 
+_Handler = Callable[[Finger, int, float], None]
+
+
 class Trust:
     """The fingers ``node_ids``, whose answers have the identifiers ``answers`` (by identifier: place in node_ids).
 
@@ -82,13 +85,16 @@ class Trust:
         self.shown = [True] * len(node_ids)
         self._node_ids = tuple(node_ids)
         self._fingers = [Finger() for _ in node_ids]
-        self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | answers
+        self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | dict(answers)
         self._rows, self._real_rows = rows(gauges, True), rows(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
-        offsets = [objects.PROCESS_OFFSET[k + 1] for k in range(gauges)]
-        self._commanded = frozenset((COUNTER, *(key_of(entry) for entry in (*COMMANDED, *offsets))))
+        commanded: list[Entry[Any]] = [*COMMANDED, *objects.PROCESS_OFFSET.entries(gauges)]
+        self._commanded = frozenset((COUNTER, *map(key_of, commanded)))
         self._row, self._row_s, self._period_s, self._now_s = 0, -math.inf, 0.0, 0.0
-        self._fixed = {codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)), codes.LSS_REQUEST_COB_ID: (self._lss, -1, _ANY)}
+        self._fixed: dict[int, tuple[_Handler, int, range]] = {
+            codes.NMT_COB_ID: (self._nmt, -1, range(2, 9)),
+            codes.LSS_REQUEST_COB_ID: (self._lss, -1, _ANY),
+        }
         for k, node_id in enumerate(node_ids):
             self._fixed |= {
                 health.cob_id_base + node_id: (self._health, k, range(health.length_bytes, 9)),
