@@ -339,6 +339,18 @@ def test_what_is_already_there_costs_a_tenth_of_a_second(echo: bool) -> None:
         assert hand.hand.settled()
 
 
+def test_a_finger_whose_heartbeats_are_late_is_not_reset() -> None:
+    """LSS finds its serial under the node-id of the hand file: a reset would end its tare."""
+    with simulated_hand() as hand, pytest.MonkeyPatch.context() as patch:
+        put = hand.line.put
+        patch.setattr(hand.line, "put", lambda can_id, *words, **more: can_id == 0x702 or put(can_id, *words, **more))
+        hand.line.run(2.5)
+        patch.undo()
+        hand.line.run(0.5)
+        assert hand.kinds(2) == ["heartbeat_lost", "heartbeat_back"]
+        assert hand.is_shown(2)
+
+
 def test_a_block_download_is_a_write() -> None:
     with simulated_hand() as hand:
         staged = hand.line.devices[2].od.upload(indices.CALIBRATION_ACTIVE_RECORD, 0)

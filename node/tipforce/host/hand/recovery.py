@@ -15,7 +15,7 @@ from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
-from tipforce.host.hand.file import HandFile
+from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import (
     Difference,
     Meaning,
@@ -31,6 +31,7 @@ from tipforce.host.hand.meaning import (
 from tipforce.host.hand.trust import key_of
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
+from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.nmt import command_and_wait
 
 LOST = 0
@@ -203,12 +204,10 @@ class Recovery:
 
     def _find_lost(self) -> bool:
         """Search fingers that are silent: one may have another node-id, or no heartbeat."""
-        from tipforce.host.network.lss import LssMaster
-
         lost = [self._plans[n] for n, state in self._supervisor.states.items() if state < 0]
         with LssMaster(self._connection()) as master:
             somebody = master.any_unconfigured()
-            absent = [plan for plan in lost if somebody or (plan.serial and select(master, plan))]
+            absent = [plan for plan in lost if (_has_another_id(master, plan) if plan.serial else somebody)]
         if absent:
             assign(self._connection(), [FingerReport(plan) for plan in absent], self._file.hand.store, self._on_event)
         for plan in lost:
@@ -216,3 +215,12 @@ class Recovery:
                 with suppress(NoResponseError):
                     self._recover_finger(plan.node_id)
         return True
+
+
+def _has_another_id(master: LssMaster, plan: FingerPlan) -> bool:
+    """Return whether the node with the finger's serial responds to LSS and has another node-id, or none."""
+    if select(master, plan) is None:
+        return False
+    node_id = master.node_id()
+    master.release()
+    return node_id != plan.node_id

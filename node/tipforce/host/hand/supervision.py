@@ -59,12 +59,10 @@ class Supervision:
         elif event.kind == "heartbeat_lost":
             self._recovery.silent(node_id)
             self._queue.drop(node_id)
-        elif event.kind == "state":
+        elif event.kind in ("state", "heartbeat_back"):
             self._collector.expect(node_id, event.code == OPERATIONAL)
-            if event.code != OPERATIONAL:
+            if event.kind == "heartbeat_back" or event.code != OPERATIONAL:
                 self._queue.need([node_id])
-        elif event.kind == "heartbeat_back":
-            self._queue.need([node_id])
         elif event.kind == "duplicate" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
             self._collector.trust.suspect([node_id])  # until SDO shows what it is, and that one node responds
             self._queue.need([node_id])
