@@ -7,6 +7,7 @@ import threading
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -225,7 +226,7 @@ def test_what_is_no_array_of_numbers_is_refused_by_name(name: str, argument: str
 def test_these_arrays_are_numbers(name: str) -> None:
     call, given = ARRAYS[name]
     call(**given)
-    plain = {key: np.ma.array(value) for key, value in given.items()}  # nothing is masked
+    plain: dict[str, Any] = {key: np.ma.array(value) for key, value in given.items()}  # nothing is masked
     call(**plain)
 
 

@@ -183,5 +183,3 @@ def test_decode_fails_where_interfaces_are_left_out(
     else:
         assert code == 1
         assert "3 frames left out: a log may have 256 interfaces; decode the others apart, as with `grep" in err
-
-

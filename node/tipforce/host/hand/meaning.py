@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 from tipforce.device import codes, communication
 from tipforce.dictionary import objects, types
@@ -46,8 +47,9 @@ class Meaning:
 @lru_cache
 def watched(gauges: int) -> dict[Place, Entry[Value]]:
     """Return what decides whether and what a finger sends: every setting, what commands change, and its serial."""
-    settings = [one.entry for one in FingertipObjects(0, gauges).settings.values()]
-    entries = [entry for entry in settings if entry.index not in _NO_EFFECT] + [*COMMANDED, objects.IDENTITY_SERIAL]
+    settings = [setting.entry for setting in FingertipObjects(0, gauges).settings.values()]
+    entries: list[Entry[Any]] = [entry for entry in settings if entry.index not in _NO_EFFECT]
+    entries += [*COMMANDED, objects.IDENTITY_SERIAL]
     return {(entry.index, entry.sub): entry for entry in entries}
 
 
