@@ -14,9 +14,10 @@ common (times).
 from __future__ import annotations
 
 import argparse
+from pathlib import Path
 
 from bench.nets.compare import check, inputs, run_cases
-from bench.nets.trees import Tree
+from bench.nets.trees import ROOT, Tree
 
 REFERENCE = "9931bb3"
 DECODE_BASELINE, COLLECTOR_BASELINE = "e2c4c76", "9931bb3"
@@ -28,7 +29,8 @@ def main() -> int:
     parser.add_argument("mode", choices=("make", "check", "costs"))
     parser.add_argument("--reference", default=REFERENCE, metavar="REF")
     parser.add_argument("--files", default=REFERENCE, metavar="REF")
-    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases, or figures of costs")
+    parser.add_argument("--only", default="*", metavar="PATTERN", help="cases (log-*,help), or figures of costs")
+    parser.add_argument("--tree", type=Path, default=ROOT, help="another checkout than this one is checked")
     parser.add_argument("--jobs", type=int, default=2)
     parser.add_argument("--pairs", type=int, default=7, help="of each figure of costs")
     parser.add_argument("--quick", action="store_true", help="costs without 10 M frames")
@@ -48,7 +50,7 @@ def main() -> int:
     before = run_cases(Tree.of(args.reference), given, args.jobs, args.only, False)
     if args.mode == "make":
         return 0
-    tree = Tree.of(None)
+    tree = Tree(args.tree.resolve().name, args.tree.resolve())
     after = run_cases(tree, given, args.jobs, args.only, True)
 
     def retry(name: str) -> None:

@@ -27,10 +27,12 @@ from typing import Any
 
 import can
 import numpy as np
+from can.interfaces import virtual
 
 CHANNEL = "nets"
 BUS: dict[str, Any] = {"interface": "virtual", "channel": CHANNEL}
 WAIT_S = 10.0
+PAGE = "http://127.0.0.1:8471/"
 
 
 # --- where names of the product are used ----------------------------------------------------------------------------
@@ -116,6 +118,8 @@ def run_command(line: str) -> None:
             code: Any = product_main()(words)
         except SystemExit as error:
             code = error.code
+        except Exception as error:  # a fault of the product: what is printed must not depend on where it lies
+            code = f"raised {error!r}"
     texts = [stream.buffer.getvalue().decode() for stream in (out, err)]
     print(f"$ {line}\nexit {code}\n{texts[0]}--- stderr\n{texts[1]}", flush=True)
 
@@ -132,23 +136,34 @@ def talk() -> None:
     command, *steps = sys.stdin.read().splitlines()
     printed: list[str] = []
     with can.Bus(interface="virtual", channel=CHANNEL) as ear:
+        ended = threading.Event()
 
         def work() -> None:
             try:
+                _wait(lambda: ended.is_set() or "{bus}" not in command or len(virtual.channels[CHANNEL]) > 1)
                 for step in steps:
                     printed.append(f"{step}{_step(ear, *step.split(maxsplit=1))}")
             except Exception as error:
                 printed.append(repr(error))
-            os.kill(os.getpid(), signal.SIGINT)
+            _wait(ended.is_set, 0.5)
+            if not ended.is_set():
+                os.kill(os.getpid(), signal.SIGINT)
 
         thread = threading.Thread(target=work)
         thread.start()
         run_command(command)
+        ended.set()
         thread.join()
     print("\n".join(printed))
 
 
-def _step(ear: can.BusABC, word: str, rest: str) -> str:
+def _wait(condition: Callable[[], bool], limit_s: float = WAIT_S) -> None:
+    end_s = time.monotonic() + limit_s
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.01)
+
+
+def _step(ear: can.BusABC, word: str, rest: str = "") -> str:
     if word == "send":
         can_id, _, data = rest.partition("#")
         ear.send(can.Message(arbitration_id=int(can_id, 16), data=bytes.fromhex(data), is_extended_id=False))
@@ -160,28 +175,32 @@ def _step(ear: can.BusABC, word: str, rest: str) -> str:
                 return f" {found.data.hex().upper()}"
         return " nothing"
     elif word == "get":
-        end_s = time.monotonic() + WAIT_S
-        while time.monotonic() < end_s:
-            try:
-                with urllib.request.urlopen(rest, timeout=5) as answer:
-                    return f" {answer.status} {hashlib.sha256(answer.read()).hexdigest()}"
-            except OSError:
-                time.sleep(0.1)
-    elif word == "ws":
-        return _page(rest)
+        with urllib.request.urlopen(f"{PAGE}{rest}", timeout=WAIT_S) as answer:
+            return f" {answer.status} {hashlib.sha256(answer.read()).hexdigest()}"
+    elif word == "ask":
+        return _asked(rest)
+    elif word == "serving":
+        _wait(_serves)
     return ""
 
 
-def _page(url: str) -> str:
-    """The first messages of a page, until its first block of rows."""
+def _serves() -> bool:
+    try:
+        return bool(urllib.request.urlopen(PAGE, timeout=WAIT_S).status)
+    except OSError:
+        return False
+
+
+def _asked(request: str) -> str:
+    """The answer of the page's server: its text, and the digest of the data before."""
     from websockets.sync.client import connect
 
-    found = []
-    with connect(url) as page:
-        for _ in range(3):
-            message = page.recv(timeout=WAIT_S)
-            found.append(message if isinstance(message, str) else hashlib.sha256(message).hexdigest())
-    return " " + "\n".join(found)
+    data = b""
+    with connect(f"{PAGE}live".replace("http", "ws"), origin=PAGE.rstrip("/"), max_size=None) as page:  # type: ignore[arg-type]
+        page.send(request)
+        while isinstance(message := page.recv(timeout=WAIT_S), bytes):
+            data += message
+    return f" {len(data)} {hashlib.sha256(data).hexdigest()} {message}"
 
 
 # --- sequences of a hand --------------------------------------------------------------------------------------------

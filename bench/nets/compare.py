@@ -12,6 +12,7 @@ import tomllib
 from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from fnmatch import fnmatch
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -22,12 +23,21 @@ from bench.nets.trees import BUILD, ROOT, Tree, run_lines
 HERE = Path(__file__).parent
 ACCEPTED = HERE / "accepted.toml"
 _SLOW = ("report", "rows", "bus-conf", "log-", "scene")
+_IN_REAL_TIME = (
+    (rb'("t_s": |"counter": |"age_s": |"seconds": )[\d.e-]+', rb"\1N"),
+    (rb"(fingers up in |samples in |sent in |since |STALE |last )[\d.]+ (s|ms)\b", rb"\1T s"),
+    (rb"\(\d{10}\.\d{6}\)|(?<=resolution_us).*\d us|(?<=resolution_us).*", rb"T"),
+    (rb"\d+ rows; SYNC period .*", rb"ROWS"),
+    (rb"(missing|delayed|late|repeated) \d+", rb"\1 N"),
+    (rb"(linear |drift )[-+\d.]+", rb"\1N"),
+    (rb"(CRC-32 |crc32\D+)0x[\dA-F]{8}|\d{4}-\d\d-\d\d", rb"\1X"),
+)
+"""Of the cases bus-*."""
 _VOLATILE = (
     (rb"(SYNCs and \d+ frames, in )[\d.]+ s", rb"\1T s"),
     (rb'("run_time_s": |"seconds": |"wall_s": )[\d.e-]+', rb"\1T"),
     (rb"(samples in |frames in |saved in )[\d.]+ s", rb"\1T s"),
-    (rb"/out/(tree|[0-9a-f]{9})/", rb"/out/TREE/"),
-    (re.escape(bytes(BUILD)) + rb"/trees/[0-9a-f]{9}/", rb"TREE/"),
+    (re.escape(bytes(BUILD)) + rb"/(out|trees)/\w+/", rb"TREE/"),
     (re.escape(bytes(ROOT)) + rb"/(?!build)", rb"TREE/"),
     (rb"\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(\.\d+)?(Z|\+00:00)?", rb"DATE"),
 )
@@ -61,12 +71,17 @@ def run_cases(tree: Tree, given: Path, jobs: int, pattern: str, again: bool) -> 
             print(f"{tree.name}: {name}: {time.monotonic() - start_s:.1f} s", file=sys.stderr)
             done.write_text(key)
 
-    names = [name for name in CASES if fnmatch(name, pattern)]
+    names = chosen(pattern)
     names.sort(key=lambda name: not name.startswith(_SLOW))
     base.mkdir(parents=True, exist_ok=True)
     with ThreadPoolExecutor(jobs) as pool:
         list(pool.map(run, names))
     return base
+
+
+def chosen(patterns: str) -> list[str]:
+    """The cases whose names match one of the patterns, which commas separate."""
+    return sorted(name for name in CASES if any(fnmatch(name, pattern) for pattern in patterns.split(",")))
 
 
 def _key(name: str, given: Path) -> str:
@@ -78,12 +93,12 @@ def _key(name: str, given: Path) -> str:
 def differences(before: Path, after: Path, pattern: str) -> dict[str, list[str]]:
     """By file: the lines that differ, in a case whose name matches."""
     found = {}
-    for name in sorted(name for name in CASES if fnmatch(name, pattern)):
+    for name in chosen(pattern):
         files = {
             path.relative_to(base).as_posix()
             for base in (before, after)
             for path in (base / name).rglob("*")
-            if path.is_file()
+            if path.is_file() and path.suffix != ".pyc"
         }
         for file in sorted(files):
             lines = [_lines(base / file) for base in (before, after)]
@@ -113,9 +128,11 @@ def _lines(path: Path) -> list[str]:
     data = path.read_bytes()
     if path.suffix in (".png", ".npy"):
         return [hashlib.sha256(data).hexdigest()]
-    for volatile, instead in _VOLATILE:
+    timed = "bus-" in str(path)
+    for volatile, instead in (*_VOLATILE, *(_IN_REAL_TIME if timed else ())):
         data = re.sub(volatile, instead, data)
-    return data.decode("utf-8", "backslashreplace").split("\n")
+    lines = data.decode("utf-8", "backslashreplace").split("\n")
+    return [line for line, _ in groupby(lines)] if timed else lines
 
 
 def _parquet(path: Path) -> list[str]:

@@ -12,7 +12,7 @@ from fnmatch import fnmatch
 from pathlib import Path
 
 from bench.nets.logs import write_large
-from bench.nets.trees import BUILD, Tree
+from bench.nets.trees import BUILD, ROOT, Tree
 
 _SAMPLE_S = 0.02
 _FORMS = {"parquet": ["-o", "out.parquet"], "csv": ["-o", "out.csv"], "summary": ["--summary", "--json"]}
@@ -25,7 +25,7 @@ def costs(decode_ref: str, collector_ref: str, pattern: str, pairs: int, quick: 
     """Print each figure: both medians, the ratio of the pairs (median, smallest, largest), and the peak memory."""
     folder = BUILD / "costs"
     folder.mkdir(parents=True, exist_ok=True)
-    after, old, newer = Tree.of(None), Tree.of(decode_ref), Tree.of(collector_ref)
+    after, old, newer = Tree("tree", ROOT), Tree.of(decode_ref), Tree.of(collector_ref)
     print(f"{'figure':28}{'before':>10}{'now':>10}{'ratio':>8}   smallest to largest of {pairs} pairs")
     for name, before, figure in _figures(folder, old, newer, quick):
         if fnmatch(name, pattern):

@@ -22,16 +22,14 @@ LIMIT_S = 900
 
 @dataclass(frozen=True)
 class Tree:
-    """The working tree, or the files of a commit under build/."""
+    """A checkout, or the files of a commit under build/."""
 
     name: str
     folder: Path
 
     @classmethod
-    def of(cls, ref: str | None) -> Tree:
-        """The files of a git ref, made where they are missing; None: the working tree."""
-        if ref is None:
-            return cls("tree", ROOT)
+    def of(cls, ref: str) -> Tree:
+        """The files of a git ref, made where they are missing."""
         sha = _git("rev-parse", "--short=9", f"{ref}^{{commit}}")
         folder = BUILD / "trees" / sha
         if not (folder / "pyproject.toml").exists():
@@ -84,7 +82,8 @@ class Tree:
 def run_lines(tree: Tree, lines: str, folder: Path, inputs: Path) -> None:
     """Run the command lines of a case in ``folder``, where ``in`` is ``inputs``, and store what they print.
 
-    `cp FROM TO` copies; `< FILE` is stdin; a line that starts with @ goes to the adapter, with the lines | that follow.
+    `cp FROM TO` copies, `rm FILE` removes, `< FILE` is stdin. A line that starts with @ goes to the adapter, with the
+    lines | that follow.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -98,6 +97,9 @@ def run_lines(tree: Tree, lines: str, folder: Path, inputs: Path) -> None:
         if words[0] == "cp":
             copy = shutil.copytree if (folder / words[1]).is_dir() else shutil.copy
             copy(folder / words[1], folder / words[2])
+            continue
+        if words[0] == "rm":
+            (folder / words[1]).unlink(missing_ok=True)
             continue
         run = tree.adapter if words[0].startswith("@") else tree.tipforce
         done = run(words, folder, stdin)
