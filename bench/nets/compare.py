@@ -33,7 +33,11 @@ _IN_REAL_TIME = (
     (rb"(CRC-32 |crc32\D+)0x[\dA-F]{8}|\d{4}-\d\d-\d\d", rb"\1X"),
 )
 """Of the cases bus-*."""
+DRAWN = rb"(?<=-\d)-[0-9a-f]{12}(?=[.\"])"
 _VOLATILE = (
+    (DRAWN, rb"-ID"),
+    (rb"(?<=[#\"])[hmp][0-9a-f]{10}(?=[\")])", rb"ID"),  # of a clip path, hatch or marker of matplotlib
+    (rb"(PASS|FAIL) in [\d.]+ s", rb"\1 in T s"),
     (rb"(SYNCs and \d+ frames, in )[\d.]+ s", rb"\1T s"),
     (rb'("run_time_s": |"seconds": |"wall_s": )[\d.e-]+', rb"\1T"),
     (rb"(samples in |frames in |saved in )[\d.]+ s", rb"\1T s"),
@@ -94,17 +98,18 @@ def differences(before: Path, after: Path, pattern: str) -> dict[str, list[str]]
     """By file: the lines that differ, in a case whose name matches."""
     found = {}
     for name in chosen(pattern):
-        files = {
-            path.relative_to(base).as_posix()
-            for base in (before, after)
-            for path in (base / name).rglob("*")
-            if path.is_file() and path.suffix != ".pyc"
-        }
-        for file in sorted(files):
-            lines = [_lines(base / file) for base in (before, after)]
+        files = [_files(base, name) for base in (before, after)]
+        for file in sorted({*files[0], *files[1]}):
+            lines = [_lines(of_tree.get(file)) for of_tree in files]
             if lines[0] != lines[1]:
                 found[file] = _differing(*lines)
     return found
+
+
+def _files(base: Path, name: str) -> dict[str, Path]:
+    """The files of a case by name; the identifiers that a dataset draws are left out of the names."""
+    paths = (path for path in (base / name).rglob("*") if path.is_file() and path.suffix != ".pyc")
+    return {re.sub(DRAWN.decode(), "-ID", path.relative_to(base).as_posix()): path for path in paths}
 
 
 def _differing(before: list[str], after: list[str]) -> list[str]:
@@ -117,9 +122,9 @@ def _differing(before: list[str], after: list[str]) -> list[str]:
     return [line for a, b in pairs[:1000] for line in (f"-{a}", f"+{b}")] + tail
 
 
-def _lines(path: Path) -> list[str]:
+def _lines(path: Path | None) -> list[str]:
     """What a file says, without what no two runs have in common."""
-    if not path.exists():
+    if path is None:
         return ["no such file"]
     if path.suffix == ".parquet":
         return _parquet(path)
