@@ -194,9 +194,10 @@ def _serves() -> bool:
 def _asked(request: str) -> str:
     """The answer of the page's server: its text, and the digest of the data before."""
     from websockets.sync.client import connect
+    from websockets.typing import Origin
 
     data = b""
-    with connect(f"{PAGE}live".replace("http", "ws"), origin=PAGE.rstrip("/"), max_size=None) as page:  # type: ignore[arg-type]
+    with connect(f"{PAGE}live".replace("http", "ws"), origin=Origin(PAGE.rstrip("/")), max_size=None) as page:
         page.send(request)
         while isinstance(message := page.recv(timeout=WAIT_S), bytes):
             data += message

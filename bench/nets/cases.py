@@ -30,7 +30,7 @@ decode {log} {flags} -o o.mcap -q
 decode {log} {flags} --summary -v
 decode {log} --summary --json
 dump {log} --decode --json {eds}
-monitor {log} --json {eds}
+monitor {log} --json --interval 0.05 {eds}
 monitor {log} --once 0.5 {eds}
 """
 

@@ -26,25 +26,26 @@ def costs(decode_ref: str, collector_ref: str, pattern: str, pairs: int, quick: 
     folder = BUILD / "costs"
     folder.mkdir(parents=True, exist_ok=True)
     after, old, newer = Tree("tree", ROOT), Tree.of(decode_ref), Tree.of(collector_ref)
-    print(f"{'figure':28}{'before':>10}{'now':>10}{'ratio':>8}   smallest to largest of {pairs} pairs")
+    print(f"{'figure':32}{'before':>10}{'now':>10}{'ratio':>8}   smallest to largest of {pairs} pairs")
     for name, before, figure in _figures(folder, old, newer, quick):
         if fnmatch(name, pattern):
             _print(name, _pairs(figure, before, after, pairs))
-    for millions, form, log in _decodes(folder, quick):
-        name = f"memory {millions} M {form}, MB"
+    for size, form, log in _decodes(folder, quick):
+        name = f"memory {size} {form}, MB"
         if fnmatch(name, pattern):
             words = ["decode", "-q", str(log), *_FORMS[form]]
             _print(name, [(peak_mb(old, words, folder), peak_mb(after, words, folder)) for _ in range(min(pairs, 3))])
     return 0
 
 
-def _decodes(folder: Path, quick: bool) -> list[tuple[int, str, Path]]:
+def _decodes(folder: Path, quick: bool) -> list[tuple[str, str, Path]]:
+    """(frames, form, log)."""
     found = []
-    for millions in (1,) if quick else (1, 10):
-        log = folder / f"{millions}M.log"
+    for millions, modulus in ((1, 0), (1, 240)) if quick else ((1, 0), (1, 240), (10, 0)):
+        log = folder / f"{millions}M-{modulus}.log"
         if not log.exists():
-            write_large(log, millions * 1_000_000, 5)
-        found += [(millions, form, log) for form in _FORMS]
+            write_large(log, millions * 1_000_000, 5, modulus)
+        found += [(f"{millions} M{' numbered' * (modulus > 0)}", form, log) for form in _FORMS]
     return found
 
 
@@ -56,9 +57,9 @@ def _figures(folder: Path, old: Tree, newer: Tree, quick: bool) -> list[tuple[st
     found.append(("start-up read_log, s", newer, lambda tree: _imported_s(tree, folder)))
     for frames in (1, 6):
         found.append((f"collector 5x{frames}, us a row", newer, lambda tree, n=frames: _collector_us(tree, n, folder)))  # type: ignore[misc]
-    for millions, form, log in _decodes(folder, quick):
+    for size, form, log in _decodes(folder, quick):
         words = ["decode", "-q", str(log), *_FORMS[form]]
-        found.append((f"decode {millions} M {form}, s", old, lambda tree, w=words: spent_s(tree, w, folder)))  # type: ignore[misc]
+        found.append((f"decode {size} {form}, s", old, lambda tree, w=words: spent_s(tree, w, folder)))  # type: ignore[misc]
     return found
 
 
@@ -76,7 +77,7 @@ def _pairs(figure: Figure, before: Tree, after: Tree, pairs: int) -> list[tuple[
 def _print(name: str, pairs: list[tuple[float, float]]) -> None:
     ratios = sorted(now / before for before, now in pairs)
     medians = [statistics.median(column) for column in zip(*pairs, strict=True)]
-    text = f"{name:28}{medians[0]:10.3f}{medians[1]:10.3f}{statistics.median(ratios):8.3f}"
+    text = f"{name:32}{medians[0]:10.3f}{medians[1]:10.3f}{statistics.median(ratios):8.3f}"
     print(f"{text}   {ratios[0]:.3f} to {ratios[-1]:.3f}", flush=True)
 
 

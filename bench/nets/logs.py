@@ -77,6 +77,8 @@ class Hand:
             if self.modulus is not None and not unheard:
                 found.append(self._frame(t_ns, 0x80, bytes((number,)) if self.modulus else b""))
             for node in self.nodes:
+                if self.modulus is None and node == self.nodes[-1] and 100 <= k < 160:
+                    continue  # silent for longer than a value is shown
                 stale = pick.random() < self.stale
                 counters[node] += not stale
                 counter = number if self.modulus else counters[node] % 256
@@ -89,17 +91,18 @@ class Hand:
     def _frame(self, t_ns: int, can_id: int, data: bytes) -> Frame:
         return Frame(t_ns // 1000 * 1000, can_id, data, self.channel)
 
-    def _answers(self, t_ns: int, node: int, counter: int, stale: bool) -> Iterator[Frame]:
-        """The PDOs of one latch: some are lost, doubled, or later than the next SYNC."""
+    def _words(self, node: int, counter: int, stale: bool) -> dict[str, tuple[int, bytes]]:
+        """The PDOs of one latch by name: COB-ID without the node-id, and data."""
         pick = self._pick
-        late_ns = round(self.period_ms * MS) if pick.random() < self.late else 0
         P, phi, theta = pick.uniform(0, 8), pick.uniform(-180, 180), pick.uniform(0, 180)
         if pick.random() < 0.3:
             P = 0.0
         turn = np.radians((phi, phi - theta))
         force = (P * np.sin(turn[0]), P * np.sin(turn[1]), P * np.cos(turn[0]))
         strains = [round(10 * sum(a * f for a, f in zip(row, force, strict=True))) for row in MICROSTRAIN_PER_NEWTON]
-        strains = [max(-32767, min(32767, value + pick.randint(-8, 8))) for value in strains]
+        strains = [value + 10 * (12 - 3 * n) + pick.randint(-8, 8) for n, value in enumerate(strains)]
+        if self.gauges > 3 and pick.random() < 0.1:
+            strains[pick.randrange(self.gauges)] += pick.randint(-100, 100)  # around what contradicts the other gauges
         status = 0x02 | (P > 0.05) | (0x08 if stale else 0) | (0x80 if self._faults[node] & 0xFFF else 0)
         if P and pick.random() < 0.05:
             status |= pick.choice((0x10, 0x20, 0x40))
@@ -116,7 +119,7 @@ class Hand:
             strains = [-32768] * 8
         tail = bytes((status, counter))
         u_P = 0xFFFF if unknown else pick.randint(3, 40)
-        words = {
+        return {
             "gauges": (0x180, struct.pack("<3h", *strains[:3]) + tail),
             "contact": (0x280, struct.pack("<3h", *values) + tail),
             "force": (0x380, struct.pack("<3h", *newtons) + tail),
@@ -125,12 +128,22 @@ class Hand:
             "health": (0x480, struct.pack("<hHHBB", pick.randint(2000, 2600), u_P, self._faults[node], 7, 0)),
             "remapped": (0x280, struct.pack("<iBB", -(2**31) if unknown else values[0], status, counter)),
         }
+
+    def _answers(self, t_ns: int, node: int, counter: int, stale: bool) -> Iterator[Frame]:
+        """The PDOs of one latch: some are lost, doubled, or later than the next SYNC."""
+        pick = self._pick
+        late_ns = round(self.period_ms * MS) if pick.random() < self.late else 0
+        words = self._words(node, counter, stale)
         for at, name in enumerate(self.pdos):
             if name == "health" and counter % 25:
                 continue
             base, data = words[name]
             if pick.random() < self.lost:
                 continue
+            if at and name in ("contact", "force") and pick.random() < 0.01:
+                data = data[:6] + bytes((data[6] ^ 0x40, data[7]))  # not as the PDO before says
+            if self.modulus is None and pick.random() < 0.05:
+                late_ns += pick.choice((150, 190, 210, 400)) * MS  # around the longest gap within a sample
             yield self._frame(t_ns + late_ns + 120_000 * at + node * 1000, base + node, data)
             if pick.random() < self.doubled:
                 yield self._frame(t_ns + 300_000 + 120_000 * at, base + node, data)
@@ -288,9 +301,8 @@ def write_logs(folder: Path) -> None:
     }
     for gauges in range(4, 9):
         more = ("gauges46", "gauges78")[: 1 + (gauges > 6)]
-        hands[f"gauges{gauges}"] = Hand(
-            20 + gauges, (5, 6), gauges, ("gauges", *more, "contact", "health"), 240 * (gauges % 2)
-        )
+        pdos = ("gauges", *more, "contact", "health") if gauges == 8 else ("gauges", "contact", *more, "health")
+        hands[f"gauges{gauges}"] = Hand(20 + gauges, (5, 6), gauges, pdos, 240 * (gauges % 2))
     frames = {name: hand.frames() for name, hand in hands.items()}
     frames["devices"], frames["strange"] = other_devices(10), strange_frames(11)
     for name, found in frames.items():
@@ -311,17 +323,20 @@ def write_logs(folder: Path) -> None:
     write_large(folder / "large.log", 300_000, 5)
 
 
-def write_large(path: Path, count: int, nodes: int) -> None:
-    """A log of ``count`` frames: SYNC, TPDO1, TPDO2 of nodes and a foreign frame in each cycle, made in blocks."""
+def write_large(path: Path, count: int, nodes: int, modulus: int = 0) -> None:
+    """A log of ``count`` frames: SYNC, TPDO1, TPDO2 of nodes and a foreign frame in each cycle, made in blocks.
+
+    ``modulus``: of the numbers of SYNC; 0: it has none.
+    """
     cycle = np.array(
         [0x80, *(base + k for k in range(1, nodes + 1) for base in (0x180, 0x280)), 0x5C0], dtype=np.uint32
     )
     with path.open("wb") as file:
         for start in range(0, count, 200_000):
-            file.write(_block(np.arange(start, min(start + 200_000, count)), cycle))
+            file.write(_block(np.arange(start, min(start + 200_000, count)), cycle, modulus))
 
 
-def _block(number: npt.NDArray[np.int64], cycle: npt.NDArray[np.uint32]) -> bytes:
+def _block(number: npt.NDArray[np.int64], cycle: npt.NDArray[np.uint32], modulus: int) -> bytes:
     pick, count = np.random.default_rng(int(number[0])), len(number)
     can_id = cycle[number % len(cycle)]
     t_us = START_NS // 1000 + number // len(cycle) * 2000 + number % len(cycle) * (2000 // (len(cycle) + 1))
@@ -331,8 +346,10 @@ def _block(number: npt.NDArray[np.int64], cycle: npt.NDArray[np.uint32]) -> byte
     data: Bytes = np.zeros((count, 8), dtype=np.uint8)
     data[:, :6] = values.view(np.uint8)
     data[:, 6] = pick.choice(np.array([3, 2, 0, 11, 0x83], dtype=np.uint8), count)
-    data[:, 7] = number // len(cycle) % 256
-    length = np.where(can_id == 0x80, 0, np.where(can_id == 0x5C0, pick.integers(0, 9, count), 8))
+    data[:, 7] = number // len(cycle) % (modulus or 256) + (modulus > 0)
+    if modulus:
+        data[can_id == 0x80, 0] = data[can_id == 0x80, 7]
+    length = np.where(can_id == 0x80, int(modulus > 0), np.where(can_id == 0x5C0, pick.integers(0, 9, count), 8))
     digits = np.frombuffer(b"0123456789ABCDEF", dtype=np.uint8)
     text: Bytes = np.empty((count, 46), dtype=np.uint8)
     text[:] = np.frombuffer(b"(0000000000.000000) can0 000#".ljust(46, b"\n"), dtype=np.uint8)
