@@ -19,7 +19,7 @@ def make_files(tree: Tree, folder: Path) -> None:
     """Write all logs and files; ``made/`` has those that the commands of ``tree`` write, and what they print."""
     shutil.copytree(HERE / "user", folder)
     write_logs(folder)
-    for gauges in (3, 5):
+    for gauges in (3, 5, 8):
         _write_readings(folder, gauges)
     for gauges in range(4, 9):
         more = (4, 5, 6) if gauges > 6 else (4, 5)
@@ -46,6 +46,10 @@ def _write_readings(folder: Path, gauges: int) -> None:
         text = ",".join(f"{value:.2f}" for value in strains)
         data.append(f"{text},{P},{phi},{theta}")
         more.append(text)
+        for _ in range(30):  # one gauge that is off by about as much as shows
+            off = [0.0] * gauges
+            off[pick.randrange(gauges)] = pick.uniform(-10.0, 10.0)
+            more.append(",".join(f"{value + extra:.2f}" for value, extra in zip(strains, off, strict=True)))
     more += [",".join((text,) * gauges) for text in ("3300", "0", "nan")]
     (folder / f"data{gauges}.csv").write_text("\n".join([*data, ""]))
     (folder / f"gauges{gauges}.csv").write_text("\n".join([*more, ""]))

@@ -301,7 +301,7 @@ def write_logs(folder: Path) -> None:
     }
     for gauges in range(4, 9):
         more = ("gauges46", "gauges78")[: 1 + (gauges > 6)]
-        pdos = ("gauges", *more, "contact", "health") if gauges == 8 else ("gauges", "contact", *more, "health")
+        pdos = ("gauges", *more, "contact", "health") if gauges == 7 else ("gauges", "contact", *more, "health")
         hands[f"gauges{gauges}"] = Hand(20 + gauges, (5, 6), gauges, pdos, 240 * (gauges % 2))
     frames = {name: hand.frames() for name, hand in hands.items()}
     frames["devices"], frames["strange"] = other_devices(10), strange_frames(11)
