@@ -28,6 +28,7 @@ _IN_REAL_TIME = (
     (rb"(fingers up in |samples in |sent in |since |STALE |last )[\d.]+ (s|ms)\b", rb"\1T s"),
     (rb"\(\d{10}\.\d{6}\)|(?<=resolution_us).*\d us|(?<=resolution_us).*", rb"T"),
     (rb"\d+ rows; SYNC period .*", rb"ROWS"),
+    (rb"(-  +)\d+ ms|(0x2121:00  counter +|\"name\": \"counter\", \"value\": )\d+", rb"\1\2N"),
     (rb"(missing|delayed|late|repeated) \d+", rb"\1 N"),
     (rb"(linear |drift )[-+\d.]+", rb"\1N"),
     (rb"(CRC-32 |crc32\D+)0x[\dA-F]{8}|\d{4}-\d\d-\d\d", rb"\1X"),
