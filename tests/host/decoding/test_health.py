@@ -18,6 +18,8 @@ from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
 from tipforce.host.decoding.log import read_log
 from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.scene import beam_calibration
+from tipforce.sensor.contact.force import force_vector
 from tipforce_tools.cli.main import main
 
 GAUGES = 8
@@ -158,3 +160,18 @@ def test_words() -> None:
     assert status_words.of_faults(1 << 1 | 1 << 9 | 1 << 13) == [
         "SG2 saturated or left out", "front end: frozen", "beyond the calibrated force",
     ]  # fmt: skip
+
+
+def test_a_mapping_may_have_part_of_a_contact() -> None:
+    """P alone, or F1 alone: the gauges and the calibration give the rest, and without them it is unknown."""
+    calibration = beam_calibration("I", pull=True)
+    strain = np.linalg.solve(calibration.C, force_vector(2.0, np.radians(30.0), np.radians(70.0)).ravel())[np.newaxis]
+    strain = strain + calibration.offset_strain
+    status = np.array([int(Status.CALIBRATED | Status.CONTACT)], dtype=np.uint16)
+    for name in ("P", "F1"):
+        columns = {name: np.array([1.9])}
+        values = contact_values(columns, strain, status, calibration)
+        assert np.allclose(values, [[2.0, 30.0, 70.0]])
+        values = contact_values(columns, strain, status, None)
+        assert np.isnan(values[0, 1:]).all()
+        assert values[0, 0] == pytest.approx(1.9 if name == "P" else np.nan, nan_ok=True)

@@ -172,21 +172,22 @@ def contact_values(
     strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
     on the node (scalar.unknown).
     """
-    if "P" in columns:
+    if columns.keys() >= {"P", "phi", "theta"}:
         return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
     pull = calibration is not None and calibration.pull
-    if "F1" in columns:
+    if columns.keys() >= {"F1", "F2", "F3"}:
         F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
         found = estimate.contacts(F, pull=pull)
     elif calibration is not None and calibration.gauges == strain.shape[-1] > table.MIN_GAUGES:
         return _redundant(columns, strain, status, calibration)
     elif calibration is not None and calibration.gauges == strain.shape[-1]:
         _, found = estimate.estimate(calibration.C, strain, calibration.offset_strain, pull=pull)
-    else:
-        return np.full((len(status), 3), np.nan)
+    else:  # a mapping may have P alone
+        unknown = np.full(len(status), np.nan)
+        return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
     values = np.stack([found.P_newtons, np.degrees(found.phi_rad), np.degrees(found.theta_rad)], axis=-1)
     for value in np.unique(status).tolist():
-        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, "F1" in columns)
+        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, columns.keys() >= {"F1", "F2", "F3"})
         at = status == value
         for k, bit in enumerate((scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)):
             if lost & bit:

@@ -104,7 +104,7 @@ def of_faults(faults: int) -> list[str]:
 
 def not_seen(node_ids: Iterable[int]) -> str:
     """What a log without TPDO4 and EMCY of some nodes does not show."""
-    shown = ", ".join(map(str, node_ids))
+    shown = ", ".join(map(str, dict.fromkeys(node_ids)))  # a node may be on several buses
     return (
         f"node {shown}: neither TPDO4 nor EMCY, so gauges that contradict each other, overload, temperature and "
         "extrapolation could not be seen (2124h bits 12 to 15; TPDO4 is off by default)"
