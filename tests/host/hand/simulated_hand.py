@@ -9,8 +9,10 @@ from __future__ import annotations
 import contextlib
 import heapq
 import itertools
+import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from types import SimpleNamespace
 from typing import Any
 
@@ -112,7 +114,7 @@ class Line:
         sent, due_us = self.devices[serial].step(self.now_us, frames)
         self._due_us[serial] = due_us
         for can_id, data in sent:
-            self.at(LATENCY_US, lambda can_id=can_id, data=bytes(data): self.put(can_id, data, serial))
+            self.at(LATENCY_US, partial(self.put, can_id, bytes(data), serial))
 
     def advance(self, until_us: int) -> None:
         """Let time pass."""
@@ -351,7 +353,7 @@ def simulated_hand(policy: str = "refuse", echo: bool = True) -> Iterator[Simula
         hand = Hand(file, link)  # type: ignore[arg-type]
         hand._queue._pool = _Pool(line)  # type: ignore[assignment]
         thread = SimpleNamespace(start=lambda: setattr(line, "look", lambda: hand._step(0.0)), join=lambda: None)
-        patch.setattr(hand_module.threading, "Thread", lambda **_options: thread)
+        patch.setattr(threading, "Thread", lambda **_options: thread)
         line.run(0.01)
         for n in NODE_IDS:
             FingertipClient(link.connection.sdo(n)).apply_calibration(beam_calibration(), store=True)

@@ -12,6 +12,7 @@ import random
 import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
+from functools import partial
 
 import pytest
 
@@ -118,7 +119,7 @@ def inject(hand: SimulatedHand, writes: list[Write], after_us: int = 0, node_id:
     """Send downloads one after another; return when the last is sent."""
     for index, sub, data in writes:
         request = struct.pack("<BHB", 0x23 | (4 - len(data)) << 2, index, sub) + data.ljust(4, b"\0")
-        hand.line.at(after_us, lambda frame=request: hand.line.put(codes.SDO_REQUEST_BASE + node_id, frame))
+        hand.line.at(after_us, partial(hand.line.put, codes.SDO_REQUEST_BASE + node_id, request))
         after_us += GAP_US
     return after_us
 
@@ -279,7 +280,7 @@ def _renumbered(hand: SimulatedHand) -> None:
     frames = [bytes((0x40 + k,)) + part.to_bytes(4, "little") + b"\0\0\0" for k, part in enumerate(parts)]
     frames += [bytes((0x11, 9, 0, 0, 0, 0, 0, 0)), bytes((0x04, 0, 0, 0, 0, 0, 0, 0))]
     for k, frame in enumerate(frames):
-        hand.line.at(1000 * k, lambda data=frame: hand.line.put(codes.LSS_REQUEST_COB_ID, data))
+        hand.line.at(1000 * k, partial(hand.line.put, codes.LSS_REQUEST_COB_ID, frame))
     hand.line.at(30_000, lambda: hand.line.put(codes.NMT_COB_ID, bytes((codes.NMT_RESET_COMMUNICATION, 2))))
 
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import lru_cache
+from typing import Any
 
 from tipforce.device import codes, communication
 from tipforce.dictionary import objects, types
@@ -47,7 +48,8 @@ class Meaning:
 def watched(gauges: int) -> dict[Place, Entry[Value]]:
     """Return what decides whether and what a finger sends: every setting, what commands change, and its serial."""
     settings = [one.entry for one in FingertipObjects(0, gauges).settings.values()]
-    entries = [entry for entry in settings if entry.index not in _NO_EFFECT] + [*COMMANDED, objects.IDENTITY_SERIAL]
+    others: list[Entry[Any]] = [*COMMANDED, objects.IDENTITY_SERIAL]
+    entries = [entry for entry in settings if entry.index not in _NO_EFFECT] + others
     return {(entry.index, entry.sub): entry for entry in entries}
 
 
