@@ -23,6 +23,7 @@ from host.bus_with_nodes import beam_calibration
 from tipforce.device.node import Device
 from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
+from tipforce.host.decoding.duplicates import DuplicateNodes
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 from tipforce.host.hand import bring_up as bring_up_module
 from tipforce.host.hand import hand as hand_module
@@ -218,6 +219,7 @@ class Connection(Bus):
         self._line, self._sdo = line, dict[int, Channel]()
         self.network: Any = _Network(line, echo)
         self.heartbeats: Any = _Heartbeats(line)
+        self.duplicates = DuplicateNodes()
 
     def sdo(self, node_id: int) -> SdoChannel:
         if node_id not in self._sdo:
