@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Callable
 from contextlib import suppress
 
+from tipforce.device import communication
 from tipforce.device.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
@@ -110,6 +111,11 @@ class Recovery:
     def booted(self, node_id: int) -> None:
         """Note that a finger booted: it is to be set up."""
         self._boots[node_id] += 1
+
+    def needed_keys(self, node_id: int) -> list[int]:
+        """Return what decides whether a finger answers the SYNC, by ``key_of``."""
+        places = [place for place in self._wanted[node_id] if place[0] <= communication.LAST]
+        return [index << 8 | sub for index, sub in (*places, (communication.SYNC_OVERFLOW, 0))]
 
     def _say(self, node_id: int, kind: Kind, text: str) -> None:
         self._on_event(Event(time.monotonic(), node_id, kind, text))

@@ -17,6 +17,7 @@ from tipforce.host.hand.recovery_queue import RecoveryQueue
 
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read
+_UNANSWERED_S = 1.0  # a finger that is off is noticed by its heartbeat before
 _LOST_PROBE_S = 1.0  # interval of LSS searches for a lost finger
 
 
@@ -42,10 +43,11 @@ class Supervision:
         for node_id in trust.take_changes():
             text = "it was changed by another master: its values are unknown until they are verified"
             self._on_event(Event(time.monotonic(), node_id, "changed", text))
-        for node_id in trust.take_unanswered(now_s, 1.5 * self._supervisor.timeout_s):
+        for node_id in trust.take_unanswered(now_s, max(_UNANSWERED_S, 1.5 * self._supervisor.timeout_s)):
             if states[node_id] == OPERATIONAL:
                 self._on_event(Event(time.monotonic(), node_id, "failed", "operational, but it answers no SYNC"))
-                trust.suspect([node_id])
+                trust.ask(node_id, self._recovery.needed_keys(node_id))
+                self._queue.need([node_id])
         due = trust.due(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
         self._probe(now_s)

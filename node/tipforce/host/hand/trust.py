@@ -49,7 +49,8 @@ class Finger:
     """What is known of one finger; objects by ``key_of``."""
 
     __slots__ = (
-        "answered_row", "answered_s", "block_until_s", "changed", "claims", "due_s", "flight_s", "health_s", "hidden",
+        "answered_row", "answered_s", "asked", "block_until_s", "changed", "claims", "due_s", "flight_s", "health_s",
+        "hidden",
         "known", "pending", "place", "seen", "shown_row", "told", "transfer", "unanswered", "unsure",
     )  # fmt: skip
 
@@ -57,6 +58,7 @@ class Finger:
         self.known: Mapping[int, int] = {}
         self.seen: dict[int, int] = {}
         self.unsure: set[int] = set()
+        self.asked = frozenset[int]()
         self.hidden = False  # the hand itself configures it, or is going to
         self.changed = self.told = False  # something was seen otherwise; that is an event
         self.pending = False  # to be verified
@@ -155,7 +157,15 @@ class Trust:
     def unsure(self, node_id: int) -> list[int]:
         """Return the objects to read; 2126h at least."""
         with self.lock:
-            return sorted(self._at(node_id).unsure | {COUNTER}, key=lambda key: (key == COUNTER, key))
+            finger = self._at(node_id)
+            keys, finger.asked = finger.unsure | finger.asked | {COUNTER}, frozenset()
+            return sorted(keys, key=lambda key: (key == COUNTER, key))
+
+    def ask(self, node_id: int, keys: Collection[int]) -> None:
+        """Read these objects with those that are unsure; values are shown meanwhile."""
+        with self.lock:
+            finger = self._at(node_id)
+            finger.asked = frozenset(key for key in keys if key in finger.known)
 
     def changed(self, node_id: int) -> bool:
         """Return whether a change is to be decided on."""
