@@ -22,4 +22,4 @@ export AMENT_PREFIX_PATH=$ros PATH="$ros/bin:$PATH"
 cmake -S docs/examples/ros2/tipforce_msgs -B "$folder/build" --log-level=ERROR -DBUILD_TESTING=OFF \
     -DCMAKE_PREFIX_PATH="$ros" -DCMAKE_INSTALL_PREFIX="$ros" -DPython3_EXECUTABLE="$ros/bin/python" >"$folder/log" &&
     cmake --build "$folder/build" --target install -j2 >>"$folder/log" || { tail -n 30 "$folder/log" >&2; exit 1; }
-TIPFORCE_ROS_PYTHON=$ros/bin/python .venv/bin/python -m pytest tests/ros2 "$@"
+TIPFORCE_ROS_PYTHON=$ros/bin/python .venv/bin/python -m pytest tests/tools/ros2/rclpy_checks.py "$@"

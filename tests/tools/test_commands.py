@@ -76,6 +76,7 @@ def test_scan_as_json(tipforce: Tipforce) -> None:
         "calibration": "not calibrated",
         "faults": "",
         "eds": "match",
+        "duplicate": "",
     }
 
 

@@ -99,8 +99,10 @@ def test_only_what_was_said_goes_to_python_can() -> None:
 
 @pytest.mark.parametrize("words", ["--timeout 0", "--timeout -1", "--timeout nan", "--timeout inf", "--retries -1"])
 def test_times_and_retries_that_make_no_sense(words: str) -> None:
-    with pytest.raises(InputError, match=r"allowed are a time over 0 s and 0 or more retries"):
-        common.open_connection(bus_arguments("-i", "virtual", *words.split()))
+    arguments = bus_arguments("-i", "virtual", *words.split())
+    allowed = r"allowed are a time over 0 s and 0 or more retries"
+    with pytest.raises(InputError, match=allowed), common.open_connection(arguments):
+        pass
 
 
 class Terminal(io.StringIO):

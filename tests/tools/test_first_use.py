@@ -208,7 +208,9 @@ def _write_calibration(path: str) -> None:
     from tipforce.sensor.structure.strain import calibration_matrix
 
     C = calibration_matrix(FABRICATED, "II")
-    write_calibration(path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False))
+    write_calibration(
+        path, Calibration(C, np.zeros(3), 1e-14 * np.eye(3), serial=5, pull=False, calibrated_force_newtons=10.0)
+    )
 
 
 class _NoStore:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 from tipforce.errors import (
+    DuplicateNodeError,
     EnvironmentLackError,
     InputError,
     LogError,
@@ -66,6 +67,7 @@ COMMANDS = {
 
 EXIT_CODES: dict[type[TipforceError], int] = {
     LogError: 1,
+    DuplicateNodeError: 1,
     InputError: 2,
     NoResponseError: 5,
     EnvironmentLackError: 2,

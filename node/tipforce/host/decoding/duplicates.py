@@ -8,6 +8,7 @@ error frames.
 
 from __future__ import annotations
 
+import struct
 import threading
 from collections import deque
 from itertools import pairwise
@@ -15,7 +16,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tipforce.device import codes
+from tipforce.device import codes, communication
 from tipforce.device.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
 from tipforce.host.decoding.sync_modulus import SAMPLES
@@ -24,8 +25,8 @@ from tipforce.host.frames.frame_array import FrameArray
 if TYPE_CHECKING:
     from tipforce.host.decoding.decoder import Samples
 
-PRODUCT, SERIAL = (0x1018, 2), (0x1018, 4)
-_PRODUCT_PLACE, _SERIAL_PLACE = bytes((0x18, 0x10, 2)), bytes((0x18, 0x10, 4))
+PRODUCT, SERIAL = (communication.IDENTITY, 2), (communication.IDENTITY, 4)
+_PRODUCT_PLACE, _SERIAL_PLACE = (struct.pack("<HB", *place) for place in (PRODUCT, SERIAL))
 _DEFAULT_PRODUCT = table.product_code(table.MIN_GAUGES, simulated=False)  # of `tipforce lss`
 _BOOT, _GUARD = b"boot-up", b"guarding"  # requests other than SDO, which are known by index and sub-index
 _MOST_WAITING = 16  # responses that may still come to repeated requests

@@ -117,6 +117,11 @@ class BusEvents:
         self.calibrations: dict[tuple[str, int], int] = {}
         self.found: list[BusEvent] = []
         self._duplicates: dict[str, DuplicateNodes] = {}
+        self._doubled: set[tuple[str, int]] = set()
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Return what other parts of a log need; what waits for a second node stays in the process that reads."""
+        return {**self.__dict__, "_duplicates": {}}
 
     def add(self, frames: FrameArray, channels: Sequence[str]) -> None:
         """Add the events among FRAME (n,); ``channels`` are the interfaces by number."""
@@ -125,7 +130,7 @@ class BusEvents:
         wanted = (functions == codes.HEARTBEAT_BASE) | (functions == codes.EMCY_BASE)
         read = np.flatnonzero(functions == codes.SDO_RESPONSE_BASE)
         wanted[read] = (frames["data"][read, :4] == np.frombuffer(_CRC_READ, np.uint8)).all(axis=1)
-        self._add_duplicates(frames, channels)
+        new = self._second_nodes(frames, channels)
         few = np.flatnonzero(wanted)
         chosen = frames[few[can_id[few] & codes.NODE_ID_MASK != 0]]  # SYNC is EMCY's function with node-id 0
         data = chosen["data"].tobytes()
@@ -135,21 +140,32 @@ class BusEvents:
             if self._node_ids is None or node_id in self._node_ids:
                 told = _event(can_id & codes.FUNCTION_MASK, data[8 * k : 8 * k + length])
                 if told is not None:
-                    self.append(BusEvent(t_ns, channels[channel], node_id, *told))
+                    new.append(BusEvent(t_ns, channels[channel], node_id, *told))
+        if new and new[0].kind == "duplicate":
+            new.sort(key=lambda event: event.t_ns)
+        for event in new:
+            self.append(event)
 
-    def _add_duplicates(self, frames: FrameArray, channels: Sequence[str]) -> None:
-        """Add the first finding of each node-id."""
+    def _second_nodes(self, frames: FrameArray, channels: Sequence[str]) -> list[BusEvent]:
+        """Return the events of node-ids that two nodes use."""
+        events = []
         chosen = services(frames)
         for number in set(chosen["channel"].tolist()):
             channel = channels[number]
             watch = self._duplicates.setdefault(channel, DuplicateNodes())
             for duplicate in watch.add(chosen[chosen["channel"] == number]):
                 if self._node_ids is None or duplicate.node_id in self._node_ids:
-                    self.append(BusEvent(duplicate.t_ns, channel, duplicate.node_id, "duplicate", 0, str(duplicate)))
+                    text = str(duplicate)
+                    events.append(BusEvent(duplicate.t_ns, channel, duplicate.node_id, "duplicate", 0, text))
+        return events
 
     def append(self, event: BusEvent) -> None:
-        """Add an event, unless it repeats the state or the calibration of its node."""
+        """Add an event, unless it repeats the state or the calibration of its node, or that two nodes have its id."""
         place = event.channel, event.node_id
+        if event.kind == "duplicate" and place in self._doubled:
+            return
+        if event.kind in ("duplicate", "boot_up"):
+            (self._doubled.add if event.kind == "duplicate" else self._doubled.discard)(place)
         last = self.calibrations if event.kind == "calibration" else self.states
         if event.kind in ("state", "calibration") and last.get(place) == event.code:
             return

@@ -22,7 +22,7 @@ def received(tmp_path_factory: pytest.TempPathFactory) -> dict[str, list[dict[st
     """Messages by topic."""
     hand = [
         sys.executable,
-        str(HERE.parent / "tools" / "ros2" / "loopback_hand.py"),
+        str(HERE / "loopback_hand.py"),
         str(tmp_path_factory.mktemp("hand")),
     ]
     reader = [os.environ["TIPFORCE_ROS_PYTHON"], str(HERE / "rclpy_reader.py"), *hand]
