@@ -5,13 +5,15 @@ Every setting of the dictionary is watched; a new object is, too, without a word
 
 from __future__ import annotations
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
 from tipforce.device import codes, communication
-from tipforce.dictionary import objects, types
+from tipforce.dictionary import indices, objects, table, types
 from tipforce.dictionary.entries import Entry
+from tipforce.dictionary.rows import rows
 from tipforce.dictionary.types import Value
 from tipforce.errors import RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
@@ -24,6 +26,8 @@ from tipforce.host.network.sdo import SdoChannel
 _NO_EFFECT = (communication.VERIFY_CONFIGURATION,)  # the date of a configuration: settings that nothing follows
 _TARE = {(entry.index, entry.sub) for entry in COMMANDED[1:]}
 _CALIBRATION = (objects.CALIBRATION_ACTIVE_CRC.index, objects.CALIBRATION_ACTIVE_CRC.sub)
+_INTERRUPTS = range(indices.INTERRUPT_DELTA & 0xFFF, (indices.INTERRUPT_HYSTERESIS & 0xFFF) + 1)
+_LAST_PDO = communication.LAST_TPDO
 _TRIES = 5
 
 
@@ -53,12 +57,30 @@ def watched(gauges: int) -> dict[Place, Entry[Value]]:
     return {(entry.index, entry.sub): entry for entry in entries}
 
 
-def read_meaning(sdo: SdoChannel, gauges: int) -> Meaning:
-    """Read what is watched. Raises as SdoChannel, and RefusedError for a finger that is changed again and again."""
+@lru_cache
+def of_values(gauges: int) -> frozenset[Place]:
+    """Return what decides, besides the settings of a hand file, which values a finger sends and what they mean."""
+    profile = {
+        place
+        for place, row in rows(gauges).items()
+        if row.flags & table.COUNTED and row.index >= indices.FIELD_VALUE and row.index & 0xFFF not in _INTERRUPTS
+    }
+    cob_ids = {place for place in watched(gauges) if place[1] == 1 and communication.RPDO <= place[0] <= _LAST_PDO}
+    read = (*COMMANDED, objects.IDENTITY_SERIAL)
+    return frozenset(profile | cob_ids | {(entry.index, entry.sub) for entry in read}) & watched(gauges).keys()
+
+
+def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None = None) -> Meaning:
+    """Read what is watched, or some of it.
+
+    Raises as SdoChannel, and RefusedError for a finger that is changed again and again.
+    """
     for _ in range(_TRIES):
         counter = sdo.read(objects.CONFIGURATION_COUNTER)
         values = {}
         for place, entry in watched(gauges).items():
+            if places is not None and place not in places:
+                continue
             try:
                 values[place] = entry, sdo.upload(*place)
             except SdoAbortError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from contextlib import suppress
 
 from tipforce.device import communication
@@ -13,6 +13,7 @@ from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
+from tipforce.host.configuration.device_objects import Place
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
 from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
@@ -24,6 +25,7 @@ from tipforce.host.hand.meaning import (
     differences,
     in_words,
     needed,
+    of_values,
     only_tare,
     read_meaning,
     set_overflow,
@@ -66,7 +68,8 @@ class Recovery:
         try:
             return self._find_lost() if node_id == LOST else self._recover_finger(node_id)
         except TipforceError as error:
-            self._say(node_id, "failed", str(error))
+            if node_id == LOST or not self._trust.shows(node_id):  # else something was to be read besides
+                self._say(node_id, "failed", str(error))
             if self._supervisor.states.get(node_id, 0) >= 0:
                 return False
             self._trust.give_up(node_id)
@@ -135,7 +138,7 @@ class Recovery:
             connection.nmt("preop", node_id)  # no SDO in STOPPED
         report = FingerReport(self._plans[node_id])
         set_up(connection, self._file, report, self._wanted[node_id], self._on_event, self._number)
-        if report.ok and self._learn(node_id):
+        if report.ok and self._learn(node_id, set_up_now=True):
             self._set_up[node_id] = boots
             return True
         return not report.ok and self._supervisor.states[node_id] < 0
@@ -153,23 +156,35 @@ class Recovery:
             before = set_overflow(client.sdo, self.overflow)
             self._overflow_before.setdefault(client.node_id, before)
 
-    def _learn(self, node_id: int) -> bool:
-        """Read what the values of a finger mean, and show them; return False if that is not as in the hand file."""
-        plan, found = self._plans[node_id], self._read(node_id)
+    def _learn(self, node_id: int, *, set_up_now: bool = False) -> bool:
+        """Read what the values of a finger mean, and show them; return False if that is not as in the hand file.
+
+        ``set_up_now``: the settings of the hand file have just been compared. What has no part in the values is taken
+        to be as before, until it is read while they are shown.
+        """
+        plan, known = self._plans[node_id], self.meaning.get(node_id)
+        later: set[Place] = set()
+        if set_up_now and known is not None:
+            wanted = {place: (entry, entry.encode(value)) for place, (entry, value) in self._wanted[node_id].items()}
+            part = self._read(node_id, of_values(plan.gauges) - wanted.keys())
+            later = known.values.keys() - part.values.keys() - wanted.keys()
+            found = Meaning(part.counter, {**known.values, **wanted, **part.values})
+        else:
+            found = self._read(node_id)
         if not as_wanted(found, self._wanted[node_id], self._file.calibration(plan)):
             return False
-        changes = differences(self.meaning.get(node_id, found), found)
+        changes = differences(found if known is None else known, found)
         if changes:  # lost at the reset, or stored by another before it
             return self._decide(node_id, found, changes)
-        self._show(node_id, found)
+        self._show(node_id, found, {index << 8 | sub for index, sub in later})
         return True
 
-    def _read(self, node_id: int) -> Meaning:
-        return read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges)
+    def _read(self, node_id: int, places: Collection[Place] | None = None) -> Meaning:
+        return read_meaning(self._connection().sdo(node_id), self._plans[node_id].gauges, places)
 
-    def _show(self, node_id: int, meaning: Meaning) -> None:
+    def _show(self, node_id: int, meaning: Meaning, later: Collection[int] = ()) -> None:
         self.meaning[node_id] = meaning
-        self._trust.learn(node_id, meaning.keys())
+        self._trust.learn(node_id, meaning.keys(), later)
         self._collector.expect(node_id, True)
 
     def _verify(self, node_id: int) -> bool:
@@ -219,7 +234,9 @@ class Recovery:
         for plan in lost:
             if plan not in absent and plan.node_id in self.meaning:
                 with suppress(NoResponseError):
-                    self._recover_finger(plan.node_id)
+                    self._connection().sdo(plan.node_id).read(objects.CONFIGURATION_COUNTER)
+                    if self._supervisor.states[plan.node_id] < 0:  # it responds, and has not booted
+                        self._recover_finger(plan.node_id)
         return True
 
 

@@ -23,10 +23,15 @@ class RecoveryQueue:
         self._lock = threading.Lock()
         self._busy: set[int] = set()
         self._due_s: dict[int, float] = {}
+        self._quiet: set[int] = set()
 
-    def need(self, node_ids: Collection[int]) -> None:
-        """Request the recovery of these fingers now."""
+    def need(self, node_ids: Collection[int], *, quiet: bool = False) -> None:
+        """Request the recovery of these fingers now; ``quiet``: something to read, which ``waiting`` does not count."""
         with self._lock:
+            if quiet:
+                self._quiet |= set(node_ids) - self._due_s.keys() - self._busy
+            else:
+                self._quiet -= set(node_ids)
             self._due_s |= dict.fromkeys(node_ids, 0.0)
         self.tick()
 
@@ -38,7 +43,7 @@ class RecoveryQueue:
     def waiting(self) -> bool:
         """Return whether a recovery is active or pending."""
         with self._lock:
-            return bool(self._busy or self._due_s)
+            return bool((self._busy | self._due_s.keys()) - self._quiet)
 
     def tick(self) -> None:
         """Start the recoveries that are due; call it regularly."""
@@ -64,5 +69,7 @@ class RecoveryQueue:
         finally:
             with self._lock:
                 self._busy.discard(node_id)
+                if recovered and node_id not in self._due_s:
+                    self._quiet.discard(node_id)
                 if not recovered:
                     self._due_s.setdefault(node_id, time.monotonic() + RETRY_S)

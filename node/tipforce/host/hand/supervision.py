@@ -14,6 +14,7 @@ from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Supervisor, waited_s
 from tipforce.host.hand.recovery import LOST, Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
+from tipforce.host.hand.trust import COUNTER
 
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
 _HEALTH_SILENT_S = 1.5e-3 * HEALTH_MS  # then 2126h is read
@@ -50,6 +51,7 @@ class Supervision:
                 self._queue.need([node_id])
         due = trust.due(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
+        self._queue.need(trust.take_asked(now_s), quiet=True)
         self._probe(now_s)
 
     def _react(self, event: Event) -> None:
@@ -65,8 +67,11 @@ class Supervision:
             self._collector.expect(node_id, event.code == OPERATIONAL)
             if event.kind == "heartbeat_back" or event.code != OPERATIONAL:
                 self._queue.need([node_id])
-        elif event.kind == "duplicate" or (event.kind == "emcy" and event.code in _RECOVERED_BY_HAND):
+        elif event.kind == "duplicate":
             self._collector.trust.suspect([node_id])  # until SDO shows what it is, and that one node responds
+            self._queue.need([node_id])
+        elif event.kind == "emcy" and event.code in _RECOVERED_BY_HAND:
+            self._collector.trust.suspect([node_id], (COUNTER,))
             self._queue.need([node_id])
 
     def _probe(self, now_s: float) -> None:

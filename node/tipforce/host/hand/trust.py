@@ -26,6 +26,7 @@ from tipforce.host.hand.rows import NO_ANSWER, PRESENT
 VERIFY_S = 0.02  # from the last request of another to the reading: a node has one SDO server, which both would use
 DECIDE_S = 0.25  # the same where something was changed, a long transfer is open, or the node restarts
 _AGAIN_S = 0.1  # between two readings
+_LATER_S = 5.0  # to the reading of what has no part in the values, after a boot
 _TRANSFER_S = 0.5  # a download without a response for so long has none
 _SETTLED_S, _SETTLED_ROWS = 1.0, 5  # without a row for so long, or a value in so many, it is not settled
 _UNANSWERED_ROWS = 20  # rows without an answer: these are not frames that were lost
@@ -49,9 +50,9 @@ class Finger:
     """What is known of one finger; objects by ``key_of``."""
 
     __slots__ = (
-        "answered_row", "answered_s", "asked", "block_until_s", "changed", "claims", "due_s", "flight_s", "health_s",
-        "hidden",
-        "known", "pending", "place", "seen", "shown_row", "told", "transfer", "unanswered", "unsure",
+        "answered_row", "answered_s", "asked", "asked_s", "block_until_s", "changed", "claims", "due_s", "flight_s",
+        "health_s", "hidden", "known", "pending", "place", "seen", "shown_row", "told", "transfer", "unanswered",
+        "unsure",
     )  # fmt: skip
 
     def __init__(self) -> None:
@@ -59,6 +60,7 @@ class Finger:
         self.seen: dict[int, int] = {}
         self.unsure: set[int] = set()
         self.asked = frozenset[int]()
+        self.asked_s = 0.0  # when they are to be read
         self.hidden = False  # the hand itself configures it, or is going to
         self.changed = self.told = False  # something was seen otherwise; that is an event
         self.pending = False  # to be verified
@@ -116,12 +118,16 @@ class Trust:
             self._at(node_id).hidden = True
             self._judge()
 
-    def learn(self, node_id: int, known: Mapping[int, int]) -> None:
-        """Show values while each object is seen as in ``known``, in frames that may still wait to be processed."""
+    def learn(self, node_id: int, known: Mapping[int, int], later: Collection[int] = ()) -> None:
+        """Show values while each object is seen as in ``known``, in frames that may still wait to be processed.
+
+        ``later``: objects that are still to be read; values are shown meanwhile.
+        """
         with self.lock:
             finger = self._at(node_id)
             finger.known, finger.hidden, finger.changed, finger.told = known, False, False, False
-            finger.unsure = {key for key, value in known.items() if finger.seen.get(key) != value}
+            finger.asked, finger.asked_s = frozenset(later).difference(finger.seen), self._now_s + _LATER_S
+            finger.unsure = {key for key, value in known.items() if finger.seen.get(key) != value} - finger.asked
             for key in finger.unsure:
                 finger.seen.pop(key, None)
             finger.claims = {key: values for key, values in finger.claims.items() if values != {known.get(key)}}
@@ -197,6 +203,18 @@ class Trust:
                     due.append(node_id)
             return due
 
+    def take_asked(self, now_s: float) -> list[int]:
+        """Return the fingers of which objects are to be read while values are shown; each once."""
+        with self.lock:
+            asked = [k for k, finger in enumerate(self._fingers) if finger.asked and now_s >= finger.asked_s]
+            for k in asked:
+                self._fingers[k].asked_s = math.inf
+            return [self._node_ids[k] for k in asked]
+
+    def shows(self, node_id: int) -> bool:
+        """Return whether the values of a finger are shown."""
+        return self.shown[self._node_ids.index(node_id)]
+
     def count_rows(self, reasons: npt.NDArray[np.uint8], now_s: float) -> None:
         """Note the reasons (m, k) of rows."""
         with self.lock:
@@ -262,8 +280,7 @@ class Trust:
     def _emcy(self, _finger: Finger, word: int, now_s: float) -> None:
         if word & 0xFFFF == emcy.COB_ID_COLLISION:  # of two senders one may be another finger
             for finger in self._fingers:
-                self._forget(finger)
-                self._doubt(finger, (COUNTER,), now_s)
+                self._doubt(finger, {COUNTER, SERIAL, *filter(_sends, finger.known)}, now_s)
 
     def _heartbeat(self, finger: Finger, word: int, _now_s: float) -> None:
         if not word & 0xFF and finger.known:  # a boot-up: it is set up again
