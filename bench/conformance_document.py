@@ -15,10 +15,10 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from tipforce_tools.conformance.case import all_cases
-from tipforce_tools.conformance.links import CORE_NODE_ID
-from tipforce_tools.conformance.report import by_clause
-from tipforce_tools.conformance.run import run_in_process
+from canopen_conformance.case import all_cases
+from canopen_conformance.links import CORE_NODE_ID
+from canopen_conformance.report import by_clause
+from canopen_conformance.run import run_in_process
 
 COMMAND = "tipforce vcan -- python -m bench.conformance_document > docs/conformance.md"
 INTERFACE = "vcan0"

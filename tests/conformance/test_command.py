@@ -9,15 +9,15 @@ from dataclasses import replace
 import can
 import pytest
 
+from canopen_conformance.case import Case, CheckError, all_cases, matching
+from canopen_conformance.dut import Dut
+from canopen_conformance.links import CoreLink, core_node
+from canopen_conformance.report import clause_key, lines, summary
+from canopen_conformance.run import FAIL, Result, run_case, run_on
 from tipforce.errors import NoResponseError
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce_tools.cli.main import main
-from tipforce_tools.conformance.case import Case, CheckError, all_cases, matching
-from tipforce_tools.conformance.dut import Dut
-from tipforce_tools.conformance.links import CoreLink, core_node
-from tipforce_tools.conformance.report import clause_key, lines, summary
-from tipforce_tools.conformance.run import FAIL, Result, run_case, run_on
 
 CHANNEL = "conformance"
 ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
@@ -89,7 +89,7 @@ def test_persistent_cases_need_permission(capsys: pytest.CaptureFixture[str]) ->
 def test_node_that_is_not_there_is_no_response(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tipforce_tools.conformance.dut.BOOT_MS", 10)
+    monkeypatch.setattr("canopen_conformance.dut.BOOT_MS", 10)
     assert main([*ON_BUS, "--case", "identity.*"]) == 5
     assert "no boot-up message" in capsys.readouterr().err
 
@@ -132,7 +132,7 @@ def test_sigterm_ends_with_the_results_until_then(
             signal.raise_signal(signal.SIGTERM)
         return run_case(case, dut, persistent)
 
-    monkeypatch.setattr("tipforce_tools.conformance.run.run_case", terminated)
+    monkeypatch.setattr("canopen_conformance.run.run_case", terminated)
     try:
         assert main([*ON_BUS, "--case", "identity.identity*"]) == 130
     finally:

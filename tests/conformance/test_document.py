@@ -4,8 +4,8 @@ from pathlib import Path
 
 from bench.conformance_document import COMMAND
 
-from tipforce_tools.conformance.case import all_cases
-from tipforce_tools.conformance.report import by_clause
+from canopen_conformance.case import all_cases
+from canopen_conformance.report import by_clause
 
 DOCUMENT = Path(__file__).parents[2] / "docs" / "conformance.md"
 

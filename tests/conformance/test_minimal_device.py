@@ -2,9 +2,9 @@
 
 import pytest
 
+from canopen_conformance.case import Case, all_cases
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process
 from conformance.minimal import MinimalDevice
-from tipforce_tools.conformance.case import Case, all_cases
-from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process
 
 # The standard demands segmented transfer of an SDO server (7.2.4.1); this one has none, and that is to be found.
 LACKING = "sdo_segmented."

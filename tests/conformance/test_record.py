@@ -3,9 +3,9 @@
 import json
 from pathlib import Path
 
-from tipforce_tools.conformance.case import all_cases
-from tipforce_tools.conformance.links import core_node
-from tipforce_tools.conformance.run import record
+from canopen_conformance.case import all_cases
+from canopen_conformance.links import core_node
+from canopen_conformance.run import record
 
 
 def test_recording_replays_byte_for_byte(tmp_path: Path) -> None:

@@ -2,11 +2,11 @@
 
 import pytest
 
+from canopen_conformance.case import Case, all_cases, matching
+from canopen_conformance.dut import Dut
+from canopen_conformance.links import CoreLink
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process, run_on
 from conformance.self_starting import NODE_ID, SelfStarting
-from tipforce_tools.conformance.case import Case, all_cases, matching
-from tipforce_tools.conformance.dut import Dut
-from tipforce_tools.conformance.links import CoreLink
-from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process, run_on
 
 FOREIGN = [case for case in all_cases() if not case.own]
 

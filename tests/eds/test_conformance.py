@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from canopen_conformance.case import matching
+from canopen_conformance.run import FAIL, PASS, run_in_process
 from eds.samples import pdo, record, text, var
 from tipforce.device.node import Device
 from tipforce.eds import read_eds
 from tipforce.eds.load import device_of
-from tipforce_tools.conformance.case import matching
-from tipforce_tools.conformance.run import FAIL, PASS, run_in_process
 
 PLAIN = text(
     var("1003", 7, "ro", "0"), var("1005", 7, "ro", "128"), var("1009", 9, "const"),

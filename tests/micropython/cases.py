@@ -1,9 +1,9 @@
 """The conformance suite as conversations: its cases, as they run in one process, recorded."""
 
+from canopen_conformance.case import all_cases
+from canopen_conformance.links import CORE_NODE_ID, core_eds
+from canopen_conformance.run import run_in_process
 from micropython.recording import RecordedDevice, Recording
-from tipforce_tools.conformance.case import all_cases
-from tipforce_tools.conformance.links import CORE_NODE_ID, core_eds
-from tipforce_tools.conformance.run import run_in_process
 
 _SERIAL = 0x1234  # that of links.core_node
 

@@ -13,9 +13,9 @@ from tipforce_tools.cli import common
 if TYPE_CHECKING:
     import can
 
-    from tipforce_tools.conformance.case import Case
-    from tipforce_tools.conformance.dut import Dut
-    from tipforce_tools.conformance.run import Result
+    from canopen_conformance.case import Case
+    from canopen_conformance.dut import Dut
+    from canopen_conformance.run import Result
 
 EPILOG = """\
 A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
@@ -54,8 +54,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the cases and print the report; 1 if any failed. Raises NoResponseError if the node does not boot."""
-    from tipforce_tools.conformance.case import matching
-    from tipforce_tools.conformance.report import by_clause
+    from canopen_conformance.case import matching
+    from canopen_conformance.report import by_clause
 
     cases = matching(args.case)
     if not cases:
@@ -74,9 +74,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
+    from canopen_conformance import report
+    from canopen_conformance.run import FAIL, run_on
     from tipforce_tools.cli.main import terminate_as_interrupt
-    from tipforce_tools.conformance import report
-    from tipforce_tools.conformance.run import FAIL, run_on
 
     results: list[Result] = []
 
@@ -106,9 +106,9 @@ def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
 
 def _device(bus: can.BusABC, args: argparse.Namespace) -> Dut:
     """Return the device after a reset. Raises NoResponseError if it does not boot."""
-    from tipforce_tools.conformance.case import CheckError
-    from tipforce_tools.conformance.dut import Dut
-    from tipforce_tools.conformance.links import BusLink
+    from canopen_conformance.case import CheckError
+    from canopen_conformance.dut import Dut
+    from canopen_conformance.links import BusLink
 
     dut = Dut(BusLink(bus, args.tolerance), args.node_id)
     try:

@@ -1,1 +1,1 @@
-"""The cases, one file per service; ``case.all_cases`` finds them."""
+"""The cases about the objects of a fingertip; importing a module declares its cases."""

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from canopen_conformance.case import case
+from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, START, Dut
 from tipforce.device.codes import ERROR_FLAG
-from tipforce_tools.conformance.case import case
-from tipforce_tools.conformance.dut import OPERATIONAL, PRE_OPERATIONAL, START, Dut
 
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100
 PASSIVE, OVERFLOW, ACTIVE = "00 30 00 00 00 00 00 00", "00 01 00 00 00 00 00 00", "00 40 00 00 00 00 00 00"

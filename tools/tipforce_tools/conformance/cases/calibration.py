@@ -6,11 +6,11 @@ import binascii
 import math
 import struct
 
+from canopen_conformance.case import CheckError, case, check
+from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 from tipforce.device import codes
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle
-from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 
 SIGNATURE, STATE, INCOMPATIBLE = 0x08000020, 0x08000022, 0x06040043
 INVALID_VALUE, TOO_HIGH, TOO_LONG, TOO_SHORT = 0x06090030, 0x06090031, 0x06070012, 0x06070013

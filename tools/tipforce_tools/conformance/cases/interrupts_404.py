@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import CheckError, case, check
-from tipforce_tools.conformance.dut import START, Dut
-from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1
+from canopen_conformance.case import CheckError, case, check
+from canopen_conformance.dut import START, Dut
+from canopen_conformance.setups import TPDO1, enable_tpdo1
 
 GAUGE_1 = 0x71300110
 STATUS, COUNTER = 0x21200008, 0x21210008

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
+from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.dut import READ_ONLY, Dut
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
-from tipforce_tools.conformance.dut import READ_ONLY, Dut
 
 INVALID_VALUE, TOO_HIGH, TOO_LOW = 0x06090030, 0x06090031, 0x06090032
 SIGNATURE, STATE = 0x08000020, 0x08000022

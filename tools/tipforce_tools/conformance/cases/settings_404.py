@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 
+from canopen_conformance.case import CheckError, case, check
+from canopen_conformance.dut import Dut
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import CheckError, case, check
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle, uncalibrated
-from tipforce_tools.conformance.dut import Dut
 
 INVALID_VALUE, TOO_HIGH, TOO_LOW = 0x06090030, 0x06090031, 0x06090032
 SIGNATURE, STATE = 0x08000020, 0x08000022

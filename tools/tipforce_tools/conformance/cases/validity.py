@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import math
 
+from canopen_conformance.case import case, check
+from canopen_conformance.dut import RESET_NODE, Dut
 from tipforce.dictionary import table
-from tipforce_tools.conformance.case import case, check
 from tipforce_tools.conformance.cases.calibration import (
     INVALID_VALUE,
     NEWTONS_PER_STRAIN,
@@ -17,7 +18,6 @@ from tipforce_tools.conformance.cases.calibration import (
     stage,
 )
 from tipforce_tools.conformance.cases.profile_404 import gauges, settle
-from tipforce_tools.conformance.dut import RESET_NODE, Dut
 
 TOO_LOW = 0x06090032
 BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD

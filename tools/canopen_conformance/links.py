@@ -7,10 +7,10 @@ from collections import deque
 from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
+from canopen_conformance.raw_frames import Frame
 from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.device.node import Device
 from tipforce.errors import NoResponseError
-from tipforce_tools.conformance.raw_frames import Frame
 
 if TYPE_CHECKING:
     import can

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import Dut
 from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import Dut
 
 BEAT = ((0x1017, 0),)
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010

@@ -6,9 +6,9 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
-from tipforce_tools.conformance.setups import TPDO1, check_mapped
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+from canopen_conformance.setups import TPDO1, check_mapped
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 WRONG = (0x08000020, 0x08000000, 0x06090030)

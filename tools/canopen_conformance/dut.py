@@ -6,8 +6,8 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError
-from tipforce_tools.conformance.raw_frames import QUIET_MS, Frame, Frames, Link, Wanted, as_bytes
+from canopen_conformance.case import CheckError, NotApplicableError
+from canopen_conformance.raw_frames import QUIET_MS, Frame, Frames, Link, Wanted, as_bytes
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
 STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import Dut
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import Dut
 
 READ_ONLY = 0x06010002
 

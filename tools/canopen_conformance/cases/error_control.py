@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from canopen_conformance.case import case
+from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION, STOPPED, Dut
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import case
-from tipforce_tools.conformance.dut import OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION, STOPPED, Dut
 
 PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))

@@ -5,8 +5,8 @@ from __future__ import annotations
 import binascii
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
-from tipforce_tools.conformance.dut import STOP, Dut
+from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.dut import STOP, Dut
 
 UNKNOWN, BLOCK_SIZE, SEQUENCE, TIMED_OUT = 0x05040001, 0x05040002, 0x05040003, 0x05040000
 NAMES = (0x1008, 0x1009, 0x100A)

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.cases.lss import IDENTITY, SLAVE, identity, say
-from tipforce_tools.conformance.dut import Dut
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.cases.lss import IDENTITY, SLAVE, identity, say
+from canopen_conformance.dut import Dut
 
 
 def identify(dut: Dut, numbers: list[int]) -> None:

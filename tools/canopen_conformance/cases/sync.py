@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import struct
 
+from canopen_conformance.case import case, check
+from canopen_conformance.dut import START, Dut
+from canopen_conformance.setups import TPDO1, enable_tpdo1, mapped_rpdo1
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import case, check
-from tipforce_tools.conformance.dut import START, Dut
-from tipforce_tools.conformance.setups import TPDO1, enable_tpdo1, mapped_rpdo1
 
 INVALID_VALUE, TOO_HIGH = 0x06090030, 0x06090031
 COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))

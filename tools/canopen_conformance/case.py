@@ -10,7 +10,7 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any, TypeAlias
 
 if TYPE_CHECKING:
-    from tipforce_tools.conformance.dut import Dut
+    from canopen_conformance.dut import Dut
 
     Entry: TypeAlias = tuple[int, int]
 
@@ -93,10 +93,9 @@ def _bound(body: Callable[..., None], arguments: tuple[Any, ...]) -> Callable[[D
 
 def all_cases() -> list[Case]:
     """Return every case, ordered by service file and position there."""
-    from tipforce_tools.conformance import cases
-
-    for module in sorted(info.name for info in pkgutil.iter_modules(cases.__path__)):
-        importlib.import_module(f"{cases.__name__}.{module}")
+    for name in ("canopen_conformance.cases", "tipforce_tools.conformance.cases"):
+        for module in sorted(info.name for info in pkgutil.iter_modules(importlib.import_module(name).__path__)):
+            importlib.import_module(f"{name}.{module}")
     # Sorted, because another order of import (a test that imports one service) must not change the report.
     return sorted(_FOUND, key=lambda found: found.name.partition(".")[0])
 

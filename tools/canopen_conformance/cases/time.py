@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import case, check
-from tipforce_tools.conformance.dut import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Dut
+from canopen_conformance.case import case, check
+from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Dut
 
 NEEDS = ((0x1012, 0),)
 HIGH = ((0x1013, 0),)

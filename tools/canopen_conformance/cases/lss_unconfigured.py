@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
-from tipforce_tools.conformance.cases.lss import (
+from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.cases.lss import (
     IDENTITY,
     MASTER,
     SLAVE,
@@ -17,7 +17,7 @@ from tipforce_tools.conformance.cases.lss import (
     say,
     waiting,
 )
-from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 
 _START = 0x80
 

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import case, check
-from tipforce_tools.conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
-from tipforce_tools.conformance.setups import RPDO1, disable_pdo, mapped_rpdo1
+from canopen_conformance.case import case, check
+from canopen_conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
+from canopen_conformance.setups import RPDO1, disable_pdo, mapped_rpdo1
 
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))
 TIME_U32 = 0x10130020  # 1013h, 32 bits

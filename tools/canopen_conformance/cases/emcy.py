@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
-from tipforce_tools.conformance.dut import RESET_COMMUNICATION, RESET_NODE, START, Dut
-from tipforce_tools.conformance.setups import INVALID, break_sync, cure_error, make_error
+from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, START, Dut
+from canopen_conformance.setups import INVALID, break_sync, cure_error, make_error
 
 NEEDS = ((0x1014, 0), (0x1001, 0))
 HISTORY = (*NEEDS, (0x1003, 0))

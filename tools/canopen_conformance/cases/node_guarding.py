@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from canopen_conformance.case import case
+from canopen_conformance.dut import OPERATIONAL, RESET_COMMUNICATION, START, STOP, STOPPED, Dut
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import case
-from tipforce_tools.conformance.dut import OPERATIONAL, RESET_COMMUNICATION, START, STOP, STOPPED, Dut
 
 GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
 

@@ -7,8 +7,8 @@ from collections import deque
 from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
+from canopen_conformance.case import CheckError
 from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
-from tipforce_tools.conformance.case import CheckError
 
 ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import RESET_COMMUNICATION, Dut
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import RESET_COMMUNICATION, Dut
 
 BEAT = ((0x1017, 0),)
 RECORD = ((0x2141, 0),)

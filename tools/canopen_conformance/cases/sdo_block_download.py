@@ -5,8 +5,8 @@ from __future__ import annotations
 import binascii
 import struct
 
-from tipforce_tools.conformance.case import CheckError, NotApplicableError, case, check
-from tipforce_tools.conformance.dut import Dut
+from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.dut import Dut
 
 UNKNOWN, SEQUENCE, CRC, TIMED_OUT = 0x05040001, 0x05040003, 0x05040004, 0x05040000
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
-from tipforce_tools.conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
+from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 
 INVALID_VALUE, DEVICE_STATE, UNSUPPORTED = 0x06090030, 0x08000022, 0x06010000
 NOT_MAPPABLE, PDO_LENGTH, NO_OBJECT, NO_SUB, TOO_HIGH = 0x06040041, 0x06040042, 0x06020000, 0x06090011, 0x06090031

@@ -6,8 +6,8 @@ import re
 from collections import Counter
 from collections.abc import Iterable, Iterator
 
-from tipforce_tools.conformance.case import Case
-from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, Result
+from canopen_conformance.case import Case
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, Result
 
 _LAST_FRAMES = 40  # the end of a long exchange shows the failure
 

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 import struct
 
-from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
-from tipforce_tools.conformance.case import NotApplicableError, case, check
-from tipforce_tools.conformance.dut import (
+from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.dut import (
     ENTER_PRE_OPERATIONAL,
     OPERATIONAL,
     PRE_OPERATIONAL,
@@ -17,7 +16,8 @@ from tipforce_tools.conformance.dut import (
     STOPPED,
     Dut,
 )
-from tipforce_tools.conformance.setups import TPDO1, break_sync, enable_tpdo1, mapped_rpdo1
+from canopen_conformance.setups import TPDO1, break_sync, enable_tpdo1, mapped_rpdo1
+from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
 
 HEARTBEAT = ((0x1017, 0),)
 STATES = {PRE_OPERATIONAL: "PRE-OPERATIONAL", OPERATIONAL: "OPERATIONAL", STOPPED: "STOPPED"}

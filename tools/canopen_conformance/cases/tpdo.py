@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+from canopen_conformance.case import CheckError, case, check
+from canopen_conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
+from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, remap
 from tipforce.device.codes import REMOTE_FLAG
-from tipforce_tools.conformance.case import CheckError, case, check
-from tipforce_tools.conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
-from tipforce_tools.conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, remap
 
 TIMED = (*TPDO1, (0x1800, 3), (0x1800, 5))
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))

@@ -7,11 +7,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from canopen_conformance.case import Case, CheckError, NotApplicableError, all_cases
+from canopen_conformance.dut import RESET_NODE, Dut
+from canopen_conformance.links import CORE_NODE_ID, CoreLink, core_eds, core_node
 from tipforce.errors import NoResponseError
 from tipforce.output_file import write_file
-from tipforce_tools.conformance.case import Case, CheckError, NotApplicableError, all_cases
-from tipforce_tools.conformance.dut import RESET_NODE, Dut
-from tipforce_tools.conformance.links import CORE_NODE_ID, CoreLink, core_eds, core_node
 
 PASS, FAIL, NOT_APPLICABLE = "pass", "FAIL", "not applicable"
 

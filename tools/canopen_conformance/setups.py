@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from tipforce_tools.conformance.case import NotApplicableError
-from tipforce_tools.conformance.dut import LAST_DATA_TYPE, Dut
+from canopen_conformance.case import NotApplicableError
+from canopen_conformance.dut import LAST_DATA_TYPE, Dut
 
 INVALID = 0x80000000
 TPDO1 = ((0x1800, 1), (0x1800, 2), (0x1A00, 0))

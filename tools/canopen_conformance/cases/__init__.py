@@ -1,0 +1,1 @@
+"""The cases, one file per service; ``case.all_cases`` finds them."""
