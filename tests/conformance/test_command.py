@@ -9,12 +9,12 @@ from dataclasses import replace
 import can
 import pytest
 
-from canopen_conformance.case import Case, CheckError, all_cases, matching
+from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_key
 from canopen_conformance.dut import Dut
-from canopen_conformance.links import CoreLink, core_node
-from canopen_conformance.report import clause_key, lines, summary
+from canopen_conformance.links import CoreLink
+from canopen_conformance.report import lines, summary
 from canopen_conformance.run import FAIL, Result, run_case, run_on
-from tipforce.errors import NoResponseError
+from conformance.fingertip import all_cases, core_node, matching
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce_tools.cli.main import main
@@ -114,7 +114,7 @@ def test_a_device_that_dies_ends_the_run() -> None:
     with pytest.MonkeyPatch.context() as monkey:
         run = run_on(Dut(link, 5), [killer, template], persistent=False)
         assert next(run).verdict == FAIL
-        with pytest.raises(NoResponseError, match="no longer boots after the case test"):
+        with pytest.raises(LostDeviceError, match="no longer boots after the case test"):
             next(run)
 
 

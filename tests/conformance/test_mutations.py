@@ -5,8 +5,8 @@ from typing import Any, TypeAlias
 
 import pytest
 
-from canopen_conformance.case import matching
-from canopen_conformance.run import FAIL, run_in_process
+from canopen_conformance.run import FAIL
+from conformance.fingertip import matching, run_in_process
 from tipforce.device import codes, lss, pdo, sdo_block
 from tipforce.device.codes import SIGNATURE_SAVE
 from tipforce.device.emcy import Emcy

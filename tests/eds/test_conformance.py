@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from canopen_conformance.case import matching
-from canopen_conformance.run import FAIL, PASS, run_in_process
+from canopen_conformance.run import FAIL, PASS
+from conformance.fingertip import matching, run_in_process
 from eds.samples import pdo, record, text, var
 from tipforce.device.node import Device
 from tipforce.eds import read_eds
@@ -60,6 +60,6 @@ def test_no_case_fails(content: str, tmp_path: Path) -> None:
 
         return device_of(read_eds(path, 5), save, store.get)
 
-    results = [run_in_process(case, device)[0] for case in CASES]
+    results = [run_in_process(case, device())[0] for case in CASES]
     assert [(one.case.name, one.reason) for one in results if one.verdict == FAIL] == []
     assert sum(one.verdict == PASS for one in results) > 10

@@ -6,7 +6,7 @@ import struct
 from collections.abc import Sequence
 from contextlib import suppress
 
-from canopen_conformance.case import CheckError, NotApplicableError
+from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
 from canopen_conformance.raw_frames import QUIET_MS, Frame, Frames, Link, Wanted, as_bytes
 
 START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
@@ -25,16 +25,16 @@ _MAY_REFUSE = (
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
 _SLOW_RESET_MS = 250
-_TIPFORCE = 0x545
 
 
 class Dut(Frames):
-    """One device on a link, with its present node-id."""
+    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any."""
 
-    def __init__(self, link: Link, node_id: int) -> None:
+    def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
         super().__init__(link, node_id)
+        self.product = product
         self._survey: dict[tuple[int, int], bool] = {}
-        self._is_tipforce: bool | None = None
+        self._of_product: bool | None = None
         self._starts_by_itself: bool | None = None
         self._own_sync: list[tuple[int, bytes]] | None = None
         self._fresh = False  # as after a reset: since then only objects were read
@@ -76,19 +76,26 @@ class Dut(Frames):
     def measure_resets(self) -> None:
         """Reset the device. If reset node is slow and reset communication is faster, ``refresh`` uses the latter.
 
-        It restores what the cases change on any device: the communication parameters.
+        It restores what the cases change on any device: the communication parameters. Raises LostDeviceError if the
+        device does not boot.
         """
         times_us = {}
         for command in (RESET_NODE, RESET_COMMUNICATION):
             start_us = self.now_us
-            self.reset(command)
+            try:
+                self.reset(command)
+            except CheckError as failure:
+                raise LostDeviceError(
+                    f"node {self.node_id} (0x{self.node_id:02X}): no boot-up message after NMT reset node; is it on "
+                    "this bus, is the bit rate right?"
+                ) from failure
             times_us[command] = self.now_us - start_us
             if times_us[command] < 1000 * _SLOW_RESET_MS:
                 break
         self._reset_command = min(times_us, key=lambda command: times_us[command])
         self.refresh()
         with suppress(CheckError):
-            self.is_tipforce()
+            self.is_of_product()
 
     def starts_by_itself(self) -> bool:
         """Return whether the device enters OPERATIONAL after its boot-up (CiA 302-2, 1F80h), by 1F80h or heartbeat."""
@@ -279,7 +286,7 @@ class Dut(Frames):
         code = self.try_write(index, sub, data)
         if code == READ_ONLY and code not in codes:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if code in _OUT_OF_RANGE and _INVALID_VALUE in codes and not self.is_tipforce():
+        if code in _OUT_OF_RANGE and _INVALID_VALUE in codes and not self.is_of_product():
             return
         if code not in codes:
             shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
@@ -309,9 +316,13 @@ class Dut(Frames):
             self._fresh = fresh
         return self._survey[key]
 
-    def is_tipforce(self) -> bool:
-        """Return whether 1018h:2 is a product code of tipforce."""
-        if self._is_tipforce is None:
-            product = self.try_read(0x1018, 2)
-            self._is_tipforce = isinstance(product, bytes) and int.from_bytes(product, "little") >> 20 == _TIPFORCE
-        return self._is_tipforce
+    def is_of_product(self) -> bool:
+        """Return whether 1018h:2 is a product code of ``product``."""
+        if self._of_product is None:
+            code = self.try_read(0x1018, 2) if self.product else 0
+            self._of_product = (
+                self.product is not None
+                and isinstance(code, bytes)
+                and int.from_bytes(code, "little") & self.product.mask == self.product.code
+            )
+        return self._of_product

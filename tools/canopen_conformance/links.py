@@ -4,13 +4,10 @@ from __future__ import annotations
 
 import time
 from collections import deque
-from functools import cache
 from typing import TYPE_CHECKING, Protocol
 
-from canopen_conformance.raw_frames import Frame
-from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
-from tipforce.device.node import Device
-from tipforce.errors import NoResponseError
+from canopen_conformance.case import LostDeviceError
+from canopen_conformance.raw_frames import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK, Frame
 
 if TYPE_CHECKING:
     import can
@@ -18,9 +15,7 @@ if TYPE_CHECKING:
     Sent = list[tuple[int, bytes]]
     Step = tuple[int, Sent, Sent]
 
-CORE_NODE_ID = 5
 DEFAULT_TOLERANCE_MS = 20
-_EDS_BYTES = 2000  # more than two blocks of SDO block transfer; the whole EDS would only make the recording longer
 _MOST_STEPS_AT_ONCE = 1000
 
 
@@ -84,7 +79,7 @@ class BusLink:
         return time.monotonic_ns() // 1000
 
     def send(self, can_id: int, data: bytes) -> None:
-        """Send a frame. Raises NoResponseError if the bus accepts nothing for a second."""
+        """Send a frame. Raises LostDeviceError if the bus accepts nothing for a second."""
         import can
 
         extended = bool(can_id & EXTENDED_FLAG)
@@ -97,41 +92,15 @@ class BusLink:
         try:
             self._bus.send(message, timeout=1.0)
         except can.CanError as error:
-            raise NoResponseError(f"the bus no longer accepts frames: {error}") from error
+            raise LostDeviceError(f"the bus no longer accepts frames: {error}") from error
 
     def receive(self, until_us: int) -> Frame | None:
         """Return the next classic CAN frame."""
-        from tipforce.socketcan import raw_can_id
-
         while True:
             left_s = max(0.0, (until_us - self.now_us()) * 1e-6)
             message = self._bus.recv(left_s)
             if message is None:
                 return None
             if not (message.is_fd or message.is_error_frame):
-                return Frame(raw_can_id(message), bytes(message.data), self.now_us())
-
-
-def core_node(eds: bytes | None = None) -> Device:
-    """Return the node of the in-process run: 3 gauges, case I, no noise, a store in memory."""
-    from tipforce.fingertip.node import fingertip_node
-    from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce.sensor.structure.strain import strain_matrix
-    from tipforce.sources.simulated import SimulatedSource
-
-    source = SimulatedSource(strain_matrix(FABRICATED, "I").tolist())
-    stored: dict[str, bytes] = {}
-
-    def save(group: str, data: bytes) -> bool:
-        stored[group] = data
-        return True
-
-    return fingertip_node(CORE_NODE_ID, source, 3, 0x1234, save, stored.get, core_eds() if eds is None else eds)
-
-
-@cache
-def core_eds() -> bytes:
-    """Return the content of 1021h of the in-process node."""
-    from tipforce.dictionary.eds import eds_text
-
-    return eds_text(3, simulated=True).encode()[:_EDS_BYTES]
+                flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
+                return Frame(message.arbitration_id | flags, bytes(message.data), self.now_us())

@@ -8,8 +8,10 @@ from collections.abc import Callable
 from typing import NamedTuple, Protocol, TypeAlias
 
 from canopen_conformance.case import CheckError
-from tipforce.device.codes import EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 
+# Flags and masks of a CAN identifier (linux/can.h); stated here again, so that the suite depends on no device.
+EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x80000000, 0x40000000, 0x20000000
+STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
 ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame
 _KEPT = 5000  # bounds the memory on a bus with traffic of other nodes

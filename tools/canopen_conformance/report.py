@@ -2,24 +2,43 @@
 
 from __future__ import annotations
 
-import re
+import json
 from collections import Counter
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from canopen_conformance.case import Case
-from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, Result
+from canopen_conformance.dut import Dut
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, Result, run_on
 
 _LAST_FRAMES = 40  # the end of a long exchange shows the failure
 
 
-def by_clause(cases: Iterable[Case]) -> list[Case]:
-    """Sort cases by clause: CiA 301 before 302, 7.2.4.3.9 before 7.2.4.3.13."""
-    return sorted(cases, key=lambda case: clause_key(case.clause))
+def listing(cases: Iterable[Case]) -> str:
+    """Return a line per case: clause, name, title."""
+    return "\n".join(f"{case.clause:22} {case.name:36} {case.title}" for case in cases)
 
 
-def clause_key(clause: str) -> tuple[tuple[int, int | str], ...]:
-    """Return a sort key that compares the numbers in a clause as numbers."""
-    return tuple((0, int(part)) if part.isdigit() else (1, part) for part in re.split(r"[ .]", clause))
+def run_and_print(
+    dut: Dut, cases: Sequence[Case], persistent: bool, as_json: bool, note: Callable[[str], None]
+) -> bool:
+    """Run cases and print each result as it comes, in the end the counts; return whether no case failed.
+
+    ``as_json``: a JSON record a line, and the counts to ``note``. Raises LostDeviceError if the device does not boot.
+    """
+    results: list[Result] = []
+
+    def collected() -> Iterator[Result]:
+        for result in run_on(dut, cases, persistent):
+            results.append(result)
+            yield result
+
+    dut.measure_resets()
+    try:
+        for line in (json.dumps(record(result)) for result in collected()) if as_json else lines(collected()):
+            print(line, flush=True)
+    finally:  # also after Ctrl-C, SIGTERM or the loss of the device
+        (note if as_json else print)(summary(results))
+    return all(result.verdict != FAIL for result in results)
 
 
 def lines(results: Iterable[Result]) -> Iterator[str]:

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import CheckError, NotApplicableError, case, check
-from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, START, Dut
+from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.dut import START, Dut
 from canopen_conformance.setups import INVALID, break_sync, cure_error, make_error
+
+case = Service("emcy")
 
 NEEDS = ((0x1014, 0), (0x1001, 0))
 HISTORY = (*NEEDS, (0x1003, 0))
@@ -122,26 +124,6 @@ def history_read_only(dut: Dut) -> None:
     dut.refuses("I", 0x1003, 1, 0, READ_ONLY)
 
 
-@case("CiA 301 7.5.2.4", "a full history drops the oldest", needs=HISTORY, own=True)
-def history_full(dut: Dut) -> None:
-    clear(dut)
-    for _ in range(10):
-        make_error(dut)
-        cure_error(dut)
-    dut.holds("B", 0x1003, 0, 8)
-    dut.read(0x1003, 8)
-
-
-@case("CiA 301 7.5.2.4", "the history outlives {1}", needs=HISTORY, own=True, each=[
-    (RESET_COMMUNICATION, "reset communication"), (RESET_NODE, "reset node"),
-])  # fmt: skip
-def history_reset(dut: Dut, command: int, _name: str) -> None:
-    clear(dut)
-    make_error(dut)
-    dut.reset(command)
-    dut.holds("B", 0x1003, 0, 1)
-
-
 # --- 1014h ------------------------------------------------------------------------------------------------
 
 
@@ -218,40 +200,7 @@ def no_inhibit(dut: Dut) -> None:
         cure_error(dut)
 
 
-@case("CiA 301 7.5.2.18", "many messages wait, in their order", needs=INHIBIT, own=True)
-def queue(dut: Dut) -> None:
-    dut.put("H", 0x1015, 0, 20)
-    for _ in range(12):
-        break_sync(dut)
-        dut.send(0x080)
-    for _ in range(12):
-        dut.expect(0x80 + dut.node_id, "40 82 *")
-        dut.expect(0x80 + dut.node_id, "00 00 *")
-
-
 @case("CiA 301 7.3.2.3", "EMCY is sent in OPERATIONAL", needs=NEEDS)
 def operational(dut: Dut) -> None:
     dut.nmt(START)
     make_error(dut)
-
-
-@case("CiA 301 7.2.7.1", "another node sends this node's heartbeat: EMCY 8150h, once", needs=NEEDS, own=True)
-def collision(dut: Dut) -> None:
-    for _ in range(3):
-        dut.send(0x700 + dut.node_id, "05")
-    dut.expect(0x80 + dut.node_id, "50 81 11 *")
-    dut.silence(0x80 + dut.node_id)
-
-
-@case(
-    "CiA 301 7.2.7.1", "an identifier that a TPDO has left may be another node's", needs=(*NEEDS, (0x1800, 1)), own=True
-)
-def no_collision(dut: Dut) -> None:
-    cob_id = dut.integer("I", 0x1800, 1)
-    dut.nmt(START)
-    dut.put("I", 0x1800, 1, cob_id | INVALID)
-    dut.send(cob_id & 0x7FF, bytes(8))
-    dut.silence(0x80 + dut.node_id)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.send(cob_id & 0x7FF, bytes(8))
-    dut.expect(0x80 + dut.node_id, "50 81 *")

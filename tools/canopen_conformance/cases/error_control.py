@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from canopen_conformance.case import case
+from canopen_conformance.case import Service
 from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION, STOPPED, Dut
-from tipforce.device.codes import REMOTE_FLAG
+from canopen_conformance.raw_frames import REMOTE_FLAG
+
+case = Service("error_control")
 
 PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
@@ -65,18 +67,6 @@ def new_period(dut: Dut) -> None:
     dut.expect(0x700 + dut.node_id, "7F", 40)
 
 
-@case(
-    "CiA 301 7.2.8.3.2.2", "the boot-up message starts the first period of the default 1017h", needs=PRODUCER, own=True
-)
-def first_period(dut: Dut) -> None:
-    ms = dut.integer("H", 0x1017)
-    dut.forget()
-    dut.nmt(RESET_COMMUNICATION)
-    boot = dut.boot_up()
-    beat = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
-    dut.check_ms("boot-up to heartbeat", beat.at_us - boot.at_us, ms)
-
-
 @case("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
 def producer_size(dut: Dut, kind: str, size: int) -> None:
     dut.refuses(kind, 0x1017, 0, 100, 0x06070010, 0x06070012 if size > 2 else 0x06070013)
@@ -103,13 +93,6 @@ def consumer_twice_off(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
     dut.put("I", 0x1016, 2, WATCHED << 16)
     dut.put("I", 0x1016, 1, WATCHED << 16 | 500)
-
-
-@case("CiA 301 7.5.2.19", "{0:08X}h is refused: {1}", needs=CONSUMER, own=True, each=[
-    (0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits"),
-])  # fmt: skip
-def consumer_value(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1016, 1, value, 0x06090030)
 
 
 @case("CiA 301 7.2.8.3.2.2", "nobody is missed before a first heartbeat", needs=CONSUMER)
@@ -182,11 +165,6 @@ def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str)
     dut.send(0x700 + WATCHED, "05")
     dut.sleep(60 + dut.link.tolerance_ms)
     dut.state(after)
-
-
-@case("CiA 301 7.5.2.32", "1029h:1 = 3 is refused", needs=((0x1029, 1),), own=True)
-def behaviour_refused(dut: Dut) -> None:
-    dut.refuses("B", 0x1029, 1, 3, 0x06090031)
 
 
 @case(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
+
+case = Service("identity")
 
 READ_ONLY = 0x06010002
 
@@ -12,11 +14,6 @@ READ_ONLY = 0x06010002
 def device_type(dut: Dut) -> None:
     first = dut.integer("I", 0x1000)
     dut.holds("I", 0x1000, 0, first)
-
-
-@case("CiA 404 1000h", "device profile 404, an analogue input block", own=True)
-def profile(dut: Dut) -> None:
-    dut.holds("I", 0x1000, 0, 0x00020194)
 
 
 @case("CiA 301 7.5.2.2", "1001h is there, an UNSIGNED8")
@@ -57,16 +54,10 @@ def identity(dut: Dut) -> None:
 
 
 @case("CiA 301 7.5.2.21", "1018h:{0} cannot be written", each=[(1,), (2,), (3,), (4,)])
-def identity_constant(dut: Dut, sub: int) -> None:
+def identity_identity_constant(dut: Dut, sub: int) -> None:
     if not dut.exists(0x1018, sub):
         raise NotApplicableError(f"no 1018h:{sub}")
     dut.refuses("I", 0x1018, sub, 1, READ_ONLY)
-
-
-@case("CiA 301 7.5.2.21", "product code: tipforce, the number of gauges is 3 to 8", own=True)
-def product(dut: Dut) -> None:
-    found = dut.integer("I", 0x1018, 2)
-    check(found & 0xFFFFFC00 == 0x54500000 and 3 <= found & 0xFF <= 8, "545000nnh to 545003nnh", f"{found:08X}h")
 
 
 @case("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])
@@ -81,26 +72,6 @@ def configuration_lost(dut: Dut) -> None:
     dut.put("I", 0x1020, 1, before ^ 0xFF)
     dut.reset()
     dut.holds("I", 0x1020, 1, before)
-
-
-@case(
-    "CiA 301 7.5.2.24",
-    "1021h begins as an EDS does; 1022h says that it is not compressed",
-    needs=((0x1021, 0), (0x1022, 0)),
-    own=True,
-)
-def eds(dut: Dut) -> None:
-    dut.ask("40 21 10 00", "41 21 10 00 *")
-    first = dut.ask("60", "00 *")
-    check(first[1:].startswith(b"["), "[FileInfo]", first[1:].hex(" "))
-    dut.request("80 21 10 00 00 00 00 08")
-    dut.holds("H", 0x1022, 0, 0)
-
-
-@case("CiA 301 7.5.2.24", "1021h cannot be written", needs=((0x1022, 0),), own=True)
-def eds_constant(dut: Dut) -> None:
-    dut.request("21 21 10 00 04")
-    dut.aborted(0x1021, 0, READ_ONLY)
 
 
 @case(

@@ -10,8 +10,10 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import RESET_COMMUNICATION, STOP, Dut
+
+case = Service("lss")
 
 IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
 MASTER, SLAVE = 0x7E5, 0x7E4

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.lss import IDENTITY, SLAVE, identity, say
 from canopen_conformance.dut import Dut
+
+case = Service("lss_identify")
 
 
 def identify(dut: Dut, numbers: list[int]) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.lss import (
     IDENTITY,
     MASTER,
@@ -18,6 +18,8 @@ from canopen_conformance.cases.lss import (
     waiting,
 )
 from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+
+case = Service("lss_unconfigured")
 
 _START = 0x80
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import (
     ENTER_PRE_OPERATIONAL,
     OPERATIONAL,
@@ -16,8 +16,10 @@ from canopen_conformance.dut import (
     STOPPED,
     Dut,
 )
+from canopen_conformance.raw_frames import EXTENDED_FLAG, REMOTE_FLAG
 from canopen_conformance.setups import TPDO1, break_sync, enable_tpdo1, mapped_rpdo1
-from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+
+case = Service("nmt")
 
 HEARTBEAT = ((0x1017, 0),)
 STATES = {PRE_OPERATIONAL: "PRE-OPERATIONAL", OPERATIONAL: "OPERATIONAL", STOPPED: "STOPPED"}
@@ -210,23 +212,6 @@ def sync_stopped(dut: Dut) -> None:
     break_sync(dut)
     dut.nmt(ENTER_PRE_OPERATIONAL)
     dut.silence(0x80 + dut.node_id)
-
-
-@case("CiA 302-2 1F80h", "the node waits for start: bit 2 is set by default", needs=((0x1F80, 0),), own=True)
-def startup_waits(dut: Dut) -> None:
-    dut.ask("40 80 1F 00", "43 80 1F 00 04 00 00 00")
-
-
-@case(
-    "CiA 302-2 1F80h",
-    "{0:08X}h asks for what a slave is not: refused",
-    needs=((0x1F80, 0),),
-    each=[(1,), (5,), (0x10,)],
-    own=True,
-)
-def startup_refused(dut: Dut, value: int) -> None:
-    dut.refuses("I", 0x1F80, 0, value, 0x06090030)
-    dut.holds("I", 0x1F80, 0, 4)
 
 
 @case(

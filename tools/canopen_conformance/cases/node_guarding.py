@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from canopen_conformance.case import case
+from canopen_conformance.case import Service
 from canopen_conformance.dut import OPERATIONAL, RESET_COMMUNICATION, START, STOP, STOPPED, Dut
-from tipforce.device.codes import REMOTE_FLAG
+from canopen_conformance.raw_frames import REMOTE_FLAG
+
+case = Service("node_guarding")
 
 GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
 
@@ -51,13 +53,6 @@ def toggle_reset(dut: Dut) -> None:
     dut.reset(RESET_COMMUNICATION)
     life(dut, 0, 0)
     guard(dut, "7F")
-
-
-@case("CiA 301 7.2.8.2.2", "with a heartbeat there is no node guarding", needs=GUARDING, own=True)
-def heartbeat_excludes(dut: Dut) -> None:
-    dut.put("H", 0x1017, 0, 5000)
-    dut.send(0x700 + dut.node_id | REMOTE_FLAG)
-    dut.silence(0x700 + dut.node_id)
 
 
 @case("CiA 301 7.2.8.2.2.2", "the life time runs out: EMCY 8130h; the next remote frame cures", needs=GUARDING)

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
 from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
+
+case = Service("pdo_parameters")
 
 INVALID_VALUE, DEVICE_STATE, UNSUPPORTED = 0x06090030, 0x08000022, 0x06010000
 NOT_MAPPABLE, PDO_LENGTH, NO_OBJECT, NO_SUB, TOO_HIGH = 0x06040041, 0x06040042, 0x06020000, 0x06090011, 0x06090031
@@ -55,32 +57,11 @@ def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: 
     dut.refuses("I", communication, 1, can_id | flags, INVALID_VALUE)
 
 
-@case("CiA 301 7.5.2.35", "{2}: a 29-bit CAN-ID is not offered: 06090030h", needs=EITHER, own=True, each=[
-    (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
-])  # fmt: skip
-def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
-    cob_id = disable_pdo(dut, communication)
-    dut.refuses("I", communication, 1, cob_id | bits, INVALID_VALUE)
-
-
-@case("CiA 301 7.5.2.37", "a TPDO that answers to remote frames is not offered: 06090030h", needs=TPDO1, own=True)
-def rtr(dut: Dut) -> None:
-    cob_id = disable_pdo(dut, 0x1800)
-    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, INVALID_VALUE)
-
-
 @case("CiA 301 7.5.2.35", "{2}: transmission type {3} is reserved: 06090030h", needs=EITHER, each=[
     (*pdo, value) for pdo in BOTH for value in (241, 246, 251)
 ])  # fmt: skip
 def reserved_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
     dut.refuses("B", communication, 2, value, INVALID_VALUE, TOO_HIGH)
-
-
-@case("CiA 301 7.5.2.37", "{2}: transmission type {3} (by remote frame) is refused", needs=EITHER, own=True, each=[
-    (*pdo, value) for pdo in BOTH for value in (252, 253)
-])  # fmt: skip
-def rtr_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    dut.refuses("B", communication, 2, value, INVALID_VALUE)
 
 
 @case("CiA 301 7.5.2.35", "{2}: transmission type {3} is taken", needs=EITHER, each=[
@@ -136,20 +117,6 @@ def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: i
         dut.refuses("I", mapping, 1, word, NO_OBJECT, NO_SUB, NOT_MAPPABLE)
 
 
-@case("CiA 301 7.5.2.36", "06040041h: {3}", needs=EITHER, own=True, each=[
-    (0x1800, 0x1A00, 0x10000020, "1000h is not mappable"),
-    (0x1800, 0x1A00, 0x21040020, "a write-only object in a TPDO"),
-    (0x1400, 0x1600, 0x21200008, "a read-only object in an RPDO"),
-    (0x1800, 0x1A00, 0x71300108, "another length than the object's in a TPDO"),
-    (0x1400, 0x1600, 0x21300008, "another length than the object's in an RPDO"),
-    (0x1400, 0x1600, 0x00050010, "another length than the dummy type's"),
-])  # fmt: skip
-def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: str) -> None:
-    disable_pdo(dut, communication)
-    dut.put("B", mapping, 0, 0)
-    dut.refuses("I", mapping, 1, word, NOT_MAPPABLE)
-
-
 @case("CiA 301 7.5.2.36", "more than 64 bits: 06040042h", needs=RPDO1)
 def too_many_bits(dut: Dut) -> None:
     disable_pdo(dut, 0x1400)
@@ -166,14 +133,6 @@ def too_many_entries(dut: Dut, communication: int, mapping: int, _name: str) -> 
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
     dut.refuses("B", mapping, 0, 65, PDO_LENGTH, TOO_HIGH, INVALID_VALUE)
-
-
-@case("CiA 301 7.5.2.36", "{2}: an entry of 0 counted in is refused", needs=EITHER, own=True, each=BOTH)
-def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
-    disable_pdo(dut, communication)
-    dut.put("B", mapping, 0, 0)
-    dut.put("I", mapping, 1, 0)
-    dut.refuses("B", mapping, 0, 1, NO_OBJECT, NOT_MAPPABLE)
 
 
 @case(

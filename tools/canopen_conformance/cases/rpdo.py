@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import case, check
+from canopen_conformance.case import Service, check
 from canopen_conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
 from canopen_conformance.setups import RPDO1, disable_pdo, mapped_rpdo1
+
+case = Service("rpdo")
 
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))
 TIME_U32 = 0x10130020  # 1013h, 32 bits
@@ -59,20 +61,6 @@ def last_before_sync(dut: Dut) -> None:
     high_resolution(dut, 0x70000000, 0x71000000)
 
 
-@case(
-    "CiA 301 7.2.2.2", "what waited for a SYNC is forgotten when OPERATIONAL is left", needs=HIGH_RESOLUTION, own=True
-)
-def forgotten(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, TIME_U32, transmission=1)
-    dut.nmt(START)
-    set_time(dut)
-    dut.send(can_id, struct.pack("<I", 0x60000000))
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.nmt(START)
-    dut.send(0x080)
-    high_resolution(dut, 0, 0x60000000)
-
-
 @case("CiA 301 7.2.2.5.1", "a longer RPDO: the mapped bytes count", needs=HIGH_RESOLUTION)
 def longer(dut: Dut) -> None:
     can_id = mapped_rpdo1(dut, TIME_U32)
@@ -89,17 +77,6 @@ def shorter(dut: Dut) -> None:
     dut.send(can_id, "00 00 60")
     dut.expect(0x80 + dut.node_id, "10 82 *")
     high_resolution(dut, 0, 0x600000)
-
-
-@case("CiA 301 7.2.7.1", "an RPDO of the right length cures 8210h", needs=(*HIGH_RESOLUTION, (0x1014, 0)), own=True)
-def length_cured(dut: Dut) -> None:
-    can_id = mapped_rpdo1(dut, TIME_U32)
-    dut.nmt(START)
-    for _ in range(2):
-        dut.send(can_id)
-        dut.expect(0x80 + dut.node_id, "10 82 *")
-        dut.send(can_id, bytes(4))
-        dut.expect(0x80 + dut.node_id, "00 00 00 *")
 
 
 @case("CiA 301 7.4.7.1", "dummy entries skip bytes of an RPDO", needs=HIGH_RESOLUTION)

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
-from tipforce.device.codes import EXTENDED_FLAG, REMOTE_FLAG
+from canopen_conformance.raw_frames import EXTENDED_FLAG, REMOTE_FLAG
+
+case = Service("sdo")
 
 BEAT = ((0x1017, 0),)
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010
@@ -74,14 +76,6 @@ def read_only(dut: Dut, index: int, sub: int) -> None:
     dut.aborted(index, sub, 0x06010002)
 
 
-@case("CiA 301 7.2.4.3.17", "06010001h: a read of {0:04X}h:{1}, which can only be written", own=True, each=[
-    (0x2104, 0), (0x2105, 3), (0x6125, 1),
-])  # fmt: skip
-def write_only(dut: Dut, index: int, sub: int) -> None:
-    dut.request(struct.pack("<BHB", 0x40, index, sub))
-    dut.aborted(index, sub, 0x06010001)
-
-
 @case("CiA 301 7.2.4.3.17", "06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
 def no_object(dut: Dut, which: str) -> None:
     dut.request("40 FF FF 00" if which == "upload" else "23 FF FF 00")
@@ -106,15 +100,6 @@ def variable_sub(dut: Dut) -> None:
 def value_high(dut: Dut, value: int, _shown: str, _code: str) -> None:
     dut.refuses("B", 0x1019, 0, value, 0x06090031, 0x06090030)
     dut.holds("B", 0x1019, 0, 0)
-
-
-@case("CiA 301 7.2.4.3.17", "06090032h: a value below the limit of {0:04X}h:{1}", own=True, each=[
-    (0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0),
-])  # fmt: skip
-def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
-    before = dut.number(kind, index, sub)
-    dut.refuses(kind, index, sub, value, 0x06090032)
-    dut.holds(kind, index, sub, before)
 
 
 @case("CiA 301 7.2.4.3.17", "05040001h: command specifier {0}", each=[("E0",), ("FF",)])

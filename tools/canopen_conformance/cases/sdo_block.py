@@ -5,12 +5,13 @@ from __future__ import annotations
 import binascii
 import struct
 
-from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.dut import STOP, Dut
+
+case = Service("sdo_block")
 
 UNKNOWN, BLOCK_SIZE, SEQUENCE, TIMED_OUT = 0x05040001, 0x05040002, 0x05040003, 0x05040000
 NAMES = (0x1008, 0x1009, 0x100A)
-LONG = ((0x1021, 0),)
 
 
 def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
@@ -140,40 +141,6 @@ def block_size_refused_later(dut: Dut, size: int) -> None:
     dut.aborted(index, 0, BLOCK_SIZE)
 
 
-@case("CiA 301 7.2.4.3.14", "ackseq beyond what was sent: 05040003h", own=True)
-def acknowledged_too_much(dut: Dut) -> None:
-    index, _data = begin(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
-    dut.request("A2 02 7F")
-    dut.aborted(index, 0, SEQUENCE)
-
-
-@case(
-    "CiA 301 7.2.4.3.13",
-    "protocol switch: {0} bytes and pst {1} give a {2} upload",
-    own=True,
-    needs=((0x1000, 0),),
-    each=[
-        (4, 4, "expedited"),
-        (4, 255, "expedited"),
-        (4, 3, "block"),
-        (4, 0, "block"),
-    ],
-)
-def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
-    answer = initiate(dut, 0x1000, 127, switch)
-    wanted = 0x43 if how == "expedited" else 0xC6
-    check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
-
-
-@case("CiA 301 7.2.4.3.13", "protocol switch to a segmented upload", own=True)
-def protocol_switch_segmented(dut: Dut) -> None:
-    answer = initiate(dut, 0x1008, 127, 100)
-    check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
-    dut.read_segments()
-
-
 @case("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
     _index, data = begin(dut, 127, crc=False)
@@ -183,25 +150,13 @@ def without_crc(dut: Dut) -> None:
     end(dut, data, crc=False)
 
 
-@case("CiA 301 7.2.4.3.14", "full blocks of 127 segments", needs=LONG, own=True)
-def full_block(dut: Dut) -> None:
-    size = struct.unpack("<I", initiate(dut, 0x1021, 127)[4:])[0]
-    dut.request("A3")
-    first = block(dut, 127, size <= 889)
-    dut.request("A2 7F 02")
-    first += block(dut, 2, False)
-    dut.request("80 21 10 00 00 00 00 08")
-    dut.ask("40 21 10 00", "41 21 10 00 *")
-    for offset in range(0, 35, 7):
-        part = dut.ask("60" if offset % 14 == 0 else "70")[1:]
-        check(part == first[offset : offset + 7], part.hex(" "), first[offset : offset + 7].hex(" "))
-
-
 @case("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
-    (0xFFFF, 0x06020000, "no object"), (0x2104, 0x06010001, "a write-only object"),
+    (0xFFFF, 0x06020000, "no object"), (None, 0x06010001, "a write-only object"),
 ])  # fmt: skip
-def refused(dut: Dut, index: int, code: int, _why: str) -> None:
-    if index == 0x2104 and not dut.is_tipforce():
+def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
+    if index is None:
+        index = dut.product.write_only_index if dut.product and dut.is_of_product() else None
+    if index is None:
         raise NotApplicableError("no write-only object is known")
     answer = initiate(dut, index, 127)
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
@@ -218,44 +173,6 @@ def aborted(dut: Dut, started: bool, _when: str) -> None:
     dut.request(struct.pack("<BHBI", 0x80, index, 0, 0x08000000))
     dut.no_sdo()
     dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-@case("CiA 301 7.2.4.2.13", "an initiate gives up the block upload that went on", own=True)
-def restart(dut: Dut) -> None:
-    begin(dut, 1)
-    dut.request("A3")
-    block(dut, 1, False)
-    dut.ask("40 00 10 00", "43 00 10 00 *")
-
-
-@case(
-    "CiA 301 7.2.4.3.17",
-    "{1}: 05040001h",
-    own=True,
-    each=[
-        ("A2 01 7F", "an answer before the start"),
-        ("A1", "an end before the start"),
-        ("60", "a segment of another transfer"),
-    ],
-)
-def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index, _data = begin(dut, 1)
-    dut.request(request)
-    dut.aborted(index, 0, UNKNOWN)
-
-
-@case(
-    "CiA 301 7.2.4.3.17",
-    "a client that is silent {1}: 05040000h",
-    own=True,
-    each=[(False, "before the start"), (True, "after a block")],
-)
-def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin(dut, 1)
-    if started:
-        dut.request("A3")
-        block(dut, 1, False)
-    dut.aborted(index, 0, TIMED_OUT, within_ms=1200)
 
 
 @case("CiA 301 7.3.2.3", "stop ends a block upload without a word")

@@ -5,13 +5,14 @@ from __future__ import annotations
 import binascii
 import struct
 
-from canopen_conformance.case import CheckError, NotApplicableError, case, check
+from canopen_conformance.case import CheckError, NotApplicableError, Service
 from canopen_conformance.dut import Dut
+
+case = Service("sdo_block_download")
 
 UNKNOWN, SEQUENCE, CRC, TIMED_OUT = 0x05040001, 0x05040003, 0x05040004, 0x05040000
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010
 BEAT = ((0x1017, 0),)
-RECORD = ((0x2141, 0),)
 VALUE = b"\x34\x12"
 
 
@@ -43,11 +44,6 @@ def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
     begin(dut, 0x1017, size, crc)
     segment(dut, 1, VALUE, True)
     dut.answer("A2 01 .. 00 00 00 00 00")
-
-
-def record(dut: Dut) -> bytes:
-    """A record for 2141h that is not the present one."""
-    return bytes(len(dut.read(0x2141)) - 1) + b"\1"
 
 
 @case("CiA 301 7.2.4.3.9", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
@@ -96,93 +92,13 @@ def sequence_zero(dut: Dut) -> None:
     dut.aborted(0x1017, 0, SEQUENCE)
 
 
-@case("CiA 301 7.2.4.3.10", "many segments: the whole record is written", needs=RECORD, own=True)
-def many(dut: Dut) -> None:
-    data = record(dut)
-    begin(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
-    for number in range(1, last + 1):
-        segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
-    dut.answer(f"A2 {last:02X} ..")
-    end(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
-
-
-@case(
-    "CiA 301 7.2.4.3.10",
-    "a segment is lost: ackseq names the one before it, and the rest is sent again",
-    needs=RECORD,
-    own=True,
-)
-def lost_segment(dut: Dut) -> None:
-    data = record(dut)
-    begin(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
-    for number in range(1, last + 1):
-        if number != 3:
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
-    dut.answer("A2 02 ..")
-    for number in range(1, last - 1):
-        segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
-    dut.answer(f"A2 {last - 2:02X} ..")
-    end(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
-
-
-@case("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD, own=True)
-def twice(dut: Dut) -> None:
-    data = record(dut)
-    begin(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
-    for number in range(1, last + 1):
-        for _ in range(2 if number == 2 else 1):
-            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
-    dut.answer(f"A2 {last:02X} ..")
-    end(dut, data)
-    dut.answer("A1")
-    check(dut.read(0x2141) == data, "the record that was written", "another one")
-
-
-@case(
-    "CiA 301 7.2.4.3.10", "the last segment is lost: the server says after a while what it has", needs=RECORD, own=True
-)
-def lost_last(dut: Dut) -> None:
-    data = record(dut)
-    begin(dut, 0x2141, len(data))
-    last = -(-len(data) // 7)
-    for number in range(1, last):
-        segment(dut, number, data[7 * number - 7 : 7 * number])
-    dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
-    segment(dut, 1, data[7 * last - 7 :], True)
-    dut.answer("A2 01 ..")
-    end(dut, data)
-    dut.answer("A1")
-
-
-@case("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, own=True, each=[(TOO_LONG,)])
-def too_much(dut: Dut, code: int) -> None:
-    begin(dut, 0x1017, 2)
-    segment(dut, 1, bytes(7))
-    dut.aborted(0x1017, 0, code)
-
-
 @case("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
     (0x1000, 4, 0x06010002, "a read-only object"), (0xFFFF, 4, 0x06020000, "no object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
-    codes = (code,) if dut.is_tipforce() else (code, UNKNOWN)  # a device may know no block transfer
+    codes = (code,) if dut.is_of_product() else (code, UNKNOWN)  # a device may know no block transfer
     dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
     dut.aborted(index, 0, *codes)
-
-
-@case("CiA 301 7.2.4.3.9", "a size that the object cannot have is refused at the initiate", needs=BEAT, own=True, each=[
-    (1, TOO_SHORT), (3, TOO_LONG), (0xFFFFFFFF, TOO_LONG),
-])  # fmt: skip
-def refused_size(dut: Dut, size: int, code: int) -> None:
-    dut.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size))
-    dut.aborted(0x1017, 0, code)
 
 
 @case("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, nothing is written", needs=BEAT, each=[
@@ -197,25 +113,6 @@ def aborted(dut: Dut, sent: bool, _when: str) -> None:
     dut.request("80 17 10 00 00 00 00 08")
     dut.no_sdo()
     dut.holds("H", 0x1017, 0, before)
-
-
-@case("CiA 301 7.2.4.3.17", "a client that is silent {1}: 05040000h", needs=BEAT, own=True, each=[
-    (False, "during a block"), (True, "before the end"),
-])  # fmt: skip
-def silent_client(dut: Dut, sent: bool, _when: str) -> None:
-    if sent:
-        one_segment(dut)
-    else:
-        begin(dut, 0x1017, 2)
-        dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
-    dut.aborted(0x1017, 0, TIMED_OUT, within_ms=1200)
-
-
-@case("CiA 301 7.2.4.3.11", "no end but another command: 05040001h", needs=BEAT, own=True)
-def wrong_end(dut: Dut) -> None:
-    one_segment(dut)
-    dut.request("C2")
-    dut.aborted(0x1017, 0, UNKNOWN)
 
 
 @case("CiA 301 7.2.4.3.11", "a refused value is refused at the end", needs=((0x1019, 0),))

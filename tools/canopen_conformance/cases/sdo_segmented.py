@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import RESET_COMMUNICATION, Dut
 
+case = Service("sdo_segmented")
+
 BEAT = ((0x1017, 0),)
-RECORD = ((0x2141, 0),)
 TOGGLE, TIMED_OUT, UNKNOWN = 0x05030000, 0x05040000, 0x05040001
 TOO_LONG, TOO_SHORT, BAD_LENGTH = 0x06070012, 0x06070013, 0x06070010
 SEGMENT_BYTES = 7
@@ -71,36 +72,11 @@ def upload_abort(dut: Dut) -> None:
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
-@case("CiA 301 7.2.4.2.5", "a new initiate gives up the upload that went on", own=True)
-def upload_restart(dut: Dut) -> None:
-    _index, size = begin_upload(dut)
-    dut.ask("60", "0. *")
-    begin_upload(dut)
-    found = len(dut.read_segments())
-    check(found == size, f"{size} bytes from the start", f"{found}")
-
-
 @case("CiA 301 7.2.4.3.17", "a download segment during an upload: 05040001h")
 def upload_wrong_segment(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.request("00")
     dut.aborted(index, 0, UNKNOWN)
-
-
-@case("CiA 301 7.2.4.3.17", "a silent client: 05040000h, and the transfer is over", own=True)
-def upload_timeout(dut: Dut) -> None:
-    index, _size = begin_upload(dut)
-    dut.aborted(index, 0, TIMED_OUT, within_ms=1200)
-    dut.ask("60", lambda data: data[0] == 0x80)
-
-
-@case("CiA 301 7.2.4.3.17", "each request gives the client its time anew", own=True)
-def upload_patience(dut: Dut) -> None:
-    begin_upload(dut)
-    dut.no_sdo(ms=700)
-    dut.ask("60", "0. *")
-    dut.no_sdo(ms=700)
-    dut.ask("70", lambda data: data[0] & 0xF0 == 0x10)
 
 
 @case("CiA 301 7.2.8.2.1.6", "reset communication ends a transfer")
@@ -180,39 +156,6 @@ def download_wrong_end(dut: Dut, segment: str, _how: str, code: int) -> None:
     dut.aborted(0x1017, 0, code, BAD_LENGTH)
 
 
-@case(
-    "CiA 301 7.2.4.3.3",
-    "a stated size that the object cannot have is refused at the initiate",
-    own=True,
-    each=[
-        (0x1017, 1, TOO_SHORT),
-        (0x1017, 3, TOO_LONG),
-        (0x2141, 5, TOO_SHORT),
-        (0x2141, 0x10000, TOO_LONG),
-        (0x1017, 0, TOO_SHORT),
-    ],
-)
-def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
-    dut.request(struct.pack("<BHBI", 0x21, index, 0, size))
-    dut.aborted(index, 0, code)
-
-
-@case(
-    "CiA 301 7.2.4.3.3",
-    "refused at the initiate: {3}",
-    own=True,
-    each=[
-        (0x1008, 0, 0x06010002, "a read-only object"),
-        (0xFFFF, 0, 0x06020000, "no object"),
-        (0x1018, 9, 0x06090011, "no sub-index"),
-    ],
-)
-def download_refused(dut: Dut, index: int, sub: int, code: int, _why: str) -> None:
-    dut.request(struct.pack("<BHBI", 0x21, index, sub, 20))
-    dut.aborted(index, sub, code)
-    dut.ask("00", lambda data: data[0] == 0x80)
-
-
 @case("CiA 301 7.2.4.3.17", "the client aborts a download: the transfer is over, nothing is written", needs=BEAT)
 def download_abort(dut: Dut) -> None:
     before = dut.integer("H", 0x1017)
@@ -223,35 +166,11 @@ def download_abort(dut: Dut) -> None:
     dut.holds("H", 0x1017, 0, before)
 
 
-@case("CiA 301 7.2.4.2.2", "a new initiate gives up the download that went on", needs=BEAT, own=True)
-def download_restart(dut: Dut) -> None:
-    begin_download(dut)
-    dut.ask("0C 99", "20")
-    begin_download(dut)
-    dut.ask("0B 34 12", "20")
-    dut.holds("H", 0x1017, 0, 0x1234)
-
-
 @case("CiA 301 7.2.4.3.17", "an upload segment during a download: 05040001h", needs=BEAT)
 def download_wrong_segment(dut: Dut) -> None:
     begin_download(dut)
     dut.request("60")
     dut.aborted(0x1017, 0, UNKNOWN)
-
-
-@case("CiA 301 7.2.4.3.17", "a silent client: 05040000h, nothing is written", needs=BEAT, own=True)
-def download_timeout(dut: Dut) -> None:
-    before = dut.integer("H", 0x1017)
-    begin_download(dut)
-    dut.aborted(0x1017, 0, TIMED_OUT, within_ms=1200)
-    dut.holds("H", 0x1017, 0, before)
-
-
-@case("CiA 301 7.2.4.3.4", "many segments: a whole record is written and read back", needs=RECORD, own=True)
-def download_many(dut: Dut) -> None:
-    record = bytes(len(dut.read(0x2141)) - 1) + b"\1"
-    dut.refuses_bytes(0x2141, 0, record, 0)
-    check(dut.read(0x2141) == record, "the record that was written", "another one")
 
 
 @case("CiA 301 7.2.4.3.4", "a refused value is refused with the last segment", needs=((0x1019, 0),))

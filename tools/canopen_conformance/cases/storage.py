@@ -6,16 +6,16 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from canopen_conformance.case import NotApplicableError, case, check
+from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
 from canopen_conformance.setups import TPDO1, check_mapped
+
+case = Service("storage")
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 WRONG = (0x08000020, 0x08000000, 0x06090030)
 BOTH = [(0x1010, "store"), (0x1011, "restore")]
 ALL = ((0x1010, 1), (0x1011, 1), (0x1016, 1))
-COMMUNICATION = ((0x1010, 2), (0x1011, 2), (0x1016, 1))
-APPLICATION = ((0x1010, 3), (0x1011, 3), (0x6114, 1))
 VALUE = 0x700000 | 4711  # for 1016h:1, which every default leaves at 0
 
 
@@ -55,13 +55,6 @@ def size(dut: Dut, index: int, _name: str) -> None:
     dut.refuses("H", index, 1, 0x6173, 0x06070013, 0x06070010)
 
 
-@case("CiA 301 7.5.2.13", "1010h:{0} reads 1: the device stores on command", own=True, each=[(1,), (2,), (3,), (4,)])
-def capability(dut: Dut, sub: int) -> None:
-    if dut.try_write(0x1010, sub, struct.pack("<I", LOAD)) not in WRONG:
-        raise NotApplicableError("the device has nowhere to store")
-    dut.holds("I", 0x1010, sub, 1)
-
-
 @case("CiA 301 7.5.2.13", "{1} of a group that is not there: 06090011h", needs=((0x1010, 1), (0x1011, 1)), each=BOTH)
 def no_group(dut: Dut, index: int, _name: str) -> None:
     dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, 0x06090011)
@@ -75,15 +68,6 @@ def not_stored(dut: Dut, command: int, _name: str) -> None:
     dut.put("I", 0x1016, 1, VALUE)
     dut.reset(command)
     dut.holds("I", 0x1016, 1, before)
-
-
-@case("CiA 301 7.2.8.2.1.6", "reset communication leaves the application's parameters", needs=((0x6114, 1),), own=True)
-def application_kept(dut: Dut) -> None:
-    dut.put("I", 0x6114, 1, 777)
-    dut.reset(RESET_COMMUNICATION)
-    dut.holds("I", 0x6114, 1, 777)
-    dut.reset(RESET_NODE)
-    dut.holds("I", 0x6114, 1, 500)
 
 
 @case(
@@ -129,45 +113,6 @@ def restore(dut: Dut, sub: int) -> None:
 
 @case(
     "CiA 301 7.5.2.13",
-    "communication and application are stored each for itself",
-    needs=(*COMMUNICATION, *APPLICATION),
-    own=True,
-    persistent=True,
-)
-def separate(dut: Dut) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        dut.put("I", 0x6114, 1, 777)
-        store(dut, 3)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1016, 1, 0)
-        dut.holds("I", 0x6114, 1, 777)
-
-
-@case(
-    "CiA 301 7.5.2.14",
-    "1011h:{0} leaves the other group as it is stored",
-    needs=(*COMMUNICATION, *APPLICATION),
-    own=True,
-    persistent=True,
-    each=[
-        (2, 0, 777),
-        (3, VALUE, 500),
-    ],
-)
-def restore_one(dut: Dut, sub: int, communication: int, application: int) -> None:
-    with restored(dut):
-        dut.put("I", 0x1016, 1, VALUE)
-        dut.put("I", 0x6114, 1, 777)
-        store(dut, 1)
-        dut.put("I", 0x1011, sub, LOAD)
-        dut.reset(RESET_NODE)
-        dut.holds("I", 0x1016, 1, communication)
-        dut.holds("I", 0x6114, 1, application)
-
-
-@case(
-    "CiA 301 7.5.2.13",
     "PDO parameters are stored, and the PDO works as stored",
     needs=((0x1010, 2), *TPDO1),
     persistent=True,
@@ -185,15 +130,3 @@ def stored_pdo(dut: Dut) -> None:
         dut.nmt(1)
         dut.send(0x080)
         dut.expect(0x3A5)
-
-
-@case("CiA 301 7.5.2.13", "a state is not stored: {2}", needs=ALL, own=True, persistent=True, each=[
-    (0x2130, "H", "the command 2130h", 2, 0), (0x2103, "I", "the expected CRC 2103h:1", 0x12345678, 0),
-])  # fmt: skip
-def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -> None:
-    sub = 1 if index == 0x2103 else 0
-    with restored(dut):
-        dut.put(kind, index, sub, value)
-        store(dut, 1)
-        dut.reset(RESET_NODE)
-        dut.holds(kind, index, sub, after)

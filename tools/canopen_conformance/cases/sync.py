@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import case, check
+from canopen_conformance.case import Service, check
 from canopen_conformance.dut import START, Dut
+from canopen_conformance.raw_frames import REMOTE_FLAG
 from canopen_conformance.setups import TPDO1, enable_tpdo1, mapped_rpdo1
-from tipforce.device.codes import REMOTE_FLAG
+
+case = Service("sync")
 
 INVALID_VALUE, TOO_HIGH = 0x06090030, 0x06090031
 COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
@@ -38,21 +40,6 @@ def bit_31(dut: Dut) -> None:
     dut.nmt(START)
     dut.send(0x090)
     dut.expect(can_id)
-
-
-@case(
-    "CiA 301 7.5.2.5",
-    "1005h = {0:08X}h is refused: {1}",
-    needs=((0x1005, 0),),
-    own=True,
-    each=[
-        (0x40000080, "this device produces no SYNC"),
-        (0x20000080, "no 29-bit identifier"),
-        (0x00000880, "no 29-bit identifier"),
-    ],
-)
-def refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1005, 0, value, INVALID_VALUE)
 
 
 @case("CiA 301 7.3.5", "1005h with the restricted CAN-ID {0:03X}h: 06090030h", needs=((0x1005, 0),), each=[
@@ -109,23 +96,6 @@ def wrong_length(dut: Dut, what: tuple[int, str], _shown: str) -> None:
     dut.send(0x080, data)
     dut.expect(0x80 + dut.node_id, "40 82 *")
     dut.silence(can_id)
-
-
-@case("CiA 301 7.2.7.1", "a SYNC of the right length cures 8240h", needs=LENGTH, own=True)
-def length_cured(dut: Dut) -> None:
-    for _ in range(2):
-        dut.send(0x080, "01")
-        dut.expect(0x80 + dut.node_id, "40 82 *")
-        dut.send(0x080)
-        dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-@case("CiA 301 7.2.7.1", "many SYNCs of wrong length are one error", needs=LENGTH, own=True)
-def length_once(dut: Dut) -> None:
-    for _ in range(5):
-        dut.send(0x080, "01")
-    dut.expect(0x80 + dut.node_id, "40 82 *")
-    dut.silence(0x80 + dut.node_id)
 
 
 @case("CiA 301 7.5.2.37", "SYNC start value {1}, type {0}: the first TPDO goes with that counter", needs=COUNTER, each=[

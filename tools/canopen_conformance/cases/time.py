@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import struct
 
-from canopen_conformance.case import case, check
+from canopen_conformance.case import Service, check
 from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, STOPPED, Dut
+
+case = Service("time")
 
 NEEDS = ((0x1012, 0),)
 HIGH = ((0x1013, 0),)
@@ -24,21 +26,6 @@ def default(dut: Dut) -> None:
 def taken(dut: Dut, value: int) -> None:
     dut.accepts("I", 0x1012, 0, value)
     dut.holds("I", 0x1012, 0, value)
-
-
-@case(
-    "CiA 301 7.5.2.15",
-    "1012h = {0:08X}h is refused: {1}",
-    needs=NEEDS,
-    own=True,
-    each=[
-        (0xC0000100, "this device produces no TIME"),
-        (0xA0000100, "no 29-bit identifier"),
-        (0x80000900, "no 29-bit identifier"),
-    ],
-)
-def refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1012, 0, value, INVALID_VALUE)
 
 
 @case("CiA 301 7.3.5", "1012h with the restricted CAN-ID {0:03X}h: 06090030h", needs=NEEDS, each=[

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from itertools import pairwise
 
-from canopen_conformance.case import CheckError, case, check
+from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
-from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, remap
-from tipforce.device.codes import REMOTE_FLAG
+from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1
+
+case = Service("tpdo")
 
 TIMED = (*TPDO1, (0x1800, 3), (0x1800, 5))
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))
@@ -35,41 +36,6 @@ def cyclic(dut: Dut, transmission: int) -> None:
         raise CheckError(f"three TPDOs, {transmission} SYNCs apart", f"answers to SYNC {found}")
 
 
-@case("CiA 301 7.2.2.2", "type 240: silent for the 200 SYNCs after a TPDO", needs=TPDO1, own=True)
-def cyclic_240(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 240)
-    dut.nmt(START)
-    for _ in range(239):
-        dut.send(0x080)
-    dut.silence(can_id, ms=50)
-    dut.send(0x080)
-    dut.expect(can_id)
-
-
-@case("CiA 301 7.2.2.2", "the SYNCs count anew when OPERATIONAL is entered", needs=TPDO1, own=True)
-def counted_anew(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 3)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.send(0x080)
-    dut.nmt(ENTER_PRE_OPERATIONAL)
-    dut.nmt(START)
-    found = on_syncs(dut, can_id, 3)
-    check(found == [3], "an answer to the third SYNC", f"answers to SYNC {found}")
-
-
-@case("CiA 301 7.2.2.2", "type 0: silent at a SYNC while there was no event", needs=TPDO1, own=True)
-def acyclic(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 0)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.sleep(dut.link.tolerance_ms)
-    dut.forget(can_id)
-    for _ in range(3):
-        dut.send(0x080)
-    dut.silence(can_id)
-
-
 @case("CiA 301 7.2.2.2", "type {0}: a SYNC sends nothing", needs=TPDO1, each=[(254,), (255,)])
 def event_driven(dut: Dut, transmission: int) -> None:
     can_id = enable_tpdo1(dut, transmission)
@@ -77,16 +43,6 @@ def event_driven(dut: Dut, transmission: int) -> None:
     dut.sleep(20)
     dut.forget(can_id)
     dut.send(0x080)
-    dut.silence(can_id)
-
-
-@case(
-    "CiA 301 7.2.2.2", "type {0}: sent once when OPERATIONAL is entered", needs=TPDO1, own=True, each=[(254,), (255,)]
-)
-def first_values(dut: Dut, transmission: int) -> None:
-    can_id = enable_tpdo1(dut, transmission)
-    dut.nmt(START)
-    dut.expect(can_id)
     dut.silence(can_id)
 
 
@@ -153,14 +109,6 @@ def moved(dut: Dut) -> None:
     dut.silence(can_id)
 
 
-@case("CiA 301 7.2.2.5.2", "a remote frame is not answered by a TPDO without RTR", needs=TPDO1, own=True)
-def remote_frame(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    dut.nmt(START)
-    dut.send(can_id | REMOTE_FLAG)
-    dut.silence(can_id)
-
-
 @case("CiA 301 7.2.2.5.1", "a TPDO is as long as its mapping says", needs=TPDO1)
 def length(dut: Dut) -> None:
     can_id = enable_tpdo1(dut, 1)
@@ -169,24 +117,3 @@ def length(dut: Dut) -> None:
     dut.send(0x080)
     found = len(dut.expect(can_id).data)
     check(found == (bits + 7) // 8, f"{bits} bits", f"{found} bytes")
-
-
-@case("CiA 301 7.5.2.38", "a new mapping: contents in the order of the entries, little-endian", needs=TPDO1, own=True)
-def remapped(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
-    dut.nmt(START)
-    dut.send(0x080)
-    data = dut.expect(can_id, lambda d: len(d) == 7).data
-    wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
-    check(data == wanted, wanted.hex(" "), data.hex(" "))
-
-
-@case("CiA 301 7.5.2.38", "a TPDO that maps nothing is not sent", needs=TPDO1, own=True)
-def nothing_mapped(dut: Dut) -> None:
-    can_id = enable_tpdo1(dut, 1)
-    cob_id = disable_pdo(dut, 0x1800)
-    remap(dut, 0x1A00)
-    dut.put("I", 0x1800, 1, cob_id)
-    dut.nmt(START)
-    dut.send(0x080)
-    dut.silence(can_id)

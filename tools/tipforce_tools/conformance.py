@@ -3,19 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import sys
-from collections.abc import Iterator, Sequence
-from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError, NoResponseError
 from tipforce_tools.cli import common
-
-if TYPE_CHECKING:
-    import can
-
-    from canopen_conformance.case import Case
-    from canopen_conformance.dut import Dut
-    from canopen_conformance.run import Result
 
 EPILOG = """\
 A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
@@ -54,68 +44,30 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> int:
     """Run the cases and print the report; 1 if any failed. Raises NoResponseError if the node does not boot."""
-    from canopen_conformance.case import matching
-    from canopen_conformance.report import by_clause
+    from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
+    from canopen_conformance.dut import Dut
+    from canopen_conformance.links import BusLink
+    from canopen_conformance.report import listing, run_and_print
+    from tipforce_tools import fingertip_cases
+    from tipforce_tools.cli.main import terminate_as_interrupt
 
-    cases = matching(args.case)
+    cases = by_clause(matching(args.case, all_cases(fingertip_cases)))
     if not cases:
         raise InputError(f"--case {args.case!r}: matches no case; `tipforce conformance --list` shows all")
     if args.list:
-        for case in by_clause(cases):
-            print(f"{case.clause:22} {case.name:36} {case.title}")
+        print(listing(cases))
         return 0
     if args.tolerance < 0:
         raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
     common.set_up_logging(args)
+    node = f"node {common.shown_id(args.node_id)}"
     if args.persistent:
-        what = "stored parameters return to defaults, node-id and bit rate are written"
-        common.confirm(args, f"node {common.shown_id(args.node_id)}: {what}")
-    return _run(args, cases)
-
-
-def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
-    from canopen_conformance import report
-    from canopen_conformance.run import FAIL, run_on
-    from tipforce_tools.cli.main import terminate_as_interrupt
-
-    results: list[Result] = []
-
-    def collected() -> Iterator[Result]:
-        for result in run_on(dut, report.by_clause(cases), args.persistent):
-            results.append(result)
-            yield result
-
+        common.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
     terminate_as_interrupt()
     with common.open_bus(args) as bus:
-        dut = _device(bus, args)
+        dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
         try:
-            if args.json:
-                for result in collected():
-                    common.print_json(report.record(result))
-                    sys.stdout.flush()
-            else:
-                for line in report.lines(collected()):
-                    print(line, flush=True)
-        finally:  # also after Ctrl-C, SIGTERM or the loss of the device
-            if args.json:
-                common.note(args, report.summary(results))
-            else:
-                print(report.summary(results))
-    return 1 if any(result.verdict == FAIL for result in results) else 0
-
-
-def _device(bus: can.BusABC, args: argparse.Namespace) -> Dut:
-    """Return the device after a reset. Raises NoResponseError if it does not boot."""
-    from canopen_conformance.case import CheckError
-    from canopen_conformance.dut import Dut
-    from canopen_conformance.links import BusLink
-
-    dut = Dut(BusLink(bus, args.tolerance), args.node_id)
-    try:
-        dut.measure_resets()
-    except CheckError as failure:
-        raise NoResponseError(
-            f"node {common.shown_id(args.node_id)}: no boot-up message after NMT reset node; is it on this bus, "
-            "is the bit rate right?"
-        ) from failure
-    return dut
+            passed = run_and_print(dut, cases, args.persistent, args.json, lambda counts: common.note(args, counts))
+        except LostDeviceError as error:
+            raise NoResponseError(str(error)) from error
+    return 0 if passed else 1
