@@ -4,9 +4,9 @@ from functools import cache
 
 from canopen_conformance import case
 from canopen_conformance.case import Case
-from canopen_conformance.links import Core, CoreLink
 from canopen_conformance.run import Result
 from canopen_conformance.run import run_in_process as run_on_core
+from canopen_conformance.wire import Core, CoreLink
 from tipforce.device.node import Device
 from tipforce.dictionary.eds import eds_text
 from tipforce.fingertip.node import fingertip_node

@@ -11,6 +11,7 @@ from pathlib import Path
 import pytest
 
 import canopen_conformance
+from canopen_conformance.__main__ import main
 from canopen_conformance.case import all_cases
 
 # A device in a thread, and the command line in the main thread, on one virtual bus.
@@ -78,6 +79,12 @@ def test_help_and_list(environment: Path) -> None:
     assert "--persistent" in run(environment, "-m", "canopen_conformance", "--help")
     listed = run(environment, "-m", "canopen_conformance", "--list").splitlines()
     assert len(listed) == len(all_cases())
+
+
+def test_mistakes_of_the_user_are_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    for words in (["--list", "--case", "nosuch"], ["--node-id", "5", "--tolerance", "-1"]):
+        assert main(words) == 2
+        assert len(capsys.readouterr().err.splitlines()) == 1
 
 
 def test_a_device_on_a_bus(environment: Path) -> None:

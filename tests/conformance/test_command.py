@@ -11,9 +11,8 @@ import pytest
 
 from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_key
 from canopen_conformance.dut import Dut
-from canopen_conformance.links import CoreLink
-from canopen_conformance.report import lines, summary
-from canopen_conformance.run import FAIL, Result, run_case, run_on
+from canopen_conformance.run import FAIL, Result, lines, run_case, run_on, summary
+from canopen_conformance.wire import CoreLink
 from conformance.fingertip import all_cases, core_node, matching
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
@@ -41,8 +40,8 @@ def failing() -> Result:
     def body(dut: Dut) -> None:
         dut.ask("40 00 10 00", "43 00 10 00 FF FF FF FF")
 
-    found = replace(matching("identity.device_type")[0], name="test.body", title="another type", body=body)
-    return run_case(found, Dut(CoreLink(core_node()), 5), True)
+    impossible = replace(matching("identity.device_type")[0], name="test.body", title="another type", body=body)
+    return run_case(impossible, Dut(CoreLink(core_node()), 5), True)
 
 
 def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,8 +52,8 @@ def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_pattern_chooses_by_name_and_by_clause() -> None:
-    assert {found.name.partition(".")[0] for found in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
-    assert [found.name for found in matching("emcy.message")] == ["emcy.message"]
+    assert {case.name.partition(".")[0] for case in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
+    assert [case.name for case in matching("emcy.message")] == ["emcy.message"]
 
 
 @pytest.mark.parametrize(

@@ -4,8 +4,8 @@ import pytest
 
 from canopen_conformance.case import Case
 from canopen_conformance.dut import Dut
-from canopen_conformance.links import CoreLink
 from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
+from canopen_conformance.wire import CoreLink
 from conformance.fingertip import all_cases, matching, run_in_process
 from conformance.self_starting import NODE_ID, SelfStarting
 

@@ -61,5 +61,5 @@ def test_no_case_fails(content: str, tmp_path: Path) -> None:
         return device_of(read_eds(path, 5), save, store.get)
 
     results = [run_in_process(case, device())[0] for case in CASES]
-    assert [(one.case.name, one.reason) for one in results if one.verdict == FAIL] == []
-    assert sum(one.verdict == PASS for one in results) > 10
+    assert [(result.case.name, result.reason) for result in results if result.verdict == FAIL] == []
+    assert sum(result.verdict == PASS for result in results) > 10

@@ -6,10 +6,10 @@ from micropython.recording import RecordedDevice, Recording
 
 def conformance_recordings() -> list[Recording]:
     """Each case on a node of its own, as ``fingertip.core_node`` builds it."""
-    found = []
+    recordings = []
     for case in all_cases():
         device = RecordedDevice(case.name, NODE_ID, eds=core_eds().decode(), serial=SERIAL)
         _result, link = run_in_process(case, device)
         assert len(link.steps) == len(device.recording.steps)
-        found.append(device.recording)
-    return found
+        recordings.append(device.recording)
+    return recordings

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
 from canopen_conformance.dut import Dut
-from canopen_conformance.links import DEFAULT_TOLERANCE_MS, BusLink
-from canopen_conformance.report import listing, run_and_print
+from canopen_conformance.run import listing, run_and_print
+from canopen_conformance.wire import DEFAULT_TOLERANCE_MS, BusLink
 
 EPILOG = """\
 SYNC, NMT to all nodes and LSS reach every device on the bus. --persistent also stores parameters, restores defaults and
@@ -60,7 +60,12 @@ def main(words: Sequence[str] | None = None) -> int:
     signal.signal(signal.SIGTERM, signal.default_int_handler)
     options = {name: getattr(args, name) for name in ("interface", "channel", "bitrate") if getattr(args, name)}
     try:
-        with can.Bus(**options) as bus:
+        bus = can.Bus(**options)
+    except (can.CanError, OSError, ValueError, ImportError) as error:
+        print(f"the bus cannot be opened: {error}", file=sys.stderr)
+        return 2
+    try:
+        with bus:
             dut = Dut(BusLink(bus, args.tolerance), args.node_id)
             passed = run_and_print(
                 dut, cases, args.persistent, args.json, lambda counts: print(counts, file=sys.stderr)
@@ -68,9 +73,6 @@ def main(words: Sequence[str] | None = None) -> int:
     except LostDeviceError as error:
         print(error, file=sys.stderr)
         return 5
-    except (can.CanError, OSError, ValueError) as error:
-        print(f"the bus cannot be opened: {error}", file=sys.stderr)
-        return 2
     except KeyboardInterrupt:
         return 130
     return 0 if passed else 1

@@ -7,20 +7,41 @@ from collections.abc import Sequence
 from contextlib import suppress
 
 from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
-from canopen_conformance.raw_frames import QUIET_MS, Frame, Frames, Link, Wanted, as_bytes
+from canopen_conformance.wire import (
+    DEVICE_STATE,
+    ENTER_PRE_OPERATIONAL,
+    GENERAL_ERROR,
+    INCOMPATIBLE,
+    INVALID_VALUE,
+    NO_OBJECT,
+    NO_SUB,
+    NOT_MAPPABLE,
+    NOT_STORED,
+    OPERATIONAL,
+    PDO_LENGTH,
+    PRE_OPERATIONAL,
+    QUIET_MS,
+    READ_ONLY,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    START,
+    STOP,
+    TOO_HIGH,
+    TOO_LOW,
+    UNSUPPORTED_ACCESS,
+    Frame,
+    Frames,
+    Link,
+    Wanted,
+    as_bytes,
+)
 
-START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
-STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
-READ_ONLY = 0x06010002
-_NO_OBJECT = 0x06020000
 LAST_DATA_TYPE = 0x1B
-_NO_SUB = 0x06090011
 _RPDO_MAPPING, _RPDO_MAPPING_END, _TPDO_MAPPING, _TPDO_MAPPING_END = 0x1600, 0x1800, 0x1A00, 0x1C00
-_INVALID_VALUE, _OUT_OF_RANGE = 0x06090030, (0x06090031, 0x06090032)
 # A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
 _MAY_REFUSE = (
-    0x06010000, 0x06040041, 0x06040042, 0x06040043, 0x06090030, 0x06090031, 0x06090032,
-    0x08000000, 0x08000020, 0x08000022,
+    UNSUPPORTED_ACCESS, NOT_MAPPABLE, PDO_LENGTH, INCOMPATIBLE, INVALID_VALUE, TOO_HIGH, TOO_LOW,
+    GENERAL_ERROR, NOT_STORED, DEVICE_STATE,
 )  # fmt: skip
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
@@ -110,8 +131,8 @@ class Dut(Frames):
         """End what 1006h and 1019h have after a reset: cases send their own SYNC, without a number."""
         with suppress(CheckError):
             if self._own_sync is None:
-                found = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
-                self._own_sync = [(index, bytes(len(v))) for index, v in found if isinstance(v, bytes) and any(v)]
+                values = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
+                self._own_sync = [(index, bytes(len(v))) for index, v in values if isinstance(v, bytes) and any(v)]
             for index, zero in self._own_sync:
                 self.try_write(index, 0, zero)
 
@@ -257,9 +278,9 @@ class Dut(Frames):
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
         if code == READ_ONLY:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if code == _NO_OBJECT and _RPDO_MAPPING <= index < _RPDO_MAPPING_END and int(value) >> 16 <= LAST_DATA_TYPE:
+        if code == NO_OBJECT and _RPDO_MAPPING <= index < _RPDO_MAPPING_END and int(value) >> 16 <= LAST_DATA_TYPE:
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
-        if code == _NO_SUB and (
+        if code == NO_SUB and (
             _RPDO_MAPPING <= index < _RPDO_MAPPING_END or _TPDO_MAPPING <= index < _TPDO_MAPPING_END
         ):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
@@ -270,9 +291,9 @@ class Dut(Frames):
 
     def holds(self, kind: str, index: int, sub: int, value: float) -> None:
         """Check that the object reads as ``value``."""
-        found = self.number(kind, index, sub)
-        if found != value:
-            raise CheckError(f"{index:04X}h:{sub:02X} = {value}", str(found))
+        value_read = self.number(kind, index, sub)
+        if value_read != value:
+            raise CheckError(f"{index:04X}h:{sub:02X} = {value}", str(value_read))
 
     def refuses(self, kind: str, index: int, sub: int, value: float, *codes: int) -> None:
         """Check that writing a number is aborted with one of ``codes``."""
@@ -286,7 +307,7 @@ class Dut(Frames):
         code = self.try_write(index, sub, data)
         if code == READ_ONLY and code not in codes:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if code in _OUT_OF_RANGE and _INVALID_VALUE in codes and not self.is_of_product():
+        if code in (TOO_HIGH, TOO_LOW) and INVALID_VALUE in codes and not self.is_of_product():
             return
         if code not in codes:
             shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
@@ -308,7 +329,7 @@ class Dut(Frames):
         if key not in self._survey:
             fresh = self._fresh
             first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
-            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (0x06020000, 0x06090011)
+            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (NO_OBJECT, NO_SUB)
             self._survey[key] = not lacks
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.

@@ -46,8 +46,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the cases and print the report; 1 if any failed. Raises NoResponseError if the node does not boot."""
     from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
     from canopen_conformance.dut import Dut
-    from canopen_conformance.links import BusLink
-    from canopen_conformance.report import listing, run_and_print
+    from canopen_conformance.run import listing, run_and_print
+    from canopen_conformance.wire import BusLink
     from tipforce_tools import fingertip_cases
     from tipforce_tools.cli.main import terminate_as_interrupt
 

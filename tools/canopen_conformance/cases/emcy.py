@@ -5,15 +5,36 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.dut import START, Dut
-from canopen_conformance.setups import INVALID, break_sync, cure_error, make_error
+from canopen_conformance.cases.pdo import INVALID
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import GENERAL_ERROR, INVALID_VALUE, NO_DATA, NO_SUB, READ_ONLY, START
 
 case = Service("emcy")
+
+
+def break_sync(dut: Dut) -> None:
+    """Send a SYNC of wrong length: EMCY 8240h, if the device checks it."""
+    dut.send(0x080, "01 02 03")
+
+
+def make_error(dut: Dut) -> bytes:
+    """Cause an error that ``cure_error`` clears and that each call can repeat; return its EMCY."""
+    break_sync(dut)
+    frame = dut.heard(0x80 + dut.node_id)
+    if frame is None:
+        raise NotApplicableError("no EMCY for a SYNC of wrong length")
+    return frame.data
+
+
+def cure_error(dut: Dut) -> bytes:
+    """Clear the error of ``make_error``; return the EMCY that reports it."""
+    dut.send(0x080)
+    return dut.expect(0x80 + dut.node_id, "00 00 *").data
+
 
 NEEDS = ((0x1014, 0), (0x1001, 0))
 HISTORY = (*NEEDS, (0x1003, 0))
 INHIBIT = (*NEEDS, (0x1015, 0))
-INVALID_VALUE, NO_DATA, READ_ONLY, GENERAL, NO_SUB = 0x06090030, 0x08000024, 0x06010002, 0x08000000, 0x06090011
 
 
 @case("CiA 301 7.2.7.3", "the message: 8 bytes, code, error register, the manufacturer's five", needs=NEEDS)
@@ -76,8 +97,8 @@ def history(dut: Dut) -> None:
     clear(dut)
     make_error(dut)
     dut.holds("B", 0x1003, 0, 1)
-    found = dut.integer("I", 0x1003, 1)
-    check(found & 0xFFFF == 0x8240, "1003h:1 = ....8240h", f"{found:08X}h")
+    entry = dut.integer("I", 0x1003, 1)
+    check(entry & 0xFFFF == 0x8240, "1003h:1 = ....8240h", f"{entry:08X}h")
 
 
 @case("CiA 301 7.5.2.4", "the newest error is sub-index 1, the others move up", needs=(*HISTORY, (0x1016, 1)))
@@ -116,7 +137,7 @@ def history_value(dut: Dut, value: int) -> None:
 def history_empty(dut: Dut, sub: int) -> None:
     clear(dut)
     dut.request(struct.pack("<BHB", 0x40, 0x1003, sub))
-    dut.aborted(0x1003, sub, NO_DATA, GENERAL, *(() if sub == 1 else (NO_SUB,)))
+    dut.aborted(0x1003, sub, NO_DATA, GENERAL_ERROR, *(() if sub == 1 else (NO_SUB,)))
 
 
 @case("CiA 301 7.5.2.4", "entries cannot be written", needs=(*HISTORY, (0x1003, 1)))

@@ -1,12 +1,25 @@
-"""Heartbeat, produced and consumed (CiA 301, 7.2.8.2.2 and 7.2.8.3.2.2)."""
+"""Heartbeat, produced and consumed, and node guarding (CiA 301, 7.2.8.2.2 and 7.2.8.3.2)."""
 
 from __future__ import annotations
 
 from canopen_conformance.case import Service
-from canopen_conformance.dut import OPERATIONAL, PRE_OPERATIONAL, RESET_COMMUNICATION, STOPPED, Dut
-from canopen_conformance.raw_frames import REMOTE_FLAG
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    REMOTE_FLAG,
+    RESET_COMMUNICATION,
+    START,
+    STOP,
+    STOPPED,
+)
 
-case = Service("error_control")
+heartbeat = Service("error_control")
+guarding = Service("node_guarding")
+
+
+# --- error_control --------------------------------------------------------------------------------------------
+
 
 PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
@@ -29,7 +42,7 @@ def lost(dut: Dut, within_ms: int = 100) -> None:
 # --- producer ---------------------------------------------------------------------------------------------
 
 
-@case("CiA 301 7.2.8.3.2.2", "a heartbeat each {0} ms", needs=PRODUCER, each=[(20,), (50,), (110,)])
+@heartbeat("CiA 301 7.2.8.3.2.2", "a heartbeat each {0} ms", needs=PRODUCER, each=[(20,), (50,), (110,)])
 def period(dut: Dut, ms: int) -> None:
     dut.accepts("H", 0x1017, 0, ms)
     first = dut.expect(0x700 + dut.node_id, "7F", 2 * ms)
@@ -38,7 +51,7 @@ def period(dut: Dut, ms: int) -> None:
     dut.check_ms("three periods of", last.at_us - first.at_us, 3 * ms)
 
 
-@case(
+@heartbeat(
     "CiA 301 7.2.8.3.2.2",
     "the heartbeat in {1} carries {0:02X}h",
     needs=PRODUCER,
@@ -50,7 +63,7 @@ def heartbeat_state(dut: Dut, state: int, _name: str) -> None:
     dut.state(state)
 
 
-@case("CiA 301 7.5.2.20", "1017h = 0 ends the heartbeat", needs=PRODUCER)
+@heartbeat("CiA 301 7.5.2.20", "1017h = 0 ends the heartbeat", needs=PRODUCER)
 def producer_off(dut: Dut) -> None:
     dut.beat()
     dut.expect(0x700 + dut.node_id)
@@ -59,7 +72,7 @@ def producer_off(dut: Dut) -> None:
     dut.silence(0x700 + dut.node_id, ms=80)
 
 
-@case("CiA 301 7.5.2.20", "a new period holds from the write on", needs=PRODUCER)
+@heartbeat("CiA 301 7.5.2.20", "a new period holds from the write on", needs=PRODUCER)
 def new_period(dut: Dut) -> None:
     dut.put("H", 0x1017, 0, 5000)
     dut.forget()
@@ -67,7 +80,7 @@ def new_period(dut: Dut) -> None:
     dut.expect(0x700 + dut.node_id, "7F", 40)
 
 
-@case("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
+@heartbeat("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
 def producer_size(dut: Dut, kind: str, size: int) -> None:
     dut.refuses(kind, 0x1017, 0, 100, 0x06070010, 0x06070012 if size > 2 else 0x06070013)
 
@@ -75,33 +88,33 @@ def producer_size(dut: Dut, kind: str, size: int) -> None:
 # --- consumer ---------------------------------------------------------------------------------------------
 
 
-@case("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
+@heartbeat("CiA 301 7.5.2.19", "1016h is read back as written", needs=CONSUMER)
 def consumer_read_back(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 1234)
     dut.holds("I", 0x1016, 1, WATCHED << 16 | 1234)
 
 
-@case("CiA 301 7.5.2.19", "a node-id in two entries is refused with 06040043h", needs=(*CONSUMER, (0x1016, 2)))
+@heartbeat("CiA 301 7.5.2.19", "a node-id in two entries is refused with 06040043h", needs=(*CONSUMER, (0x1016, 2)))
 def consumer_twice(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
     dut.refuses("I", 0x1016, 2, WATCHED << 16 | 500, 0x06040043)
     dut.holds("I", 0x1016, 2, 0)
 
 
-@case("CiA 301 7.5.2.19", "the same node-id with time 0 is no second watch", needs=(*CONSUMER, (0x1016, 2)))
+@heartbeat("CiA 301 7.5.2.19", "the same node-id with time 0 is no second watch", needs=(*CONSUMER, (0x1016, 2)))
 def consumer_twice_off(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
     dut.put("I", 0x1016, 2, WATCHED << 16)
     dut.put("I", 0x1016, 1, WATCHED << 16 | 500)
 
 
-@case("CiA 301 7.2.8.3.2.2", "nobody is missed before a first heartbeat", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.3.2.2", "nobody is missed before a first heartbeat", needs=CONSUMER)
 def not_before_first(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 20)
     dut.silence(0x80 + dut.node_id, ms=100)
 
 
-@case("CiA 301 7.2.8.2.2.3", "a lost heartbeat: EMCY 8130h after the consumer time", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.2.2.3", "a lost heartbeat: EMCY 8130h after the consumer time", needs=CONSUMER)
 def lost_heartbeat(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 100)
     dut.send(0x700 + WATCHED, "05")
@@ -110,14 +123,14 @@ def lost_heartbeat(dut: Dut) -> None:
     dut.check_ms("consumer time", frame.at_us - start_us, 100)
 
 
-@case("CiA 301 7.2.8.2.2.3", "a lost heartbeat is reported once", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.2.2.3", "a lost heartbeat is reported once", needs=CONSUMER)
 def lost_once(dut: Dut) -> None:
     watch(dut, 20)
     lost(dut)
     dut.silence(0x80 + dut.node_id, ms=80)
 
 
-@case("CiA 301 7.2.8.2.2.3", "heartbeats in time: no EMCY; the time runs from the last one", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.2.2.3", "heartbeats in time: no EMCY; the time runs from the last one", needs=CONSUMER)
 def in_time(dut: Dut) -> None:
     watch(dut, 150)
     for _ in range(4):
@@ -127,7 +140,7 @@ def in_time(dut: Dut) -> None:
     lost(dut, 200)
 
 
-@case("CiA 301 7.2.7.1", "a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.7.1", "a heartbeat that returns cures: EMCY 0000h, and 1001h is clear", needs=CONSUMER)
 def returned(dut: Dut) -> None:
     watch(dut, 30)
     lost(dut)
@@ -136,7 +149,7 @@ def returned(dut: Dut) -> None:
     dut.holds("B", 0x1001, 0, 0)
 
 
-@case("CiA 301 7.2.8.2.2.3", "a heartbeat that returned is watched again", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.2.2.3", "a heartbeat that returned is watched again", needs=CONSUMER)
 def watched_again(dut: Dut) -> None:
     watch(dut, 20)
     lost(dut)
@@ -145,7 +158,7 @@ def watched_again(dut: Dut) -> None:
     lost(dut)
 
 
-@case(
+@heartbeat(
     "CiA 301 7.5.2.32",
     "1029h:1 = {0}: a lost heartbeat in {2} leads to {4}",
     needs=BEHAVIOUR,
@@ -167,7 +180,7 @@ def behaviour(dut: Dut, value: int, before: int, _in: str, after: int, _to: str)
     dut.state(after)
 
 
-@case(
+@heartbeat(
     "CiA 301 7.2.8.3.2.2",
     "no heartbeat: {1}",
     needs=CONSUMER,
@@ -184,7 +197,7 @@ def no_heartbeat(dut: Dut, frame: tuple[int, str], _why: str) -> None:
     dut.silence(0x80 + dut.node_id, ms=80)
 
 
-@case("CiA 301 7.5.2.19", "four nodes are watched, each for itself", needs=(*CONSUMER, (0x1016, 4)))
+@heartbeat("CiA 301 7.5.2.19", "four nodes are watched, each for itself", needs=(*CONSUMER, (0x1016, 4)))
 def four(dut: Dut) -> None:
     for sub in (1, 2, 3, 4):
         watch(dut, 200 if sub == 3 else 40, WATCHED + sub, sub)
@@ -195,14 +208,14 @@ def four(dut: Dut) -> None:
     lost(dut, 250)
 
 
-@case("CiA 301 7.5.2.19", "an entry set to 0 is watched no more", needs=CONSUMER)
+@heartbeat("CiA 301 7.5.2.19", "an entry set to 0 is watched no more", needs=CONSUMER)
 def watch_off(dut: Dut) -> None:
     watch(dut, 60)
     dut.put("I", 0x1016, 1, 0)
     dut.silence(0x80 + dut.node_id, ms=120)
 
 
-@case("CiA 301 7.5.2.19", "a lost node whose entry is set to 0 is an error no more", needs=CONSUMER)
+@heartbeat("CiA 301 7.5.2.19", "a lost node whose entry is set to 0 is an error no more", needs=CONSUMER)
 def lost_then_off(dut: Dut) -> None:
     watch(dut, 20)
     lost(dut)
@@ -210,8 +223,118 @@ def lost_then_off(dut: Dut) -> None:
     dut.holds("B", 0x1001, 0, 0)
 
 
-@case("CiA 301 7.2.8.2.1.6", "reset communication ends every watch", needs=CONSUMER)
+@heartbeat("CiA 301 7.2.8.2.1.6", "reset communication ends every watch", needs=CONSUMER)
 def watch_reset(dut: Dut) -> None:
     watch(dut, 60)
     dut.reset(RESET_COMMUNICATION)
     dut.silence(0x80 + dut.node_id, ms=120)
+
+
+# --- node_guarding --------------------------------------------------------------------------------------------
+
+
+def guard(dut: Dut, wanted: str) -> None:
+    """The guarding master's remote frame, and the answer."""
+    dut.send(0x700 + dut.node_id | REMOTE_FLAG)
+    dut.expect(0x700 + dut.node_id, wanted)
+
+
+def life(dut: Dut, guard_ms: int, factor: int) -> None:
+    """No heartbeat; this life time."""
+    dut.put("H", 0x1017, 0, 0)
+    dut.put("H", 0x100C, 0, guard_ms)
+    dut.put("B", 0x100D, 0, factor)
+    dut.forget()
+
+
+@guarding(
+    "CiA 301 7.2.8.3.2.1", "the answer carries the state; the toggle bit starts at 0 and alternates", needs=GUARDING
+)
+def toggle(dut: Dut) -> None:
+    life(dut, 0, 0)
+    for wanted in ("7F", "FF", "7F", "FF"):
+        guard(dut, wanted)
+
+
+@guarding(
+    "CiA 301 7.2.8.3.2.1", "guarding in {1}", needs=GUARDING, each=[(OPERATIONAL, "OPERATIONAL"), (STOPPED, "STOPPED")]
+)
+def guarding_state(dut: Dut, state: int, _name: str) -> None:
+    life(dut, 0, 0)
+    guard(dut, "7F")
+    dut.enter(state)
+    guard(dut, f"{state | 0x80:02X}")
+    guard(dut, f"{state:02X}")
+
+
+@guarding("CiA 301 7.2.8.3.2.1", "reset communication sets the toggle bit to 0", needs=GUARDING)
+def toggle_reset(dut: Dut) -> None:
+    life(dut, 0, 0)
+    guard(dut, "7F")
+    dut.reset(RESET_COMMUNICATION)
+    life(dut, 0, 0)
+    guard(dut, "7F")
+
+
+@guarding("CiA 301 7.2.8.2.2.2", "the life time runs out: EMCY 8130h; the next remote frame cures", needs=GUARDING)
+def life_lost(dut: Dut) -> None:
+    life(dut, 30, 2)
+    guard(dut, "7F")
+    start_us = dut.now_us
+    frame = dut.expect(0x80 + dut.node_id, "30 81 *", 120)
+    dut.check_ms("life time", frame.at_us - start_us, 60)
+    guard(dut, "FF")
+    dut.expect(0x80 + dut.node_id, "00 00 *")
+
+
+@guarding("CiA 301 7.2.8.2.2.2", "remote frames in time: no life guarding error", needs=GUARDING)
+def life_in_time(dut: Dut) -> None:
+    life(dut, 50, 3)
+    for wanted in ("7F", "FF", "7F"):
+        guard(dut, wanted)
+        dut.silence(0x80 + dut.node_id, ms=80)
+
+
+@guarding("CiA 301 7.2.8.2.2.2", "no life guarding before the first remote frame, nor with {0}", needs=GUARDING, each=[
+    ("guard time 0", 0, 3), ("life time factor 0", 20, 0),
+])  # fmt: skip
+def life_off(dut: Dut, _which: str, guard_ms: int, factor: int) -> None:
+    life(dut, 20, 1)
+    dut.silence(0x80 + dut.node_id, ms=60)
+    life(dut, guard_ms, factor)
+    guard(dut, "7F")
+    dut.silence(0x80 + dut.node_id, ms=90)
+
+
+@guarding("CiA 301 7.5.2.11", "guard time set to 0 ends life guarding that runs", needs=GUARDING)
+def life_ended(dut: Dut) -> None:
+    life(dut, 60, 1)
+    guard(dut, "7F")
+    dut.put("H", 0x100C, 0, 0)
+    dut.silence(0x80 + dut.node_id, ms=120)
+
+
+@guarding("CiA 301 7.2.8.2.2", "a heartbeat that is switched on ends life guarding that runs", needs=GUARDING)
+def heartbeat_ends_life(dut: Dut) -> None:
+    life(dut, 60, 1)
+    guard(dut, "7F")
+    dut.put("H", 0x1017, 0, 5000)
+    dut.silence(0x80 + dut.node_id, ms=120)
+
+
+@guarding("CiA 301 7.5.2.32", "life guarding lost in OPERATIONAL: PRE-OPERATIONAL", needs=(*GUARDING, (0x1029, 1)))
+def life_behaviour(dut: Dut) -> None:
+    dut.put("B", 0x1029, 1, 0)
+    life(dut, 30, 1)
+    dut.nmt(START)
+    guard(dut, "05")
+    dut.expect(0x80 + dut.node_id, "30 81 *", 100)
+    guard(dut, "FF")
+
+
+@guarding("CiA 301 7.2.8.3.2.1", "a data frame on the guarding identifier is not answered", needs=GUARDING)
+def no_guard(dut: Dut) -> None:
+    life(dut, 0, 0)
+    dut.nmt(STOP)
+    dut.send(0x700 + dut.node_id)
+    dut.silence(0x700 + dut.node_id)

@@ -11,7 +11,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.dut import RESET_COMMUNICATION, STOP, Dut
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import RESET_COMMUNICATION, STOP
 
 case = Service("lss")
 
@@ -95,9 +96,9 @@ def selective(dut: Dut) -> None:
     answer = dut.heard(SLAVE)
     if answer is None:
         raise NotApplicableError("no LSS slave")
-    found = in_configuration(dut)
+    configured = in_configuration(dut)
     waiting(dut)
-    check(answer.data == b"\x44" + bytes(7) and found, "44h and the configuration state", answer.data.hex(" "))
+    check(answer.data == b"\x44" + bytes(7) and configured, "44h and the configuration state", answer.data.hex(" "))
 
 
 @case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))
@@ -205,11 +206,7 @@ def node_id_refused(dut: Dut, node_id: int) -> None:
     "configure node-id {0}: taken, and not in use before a reset",
     needs=IDENTITY,
     persistent=True,
-    each=[
-        (1,),
-        (127,),
-        (255,),
-    ],
+    each=[(1,), (127,), (255,)],
 )
 def node_id_taken(dut: Dut, node_id: int) -> None:
     with configuring(dut):

@@ -5,19 +5,21 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.dut import (
+from canopen_conformance.cases.emcy import break_sync
+from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
     ENTER_PRE_OPERATIONAL,
+    EXTENDED_FLAG,
     OPERATIONAL,
     PRE_OPERATIONAL,
+    REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
     START,
     STOP,
     STOPPED,
-    Dut,
 )
-from canopen_conformance.raw_frames import EXTENDED_FLAG, REMOTE_FLAG
-from canopen_conformance.setups import TPDO1, break_sync, enable_tpdo1, mapped_rpdo1
 
 case = Service("nmt")
 
@@ -192,8 +194,8 @@ def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
     dut.put("I", 0x1013, 0, 0)
     dut.enter(state)
     dut.send(can_id, struct.pack("<I", 0x70000000))
-    found = dut.integer("I", 0x1013)
-    check((found >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {found:08X}h")
+    time_us = dut.integer("I", 0x1013)
+    check((time_us >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {time_us:08X}h")
 
 
 @case("CiA 301 7.3.2.3", "an EMCY waits while STOPPED and comes after it", needs=((0x1014, 0), (0x1016, 1)))

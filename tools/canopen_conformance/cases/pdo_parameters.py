@@ -3,14 +3,24 @@
 from __future__ import annotations
 
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.dut import OPERATIONAL, RESET_COMMUNICATION, Dut
-from canopen_conformance.setups import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
+from canopen_conformance.cases.pdo import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    DEVICE_STATE,
+    INVALID_VALUE,
+    NO_OBJECT,
+    NO_SUB,
+    NOT_MAPPABLE,
+    OPERATIONAL,
+    PDO_LENGTH,
+    RESET_COMMUNICATION,
+    TOO_HIGH,
+    UNSUPPORTED_ACCESS,
+)
 
 case = Service("pdo_parameters")
 
-INVALID_VALUE, DEVICE_STATE, UNSUPPORTED = 0x06090030, 0x08000022, 0x06010000
-NOT_MAPPABLE, PDO_LENGTH, NO_OBJECT, NO_SUB, TOO_HIGH = 0x06040041, 0x06040042, 0x06020000, 0x06090011, 0x06090031
-WHILE_VALID = (DEVICE_STATE, UNSUPPORTED, INVALID_VALUE, 0x08000000)  # the standard names no code here
+WHILE_VALID = (DEVICE_STATE, UNSUPPORTED_ACCESS, INVALID_VALUE, 0x08000000)  # the standard names no code here
 BOTH = [(0x1800, 0x1A00, "TPDO1"), (0x1400, 0x1600, "RPDO1")]
 EITHER = (*TPDO1, *RPDO1)
 NO_RTR = 0x40000000

@@ -1,4 +1,4 @@
-"""SDO server, block upload (CiA 301, 7.2.4.3.12 to 7.2.4.3.16)."""
+"""SDO server: upload and download by blocks (CiA 301, 7.2.4.3.9 to 7.2.4.3.16)."""
 
 from __future__ import annotations
 
@@ -6,23 +6,37 @@ import binascii
 import struct
 
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.dut import STOP, Dut
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    BLOCK_SIZE,
+    CRC_ERROR,
+    SEQUENCE_NUMBER,
+    STOP,
+    TOO_LONG,
+    TOO_SHORT,
+    UNKNOWN_COMMAND,
+    WRONG_LENGTH,
+)
 
-case = Service("sdo_block")
+upload = Service("sdo_block")
+download = Service("sdo_block_download")
 
-UNKNOWN, BLOCK_SIZE, SEQUENCE, TIMED_OUT = 0x05040001, 0x05040002, 0x05040003, 0x05040000
+
+# --- sdo_block ------------------------------------------------------------------------------------------------
+
+
 NAMES = (0x1008, 0x1009, 0x100A)
 
 
 def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
     """Initiate a block upload; not applicable where the device knows no block transfer."""
     answer = dut.ask(struct.pack("<BHBBB", 0xA4 if crc else 0xA0, index, 0, block_size, switch))
-    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", UNKNOWN):
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", UNKNOWN_COMMAND):
         raise NotApplicableError("no SDO block transfer")
     return answer
 
 
-def begin(dut: Dut, block_size: int, crc: bool = True) -> tuple[int, bytes]:
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int, bytes]:
     """Initiate the block upload of a string of several segments; (index, what a segmented upload gives)."""
     for index in NAMES:
         data = dut.try_read(index)
@@ -45,7 +59,7 @@ def block(dut: Dut, count: int, last: bool) -> bytes:
     return data
 
 
-def end(dut: Dut, data: bytes, crc: bool = True) -> None:
+def end_block_upload(dut: Dut, data: bytes, crc: bool = True) -> None:
     """The end of the server, after which the client says that it is content."""
     unused = -len(data) % 7
     answer = dut.answer(lambda d: d[0] & 0xE3 == 0xC1)
@@ -61,19 +75,19 @@ def segments(data: bytes) -> int:
     return -(-len(data) // 7)
 
 
-@case("CiA 301 7.2.4.3.13", "one block: size, segments, end with CRC")
-def upload(dut: Dut) -> None:
-    _index, data = begin(dut, 127)
+@upload("CiA 301 7.2.4.3.13", "one block: size, segments, end with CRC")
+def sdo_block_upload(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
-    found = block(dut, segments(data), True)
-    check(found[: len(data)] == data, data.hex(" "), found.hex(" "))
+    received = block(dut, segments(data), True)
+    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
     dut.request(f"A2 {segments(data):02X} 7F")
-    end(dut, data)
+    end_block_upload(dut, data)
 
 
-@case("CiA 301 7.2.4.3.14", "blocks of one segment")
+@upload("CiA 301 7.2.4.3.14", "blocks of one segment")
 def blocks_of_one(dut: Dut) -> None:
-    _index, data = begin(dut, 1)
+    _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
     count = segments(data)
     for number in range(1, count + 1):
@@ -81,76 +95,73 @@ def blocks_of_one(dut: Dut) -> None:
         if part[: len(data) - 7 * number + 7] != data[7 * number - 7 : 7 * number]:
             raise CheckError(f"segment {number}", part.hex(" "))
         dut.request("A2 01 01")
-    end(dut, data)
+    end_block_upload(dut, data)
 
 
-@case("CiA 301 7.2.4.3.14", "the client changes the block size from block to block")
+@upload("CiA 301 7.2.4.3.14", "the client changes the block size from block to block")
 def changed_block_size(dut: Dut) -> None:
-    _index, data = begin(dut, 1)
+    _index, data = begin_block_upload(dut, 1)
     dut.request("A3")
-    found = block(dut, 1, False)
+    received = block(dut, 1, False)
     dut.request("A2 01 7F")
-    found += block(dut, segments(data) - 1, True)
+    received += block(dut, segments(data) - 1, True)
     dut.request(f"A2 {segments(data) - 1:02X} 7F")
-    end(dut, data)
-    check(found[: len(data)] == data, data.hex(" "), found.hex(" "))
+    end_block_upload(dut, data)
+    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
 
 
-@case("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
+@upload("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
 def resend(dut: Dut, received: int) -> None:
-    _index, data = begin(dut, 2)
+    _index, data = begin_block_upload(dut, 2)
     dut.request("A3")
     block(dut, 2, segments(data) == 2)
     dut.request(f"A2 {received:02X} 7F")
     rest = data[7 * received :]
-    found = block(dut, segments(rest), True)
-    check(found[: len(rest)] == rest, rest.hex(" "), found.hex(" "))
+    sent_again = block(dut, segments(rest), True)
+    check(sent_again[: len(rest)] == rest, rest.hex(" "), sent_again.hex(" "))
     dut.request(f"A2 {segments(rest):02X} 7F")
-    end(dut, data)
+    end_block_upload(dut, data)
 
 
-@case("CiA 301 7.2.4.3.14", "the last block is lost: ackseq 0, and it comes again")
+@upload("CiA 301 7.2.4.3.14", "the last block is lost: ackseq 0, and it comes again")
 def resend_last(dut: Dut) -> None:
-    _index, data = begin(dut, 127)
+    _index, data = begin_block_upload(dut, 127)
     dut.request("A3")
     for _ in range(2):
         block(dut, segments(data), True)
         dut.request("A2 00 7F")
     block(dut, segments(data), True)
     dut.request(f"A2 {segments(data):02X} 7F")
-    end(dut, data)
+    end_block_upload(dut, data)
 
 
-@case(
-    "CiA 301 7.2.4.3.13",
-    "block size {0} at the initiate: 05040002h",
-    needs=((0x1008, 0),),
-    each=[(0,), (128,), (255,)],
+@upload(
+    "CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", needs=((0x1008, 0),), each=[(0,), (128,), (255,)]
 )
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
     check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
 
 
-@case("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
+@upload("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
 def block_size_refused_later(dut: Dut, size: int) -> None:
-    index, _data = begin(dut, 1)
+    index, _data = begin_block_upload(dut, 1)
     dut.request("A3")
     block(dut, 1, False)
     dut.request(f"A2 01 {size:02X}")
     dut.aborted(index, 0, BLOCK_SIZE)
 
 
-@case("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
+@upload("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
 def without_crc(dut: Dut) -> None:
-    _index, data = begin(dut, 127, crc=False)
+    _index, data = begin_block_upload(dut, 127, crc=False)
     dut.request("A3")
     block(dut, segments(data), True)
     dut.request(f"A2 {segments(data):02X} 7F")
-    end(dut, data, crc=False)
+    end_block_upload(dut, data, crc=False)
 
 
-@case("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
+@upload("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
     (0xFFFF, 0x06020000, "no object"), (None, 0x06010001, "a write-only object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
@@ -162,11 +173,11 @@ def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
 
 
-@case("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[
+@upload("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[
     (False, "before the start"), (True, "after a block"),
 ])  # fmt: skip
 def aborted(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin(dut, 1)
+    index, _data = begin_block_upload(dut, 1)
     if started:
         dut.request("A3")
         block(dut, 1, False)
@@ -175,16 +186,143 @@ def aborted(dut: Dut, started: bool, _when: str) -> None:
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
 
-@case("CiA 301 7.3.2.3", "stop ends a block upload without a word")
+@upload("CiA 301 7.3.2.3", "stop ends a block upload without a word")
 def stopped(dut: Dut) -> None:
-    begin(dut, 1)
+    begin_block_upload(dut, 1)
     dut.nmt(STOP)
     dut.request("A3")
     dut.no_sdo()
 
 
-@case("CiA 301 7.2.4.3.17", "a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)])
+@upload(
+    "CiA 301 7.2.4.3.17", "a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)]
+)
 def no_transfer(dut: Dut, command: str) -> None:
     initiate(dut, 0x1000, 127)
     dut.request("80 00 10 00 00 00 00 08")
-    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", UNKNOWN))
+    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", UNKNOWN_COMMAND))
+
+
+# --- sdo_block_download ---------------------------------------------------------------------------------------
+
+
+BEAT = ((0x1017, 0),)
+VALUE = b"\x34\x12"
+
+
+def begin_block_download(dut: Dut, index: int, size: int | None, crc: bool = True) -> int:
+    """Initiate a block download; the block size that the server asks for."""
+    command = 0xC0 | (4 if crc else 0) | (0 if size is None else 2)
+    answer = dut.ask(struct.pack("<BHBI", command, index, 0, size or 0))
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", UNKNOWN_COMMAND):
+        raise NotApplicableError("no SDO block transfer")
+    if answer[0] & 0xFB != 0xA0 or answer[1:4] != struct.pack("<HB", index, 0) or not 1 <= answer[4] <= 127:
+        raise CheckError(f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))
+    return answer[4]
+
+
+def segment(dut: Dut, number: int, data: bytes, last: bool = False) -> None:
+    """One segment, which has no answer of its own."""
+    dut.request(bytes((number | (0x80 if last else 0),)) + data)
+
+
+def end_block_download(dut: Dut, data: bytes, unused: int | None = None, crc: int | None = None) -> None:
+    """The client's end."""
+    bytes_unused = -len(data) % 7 if unused is None else unused
+    checksum = binascii.crc_hqx(data, 0) if crc is None else crc
+    dut.request(struct.pack("<BH", 0xC1 | bytes_unused << 2, checksum))
+
+
+def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
+    """1017h in one segment, up to the answer to it."""
+    begin_block_download(dut, 0x1017, size, crc)
+    segment(dut, 1, VALUE, True)
+    dut.answer("A2 01 .. 00 00 00 00 00")
+
+
+@download("CiA 301 7.2.4.3.9", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
+def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
+    one_segment(dut, size)
+    end_block_download(dut, VALUE)
+    dut.answer("A1")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@download("CiA 301 7.2.4.3.16", "a client without CRC: what stands in its place is not looked at", needs=BEAT)
+def sdo_block_download_without_crc(dut: Dut) -> None:
+    one_segment(dut, crc=False)
+    end_block_download(dut, VALUE, crc=0xBEEF)
+    dut.answer("A1")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@download("CiA 301 7.2.4.3.16", "a wrong CRC: 05040004h, nothing is written", needs=BEAT)
+def bad_crc(dut: Dut) -> None:
+    before = dut.integer("H", 0x1017)
+    one_segment(dut)
+    end_block_download(dut, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1)
+    dut.aborted(0x1017, 0, CRC_ERROR)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download(
+    "CiA 301 7.2.4.3.11",
+    "{1} bytes at the end than stated",
+    needs=BEAT,
+    each=[(4, "more", TOO_LONG), (6, "fewer", TOO_SHORT)],
+)
+def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
+    before = dut.integer("H", 0x1017)
+    one_segment(dut)
+    end_block_download(dut, (VALUE + bytes(5))[: 7 - unused], unused)
+    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download("CiA 301 7.2.4.3.10", "segment number 0: 05040003h", needs=BEAT)
+def sequence_zero(dut: Dut) -> None:
+    begin_block_download(dut, 0x1017, 2)
+    dut.request("00 34 12")
+    dut.aborted(0x1017, 0, SEQUENCE_NUMBER)
+
+
+@download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
+    (0x1000, 4, 0x06010002, "a read-only object"), (0xFFFF, 4, 0x06020000, "no object"),
+])  # fmt: skip
+def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
+    codes = (code,) if dut.is_of_product() else (code, UNKNOWN_COMMAND)  # a device may know no block transfer
+    dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
+    dut.aborted(index, 0, *codes)
+
+
+@download("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, nothing is written", needs=BEAT, each=[
+    (False, "before the first segment"), (True, "before the end"),
+])  # fmt: skip
+def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
+    before = dut.integer("H", 0x1017)
+    if sent:
+        one_segment(dut)
+    else:
+        begin_block_download(dut, 0x1017, 2)
+    dut.request("80 17 10 00 00 00 00 08")
+    dut.no_sdo()
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download("CiA 301 7.2.4.3.11", "a refused value is refused at the end", needs=((0x1019, 0),))
+def refused_value(dut: Dut) -> None:
+    begin_block_download(dut, 0x1019, 1)
+    segment(dut, 1, b"\xf1", True)
+    dut.answer("A2 01 ..")
+    end_block_download(dut, b"\xf1")
+    dut.aborted(0x1019, 0, 0x06090031, 0x06090030)
+    dut.holds("B", 0x1019, 0, 0)
+
+
+@download("CiA 301 7.2.4.3.9", "after a block download another transfer goes as ever", needs=BEAT)
+def afterwards(dut: Dut) -> None:
+    one_segment(dut)
+    end_block_download(dut, VALUE)
+    dut.answer("A1")
+    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
+    dut.ask("2B 17 10 00 00 00", "60 17 10 00")

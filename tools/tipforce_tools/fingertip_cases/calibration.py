@@ -7,7 +7,19 @@ import math
 import struct
 
 from canopen_conformance.case import CheckError, Service, check
-from canopen_conformance.dut import RESET_COMMUNICATION, RESET_NODE, Dut
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    DEVICE_STATE,
+    INCOMPATIBLE,
+    INVALID_VALUE,
+    NOT_STORED,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    TOO_HIGH,
+    TOO_LONG,
+    TOO_LOW,
+    TOO_SHORT,
+)
 from tipforce.device import codes
 from tipforce.dictionary import table
 from tipforce_tools.fingertip_cases.profile import gauges, settle
@@ -19,8 +31,6 @@ validity = Service("validity", own=True)
 # --- calibration ----------------------------------------------------------------------------------------------
 
 
-SIGNATURE, STATE, INCOMPATIBLE = 0x08000020, 0x08000022, 0x06040043
-INVALID_VALUE, TOO_HIGH, TOO_LONG, TOO_SHORT = 0x06090030, 0x06090031, 0x06070012, 0x06070013
 NEWTONS_PER_STRAIN = 5000.0
 ON_N, OFF_N = 0.5, 0.3
 
@@ -71,9 +81,7 @@ def staged(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2141h",
-    "a record of {0:+d} bytes is refused, the staged one stays",
-    each=[(1, TOO_LONG), (-1, TOO_SHORT)],
+    "tipforce 2141h", "a record of {0:+d} bytes is refused, the staged one stays", each=[(1, TOO_LONG), (-1, TOO_SHORT)]
 )
 def staged_size(dut: Dut, more: int, code: int) -> None:
     data = record(dut)
@@ -104,8 +112,8 @@ def staged_crc(dut: Dut) -> None:
 @calibration("tipforce 2102h", "2102h:5 is the condition number of the staged matrix")
 def condition(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
-    found = dut.number("f", 0x2102, 5)
-    check(abs(found - 4.0) <= 1e-4, "4", str(found))
+    condition = dut.number("f", 0x2102, 5)
+    check(abs(condition - 4.0) <= 1e-4, "4", str(condition))
 
 
 @calibration("tipforce 2104h", "a commit activates: CRC, generation, 2140h, status bit 1")
@@ -131,7 +139,7 @@ def staged_only(dut: Dut) -> None:
 @calibration("tipforce 2104h", "a wrong signature: 08000020h", each=[(0,), (0x74696D64,), (0x65766173,)])
 def wrong_signature(dut: Dut, signature: int) -> None:
     stage(dut, record(dut))
-    dut.refuses("I", 0x2104, 0, signature, SIGNATURE)
+    dut.refuses("I", 0x2104, 0, signature, NOT_STORED)
 
 
 @calibration("tipforce 2104h", "CRC mismatch: 06040043h")
@@ -186,9 +194,7 @@ def condition_limit(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2105h",
-    "a condition limit of {0} is refused",
-    each=[(0.5, 0x06090032), (math.nan, INVALID_VALUE)],
+    "tipforce 2105h", "a condition limit of {0} is refused", each=[(0.5, 0x06090032), (math.nan, INVALID_VALUE)]
 )
 def condition_limit_range(dut: Dut, value: float, code: int) -> None:
     dut.refuses("f", 0x2105, 1, value, code)
@@ -205,12 +211,12 @@ def locked(dut: Dut) -> None:
     stage(dut, data)
     try:
         dut.put("B", 0x2105, 2, 1)
-        dut.refuses("f", 0x2100, 1, 1.0, STATE)
-        dut.refuses("B", 0x2110, 6, 1, STATE)
-        dut.refuses_bytes(0x2141, 0, data, STATE)
-        dut.refuses("f", 0x2105, 1, 10.0, STATE)
-        dut.refuses("B", 0x2105, 2, 0, STATE)
-        refused(dut, STATE)
+        dut.refuses("f", 0x2100, 1, 1.0, DEVICE_STATE)
+        dut.refuses("B", 0x2110, 6, 1, DEVICE_STATE)
+        dut.refuses_bytes(0x2141, 0, data, DEVICE_STATE)
+        dut.refuses("f", 0x2105, 1, 10.0, DEVICE_STATE)
+        dut.refuses("B", 0x2105, 2, 0, DEVICE_STATE)
+        refused(dut, DEVICE_STATE)
         dut.holds("B", 0x2105, 2, 1)
     finally:
         unlock(dut)
@@ -226,7 +232,7 @@ def lock_kept(dut: Dut, command: int, _name: str) -> None:
     try:
         dut.put("B", 0x2105, 2, 1)
         dut.reset(command)
-        dut.refuses("f", 0x2100, 1, 1.0, STATE)
+        dut.refuses("f", 0x2100, 1, 1.0, DEVICE_STATE)
     finally:
         unlock(dut)
 
@@ -235,7 +241,7 @@ def lock_kept(dut: Dut, command: int, _name: str) -> None:
 def wrong_unlock(dut: Dut) -> None:
     try:
         dut.put("B", 0x2105, 2, 1)
-        dut.refuses("I", 0x2105, 3, 0x6E65706E, SIGNATURE)
+        dut.refuses("I", 0x2105, 3, 0x6E65706E, NOT_STORED)
         dut.holds("B", 0x2105, 2, 1)
     finally:
         unlock(dut)
@@ -268,8 +274,8 @@ def contact(dut: Dut) -> None:
 @calibration("CiA 404 6125h", "autozero is refused while contact is present: 08000022h")
 def zero_in_contact(dut: Dut) -> None:
     loaded(dut, 5.0)
-    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, STATE)
-    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, STATE)
+    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, DEVICE_STATE)
+    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, DEVICE_STATE)
 
 
 @calibration("CiA 404 6139h", "autotare takes the force as zero; command 2 clears it")
@@ -285,10 +291,7 @@ def tare(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2100h",
-    "1010h:4 stores the active record, 1011h:4 forgets it",
-    persistent=True,
-    needs=((0x1010, 4),),
+    "tipforce 2100h", "1010h:4 stores the active record, 1011h:4 forgets it", persistent=True, needs=((0x1010, 4),)
 )
 def stored(dut: Dut) -> None:
     data = record(dut, x2102_1=99)
@@ -297,17 +300,16 @@ def stored(dut: Dut) -> None:
     dut.put("I", 0x1010, 4, codes.SIGNATURE_SAVE)
     dut.refuses("f", 0x2100, 1, 7.0, 0)
     dut.reset()
-    found = dut.read(0x2140), dut.read(0x2141), dut.integer("I", 0x2103, 4)
+    records = dut.read(0x2140), dut.read(0x2141), dut.integer("I", 0x2103, 4)
     dut.put("I", 0x1011, 4, codes.SIGNATURE_LOAD)
     dut.reset()
     dut.holds("I", 0x2103, 3, 0)
-    check(found == (data, data, generation), "the stored record, active and staged", "another one")
+    check(records == (data, data, generation), "the stored record, active and staged", "another one")
 
 
 # --- validity -------------------------------------------------------------------------------------------------
 
 
-TOO_LOW = 0x06090032
 BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
 
 

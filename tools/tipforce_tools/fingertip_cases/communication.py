@@ -5,28 +5,22 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance.case import NotApplicableError, Service, check
-from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, clear
-from canopen_conformance.cases.error_control import CONSUMER, PRODUCER
-from canopen_conformance.cases.identity import READ_ONLY
-from canopen_conformance.cases.node_guarding import GUARDING
-from canopen_conformance.cases.storage import ALL, LOAD, VALUE, WRONG, restored, store
-from canopen_conformance.cases.sync import INVALID_VALUE, LENGTH
-from canopen_conformance.cases.time import INVALID_VALUE as TIME_INVALID_VALUE
-from canopen_conformance.cases.time import NEEDS as TIME_NEEDS
-from canopen_conformance.dut import (
+from canopen_conformance.cases.emcy import HISTORY, INHIBIT, NEEDS, break_sync, clear, cure_error, make_error
+from canopen_conformance.cases.error_control import CONSUMER, GUARDING, PRODUCER
+from canopen_conformance.cases.identity import ALL, LOAD, VALUE, WRONG_SIGNATURE, restored, store
+from canopen_conformance.cases.pdo import INVALID
+from canopen_conformance.cases.sync import LENGTH, TIME
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    ERROR_FLAG,
+    INVALID_VALUE,
     OPERATIONAL,
     PRE_OPERATIONAL,
+    READ_ONLY,
+    REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
     START,
-    Dut,
-)
-from canopen_conformance.raw_frames import ERROR_FLAG, REMOTE_FLAG
-from canopen_conformance.setups import (
-    INVALID,
-    break_sync,
-    cure_error,
-    make_error,
 )
 
 nmt = Service("nmt", own=True)
@@ -160,8 +154,8 @@ def profile(dut: Dut) -> None:
 
 @identity("CiA 301 7.5.2.21", "product code: tipforce, the number of gauges is 3 to 8")
 def product(dut: Dut) -> None:
-    found = dut.integer("I", 0x1018, 2)
-    check(found & 0xFFFFFC00 == 0x54500000 and 3 <= found & 0xFF <= 8, "545000nnh to 545003nnh", f"{found:08X}h")
+    code = dut.integer("I", 0x1018, 2)
+    check(code & 0xFFFFFC00 == 0x54500000 and 3 <= code & 0xFF <= 8, "545000nnh to 545003nnh", f"{code:08X}h")
 
 
 @identity(
@@ -192,7 +186,7 @@ APPLICATION = ((0x1010, 3), (0x1011, 3), (0x6114, 1))
 
 @storage("CiA 301 7.5.2.13", "1010h:{0} reads 1: the device stores on command", each=[(1,), (2,), (3,), (4,)])
 def capability(dut: Dut, sub: int) -> None:
-    if dut.try_write(0x1010, sub, struct.pack("<I", LOAD)) not in WRONG:
+    if dut.try_write(0x1010, sub, struct.pack("<I", LOAD)) not in WRONG_SIGNATURE:
         raise NotApplicableError("the device has nowhere to store")
     dut.holds("I", 0x1010, sub, 1)
 
@@ -227,10 +221,7 @@ def separate(dut: Dut) -> None:
     "1011h:{0} leaves the other group as it is stored",
     needs=(*COMMUNICATION, *APPLICATION),
     persistent=True,
-    each=[
-        (2, 0, 777),
-        (3, VALUE, 500),
-    ],
+    each=[(2, 0, 777), (3, VALUE, 500)],
 )
 def restore_one(dut: Dut, sub: int, communication: int, application: int) -> None:
     with restored(dut):
@@ -295,7 +286,7 @@ def length_once(dut: Dut) -> None:
 @time(
     "CiA 301 7.5.2.15",
     "1012h = {0:08X}h is refused: {1}",
-    needs=TIME_NEEDS,
+    needs=TIME,
     each=[
         (0xC0000100, "this device produces no TIME"),
         (0xA0000100, "no 29-bit identifier"),
@@ -303,7 +294,7 @@ def length_once(dut: Dut) -> None:
     ],
 )
 def time_refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1012, 0, value, TIME_INVALID_VALUE)
+    dut.refuses("I", 0x1012, 0, value, INVALID_VALUE)
 
 
 # --- bus_faults -----------------------------------------------------------------------------------------------

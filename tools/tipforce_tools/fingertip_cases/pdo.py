@@ -5,12 +5,21 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance.case import CheckError, Service, check
-from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, INVALID_VALUE, NO_OBJECT, NO_RTR, NOT_MAPPABLE
-from canopen_conformance.cases.rpdo import HIGH_RESOLUTION, TIME_U32, high_resolution, set_time
-from canopen_conformance.cases.tpdo import on_syncs
-from canopen_conformance.dut import ENTER_PRE_OPERATIONAL, START, Dut
-from canopen_conformance.raw_frames import REMOTE_FLAG
-from canopen_conformance.setups import TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
+from canopen_conformance.cases.pdo import (
+    HIGH_RESOLUTION,
+    TIME_U32,
+    TPDO1,
+    disable_pdo,
+    enable_tpdo1,
+    high_resolution,
+    mapped_rpdo1,
+    on_syncs,
+    remap,
+    set_time,
+)
+from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, INVALID_VALUE, NO_OBJECT, NOT_MAPPABLE, REMOTE_FLAG, START
 
 pdo_parameters = Service("pdo_parameters", own=True)
 rpdo = Service("rpdo", own=True)
@@ -112,8 +121,8 @@ def counted_anew(dut: Dut) -> None:
     dut.send(0x080)
     dut.nmt(ENTER_PRE_OPERATIONAL)
     dut.nmt(START)
-    found = on_syncs(dut, can_id, 3)
-    check(found == [3], "an answer to the third SYNC", f"answers to SYNC {found}")
+    answered = on_syncs(dut, can_id, 3)
+    check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
 
 
 @tpdo("CiA 301 7.2.2.2", "type 0: silent at a SYNC while there was no event", needs=TPDO1)
@@ -289,9 +298,9 @@ def counter(dut: Dut) -> None:
     for _ in range(260):
         dut.sleep(1)
         dut.send(0x080)
-        found = dut.expect(can_id).data[0]
-        check(last < 0 or found == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(found))
-        last = found
+        value = dut.expect(can_id).data[0]
+        check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
+        last = value
 
 
 @interrupts_404("tipforce 2121h", "with 1019h = 240 the counter is the number of the SYNC, 1 to 240", needs=NUMBERED)
@@ -301,8 +310,8 @@ def numbered(dut: Dut) -> None:
     dut.nmt(START)
     for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
         dut.send(0x080, bytes((number,)))
-        found = dut.expect(can_id).data[0]
-        check(found == number, str(number), str(found))
+        value = dut.expect(can_id).data[0]
+        check(value == number, str(number), str(value))
 
 
 @interrupts_404("tipforce 2121h", "all TPDOs of one SYNC carry the same counter", needs=(*TPDO1, (0x1801, 1)))

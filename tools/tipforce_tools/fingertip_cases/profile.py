@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
-from canopen_conformance.dut import READ_ONLY, Dut
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import DEVICE_STATE, INVALID_VALUE, NOT_STORED, READ_ONLY, TOO_HIGH, TOO_LOW
 from tipforce.dictionary import table
 
 profile_404 = Service("profile_404", own=True)
@@ -15,8 +16,6 @@ settings_404 = Service("settings_404", own=True)
 # --- profile_404 ----------------------------------------------------------------------------------------------
 
 
-INVALID_VALUE, TOO_HIGH, TOO_LOW = 0x06090030, 0x06090031, 0x06090032
-SIGNATURE, STATE = 0x08000020, 0x08000022
 NEWEST_MS = 110  # a live value that is read is at most 100 ms old
 SIMULATED = ((0x2200, 1), (0x2201, 1))
 PARTS = ("gauge", "force", "magnitude", "direction", "contact angle")
@@ -131,9 +130,7 @@ def setting_forms(dut: Dut, offset: int, form: str) -> None:
 
 
 @profile_404(
-    "CiA 404 7124h",
-    "a value that INTEGER16 cannot hold reads as its end",
-    each=[(1e6, 0x7FFF), (-1e6, -0x7FFF)],
+    "CiA 404 7124h", "a value that INTEGER16 cannot hold reads as its end", each=[(1e6, 0x7FFF), (-1e6, -0x7FFF)]
 )
 def setting_saturates(dut: Dut, value: float, shown: int) -> None:
     dut.put("f", 0x6124, 1, value)
@@ -173,10 +170,7 @@ def gauge_valid(dut: Dut) -> None:
 @profile_404(
     "CiA 404 6150h",
     "a gauge beyond INTEGER16: overload {1:02X}h, 7130h at its end, 6130h and 9130h as they are",
-    each=[
-        (5000.0, 3, 0x7FFF),
-        (-5000.0, 5, -0x7FFF),
-    ],
+    each=[(5000.0, 3, 0x7FFF), (-5000.0, 5, -0x7FFF)],
 )
 def overload(dut: Dut, microstrain: float, status: int, shown: int) -> None:
     dut.put("f", 0x6124, 1, microstrain)
@@ -218,10 +212,6 @@ def load(dut: Dut) -> None:
 
 
 # --- settings_404 ---------------------------------------------------------------------------------------------
-
-
-INVALID_VALUE, TOO_HIGH, TOO_LOW = 0x06090030, 0x06090031, 0x06090032
-SIGNATURE, STATE = 0x08000020, 0x08000022
 
 
 @settings_404("CiA 404 6112h", "operating mode {0} is refused", each=[(0, TOO_LOW), (2, TOO_HIGH)])
@@ -326,7 +316,7 @@ def filter_block(dut: Dut, values: int) -> None:
 
 @settings_404("CiA 404 6125h", "autozero with a wrong signature: 08000020h")
 def autozero_signature(dut: Dut) -> None:
-    dut.refuses("I", 0x6125, 1, 0x6F72657B, SIGNATURE)
+    dut.refuses("I", 0x6125, 1, 0x6F72657B, NOT_STORED)
 
 
 @settings_404("CiA 404 6125h", "autozero brings the gauge to zero by 6124h alone")
@@ -345,11 +335,11 @@ def autozero(dut: Dut) -> None:
 def autotare_signature(dut: Dut) -> None:
     n = gauges(dut)
     dut.holds("B", 0x6139, 0, n + 1)
-    dut.refuses("I", 0x6139, n + 1, 0x61726175, SIGNATURE)
+    dut.refuses("I", 0x6139, n + 1, 0x61726175, NOT_STORED)
     dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, 0x06090011)
 
 
 @settings_404("CiA 404 6139h", "autotare without calibration: 08000022h")
 def autotare_unknown(dut: Dut) -> None:
     uncalibrated(dut)
-    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, STATE)
+    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, DEVICE_STATE)

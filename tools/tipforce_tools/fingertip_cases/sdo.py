@@ -5,14 +5,18 @@ from __future__ import annotations
 import struct
 
 from canopen_conformance.case import Service, check
-from canopen_conformance.cases.sdo_block import SEQUENCE, UNKNOWN, begin, block, initiate
-from canopen_conformance.cases.sdo_block import TIMED_OUT as BLOCK_TIMED_OUT
-from canopen_conformance.cases.sdo_block_download import TIMED_OUT as DOWNLOAD_TIMED_OUT
-from canopen_conformance.cases.sdo_block_download import UNKNOWN as DOWNLOAD_UNKNOWN
-from canopen_conformance.cases.sdo_block_download import begin as begin_download_by_blocks
-from canopen_conformance.cases.sdo_block_download import end, one_segment, segment
-from canopen_conformance.cases.sdo_segmented import BEAT, TIMED_OUT, TOO_LONG, TOO_SHORT, begin_download, begin_upload
+from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload
+from canopen_conformance.cases.sdo_block import (
+    begin_block_download,
+    begin_block_upload,
+    block,
+    end_block_download,
+    initiate,
+    one_segment,
+    segment,
+)
 from canopen_conformance.dut import Dut
+from canopen_conformance.wire import SEQUENCE_NUMBER, TIMED_OUT, TOO_LONG, TOO_SHORT, UNKNOWN_COMMAND
 
 sdo = Service("sdo", own=True)
 segmented = Service("sdo_segmented", own=True)
@@ -51,8 +55,8 @@ def upload_restart(dut: Dut) -> None:
     _index, size = begin_upload(dut)
     dut.ask("60", "0. *")
     begin_upload(dut)
-    found = len(dut.read_segments())
-    check(found == size, f"{size} bytes from the start", f"{found}")
+    size_read = len(dut.read_segments())
+    check(size_read == size, f"{size} bytes from the start", f"{size_read}")
 
 
 @segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, and the transfer is over")
@@ -134,23 +138,18 @@ LONG = ((0x1021, 0),)
 
 @block_upload("CiA 301 7.2.4.3.14", "ackseq beyond what was sent: 05040003h")
 def acknowledged_too_much(dut: Dut) -> None:
-    index, _data = begin(dut, 1)
+    index, _data = begin_block_upload(dut, 1)
     dut.request("A3")
     block(dut, 1, False)
     dut.request("A2 02 7F")
-    dut.aborted(index, 0, SEQUENCE)
+    dut.aborted(index, 0, SEQUENCE_NUMBER)
 
 
 @block_upload(
     "CiA 301 7.2.4.3.13",
     "protocol switch: {0} bytes and pst {1} give a {2} upload",
     needs=((0x1000, 0),),
-    each=[
-        (4, 4, "expedited"),
-        (4, 255, "expedited"),
-        (4, 3, "block"),
-        (4, 0, "block"),
-    ],
+    each=[(4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block")],
 )
 def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
     answer = initiate(dut, 0x1000, 127, switch)
@@ -181,7 +180,7 @@ def full_block(dut: Dut) -> None:
 
 @block_upload("CiA 301 7.2.4.2.13", "an initiate gives up the block upload that went on")
 def restart(dut: Dut) -> None:
-    begin(dut, 1)
+    begin_block_upload(dut, 1)
     dut.request("A3")
     block(dut, 1, False)
     dut.ask("40 00 10 00", "43 00 10 00 *")
@@ -197,9 +196,9 @@ def restart(dut: Dut) -> None:
     ],
 )
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
-    index, _data = begin(dut, 1)
+    index, _data = begin_block_upload(dut, 1)
     dut.request(request)
-    dut.aborted(index, 0, UNKNOWN)
+    dut.aborted(index, 0, UNKNOWN_COMMAND)
 
 
 @block_upload(
@@ -208,11 +207,11 @@ def wrong_command(dut: Dut, request: str, _why: str) -> None:
     each=[(False, "before the start"), (True, "after a block")],
 )
 def silent_client(dut: Dut, started: bool, _when: str) -> None:
-    index, _data = begin(dut, 1)
+    index, _data = begin_block_upload(dut, 1)
     if started:
         dut.request("A3")
         block(dut, 1, False)
-    dut.aborted(index, 0, BLOCK_TIMED_OUT, within_ms=1200)
+    dut.aborted(index, 0, TIMED_OUT, within_ms=1200)
 
 
 # --- sdo_block_download ---------------------------------------------------------------------------------------
@@ -226,24 +225,22 @@ def record(dut: Dut) -> bytes:
 @download("CiA 301 7.2.4.3.10", "many segments: the whole record is written", needs=RECORD)
 def many(dut: Dut) -> None:
     data = record(dut)
-    begin_download_by_blocks(dut, 0x2141, len(data))
+    begin_block_download(dut, 0x2141, len(data))
     last = -(-len(data) // 7)
     for number in range(1, last + 1):
         segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
     dut.answer(f"A2 {last:02X} ..")
-    end(dut, data)
+    end_block_download(dut, data)
     dut.answer("A1")
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
 
 @download(
-    "CiA 301 7.2.4.3.10",
-    "a segment is lost: ackseq names the one before it, and the rest is sent again",
-    needs=RECORD,
+    "CiA 301 7.2.4.3.10", "a segment is lost: ackseq names the one before it, and the rest is sent again", needs=RECORD
 )
 def lost_segment(dut: Dut) -> None:
     data = record(dut)
-    begin_download_by_blocks(dut, 0x2141, len(data))
+    begin_block_download(dut, 0x2141, len(data))
     last = -(-len(data) // 7)
     for number in range(1, last + 1):
         if number != 3:
@@ -252,7 +249,7 @@ def lost_segment(dut: Dut) -> None:
     for number in range(1, last - 1):
         segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
     dut.answer(f"A2 {last - 2:02X} ..")
-    end(dut, data)
+    end_block_download(dut, data)
     dut.answer("A1")
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
@@ -260,13 +257,13 @@ def lost_segment(dut: Dut) -> None:
 @download("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD)
 def twice(dut: Dut) -> None:
     data = record(dut)
-    begin_download_by_blocks(dut, 0x2141, len(data))
+    begin_block_download(dut, 0x2141, len(data))
     last = -(-len(data) // 7)
     for number in range(1, last + 1):
         for _ in range(2 if number == 2 else 1):
             segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
     dut.answer(f"A2 {last:02X} ..")
-    end(dut, data)
+    end_block_download(dut, data)
     dut.answer("A1")
     check(dut.read(0x2141) == data, "the record that was written", "another one")
 
@@ -274,20 +271,20 @@ def twice(dut: Dut) -> None:
 @download("CiA 301 7.2.4.3.10", "the last segment is lost: the server says after a while what it has", needs=RECORD)
 def lost_last(dut: Dut) -> None:
     data = record(dut)
-    begin_download_by_blocks(dut, 0x2141, len(data))
+    begin_block_download(dut, 0x2141, len(data))
     last = -(-len(data) // 7)
     for number in range(1, last):
         segment(dut, number, data[7 * number - 7 : 7 * number])
     dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
     segment(dut, 1, data[7 * last - 7 :], True)
     dut.answer("A2 01 ..")
-    end(dut, data)
+    end_block_download(dut, data)
     dut.answer("A1")
 
 
 @download("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, each=[(TOO_LONG,)])
 def too_much(dut: Dut, code: int) -> None:
-    begin_download_by_blocks(dut, 0x1017, 2)
+    begin_block_download(dut, 0x1017, 2)
     segment(dut, 1, bytes(7))
     dut.aborted(0x1017, 0, code)
 
@@ -307,13 +304,13 @@ def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     if sent:
         one_segment(dut)
     else:
-        begin_download_by_blocks(dut, 0x1017, 2)
+        begin_block_download(dut, 0x1017, 2)
         dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
-    dut.aborted(0x1017, 0, DOWNLOAD_TIMED_OUT, within_ms=1200)
+    dut.aborted(0x1017, 0, TIMED_OUT, within_ms=1200)
 
 
 @download("CiA 301 7.2.4.3.11", "no end but another command: 05040001h", needs=BEAT)
 def wrong_end(dut: Dut) -> None:
     one_segment(dut)
     dut.request("C2")
-    dut.aborted(0x1017, 0, DOWNLOAD_UNKNOWN)
+    dut.aborted(0x1017, 0, UNKNOWN_COMMAND)

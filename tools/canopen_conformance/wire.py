@@ -1,20 +1,62 @@
-"""Raw frames to and from a device: send, expect, expect silence, and the log of these."""
+"""The wire, stated for the suite alone: identifiers, commands, states and abort codes; raw frames; the two links.
+
+Independent of any device on purpose: a wrong number of a device must not pass its own test.
+"""
 
 from __future__ import annotations
 
 import re
+import time
 from collections import deque
 from collections.abc import Callable
-from typing import NamedTuple, Protocol, TypeAlias
+from typing import TYPE_CHECKING, NamedTuple, Protocol, TypeAlias
 
-from canopen_conformance.case import CheckError
+from canopen_conformance.case import CheckError, LostDeviceError
 
-# Flags and masks of a CAN identifier (linux/can.h); stated here again, so that the suite depends on no device.
+if TYPE_CHECKING:
+    import can
+
+    Sent = list[tuple[int, bytes]]
+    Step = tuple[int, Sent, Sent]
+
+# Flags and masks of a CAN identifier (linux/can.h).
 EXTENDED_FLAG, REMOTE_FLAG, ERROR_FLAG = 0x80000000, 0x40000000, 0x20000000
 STANDARD_MASK, EXTENDED_MASK = 0x7FF, 0x1FFFFFFF
+
+# NMT commands and states (CiA 301, 7.2.8.3).
+START, STOP, ENTER_PRE_OPERATIONAL, RESET_NODE, RESET_COMMUNICATION = 1, 2, 128, 129, 130
+STOPPED, OPERATIONAL, PRE_OPERATIONAL = 4, 5, 127
+
+# SDO abort codes (CiA 301, 7.2.4.3.17).
+TOGGLE_BIT = 0x05030000
+TIMED_OUT = 0x05040000
+UNKNOWN_COMMAND = 0x05040001
+BLOCK_SIZE = 0x05040002
+SEQUENCE_NUMBER = 0x05040003
+CRC_ERROR = 0x05040004
+UNSUPPORTED_ACCESS = 0x06010000
+READ_ONLY = 0x06010002
+NO_OBJECT = 0x06020000
+NOT_MAPPABLE = 0x06040041
+PDO_LENGTH = 0x06040042
+INCOMPATIBLE = 0x06040043
+WRONG_LENGTH = 0x06070010
+TOO_LONG = 0x06070012
+TOO_SHORT = 0x06070013
+NO_SUB = 0x06090011
+INVALID_VALUE = 0x06090030
+TOO_HIGH = 0x06090031
+TOO_LOW = 0x06090032
+GENERAL_ERROR = 0x08000000
+NOT_STORED = 0x08000020
+DEVICE_STATE = 0x08000022
+NO_DATA = 0x08000024
+
 ANSWER_MS = 200  # timeout of a response
 QUIET_MS = 30  # waiting time for a forbidden frame
+DEFAULT_TOLERANCE_MS = 20  # of measured times on a bus
 _KEPT = 5000  # bounds the memory on a bus with traffic of other nodes
+_MOST_STEPS_AT_ONCE = 1000
 
 
 class Frame(NamedTuple):
@@ -144,3 +186,90 @@ class Frames:
 
     def _note(self, direction: str, can_id: int, data: bytes, at_us: int) -> None:
         self.log.append(f"{at_us / 1000:10.1f} ms  {direction} {text(can_id, data)}")
+
+
+class Core(Protocol):
+    """A device as a pure state machine, driven by ``CoreLink``."""
+
+    def step(self, now_us: int, frames: Sent = ...) -> tuple[Sent, int]:
+        """Frames in; frames out and the next due time."""
+
+
+class CoreLink:
+    """A device core whose clock advances only by waiting. ``steps`` keeps (now_us, frames in, frames out)."""
+
+    tolerance_ms = 0
+    error_frames = True
+
+    def __init__(self, device: Core) -> None:
+        self._device = device
+        self._now_us = self._due_us = 0
+        self._queue: deque[Frame] = deque()
+        self.steps: list[Step] = []
+        self._step([])
+
+    def now_us(self) -> int:
+        """Return the fake time in microseconds."""
+        return self._now_us
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Pass the frame to the device."""
+        self._step([(can_id, data)])
+
+    def receive(self, until_us: int) -> Frame | None:
+        """Step the device at each of its due times until it sends a frame."""
+        for _ in range(_MOST_STEPS_AT_ONCE):
+            if self._queue:
+                return self._queue.popleft()
+            if self._due_us > until_us:
+                self._now_us = max(self._now_us, until_us)
+                return None
+            self._now_us = max(self._now_us, self._due_us)
+            self._step([])
+        raise AssertionError(f"the device is always due at {self._now_us} us")
+
+    def _step(self, frames: Sent) -> None:
+        sent, self._due_us = self._device.step(self._now_us, frames)
+        self.steps.append((self._now_us, frames, list(sent)))
+        self._queue.extend(Frame(can_id, data, self._now_us) for can_id, data in sent)
+
+
+class BusLink:
+    """A python-can bus with a device on it, and the machine's clock."""
+
+    error_frames = False
+
+    def __init__(self, bus: can.BusABC, tolerance_ms: int = DEFAULT_TOLERANCE_MS) -> None:
+        self._bus = bus
+        self.tolerance_ms = tolerance_ms
+
+    def now_us(self) -> int:
+        """Microseconds of the monotonic clock."""
+        return time.monotonic_ns() // 1000
+
+    def send(self, can_id: int, data: bytes) -> None:
+        """Send a frame. Raises LostDeviceError if the bus accepts nothing for a second."""
+        import can
+
+        extended = bool(can_id & EXTENDED_FLAG)
+        message = can.Message(
+            arbitration_id=can_id & (EXTENDED_MASK if extended else STANDARD_MASK),
+            data=data,
+            is_extended_id=extended,
+            is_remote_frame=bool(can_id & REMOTE_FLAG),
+        )
+        try:
+            self._bus.send(message, timeout=1.0)
+        except can.CanError as error:
+            raise LostDeviceError(f"the bus no longer accepts frames: {error}") from error
+
+    def receive(self, until_us: int) -> Frame | None:
+        """Return the next classic CAN frame."""
+        while True:
+            left_s = max(0.0, (until_us - self.now_us()) * 1e-6)
+            message = self._bus.recv(left_s)
+            if message is None:
+                return None
+            if not (message.is_fd or message.is_error_frame):
+                flags = EXTENDED_FLAG * message.is_extended_id | REMOTE_FLAG * message.is_remote_frame
+                return Frame(message.arbitration_id | flags, bytes(message.data), self.now_us())
