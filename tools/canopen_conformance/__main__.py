@@ -5,9 +5,9 @@ from __future__ import annotations
 import argparse
 import signal
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
-from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
+from canopen_conformance.case import Case, LostDeviceError, all_cases, by_clause, matching
 from canopen_conformance.dut import Dut
 from canopen_conformance.run import listing, run_and_print
 from canopen_conformance.wire import DEFAULT_TOLERANCE_MS, BusLink
@@ -24,27 +24,40 @@ exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, no bus, 5 n
 """
 
 
-def parser() -> argparse.ArgumentParser:
-    """Return the parser of the command line."""
-    arguments = argparse.ArgumentParser(
-        "canopen_conformance", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    action = arguments.add_mutually_exclusive_group(required=True)
-    action.add_argument("--node-id", type=int, choices=range(1, 128), metavar="ID", help="of the device, 1 to 127")
+def add_arguments(parser: argparse.ArgumentParser, node_id: Callable[[str], int]) -> None:
+    """Add the flags that choose the device and the cases; ``node_id`` parses a node-id."""
+    action = parser.add_mutually_exclusive_group(required=True)
+    action.add_argument("--node-id", type=node_id, metavar="ID", help="node-id of the device, 1 to 127")
     action.add_argument("--list", action="store_true", help="list the cases without running them")
-    arguments.add_argument("--case", default="*", metavar="PATTERN", help="names or clauses: 'nmt.*', 'CiA 305*'")
-    arguments.add_argument("--persistent", action="store_true", help="include cases that store, or change the node-id")
-    arguments.add_argument("--tolerance", type=int, default=DEFAULT_TOLERANCE_MS, metavar="MS", help="of times")
-    arguments.add_argument("--json", action="store_true", help="print a JSON record a line")
-    arguments.add_argument("-i", "--interface", help="of python-can; default: its configuration file and environment")
-    arguments.add_argument("-c", "--channel", help="of the interface")
-    arguments.add_argument("-b", "--bitrate", type=int, help="in bit/s, where the interface sets it")
-    return arguments
+    parser.add_argument("--case", default="*", metavar="PATTERN", help="names or clauses: 'nmt.*', 'CiA 305*'")
+    parser.add_argument("--persistent", action="store_true", help="include cases that store, or change the node-id")
+    parser.add_argument(
+        "--tolerance",
+        type=int,
+        default=DEFAULT_TOLERANCE_MS,
+        metavar="MS",
+        help="of measured times (default %(default)s ms)",
+    )
+
+
+def _node_id(text: str) -> int:
+    value = int(text, 0)
+    if not 1 <= value <= 127:
+        raise argparse.ArgumentTypeError(f"{text}: allowed is 1 to 127")
+    return value
 
 
 def main(words: Sequence[str] | None = None) -> int:
     """Run the command line; return the exit code."""
-    args = parser().parse_args(words)
+    parser = argparse.ArgumentParser(
+        "canopen_conformance", description=__doc__, epilog=EPILOG, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    add_arguments(parser, _node_id)
+    parser.add_argument("--json", action="store_true", help="print a JSON record a line")
+    parser.add_argument("-i", "--interface", help="of python-can; default: its configuration file and environment")
+    parser.add_argument("-c", "--channel", help="of the interface")
+    parser.add_argument("-b", "--bitrate", type=int, help="in bit/s, where the interface sets it")
+    args = parser.parse_args(words)
     cases = by_clause(matching(args.case, all_cases()))
     if not cases:
         print(f"--case {args.case!r}: matches no case; --list shows all", file=sys.stderr)
@@ -55,6 +68,10 @@ def main(words: Sequence[str] | None = None) -> int:
     if args.tolerance < 0:
         print(f"--tolerance {args.tolerance}: allowed is 0 or more", file=sys.stderr)
         return 2
+    return _run(args, cases)
+
+
+def _run(args: argparse.Namespace, cases: Sequence[Case]) -> int:
     import can
 
     signal.signal(signal.SIGTERM, signal.default_int_handler)

@@ -8,27 +8,15 @@ from contextlib import suppress
 
 from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
 from canopen_conformance.wire import (
-    DEVICE_STATE,
     ENTER_PRE_OPERATIONAL,
-    GENERAL_ERROR,
-    INCOMPATIBLE,
-    INVALID_VALUE,
-    NO_OBJECT,
-    NO_SUB,
-    NOT_MAPPABLE,
-    NOT_STORED,
     OPERATIONAL,
-    PDO_LENGTH,
     PRE_OPERATIONAL,
     QUIET_MS,
-    READ_ONLY,
     RESET_COMMUNICATION,
     RESET_NODE,
     START,
     STOP,
-    TOO_HIGH,
-    TOO_LOW,
-    UNSUPPORTED_ACCESS,
+    Abort,
     Frame,
     Frames,
     Link,
@@ -40,8 +28,8 @@ LAST_DATA_TYPE = 0x1B
 _RPDO_MAPPING, _RPDO_MAPPING_END, _TPDO_MAPPING, _TPDO_MAPPING_END = 0x1600, 0x1800, 0x1A00, 0x1C00
 # A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
 _MAY_REFUSE = (
-    UNSUPPORTED_ACCESS, NOT_MAPPABLE, PDO_LENGTH, INCOMPATIBLE, INVALID_VALUE, TOO_HIGH, TOO_LOW,
-    GENERAL_ERROR, NOT_STORED, DEVICE_STATE,
+    Abort.UNSUPPORTED_ACCESS, Abort.NOT_MAPPABLE, Abort.PDO_LENGTH, Abort.INCOMPATIBLE, Abort.INVALID_VALUE,
+    Abort.TOO_HIGH, Abort.TOO_LOW, Abort.GENERAL_ERROR, Abort.NOT_STORED, Abort.DEVICE_STATE,
 )  # fmt: skip
 BOOT_MS = 5000  # real devices may take long
 _BEAT_MS = 20
@@ -267,20 +255,24 @@ class Dut(Frames):
 
     def put(self, kind: str, index: int, sub: int, value: float) -> None:
         """Download a number that the case needs as its precondition: not applicable if the device may refuse it."""
-        self._put(kind, index, sub, value, (READ_ONLY, *_MAY_REFUSE))
+        self._put(kind, index, sub, value, (Abort.READ_ONLY, *_MAY_REFUSE))
 
     def accepts(self, kind: str, index: int, sub: int, value: float) -> None:
         """Check that the device accepts a number; not applicable if the object is read-only."""
-        self._put(kind, index, sub, value, (READ_ONLY,))
+        self._put(kind, index, sub, value, (Abort.READ_ONLY,))
 
     def _put(self, kind: str, index: int, sub: int, value: float, allowed: tuple[int, ...]) -> None:
         code = self.try_write(index, sub, struct.pack("<" + kind, value))
         shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
-        if code == READ_ONLY:
+        if code == Abort.READ_ONLY:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if code == NO_OBJECT and _RPDO_MAPPING <= index < _RPDO_MAPPING_END and int(value) >> 16 <= LAST_DATA_TYPE:
+        if (
+            code == Abort.NO_OBJECT
+            and _RPDO_MAPPING <= index < _RPDO_MAPPING_END
+            and int(value) >> 16 <= LAST_DATA_TYPE
+        ):
             raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
-        if code == NO_SUB and (
+        if code == Abort.NO_SUB and (
             _RPDO_MAPPING <= index < _RPDO_MAPPING_END or _TPDO_MAPPING <= index < _TPDO_MAPPING_END
         ):
             raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
@@ -305,9 +297,9 @@ class Dut(Frames):
         A device with limits may name these for an invalid value.
         """
         code = self.try_write(index, sub, data)
-        if code == READ_ONLY and code not in codes:
+        if code == Abort.READ_ONLY and code not in codes:
             raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
-        if code in (TOO_HIGH, TOO_LOW) and INVALID_VALUE in codes and not self.is_of_product():
+        if code in (Abort.TOO_HIGH, Abort.TOO_LOW) and Abort.INVALID_VALUE in codes and not self.is_of_product():
             return
         if code not in codes:
             shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
@@ -329,7 +321,7 @@ class Dut(Frames):
         if key not in self._survey:
             fresh = self._fresh
             first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
-            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (NO_OBJECT, NO_SUB)
+            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (Abort.NO_OBJECT, Abort.NO_SUB)
             self._survey[key] = not lacks
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.

@@ -28,15 +28,10 @@ exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no respon
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Add the flags of `tipforce conformance`."""
+    from canopen_conformance.__main__ import add_arguments as add_case_arguments
+
     parser.epilog = EPILOG
-    what = parser.add_mutually_exclusive_group(required=True)
-    what.add_argument("--node-id", type=common.node_id, metavar="ID", help="node-id of the device, 1 to 127")
-    what.add_argument("--list", action="store_true", help="list the cases without running them")
-    parser.add_argument("--case", default="*", metavar="PATTERN", help="names or clauses: 'nmt.*', 'CiA 305*'")
-    parser.add_argument("--persistent", action="store_true", help="include cases that store, or change the node-id")
-    parser.add_argument(
-        "--tolerance", type=int, default=20, metavar="MS", help="of measured times (default %(default)s ms)"
-    )
+    add_case_arguments(parser, common.node_id)
     common.add_confirm_argument(parser)
     common.add_bus_arguments(parser)
     common.add_output_arguments(parser)

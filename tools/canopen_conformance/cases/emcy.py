@@ -7,7 +7,7 @@ import struct
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import INVALID
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import GENERAL_ERROR, INVALID_VALUE, NO_DATA, NO_SUB, READ_ONLY, START
+from canopen_conformance.wire import START, Abort
 
 case = Service("emcy")
 
@@ -130,19 +130,19 @@ def history_cleared(dut: Dut) -> None:
 
 @case("CiA 301 7.5.2.4", "{0} written to sub-index 0: 06090030h", needs=HISTORY, each=[(1,), (8,), (255,)])
 def history_value(dut: Dut, value: int) -> None:
-    dut.refuses("B", 0x1003, 0, value, INVALID_VALUE)
+    dut.refuses("B", 0x1003, 0, value, Abort.INVALID_VALUE)
 
 
 @case("CiA 301 7.5.2.4", "an entry that is empty: 08000024h", needs=HISTORY, each=[(1,), (2,)])
 def history_empty(dut: Dut, sub: int) -> None:
     clear(dut)
     dut.request(struct.pack("<BHB", 0x40, 0x1003, sub))
-    dut.aborted(0x1003, sub, NO_DATA, GENERAL_ERROR, *(() if sub == 1 else (NO_SUB,)))
+    dut.aborted(0x1003, sub, Abort.NO_DATA, Abort.GENERAL_ERROR, *(() if sub == 1 else (Abort.NO_SUB,)))
 
 
 @case("CiA 301 7.5.2.4", "entries cannot be written", needs=(*HISTORY, (0x1003, 1)))
 def history_read_only(dut: Dut) -> None:
-    dut.refuses("I", 0x1003, 1, 0, READ_ONLY)
+    dut.refuses("I", 0x1003, 1, 0, Abort.READ_ONLY)
 
 
 # --- 1014h ------------------------------------------------------------------------------------------------
@@ -175,7 +175,7 @@ def switched_off(dut: Dut) -> None:
 @case("CiA 301 7.5.2.17", "another CAN-ID while the object exists: 06090030h", needs=NEEDS)
 def moved_while_valid(dut: Dut) -> None:
     check_on(dut)
-    dut.refuses("I", 0x1014, 0, 0x390, INVALID_VALUE)
+    dut.refuses("I", 0x1014, 0, 0x390, Abort.INVALID_VALUE)
     dut.holds("I", 0x1014, 0, 0x80 + dut.node_id)
 
 
@@ -193,7 +193,7 @@ def moved(dut: Dut) -> None:
 ])  # fmt: skip
 def refused(dut: Dut, value: int) -> None:
     dut.put("I", 0x1014, 0, INVALID | 0x80 + dut.node_id)
-    dut.refuses("I", 0x1014, 0, value, INVALID_VALUE)
+    dut.refuses("I", 0x1014, 0, value, Abort.INVALID_VALUE)
 
 
 # --- 1015h ------------------------------------------------------------------------------------------------

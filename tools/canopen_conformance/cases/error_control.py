@@ -18,9 +18,6 @@ heartbeat = Service("error_control")
 guarding = Service("node_guarding")
 
 
-# --- error_control --------------------------------------------------------------------------------------------
-
-
 PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
 GUARDING = ((0x100C, 0), (0x100D, 0), (0x1017, 0))
@@ -228,9 +225,6 @@ def watch_reset(dut: Dut) -> None:
     watch(dut, 60)
     dut.reset(RESET_COMMUNICATION)
     dut.silence(0x80 + dut.node_id, ms=120)
-
-
-# --- node_guarding --------------------------------------------------------------------------------------------
 
 
 def guard(dut: Dut, wanted: str) -> None:

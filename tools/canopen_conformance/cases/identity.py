@@ -9,20 +9,10 @@ from contextlib import contextmanager
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import TPDO1, check_mapped
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    GENERAL_ERROR,
-    INVALID_VALUE,
-    NOT_STORED,
-    READ_ONLY,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-)
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
 
 identity = Service("identity")
 storage = Service("storage")
-
-
-# --- identity -------------------------------------------------------------------------------------------------
 
 
 @identity("CiA 301 7.5.2.1", "1000h is there, an UNSIGNED32, and stays the same")
@@ -39,7 +29,7 @@ def error_register(dut: Dut) -> None:
 @identity("CiA 301 7.5.2.3", "1002h is an UNSIGNED32 that cannot be written", needs=((0x1002, 0),))
 def status_register(dut: Dut) -> None:
     dut.integer("I", 0x1002)
-    dut.refuses("I", 0x1002, 0, 0, READ_ONLY)
+    dut.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
 
 
 @identity("CiA 301 7.5.2.8", "{0:04X}h is a text of visible characters", each=[(0x1008,), (0x1009,), (0x100A,)])
@@ -56,7 +46,7 @@ def name(dut: Dut, index: int) -> None:
 def name_constant(dut: Dut, index: int) -> None:
     if not dut.exists(index, 0):
         raise NotApplicableError(f"no object {index:04X}h")
-    dut.refuses_bytes(index, 0, b"abcd", READ_ONLY)
+    dut.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
 
 
 @identity("CiA 301 7.5.2.21", "1018h has the vendor-ID, and one to four entries")
@@ -72,7 +62,7 @@ def identity_identity(dut: Dut) -> None:
 def identity_identity_constant(dut: Dut, sub: int) -> None:
     if not dut.exists(0x1018, sub):
         raise NotApplicableError(f"no 1018h:{sub}")
-    dut.refuses("I", 0x1018, sub, 1, READ_ONLY)
+    dut.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY)
 
 
 @identity("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])
@@ -101,7 +91,7 @@ def sdo_server(dut: Dut, sub: int, base: int) -> None:
 
 @identity("CiA 301 7.5.2.33", "1200h:{0} cannot be written", needs=((0x1200, 1), (0x1200, 2)), each=[(1,), (2,)])
 def sdo_server_constant(dut: Dut, sub: int) -> None:
-    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, READ_ONLY)
+    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
 
 
 @identity(
@@ -128,12 +118,9 @@ def predefined(dut: Dut, index: int, base: int) -> None:
     check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")
 
 
-# --- storage --------------------------------------------------------------------------------------------------
-
-
 SAVE, LOAD = 0x65766173, 0x64616F6C
 GROUP = ((0x1010, 1), (0x1011, 1))
-WRONG_SIGNATURE = (NOT_STORED, GENERAL_ERROR, INVALID_VALUE)
+WRONG_SIGNATURE = (Abort.NOT_STORED, Abort.GENERAL_ERROR, Abort.INVALID_VALUE)
 BOTH = [(0x1010, "store"), (0x1011, "restore")]
 ALL = (*GROUP, (0x1016, 1))
 VALUE = 0x700000 | 4711  # for 1016h:1, which every default leaves at 0

@@ -25,9 +25,6 @@ numbered = Service("lss_identify")
 unnumbered = Service("lss_unconfigured")
 
 
-# --- lss_identify ---------------------------------------------------------------------------------------------
-
-
 def identify(dut: Dut, numbers: list[int]) -> None:
     """Identify remote slave: vendor, product, revision from, to, serial from, to."""
     for part, number in enumerate(numbers):
@@ -95,9 +92,6 @@ def configured(dut: Dut) -> None:
 def configured_fastscan(dut: Dut) -> None:
     say(dut, 0x51, 0, 0, 0, 0, 0x80)
     dut.silence(SLAVE)
-
-
-# --- lss_unconfigured -----------------------------------------------------------------------------------------
 
 
 _START = 0x80

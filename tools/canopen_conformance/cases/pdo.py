@@ -76,9 +76,6 @@ def mapped_rpdo1(dut: Dut, *words: int, transmission: int = 255, event_ms: int =
     return cob_id & 0x7FF
 
 
-# --- tpdo -----------------------------------------------------------------------------------------------------
-
-
 TIMED = (*TPDO1, (0x1800, 3), (0x1800, 5))
 HIGH_RESOLUTION = (*RPDO1, (0x1013, 0))
 TIME_U32 = 0x10130020  # 1013h, 32 bits: it may be mapped into either direction
@@ -186,9 +183,6 @@ def length(dut: Dut) -> None:
     dut.send(0x080)
     size = len(dut.expect(can_id).data)
     check(size == (bits + 7) // 8, f"{bits} bits", f"{size} bytes")
-
-
-# --- rpdo -----------------------------------------------------------------------------------------------------
 
 
 RPDO_TIME_U32 = 0x10130020  # 1013h, 32 bits

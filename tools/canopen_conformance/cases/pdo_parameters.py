@@ -5,22 +5,16 @@ from __future__ import annotations
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.cases.pdo import INVALID, RPDO1, TPDO1, disable_pdo, enable_tpdo1, mapped_rpdo1, remap
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    DEVICE_STATE,
-    INVALID_VALUE,
-    NO_OBJECT,
-    NO_SUB,
-    NOT_MAPPABLE,
-    OPERATIONAL,
-    PDO_LENGTH,
-    RESET_COMMUNICATION,
-    TOO_HIGH,
-    UNSUPPORTED_ACCESS,
-)
+from canopen_conformance.wire import OPERATIONAL, RESET_COMMUNICATION, Abort
 
 case = Service("pdo_parameters")
 
-WHILE_VALID = (DEVICE_STATE, UNSUPPORTED_ACCESS, INVALID_VALUE, 0x08000000)  # the standard names no code here
+WHILE_VALID = (
+    Abort.DEVICE_STATE,
+    Abort.UNSUPPORTED_ACCESS,
+    Abort.INVALID_VALUE,
+    0x08000000,
+)  # the standard names no code here
 BOTH = [(0x1800, 0x1A00, "TPDO1"), (0x1400, 0x1600, "RPDO1")]
 EITHER = (*TPDO1, *RPDO1)
 NO_RTR = 0x40000000
@@ -39,14 +33,14 @@ def highest_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None
 def reserved_sub(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     if dut.exists(communication, 4):
         raise NotApplicableError(f"{communication:04X}h:04 is the compatibility entry of older versions of CiA 301")
-    dut.refuses("B", communication, 4, 0, NO_SUB)
+    dut.refuses("B", communication, 4, 0, Abort.NO_SUB)
 
 
 @case("CiA 301 7.5.2.35", "{2}: another CAN-ID while it is valid: 06090030h", needs=EITHER, each=BOTH)
 def moved_while_valid(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
     cob_id = disable_pdo(dut, communication)
     dut.put("I", communication, 1, cob_id)
-    dut.refuses("I", communication, 1, cob_id ^ 0x100, INVALID_VALUE)
+    dut.refuses("I", communication, 1, cob_id ^ 0x100, Abort.INVALID_VALUE)
     dut.holds("I", communication, 1, cob_id)
 
 
@@ -64,14 +58,14 @@ def moved(dut: Dut, communication: int, _mapping: int, _name: str) -> None:
 ])  # fmt: skip
 def restricted(dut: Dut, communication: int, _mapping: int, _name: str, can_id: int) -> None:
     flags = disable_pdo(dut, communication) & NO_RTR
-    dut.refuses("I", communication, 1, can_id | flags, INVALID_VALUE)
+    dut.refuses("I", communication, 1, can_id | flags, Abort.INVALID_VALUE)
 
 
 @case("CiA 301 7.5.2.35", "{2}: transmission type {3} is reserved: 06090030h", needs=EITHER, each=[
     (*pdo, value) for pdo in BOTH for value in (241, 246, 251)
 ])  # fmt: skip
 def reserved_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    dut.refuses("B", communication, 2, value, INVALID_VALUE, TOO_HIGH)
+    dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE, Abort.TOO_HIGH)
 
 
 @case("CiA 301 7.5.2.35", "{2}: transmission type {3} is taken", needs=EITHER, each=[
@@ -95,7 +89,7 @@ def not_while_valid(dut: Dut, sub: int, _name: str, kind: str) -> None:
 @case("CiA 301 7.5.2.37", "SYNC start value 241 is refused", needs=((0x1800, 6),))
 def start_value(dut: Dut) -> None:
     disable_pdo(dut, 0x1800)
-    dut.refuses("B", 0x1800, 6, 241, TOO_HIGH, INVALID_VALUE)
+    dut.refuses("B", 0x1800, 6, 241, Abort.TOO_HIGH, Abort.INVALID_VALUE)
 
 
 @case("CiA 301 7.5.2.36", "{2}: {4} is not written while the PDO is valid", needs=EITHER, each=[
@@ -122,9 +116,9 @@ def maps_nothing(dut: Dut, communication: int, mapping: int, _name: str, word: i
     dut.put("B", mapping, 0, 0)
     code = dut.try_write(mapping, 1, word.to_bytes(4, "little"))
     if not code:  # the standard lets a device look at the entries when sub-index 0 is set
-        dut.refuses("B", mapping, 0, 1, NO_OBJECT, NO_SUB, NOT_MAPPABLE)
-    elif code not in (NO_OBJECT, NO_SUB, NOT_MAPPABLE):
-        dut.refuses("I", mapping, 1, word, NO_OBJECT, NO_SUB, NOT_MAPPABLE)
+        dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE)
+    elif code not in (Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE):
+        dut.refuses("I", mapping, 1, word, Abort.NO_OBJECT, Abort.NO_SUB, Abort.NOT_MAPPABLE)
 
 
 @case("CiA 301 7.5.2.36", "more than 64 bits: 06040042h", needs=RPDO1)
@@ -133,7 +127,7 @@ def too_many_bits(dut: Dut) -> None:
     dut.put("B", 0x1600, 0, 0)
     for sub, word in enumerate((0x00070020, 0x00070020, 0x00050008), 1):
         dut.put("I", 0x1600, sub, word)
-    dut.refuses("B", 0x1600, 0, 3, PDO_LENGTH)
+    dut.refuses("B", 0x1600, 0, 3, Abort.PDO_LENGTH)
     dut.holds("B", 0x1600, 0, 0)
     dut.put("B", 0x1600, 0, 2)
 
@@ -142,7 +136,7 @@ def too_many_bits(dut: Dut) -> None:
 def too_many_entries(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
-    dut.refuses("B", mapping, 0, 65, PDO_LENGTH, TOO_HIGH, INVALID_VALUE)
+    dut.refuses("B", mapping, 0, 65, Abort.PDO_LENGTH, Abort.TOO_HIGH, Abort.INVALID_VALUE)
 
 
 @case(
@@ -159,7 +153,7 @@ def dummy(dut: Dut, index: int, bits: int) -> None:
 def dummy_tpdo(dut: Dut) -> None:
     disable_pdo(dut, 0x1800)
     dut.put("B", 0x1A00, 0, 0)
-    dut.refuses("I", 0x1A00, 1, 0x00050008, NO_OBJECT, NOT_MAPPABLE)
+    dut.refuses("I", 0x1A00, 1, 0x00050008, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
 
 
 @case("CiA 301 7.5.2.38", "a refused mapping leaves the one before", needs=TPDO1)

@@ -6,22 +6,10 @@ import struct
 
 from canopen_conformance.case import NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    EXTENDED_FLAG,
-    REMOTE_FLAG,
-    RESET_COMMUNICATION,
-    TOGGLE_BIT,
-    TOO_LONG,
-    TOO_SHORT,
-    UNKNOWN_COMMAND,
-    WRONG_LENGTH,
-)
+from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, RESET_COMMUNICATION, Abort
 
 expedited = Service("sdo")
 segmented = Service("sdo_segmented")
-
-
-# --- sdo ------------------------------------------------------------------------------------------------------
 
 
 BEAT = ((0x1017, 0),)
@@ -71,12 +59,12 @@ def download_without_size(dut: Dut) -> None:
 
 
 @expedited("CiA 301 7.2.4.3.3", "{1} bytes for an UNSIGNED16 are refused", needs=BEAT, each=[
-    ("2F", 1, TOO_SHORT), ("27", 3, TOO_LONG), ("23", 4, TOO_LONG),
+    ("2F", 1, Abort.TOO_SHORT), ("27", 3, Abort.TOO_LONG), ("23", 4, Abort.TOO_LONG),
 ])  # fmt: skip
 def download_size(dut: Dut, command: str, _size: int, code: int) -> None:
     before = dut.integer("H", 0x1017)
     dut.request(f"{command} 17 10 00 11 00 00 00")
-    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
     dut.holds("H", 0x1017, 0, before)
 
 
@@ -197,9 +185,6 @@ def highest_sub(dut: Dut, index: int) -> None:
     dut.aborted(index, highest + 1, 0x06090011)
 
 
-# --- sdo_segmented --------------------------------------------------------------------------------------------
-
-
 SEGMENT_BYTES = 7
 NAMES = (0x1008, 0x1009, 0x100A)
 
@@ -241,7 +226,7 @@ def upload_toggle(dut: Dut, segments: int, _when: str) -> None:
     for _ in range(segments):
         dut.ask("60", "0. *")
     dut.request("60" if segments else "70")
-    dut.aborted(index, 0, TOGGLE_BIT)
+    dut.aborted(index, 0, Abort.TOGGLE_BIT)
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
@@ -264,7 +249,7 @@ def upload_abort(dut: Dut) -> None:
 def upload_wrong_segment(dut: Dut) -> None:
     index, _size = begin_upload(dut)
     dut.request("00")
-    dut.aborted(index, 0, UNKNOWN_COMMAND)
+    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
 
 @segmented("CiA 301 7.2.8.2.1.6", "reset communication ends a transfer")
@@ -317,31 +302,31 @@ def download_toggle(dut: Dut, segments: int, _when: str) -> None:
     if segments:
         dut.ask("0C 34", "20")
     dut.request("0D 12" if segments else "1B 34 12")
-    dut.aborted(0x1017, 0, TOGGLE_BIT)
+    dut.aborted(0x1017, 0, Abort.TOGGLE_BIT)
     dut.holds("H", 0x1017, 0, before)
 
 
-@segmented("CiA 301 7.2.4.3.4", "fewer bytes than stated: {0:08X}h", needs=BEAT, each=[(TOO_SHORT,)])
+@segmented("CiA 301 7.2.4.3.4", "fewer bytes than stated: {0:08X}h", needs=BEAT, each=[(Abort.TOO_SHORT,)])
 def download_short(dut: Dut, code: int) -> None:
     begin_download(dut)
     dut.request("0D 34")
-    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
 
 
-@segmented("CiA 301 7.2.4.3.4", "more bytes than stated: {0:08X}h", needs=BEAT, each=[(TOO_LONG,)])
+@segmented("CiA 301 7.2.4.3.4", "more bytes than stated: {0:08X}h", needs=BEAT, each=[(Abort.TOO_LONG,)])
 def download_long(dut: Dut, code: int) -> None:
     begin_download(dut)
     dut.request("09 34 12 56")
-    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
 
 
 @segmented("CiA 301 7.2.4.3.4", "size not stated, {1} than the object: refused at the end", needs=BEAT, each=[
-    ("0D 34", "shorter", TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", TOO_LONG),
+    ("0D 34", "shorter", Abort.TOO_SHORT), ("01 34 12 56 78 9A BC DE", "longer", Abort.TOO_LONG),
 ])  # fmt: skip
 def download_wrong_end(dut: Dut, segment: str, _how: str, code: int) -> None:
     begin_download(dut, None)
     dut.request(segment)
-    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
 
 
 @segmented("CiA 301 7.2.4.3.17", "the client aborts a download: the transfer is over, nothing is written", needs=BEAT)
@@ -358,7 +343,7 @@ def download_abort(dut: Dut) -> None:
 def download_wrong_segment(dut: Dut) -> None:
     begin_download(dut)
     dut.request("60")
-    dut.aborted(0x1017, 0, UNKNOWN_COMMAND)
+    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
 
 
 @segmented("CiA 301 7.2.4.3.4", "a refused value is refused with the last segment", needs=((0x1019, 0),))

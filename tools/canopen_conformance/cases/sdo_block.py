@@ -6,32 +6,18 @@ import binascii
 import struct
 
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.cases.sdo import BEAT, NAMES
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    BLOCK_SIZE,
-    CRC_ERROR,
-    SEQUENCE_NUMBER,
-    STOP,
-    TOO_LONG,
-    TOO_SHORT,
-    UNKNOWN_COMMAND,
-    WRONG_LENGTH,
-)
+from canopen_conformance.wire import STOP, Abort
 
 upload = Service("sdo_block")
 download = Service("sdo_block_download")
 
 
-# --- sdo_block ------------------------------------------------------------------------------------------------
-
-
-NAMES = (0x1008, 0x1009, 0x100A)
-
-
 def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
     """Initiate a block upload; not applicable where the device knows no block transfer."""
     answer = dut.ask(struct.pack("<BHBBB", 0xA4 if crc else 0xA0, index, 0, block_size, switch))
-    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", UNKNOWN_COMMAND):
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
         raise NotApplicableError("no SDO block transfer")
     return answer
 
@@ -140,7 +126,7 @@ def resend_last(dut: Dut) -> None:
 )
 def block_size_refused(dut: Dut, size: int) -> None:
     answer = initiate(dut, 0x1008, size)
-    check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
+    check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, Abort.BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
 
 
 @upload("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
@@ -149,7 +135,7 @@ def block_size_refused_later(dut: Dut, size: int) -> None:
     dut.request("A3")
     block(dut, 1, False)
     dut.request(f"A2 01 {size:02X}")
-    dut.aborted(index, 0, BLOCK_SIZE)
+    dut.aborted(index, 0, Abort.BLOCK_SIZE)
 
 
 @upload("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
@@ -200,13 +186,9 @@ def stopped(dut: Dut) -> None:
 def no_transfer(dut: Dut, command: str) -> None:
     initiate(dut, 0x1000, 127)
     dut.request("80 00 10 00 00 00 00 08")
-    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", UNKNOWN_COMMAND))
+    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND))
 
 
-# --- sdo_block_download ---------------------------------------------------------------------------------------
-
-
-BEAT = ((0x1017, 0),)
 VALUE = b"\x34\x12"
 
 
@@ -214,7 +196,7 @@ def begin_block_download(dut: Dut, index: int, size: int | None, crc: bool = Tru
     """Initiate a block download; the block size that the server asks for."""
     command = 0xC0 | (4 if crc else 0) | (0 if size is None else 2)
     answer = dut.ask(struct.pack("<BHBI", command, index, 0, size or 0))
-    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", UNKNOWN_COMMAND):
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
         raise NotApplicableError("no SDO block transfer")
     if answer[0] & 0xFB != 0xA0 or answer[1:4] != struct.pack("<HB", index, 0) or not 1 <= answer[4] <= 127:
         raise CheckError(f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))
@@ -261,7 +243,7 @@ def bad_crc(dut: Dut) -> None:
     before = dut.integer("H", 0x1017)
     one_segment(dut)
     end_block_download(dut, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1)
-    dut.aborted(0x1017, 0, CRC_ERROR)
+    dut.aborted(0x1017, 0, Abort.CRC_ERROR)
     dut.holds("H", 0x1017, 0, before)
 
 
@@ -269,13 +251,13 @@ def bad_crc(dut: Dut) -> None:
     "CiA 301 7.2.4.3.11",
     "{1} bytes at the end than stated",
     needs=BEAT,
-    each=[(4, "more", TOO_LONG), (6, "fewer", TOO_SHORT)],
+    each=[(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
 )
 def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
     before = dut.integer("H", 0x1017)
     one_segment(dut)
     end_block_download(dut, (VALUE + bytes(5))[: 7 - unused], unused)
-    dut.aborted(0x1017, 0, code, WRONG_LENGTH)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
     dut.holds("H", 0x1017, 0, before)
 
 
@@ -283,14 +265,14 @@ def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
 def sequence_zero(dut: Dut) -> None:
     begin_block_download(dut, 0x1017, 2)
     dut.request("00 34 12")
-    dut.aborted(0x1017, 0, SEQUENCE_NUMBER)
+    dut.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
 
 
 @download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
     (0x1000, 4, 0x06010002, "a read-only object"), (0xFFFF, 4, 0x06020000, "no object"),
 ])  # fmt: skip
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
-    codes = (code,) if dut.is_of_product() else (code, UNKNOWN_COMMAND)  # a device may know no block transfer
+    codes = (code,) if dut.is_of_product() else (code, Abort.UNKNOWN_COMMAND)  # a device may know no block transfer
     dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
     dut.aborted(index, 0, *codes)
 

@@ -7,13 +7,10 @@ import struct
 from canopen_conformance.case import Service, check
 from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import INVALID_VALUE, OPERATIONAL, PRE_OPERATIONAL, REMOTE_FLAG, START, STOPPED, TOO_HIGH
+from canopen_conformance.wire import OPERATIONAL, PRE_OPERATIONAL, REMOTE_FLAG, START, STOPPED, Abort
 
 sync = Service("sync")
 time = Service("time")
-
-
-# --- sync -----------------------------------------------------------------------------------------------------
 
 
 COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
@@ -50,7 +47,7 @@ def bit_31(dut: Dut) -> None:
     (0x000,), (0x07F,), (0x101,), (0x580 | 5,), (0x600 | 5,), (0x6E0,), (0x701,),
 ])  # fmt: skip
 def restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1005, 0, can_id, INVALID_VALUE)
+    dut.refuses("I", 0x1005, 0, can_id, Abort.INVALID_VALUE)
 
 
 @sync("CiA 301 7.2.5", "a remote frame is no SYNC", needs=TPDO1)
@@ -66,7 +63,7 @@ def remote_frame(dut: Dut) -> None:
 
 @sync("CiA 301 7.5.2.22", "1019h = {0} is refused", needs=((0x1019, 0),), each=[(1,), (241,), (255,)])
 def overflow_refused(dut: Dut, value: int) -> None:
-    dut.refuses("B", 0x1019, 0, value, INVALID_VALUE, TOO_HIGH)
+    dut.refuses("B", 0x1019, 0, value, Abort.INVALID_VALUE, Abort.TOO_HIGH)
     dut.holds("B", 0x1019, 0, 0)
 
 
@@ -146,9 +143,6 @@ def window(dut: Dut, wait_ms: int, _when: str, fate: str) -> None:
     check((time_us >= 0x60000000) == (fate == "taken"), f"the RPDO {fate}", f"1013h = {time_us:08X}h")
 
 
-# --- time -----------------------------------------------------------------------------------------------------
-
-
 TIME = ((0x1012, 0),)
 HIGH_RESOLUTION = ((0x1013, 0),)
 CONSUME = 0x80000000
@@ -171,7 +165,7 @@ def taken(dut: Dut, value: int) -> None:
     (0x001,), (0x07F,), (0x101,), (0x581,), (0x601,), (0x6E0,), (0x701,),
 ])  # fmt: skip
 def time_restricted(dut: Dut, can_id: int) -> None:
-    dut.refuses("I", 0x1012, 0, CONSUME | can_id, INVALID_VALUE)
+    dut.refuses("I", 0x1012, 0, CONSUME | can_id, Abort.INVALID_VALUE)
 
 
 @time("CiA 301 7.2.6.3", "a TIME message in {1} is not answered and no error", needs=(*TIME, (0x1001, 0)), each=[

@@ -8,27 +8,13 @@ import struct
 
 from canopen_conformance.case import CheckError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import (
-    DEVICE_STATE,
-    INCOMPATIBLE,
-    INVALID_VALUE,
-    NOT_STORED,
-    RESET_COMMUNICATION,
-    RESET_NODE,
-    TOO_HIGH,
-    TOO_LONG,
-    TOO_LOW,
-    TOO_SHORT,
-)
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
 from tipforce.device import codes
 from tipforce.dictionary import table
 from tipforce_tools.fingertip_cases.profile import gauges, settle
 
 calibration = Service("calibration", own=True)
 validity = Service("validity", own=True)
-
-
-# --- calibration ----------------------------------------------------------------------------------------------
 
 
 NEWTONS_PER_STRAIN = 5000.0
@@ -81,7 +67,9 @@ def staged(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2141h", "a record of {0:+d} bytes is refused, the staged one stays", each=[(1, TOO_LONG), (-1, TOO_SHORT)]
+    "tipforce 2141h",
+    "a record of {0:+d} bytes is refused, the staged one stays",
+    each=[(1, Abort.TOO_LONG), (-1, Abort.TOO_SHORT)],
 )
 def staged_size(dut: Dut, more: int, code: int) -> None:
     data = record(dut)
@@ -96,8 +84,8 @@ def staged_sense(dut: Dut) -> None:
     at = fields.index((0x2110, 6, "B"))
     place = struct.calcsize("<" + "".join(kind for _index, _sub, kind in fields[:at]))
     data = record(dut)
-    dut.refuses_bytes(0x2141, 0, data[:place] + b"\2" + data[place + 1 :], INVALID_VALUE)
-    dut.refuses("B", 0x2110, 6, 2, TOO_HIGH)
+    dut.refuses_bytes(0x2141, 0, data[:place] + b"\2" + data[place + 1 :], Abort.INVALID_VALUE)
+    dut.refuses("B", 0x2110, 6, 2, Abort.TOO_HIGH)
 
 
 @calibration("tipforce 2103h", "2103h:2 is the CRC-32 of the staged record")
@@ -139,21 +127,21 @@ def staged_only(dut: Dut) -> None:
 @calibration("tipforce 2104h", "a wrong signature: 08000020h", each=[(0,), (0x74696D64,), (0x65766173,)])
 def wrong_signature(dut: Dut, signature: int) -> None:
     stage(dut, record(dut))
-    dut.refuses("I", 0x2104, 0, signature, NOT_STORED)
+    dut.refuses("I", 0x2104, 0, signature, Abort.NOT_STORED)
 
 
 @calibration("tipforce 2104h", "CRC mismatch: 06040043h")
 def wrong_crc(dut: Dut) -> None:
     stage(dut, record(dut))
     dut.put("I", 0x2103, 1, 1)
-    refused(dut, INCOMPATIBLE)
+    refused(dut, Abort.INCOMPATIBLE)
 
 
 @calibration("tipforce 2104h", "a write after the CRC was given: 06040043h")
 def late_write(dut: Dut) -> None:
     stage(dut, record(dut))
     dut.put("f", 0x2101, 1, 1e-6)
-    refused(dut, INCOMPATIBLE)
+    refused(dut, Abort.INCOMPATIBLE)
 
 
 @calibration("tipforce 2104h", "{1} may be staged, and is not committed: 06090030h", each=[
@@ -162,7 +150,7 @@ def late_write(dut: Dut) -> None:
 ])  # fmt: skip
 def not_finite(dut: Dut, field: str, _what: str, value: float) -> None:
     stage(dut, record(dut, **{field: value}))
-    refused(dut, INVALID_VALUE)
+    refused(dut, Abort.INVALID_VALUE)
 
 
 @calibration(
@@ -175,26 +163,26 @@ def not_finite(dut: Dut, field: str, _what: str, value: float) -> None:
 )
 def contradiction(dut: Dut, _what: str, fields: dict[str, float]) -> None:
     stage(dut, record(dut, **fields))
-    refused(dut, INVALID_VALUE)
+    refused(dut, Abort.INVALID_VALUE)
 
 
 @calibration("tipforce 2104h", "{0} matrix: 06090031h", each=[("a singular", 0.0), ("an ill-conditioned", 0.1)])
 def ill_conditioned(dut: Dut, _what: str, value: float) -> None:
     stage(dut, record(dut, x2100_1=value))
-    refused(dut, TOO_HIGH)
+    refused(dut, Abort.TOO_HIGH)
 
 
 @calibration("tipforce 2105h", "a lower condition limit refuses what was allowed")
 def condition_limit(dut: Dut) -> None:
     stage(dut, record(dut, x2100_1=4 * NEWTONS_PER_STRAIN))
     dut.put("f", 0x2105, 1, 3.0)
-    refused(dut, TOO_HIGH)
+    refused(dut, Abort.TOO_HIGH)
     dut.put("f", 0x2105, 1, 5.0)
     dut.put("I", 0x2104, 0, table.SIGNATURE_COMMIT)
 
 
 @calibration(
-    "tipforce 2105h", "a condition limit of {0} is refused", each=[(0.5, 0x06090032), (math.nan, INVALID_VALUE)]
+    "tipforce 2105h", "a condition limit of {0} is refused", each=[(0.5, 0x06090032), (math.nan, Abort.INVALID_VALUE)]
 )
 def condition_limit_range(dut: Dut, value: float, code: int) -> None:
     dut.refuses("f", 0x2105, 1, value, code)
@@ -211,12 +199,12 @@ def locked(dut: Dut) -> None:
     stage(dut, data)
     try:
         dut.put("B", 0x2105, 2, 1)
-        dut.refuses("f", 0x2100, 1, 1.0, DEVICE_STATE)
-        dut.refuses("B", 0x2110, 6, 1, DEVICE_STATE)
-        dut.refuses_bytes(0x2141, 0, data, DEVICE_STATE)
-        dut.refuses("f", 0x2105, 1, 10.0, DEVICE_STATE)
-        dut.refuses("B", 0x2105, 2, 0, DEVICE_STATE)
-        refused(dut, DEVICE_STATE)
+        dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
+        dut.refuses("B", 0x2110, 6, 1, Abort.DEVICE_STATE)
+        dut.refuses_bytes(0x2141, 0, data, Abort.DEVICE_STATE)
+        dut.refuses("f", 0x2105, 1, 10.0, Abort.DEVICE_STATE)
+        dut.refuses("B", 0x2105, 2, 0, Abort.DEVICE_STATE)
+        refused(dut, Abort.DEVICE_STATE)
         dut.holds("B", 0x2105, 2, 1)
     finally:
         unlock(dut)
@@ -232,7 +220,7 @@ def lock_kept(dut: Dut, command: int, _name: str) -> None:
     try:
         dut.put("B", 0x2105, 2, 1)
         dut.reset(command)
-        dut.refuses("f", 0x2100, 1, 1.0, DEVICE_STATE)
+        dut.refuses("f", 0x2100, 1, 1.0, Abort.DEVICE_STATE)
     finally:
         unlock(dut)
 
@@ -241,7 +229,7 @@ def lock_kept(dut: Dut, command: int, _name: str) -> None:
 def wrong_unlock(dut: Dut) -> None:
     try:
         dut.put("B", 0x2105, 2, 1)
-        dut.refuses("I", 0x2105, 3, 0x6E65706E, NOT_STORED)
+        dut.refuses("I", 0x2105, 3, 0x6E65706E, Abort.NOT_STORED)
         dut.holds("B", 0x2105, 2, 1)
     finally:
         unlock(dut)
@@ -274,8 +262,8 @@ def contact(dut: Dut) -> None:
 @calibration("CiA 404 6125h", "autozero is refused while contact is present: 08000022h")
 def zero_in_contact(dut: Dut) -> None:
     loaded(dut, 5.0)
-    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, DEVICE_STATE)
-    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, DEVICE_STATE)
+    dut.refuses("I", 0x6125, 1, table.SIGNATURE_ZERO, Abort.DEVICE_STATE)
+    dut.refuses("H", 0x2130, 0, table.COMMAND_ZERO, Abort.DEVICE_STATE)
 
 
 @calibration("CiA 404 6139h", "autotare takes the force as zero; command 2 clears it")
@@ -307,14 +295,11 @@ def stored(dut: Dut) -> None:
     check(records == (data, data, generation), "the stored record, active and staged", "another one")
 
 
-# --- validity -------------------------------------------------------------------------------------------------
-
-
 BEYOND, OVERLOAD = 1 << table.FAULT_BEYOND_CALIBRATED, 1 << table.FAULT_OVERLOAD
 
 
 @validity("tipforce 2104h", "a matrix of {0:g} N per unit strain: 0{1:X}h", each=[
-    (1e-6 * NEWTONS_PER_STRAIN, TOO_LOW), (1e6 * NEWTONS_PER_STRAIN, TOO_HIGH),
+    (1e-6 * NEWTONS_PER_STRAIN, Abort.TOO_LOW), (1e6 * NEWTONS_PER_STRAIN, Abort.TOO_HIGH),
 ])  # fmt: skip
 def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
     n = gauges(dut)
@@ -332,7 +317,7 @@ def matrix_size(dut: Dut, newtons_per_strain: float, code: int) -> None:
 ])  # fmt: skip
 def not_valid(dut: Dut, _object: str, _what: str, field: str, value: float) -> None:
     stage(dut, record(dut, **{field: value}))
-    refused(dut, INVALID_VALUE)
+    refused(dut, Abort.INVALID_VALUE)
 
 
 @validity("tipforce 2112h", "{0}: bit {1} of 2124h", each=[

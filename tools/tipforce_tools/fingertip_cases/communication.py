@@ -13,14 +13,13 @@ from canopen_conformance.cases.sync import LENGTH, TIME
 from canopen_conformance.dut import Dut
 from canopen_conformance.wire import (
     ERROR_FLAG,
-    INVALID_VALUE,
     OPERATIONAL,
     PRE_OPERATIONAL,
-    READ_ONLY,
     REMOTE_FLAG,
     RESET_COMMUNICATION,
     RESET_NODE,
     START,
+    Abort,
 )
 
 nmt = Service("nmt", own=True)
@@ -32,9 +31,6 @@ storage = Service("storage", own=True)
 sync = Service("sync", own=True)
 time = Service("time", own=True)
 bus_faults = Service("bus_faults", own=True)
-
-
-# --- nmt ------------------------------------------------------------------------------------------------------
 
 
 @nmt("CiA 302-2 1F80h", "the node waits for start: bit 2 is set by default", needs=((0x1F80, 0),))
@@ -53,17 +49,11 @@ def startup_refused(dut: Dut, value: int) -> None:
     dut.holds("I", 0x1F80, 0, 4)
 
 
-# --- node_guarding --------------------------------------------------------------------------------------------
-
-
 @node_guarding("CiA 301 7.2.8.2.2", "with a heartbeat there is no node guarding", needs=GUARDING)
 def heartbeat_excludes(dut: Dut) -> None:
     dut.put("H", 0x1017, 0, 5000)
     dut.send(0x700 + dut.node_id | REMOTE_FLAG)
     dut.silence(0x700 + dut.node_id)
-
-
-# --- error_control --------------------------------------------------------------------------------------------
 
 
 @error_control(
@@ -88,9 +78,6 @@ def consumer_value(dut: Dut, value: int, _why: str) -> None:
 @error_control("CiA 301 7.5.2.32", "1029h:1 = 3 is refused", needs=((0x1029, 1),))
 def behaviour_refused(dut: Dut) -> None:
     dut.refuses("B", 0x1029, 1, 3, 0x06090031)
-
-
-# --- emcy -----------------------------------------------------------------------------------------------------
 
 
 @emcy("CiA 301 7.5.2.4", "a full history drops the oldest", needs=HISTORY)
@@ -144,9 +131,6 @@ def no_collision(dut: Dut) -> None:
     dut.expect(0x80 + dut.node_id, "50 81 *")
 
 
-# --- identity -------------------------------------------------------------------------------------------------
-
-
 @identity("CiA 404 1000h", "device profile 404, an analogue input block")
 def profile(dut: Dut) -> None:
     dut.holds("I", 0x1000, 0, 0x00020194)
@@ -174,10 +158,7 @@ def eds(dut: Dut) -> None:
 @identity("CiA 301 7.5.2.24", "1021h cannot be written", needs=((0x1022, 0),))
 def eds_constant(dut: Dut) -> None:
     dut.request("21 21 10 00 04")
-    dut.aborted(0x1021, 0, READ_ONLY)
-
-
-# --- storage --------------------------------------------------------------------------------------------------
+    dut.aborted(0x1021, 0, Abort.READ_ONLY)
 
 
 COMMUNICATION = ((0x1010, 2), (0x1011, 2), (0x1016, 1))
@@ -246,9 +227,6 @@ def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -
         dut.holds(kind, index, sub, after)
 
 
-# --- sync -----------------------------------------------------------------------------------------------------
-
-
 @sync(
     "CiA 301 7.5.2.5",
     "1005h = {0:08X}h is refused: {1}",
@@ -260,7 +238,7 @@ def state(dut: Dut, index: int, kind: str, _name: str, value: int, after: int) -
     ],
 )
 def refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1005, 0, value, INVALID_VALUE)
+    dut.refuses("I", 0x1005, 0, value, Abort.INVALID_VALUE)
 
 
 @sync("CiA 301 7.2.7.1", "a SYNC of the right length cures 8240h", needs=LENGTH)
@@ -280,9 +258,6 @@ def length_once(dut: Dut) -> None:
     dut.silence(0x80 + dut.node_id)
 
 
-# --- time -----------------------------------------------------------------------------------------------------
-
-
 @time(
     "CiA 301 7.5.2.15",
     "1012h = {0:08X}h is refused: {1}",
@@ -294,10 +269,7 @@ def length_once(dut: Dut) -> None:
     ],
 )
 def time_refused(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1012, 0, value, INVALID_VALUE)
-
-
-# --- bus_faults -----------------------------------------------------------------------------------------------
+    dut.refuses("I", 0x1012, 0, value, Abort.INVALID_VALUE)
 
 
 CONTROLLER, BUS_OFF, RESTARTED = 0x004, 0x040, 0x100

@@ -19,7 +19,7 @@ from canopen_conformance.cases.pdo import (
 )
 from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, INVALID_VALUE, NO_OBJECT, NOT_MAPPABLE, REMOTE_FLAG, START
+from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
 
 pdo_parameters = Service("pdo_parameters", own=True)
 rpdo = Service("rpdo", own=True)
@@ -27,28 +27,25 @@ tpdo = Service("tpdo", own=True)
 interrupts_404 = Service("interrupts_404", own=True)
 
 
-# --- pdo_parameters -------------------------------------------------------------------------------------------
-
-
 @pdo_parameters("CiA 301 7.5.2.35", "{2}: a 29-bit CAN-ID is not offered: 06090030h", needs=EITHER, each=[
     (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
 ])  # fmt: skip
 def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
     cob_id = disable_pdo(dut, communication)
-    dut.refuses("I", communication, 1, cob_id | bits, INVALID_VALUE)
+    dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
 
 
 @pdo_parameters("CiA 301 7.5.2.37", "a TPDO that answers to remote frames is not offered: 06090030h", needs=TPDO1)
 def rtr(dut: Dut) -> None:
     cob_id = disable_pdo(dut, 0x1800)
-    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, INVALID_VALUE)
+    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
 
 
 @pdo_parameters("CiA 301 7.5.2.37", "{2}: transmission type {3} (by remote frame) is refused", needs=EITHER, each=[
     (*pdo, value) for pdo in BOTH for value in (252, 253)
 ])  # fmt: skip
 def rtr_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
-    dut.refuses("B", communication, 2, value, INVALID_VALUE)
+    dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE)
 
 
 @pdo_parameters("CiA 301 7.5.2.36", "06040041h: {3}", needs=EITHER, each=[
@@ -62,7 +59,7 @@ def rtr_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int
 def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
-    dut.refuses("I", mapping, 1, word, NOT_MAPPABLE)
+    dut.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE)
 
 
 @pdo_parameters("CiA 301 7.5.2.36", "{2}: an entry of 0 counted in is refused", needs=EITHER, each=BOTH)
@@ -70,10 +67,7 @@ def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
     disable_pdo(dut, communication)
     dut.put("B", mapping, 0, 0)
     dut.put("I", mapping, 1, 0)
-    dut.refuses("B", mapping, 0, 1, NO_OBJECT, NOT_MAPPABLE)
-
-
-# --- rpdo -----------------------------------------------------------------------------------------------------
+    dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
 
 
 @rpdo("CiA 301 7.2.2.2", "what waited for a SYNC is forgotten when OPERATIONAL is left", needs=HIGH_RESOLUTION)
@@ -97,9 +91,6 @@ def length_cured(dut: Dut) -> None:
         dut.expect(0x80 + dut.node_id, "10 82 *")
         dut.send(can_id, bytes(4))
         dut.expect(0x80 + dut.node_id, "00 00 00 *")
-
-
-# --- tpdo -----------------------------------------------------------------------------------------------------
 
 
 @tpdo("CiA 301 7.2.2.2", "type 240: silent for the 200 SYNCs after a TPDO", needs=TPDO1)
@@ -172,9 +163,6 @@ def nothing_mapped(dut: Dut) -> None:
     dut.nmt(START)
     dut.send(0x080)
     dut.silence(can_id)
-
-
-# --- interrupts_404 -------------------------------------------------------------------------------------------
 
 
 GAUGE_1 = 0x71300110

@@ -6,14 +6,11 @@ import math
 
 from canopen_conformance.case import CheckError, NotApplicableError, Service, check
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import DEVICE_STATE, INVALID_VALUE, NOT_STORED, READ_ONLY, TOO_HIGH, TOO_LOW
+from canopen_conformance.wire import Abort
 from tipforce.dictionary import table
 
 profile_404 = Service("profile_404", own=True)
 settings_404 = Service("settings_404", own=True)
-
-
-# --- profile_404 ----------------------------------------------------------------------------------------------
 
 
 NEWEST_MS = 110  # a live value that is read is at most 100 ms old
@@ -90,7 +87,7 @@ def count(dut: Dut, index: int, which: str) -> None:
     ],
 )
 def read_only(dut: Dut, index: int, kind: str) -> None:
-    dut.refuses(kind, index, 1, 0, READ_ONLY)
+    dut.refuses(kind, index, 1, 0, Abort.READ_ONLY)
 
 
 # --- one value in three forms -----------------------------------------------------------------------------
@@ -141,7 +138,7 @@ def setting_saturates(dut: Dut, value: float, shown: int) -> None:
 @profile_404("CiA 404 6130h", "{0} is not finite: 06090030h", each=[(math.nan,), (math.inf,), (-math.inf,)])
 def not_finite(dut: Dut, value: float) -> None:
     for index in (0x6124, 0x6133, 0x6148):
-        dut.refuses("f", index, 1, value, INVALID_VALUE)
+        dut.refuses("f", index, 1, value, Abort.INVALID_VALUE)
 
 
 # --- status and unknown values ----------------------------------------------------------------------------
@@ -211,10 +208,7 @@ def load(dut: Dut) -> None:
             dut.put("f", 0x2201, sub, value)
 
 
-# --- settings_404 ---------------------------------------------------------------------------------------------
-
-
-@settings_404("CiA 404 6112h", "operating mode {0} is refused", each=[(0, TOO_LOW), (2, TOO_HIGH)])
+@settings_404("CiA 404 6112h", "operating mode {0} is refused", each=[(0, Abort.TOO_LOW), (2, Abort.TOO_HIGH)])
 def operating_mode(dut: Dut, value: int, code: int) -> None:
     dut.refuses("B", 0x6112, 1, value, code)
 
@@ -229,7 +223,7 @@ def sample_period(dut: Dut) -> None:
 @settings_404(
     "CiA 404 6114h",
     "a sample period of {0} microseconds is refused",
-    each=[(0, TOO_LOW), (99, TOO_LOW), (1000001, TOO_HIGH)],
+    each=[(0, Abort.TOO_LOW), (99, Abort.TOO_LOW), (1000001, Abort.TOO_HIGH)],
 )
 def sample_period_range(dut: Dut, value: int, code: int) -> None:
     dut.refuses("I", 0x6114, 1, value, code)
@@ -242,7 +236,7 @@ def sample_period_range(dut: Dut, value: int, code: int) -> None:
 )
 def scaling_points(dut: Dut, index: int, other: int) -> None:
     before = dut.number("f", index, 1)
-    dut.refuses("f", index, 1, dut.number("f", other, 1), INVALID_VALUE)
+    dut.refuses("f", index, 1, dut.number("f", other, 1), Abort.INVALID_VALUE)
     dut.holds("f", index, 1, before)
 
 
@@ -269,7 +263,7 @@ def filter_type(dut: Dut, value: int) -> None:
 
 
 @settings_404("CiA 404 61A0h", "filter type {0} is refused", each=[
-    (3, INVALID_VALUE), (99, INVALID_VALUE), (101, TOO_HIGH), (255, TOO_HIGH),
+    (3, Abort.INVALID_VALUE), (99, Abort.INVALID_VALUE), (101, Abort.TOO_HIGH), (255, Abort.TOO_HIGH),
 ])  # fmt: skip
 def filter_type_refused(dut: Dut, value: int, code: int) -> None:
     dut.refuses("B", 0x61A0, 1, value, code)
@@ -283,7 +277,7 @@ def filter_of_contact(dut: Dut) -> None:
 
 
 @settings_404("CiA 404 61A1h", "a moving average takes {0} values: {1}", each=[
-    (256, "taken", 0), (257, "06090031h", TOO_HIGH), (65535, "06090031h", TOO_HIGH),
+    (256, "taken", 0), (257, "06090031h", Abort.TOO_HIGH), (65535, "06090031h", Abort.TOO_HIGH),
 ])  # fmt: skip
 def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
     dut.put("B", 0x61A0, 1, 1)
@@ -298,7 +292,7 @@ def filter_window(dut: Dut, value: int, _shown: str, code: int) -> None:
 def filter_longest(dut: Dut, kind: int) -> None:
     dut.put("H", 0x61A1, 1, 65535)
     dut.put("B", 0x61A0, 1, kind)
-    dut.refuses("B", 0x61A0, 1, 1, INVALID_VALUE)  # no moving average of so many
+    dut.refuses("B", 0x61A0, 1, 1, Abort.INVALID_VALUE)  # no moving average of so many
     dut.holds("B", 0x61A0, 1, kind)
 
 
@@ -316,7 +310,7 @@ def filter_block(dut: Dut, values: int) -> None:
 
 @settings_404("CiA 404 6125h", "autozero with a wrong signature: 08000020h")
 def autozero_signature(dut: Dut) -> None:
-    dut.refuses("I", 0x6125, 1, 0x6F72657B, NOT_STORED)
+    dut.refuses("I", 0x6125, 1, 0x6F72657B, Abort.NOT_STORED)
 
 
 @settings_404("CiA 404 6125h", "autozero brings the gauge to zero by 6124h alone")
@@ -335,11 +329,11 @@ def autozero(dut: Dut) -> None:
 def autotare_signature(dut: Dut) -> None:
     n = gauges(dut)
     dut.holds("B", 0x6139, 0, n + 1)
-    dut.refuses("I", 0x6139, n + 1, 0x61726175, NOT_STORED)
+    dut.refuses("I", 0x6139, n + 1, 0x61726175, Abort.NOT_STORED)
     dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, 0x06090011)
 
 
 @settings_404("CiA 404 6139h", "autotare without calibration: 08000022h")
 def autotare_unknown(dut: Dut) -> None:
     uncalibrated(dut)
-    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, DEVICE_STATE)
+    dut.refuses("I", 0x6139, gauges(dut) + 1, table.SIGNATURE_TARA, Abort.DEVICE_STATE)

@@ -16,15 +16,12 @@ from canopen_conformance.cases.sdo_block import (
     segment,
 )
 from canopen_conformance.dut import Dut
-from canopen_conformance.wire import SEQUENCE_NUMBER, TIMED_OUT, TOO_LONG, TOO_SHORT, UNKNOWN_COMMAND
+from canopen_conformance.wire import Abort
 
 sdo = Service("sdo", own=True)
 segmented = Service("sdo_segmented", own=True)
 block_upload = Service("sdo_block", own=True)
 download = Service("sdo_block_download", own=True)
-
-
-# --- sdo ------------------------------------------------------------------------------------------------------
 
 
 @sdo("CiA 301 7.2.4.3.17", "06010001h: a read of {0:04X}h:{1}, which can only be written", each=[
@@ -44,9 +41,6 @@ def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
     dut.holds(kind, index, sub, before)
 
 
-# --- sdo_segmented --------------------------------------------------------------------------------------------
-
-
 RECORD = ((0x2141, 0),)
 
 
@@ -62,7 +56,7 @@ def upload_restart(dut: Dut) -> None:
 @segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, and the transfer is over")
 def upload_timeout(dut: Dut) -> None:
     index, _size = begin_upload(dut)
-    dut.aborted(index, 0, TIMED_OUT, within_ms=1200)
+    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
     dut.ask("60", lambda data: data[0] == 0x80)
 
 
@@ -79,11 +73,11 @@ def upload_patience(dut: Dut) -> None:
     "CiA 301 7.2.4.3.3",
     "a stated size that the object cannot have is refused at the initiate",
     each=[
-        (0x1017, 1, TOO_SHORT),
-        (0x1017, 3, TOO_LONG),
-        (0x2141, 5, TOO_SHORT),
-        (0x2141, 0x10000, TOO_LONG),
-        (0x1017, 0, TOO_SHORT),
+        (0x1017, 1, Abort.TOO_SHORT),
+        (0x1017, 3, Abort.TOO_LONG),
+        (0x2141, 5, Abort.TOO_SHORT),
+        (0x2141, 0x10000, Abort.TOO_LONG),
+        (0x1017, 0, Abort.TOO_SHORT),
     ],
 )
 def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
@@ -119,7 +113,7 @@ def download_restart(dut: Dut) -> None:
 def download_timeout(dut: Dut) -> None:
     before = dut.integer("H", 0x1017)
     begin_download(dut)
-    dut.aborted(0x1017, 0, TIMED_OUT, within_ms=1200)
+    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
     dut.holds("H", 0x1017, 0, before)
 
 
@@ -128,9 +122,6 @@ def download_many(dut: Dut) -> None:
     record = bytes(len(dut.read(0x2141)) - 1) + b"\1"
     dut.refuses_bytes(0x2141, 0, record, 0)
     check(dut.read(0x2141) == record, "the record that was written", "another one")
-
-
-# --- sdo_block ------------------------------------------------------------------------------------------------
 
 
 LONG = ((0x1021, 0),)
@@ -142,7 +133,7 @@ def acknowledged_too_much(dut: Dut) -> None:
     dut.request("A3")
     block(dut, 1, False)
     dut.request("A2 02 7F")
-    dut.aborted(index, 0, SEQUENCE_NUMBER)
+    dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
 
 
 @block_upload(
@@ -198,7 +189,7 @@ def restart(dut: Dut) -> None:
 def wrong_command(dut: Dut, request: str, _why: str) -> None:
     index, _data = begin_block_upload(dut, 1)
     dut.request(request)
-    dut.aborted(index, 0, UNKNOWN_COMMAND)
+    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
 
 
 @block_upload(
@@ -211,10 +202,7 @@ def silent_client(dut: Dut, started: bool, _when: str) -> None:
     if started:
         dut.request("A3")
         block(dut, 1, False)
-    dut.aborted(index, 0, TIMED_OUT, within_ms=1200)
-
-
-# --- sdo_block_download ---------------------------------------------------------------------------------------
+    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
 def record(dut: Dut) -> bytes:
@@ -282,7 +270,7 @@ def lost_last(dut: Dut) -> None:
     dut.answer("A1")
 
 
-@download("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, each=[(TOO_LONG,)])
+@download("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, each=[(Abort.TOO_LONG,)])
 def too_much(dut: Dut, code: int) -> None:
     begin_block_download(dut, 0x1017, 2)
     segment(dut, 1, bytes(7))
@@ -290,7 +278,7 @@ def too_much(dut: Dut, code: int) -> None:
 
 
 @download("CiA 301 7.2.4.3.9", "a size that the object cannot have is refused at the initiate", needs=BEAT, each=[
-    (1, TOO_SHORT), (3, TOO_LONG), (0xFFFFFFFF, TOO_LONG),
+    (1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG),
 ])  # fmt: skip
 def refused_size(dut: Dut, size: int, code: int) -> None:
     dut.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size))
@@ -306,11 +294,11 @@ def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
     else:
         begin_block_download(dut, 0x1017, 2)
         dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
-    dut.aborted(0x1017, 0, TIMED_OUT, within_ms=1200)
+    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
 
 
 @download("CiA 301 7.2.4.3.11", "no end but another command: 05040001h", needs=BEAT)
 def wrong_end(dut: Dut) -> None:
     one_segment(dut)
     dut.request("C2")
-    dut.aborted(0x1017, 0, UNKNOWN_COMMAND)
+    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
