@@ -325,7 +325,7 @@ class Dut(Frames):
             self._survey[key] = not lacks
             if first[0] != 0x80 and not first[0] & 2:
                 # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.
-                self.request(struct.pack("<BHBI", 0x80, index, sub, 0x08000000))
+                self.request(struct.pack("<BHBI", 0x80, index, sub, Abort.GENERAL_ERROR))
             self._fresh = fresh
         return self._survey[key]
 

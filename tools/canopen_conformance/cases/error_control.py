@@ -12,11 +12,11 @@ from canopen_conformance.wire import (
     START,
     STOP,
     STOPPED,
+    Abort,
 )
 
 heartbeat = Service("error_control")
 guarding = Service("node_guarding")
-
 
 PRODUCER = ((0x1017, 0),)
 CONSUMER = ((0x1016, 1), (0x1014, 0), (0x1001, 0))
@@ -79,7 +79,7 @@ def new_period(dut: Dut) -> None:
 
 @heartbeat("CiA 301 7.5.2.20", "{1} bytes for 1017h are refused", needs=PRODUCER, each=[("B", 1), ("I", 4)])
 def producer_size(dut: Dut, kind: str, size: int) -> None:
-    dut.refuses(kind, 0x1017, 0, 100, 0x06070010, 0x06070012 if size > 2 else 0x06070013)
+    dut.refuses(kind, 0x1017, 0, 100, Abort.WRONG_LENGTH, Abort.TOO_LONG if size > 2 else Abort.TOO_SHORT)
 
 
 # --- consumer ---------------------------------------------------------------------------------------------
@@ -94,7 +94,7 @@ def consumer_read_back(dut: Dut) -> None:
 @heartbeat("CiA 301 7.5.2.19", "a node-id in two entries is refused with 06040043h", needs=(*CONSUMER, (0x1016, 2)))
 def consumer_twice(dut: Dut) -> None:
     dut.put("I", 0x1016, 1, WATCHED << 16 | 1000)
-    dut.refuses("I", 0x1016, 2, WATCHED << 16 | 500, 0x06040043)
+    dut.refuses("I", 0x1016, 2, WATCHED << 16 | 500, Abort.INCOMPATIBLE)
     dut.holds("I", 0x1016, 2, 0)
 
 

@@ -138,7 +138,7 @@ def restored(dut: Dut, sub: int = 1) -> Iterator[None]:
 def store(dut: Dut, sub: int) -> None:
     """Store a group; not applicable for a device that has nowhere to store."""
     code = dut.try_write(0x1010, sub, struct.pack("<I", SAVE))
-    if code == 0x06060000:
+    if code == Abort.HARDWARE_ERROR:
         raise NotApplicableError("the device has nowhere to store")
     check(not code, "parameters stored", f"abort {code:08X}h")
 
@@ -159,12 +159,12 @@ def other_signature(dut: Dut, index: int, signature: int) -> None:
 
 @storage("CiA 301 7.5.2.13", "{1}: two bytes are refused by their length", needs=GROUP, each=BOTH)
 def size(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("H", index, 1, 0x6173, 0x06070013, 0x06070010)
+    dut.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
 
 
 @storage("CiA 301 7.5.2.13", "{1} of a group that is not there: 06090011h", needs=GROUP, each=BOTH)
 def no_group(dut: Dut, index: int, _name: str) -> None:
-    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, 0x06090011)
+    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
 
 
 @storage("CiA 301 7.5.2.13", "what is not stored is lost by {1}", needs=((0x1016, 1),), each=[

@@ -13,7 +13,7 @@ WHILE_VALID = (
     Abort.DEVICE_STATE,
     Abort.UNSUPPORTED_ACCESS,
     Abort.INVALID_VALUE,
-    0x08000000,
+    Abort.GENERAL_ERROR,
 )  # the standard names no code here
 BOTH = [(0x1800, 0x1A00, "TPDO1"), (0x1400, 0x1600, "RPDO1")]
 EITHER = (*TPDO1, *RPDO1)

@@ -11,7 +11,6 @@ from canopen_conformance.wire import EXTENDED_FLAG, REMOTE_FLAG, RESET_COMMUNICA
 expedited = Service("sdo")
 segmented = Service("sdo_segmented")
 
-
 BEAT = ((0x1017, 0),)
 
 
@@ -74,39 +73,39 @@ def download_size(dut: Dut, command: str, _size: int, code: int) -> None:
 def read_only(dut: Dut, index: int, sub: int) -> None:
     data = dut.read(index, sub)
     dut.request(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
-    dut.aborted(index, sub, 0x06010002)
+    dut.aborted(index, sub, Abort.READ_ONLY)
 
 
 @expedited("CiA 301 7.2.4.3.17", "06020000h: {0} of an object that is not there", each=[("upload",), ("download",)])
 def no_object(dut: Dut, which: str) -> None:
     dut.request("40 FF FF 00" if which == "upload" else "23 FF FF 00")
-    dut.aborted(0xFFFF, 0, 0x06020000)
+    dut.aborted(0xFFFF, 0, Abort.NO_OBJECT)
 
 
 @expedited("CiA 301 7.2.4.3.17", "06090011h: {0} of a sub-index that is not there", each=[("upload",), ("download",)])
 def no_sub(dut: Dut, which: str) -> None:
     dut.request("40 18 10 77" if which == "upload" else "23 18 10 77")
-    dut.aborted(0x1018, 0x77, 0x06090011)
+    dut.aborted(0x1018, 0x77, Abort.NO_SUB)
 
 
 @expedited("CiA 301 7.4.3", "a simple variable has sub-index 0 alone")
 def variable_sub(dut: Dut) -> None:
     dut.request("40 00 10 01")
-    dut.aborted(0x1000, 1, 0x06090011)
+    dut.aborted(0x1000, 1, Abort.NO_SUB)
 
 
 @expedited("CiA 301 7.2.4.3.17", "{2}: {1} to an object of 0 to 240", needs=((0x1019, 0),), each=[
     (241, "241", "06090031h"), (255, "255", "06090031h"),
 ])  # fmt: skip
 def value_high(dut: Dut, value: int, _shown: str, _code: str) -> None:
-    dut.refuses("B", 0x1019, 0, value, 0x06090031, 0x06090030)
+    dut.refuses("B", 0x1019, 0, value, Abort.TOO_HIGH, Abort.INVALID_VALUE)
     dut.holds("B", 0x1019, 0, 0)
 
 
 @expedited("CiA 301 7.2.4.3.17", "05040001h: command specifier {0}", each=[("E0",), ("FF",)])
 def unknown_command(dut: Dut, command: str) -> None:
     dut.request(f"{command} 17 10 00")
-    dut.aborted(0x1017, 0, 0x05040001)
+    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
 
 
 @expedited(
@@ -115,7 +114,7 @@ def unknown_command(dut: Dut, command: str) -> None:
 def segment_without_transfer(dut: Dut, command: str, _what: str) -> None:
     dut.request(f"{command} 00 00 00")
     data = dut.answer()
-    check(data[0] == 0x80 and data[4:] == struct.pack("<I", 0x05040001), "abort 05040001h", data.hex(" "))
+    check(data[0] == 0x80 and data[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND), "abort 05040001h", data.hex(" "))
 
 
 @expedited("CiA 301 7.2.4.3", "a request of {0} bytes is no SDO", each=[(0,), (1,), (4,), (7,)])
@@ -180,9 +179,9 @@ def highest_sub(dut: Dut, index: int) -> None:
         raise NotApplicableError(f"no object {index:04X}h with sub-indices")
     highest = dut.integer("B", index, 0)
     dut.request(struct.pack("<BHB", 0x40, index, highest))
-    dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", 0x06010001))
+    dut.answer(lambda data: data[0] != 0x80 or data[4:] == struct.pack("<I", Abort.WRITE_ONLY))
     dut.request(struct.pack("<BHB", 0x40, index, highest + 1))
-    dut.aborted(index, highest + 1, 0x06090011)
+    dut.aborted(index, highest + 1, Abort.NO_SUB)
 
 
 SEGMENT_BYTES = 7
@@ -240,7 +239,7 @@ def upload_over(dut: Dut) -> None:
 @segmented("CiA 301 7.2.4.3.17", "the client aborts an upload: no answer, the transfer is over")
 def upload_abort(dut: Dut) -> None:
     index, _size = begin_upload(dut)
-    dut.request(struct.pack("<BHBI", 0x80, index, 0, 0x08000000))
+    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
     dut.ask("60", lambda data: data[0] == 0x80)
 
@@ -350,4 +349,4 @@ def download_wrong_segment(dut: Dut) -> None:
 def download_value(dut: Dut) -> None:
     dut.ask("21 19 10 00 01", "60 19 10 00")
     dut.request("0D F1")
-    dut.aborted(0x1019, 0, 0x06090031, 0x06090030)
+    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)

@@ -148,7 +148,7 @@ def without_crc(dut: Dut) -> None:
 
 
 @upload("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
-    (0xFFFF, 0x06020000, "no object"), (None, 0x06010001, "a write-only object"),
+    (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
 ])  # fmt: skip
 def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
     if index is None:
@@ -167,7 +167,7 @@ def aborted(dut: Dut, started: bool, _when: str) -> None:
     if started:
         dut.request("A3")
         block(dut, 1, False)
-    dut.request(struct.pack("<BHBI", 0x80, index, 0, 0x08000000))
+    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
     dut.no_sdo()
     dut.ask("40 00 10 00", "43 00 10 00 *")
 
@@ -269,7 +269,7 @@ def sequence_zero(dut: Dut) -> None:
 
 
 @download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
-    (0x1000, 4, 0x06010002, "a read-only object"), (0xFFFF, 4, 0x06020000, "no object"),
+    (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
 ])  # fmt: skip
 def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
     codes = (code,) if dut.is_of_product() else (code, Abort.UNKNOWN_COMMAND)  # a device may know no block transfer
@@ -297,7 +297,7 @@ def refused_value(dut: Dut) -> None:
     segment(dut, 1, b"\xf1", True)
     dut.answer("A2 01 ..")
     end_block_download(dut, b"\xf1")
-    dut.aborted(0x1019, 0, 0x06090031, 0x06090030)
+    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)
     dut.holds("B", 0x1019, 0, 0)
 
 

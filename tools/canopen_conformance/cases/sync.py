@@ -12,7 +12,6 @@ from canopen_conformance.wire import OPERATIONAL, PRE_OPERATIONAL, REMOTE_FLAG, 
 sync = Service("sync")
 time = Service("time")
 
-
 COUNTER = (*TPDO1, (0x1019, 0), (0x1800, 6))
 LENGTH = (*TPDO1, (0x1019, 0), (0x1014, 0))
 

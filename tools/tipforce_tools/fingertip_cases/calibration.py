@@ -16,7 +16,6 @@ from tipforce_tools.fingertip_cases.profile import gauges, settle
 calibration = Service("calibration", own=True)
 validity = Service("validity", own=True)
 
-
 NEWTONS_PER_STRAIN = 5000.0
 ON_N, OFF_N = 0.5, 0.3
 
@@ -182,7 +181,9 @@ def condition_limit(dut: Dut) -> None:
 
 
 @calibration(
-    "tipforce 2105h", "a condition limit of {0} is refused", each=[(0.5, 0x06090032), (math.nan, Abort.INVALID_VALUE)]
+    "tipforce 2105h",
+    "a condition limit of {0} is refused",
+    each=[(0.5, Abort.TOO_LOW), (math.nan, Abort.INVALID_VALUE)],
 )
 def condition_limit_range(dut: Dut, value: float, code: int) -> None:
     dut.refuses("f", 0x2105, 1, value, code)
@@ -237,7 +238,7 @@ def wrong_unlock(dut: Dut) -> None:
 
 @calibration("tipforce 2140h", "the active record cannot be written")
 def active_read_only(dut: Dut) -> None:
-    dut.refuses_bytes(0x2140, 0, record(dut), 0x06010002)
+    dut.refuses_bytes(0x2140, 0, record(dut), Abort.READ_ONLY)
 
 
 def loaded(dut: Dut, newtons: float) -> None:

@@ -45,7 +45,7 @@ def startup_waits(dut: Dut) -> None:
     each=[(1,), (5,), (0x10,)],
 )
 def startup_refused(dut: Dut, value: int) -> None:
-    dut.refuses("I", 0x1F80, 0, value, 0x06090030)
+    dut.refuses("I", 0x1F80, 0, value, Abort.INVALID_VALUE)
     dut.holds("I", 0x1F80, 0, 4)
 
 
@@ -72,12 +72,12 @@ def first_period(dut: Dut) -> None:
     (0x00800064, "node-id 128"), (0x01700064, "reserved bits"), (0xFF700064, "reserved bits"),
 ])  # fmt: skip
 def consumer_value(dut: Dut, value: int, _why: str) -> None:
-    dut.refuses("I", 0x1016, 1, value, 0x06090030)
+    dut.refuses("I", 0x1016, 1, value, Abort.INVALID_VALUE)
 
 
 @error_control("CiA 301 7.5.2.32", "1029h:1 = 3 is refused", needs=((0x1029, 1),))
 def behaviour_refused(dut: Dut) -> None:
-    dut.refuses("B", 0x1029, 1, 3, 0x06090031)
+    dut.refuses("B", 0x1029, 1, 3, Abort.TOO_HIGH)
 
 
 @emcy("CiA 301 7.5.2.4", "a full history drops the oldest", needs=HISTORY)

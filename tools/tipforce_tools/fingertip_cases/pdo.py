@@ -331,7 +331,7 @@ def stale(dut: Dut) -> None:
     check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
 
 
-@interrupts_404("tipforce 2130h", "command {0}: {1:08X}h", each=[(4, 0x06090031), (255, 0x06090031)])
+@interrupts_404("tipforce 2130h", "command {0}: {1:08X}h", each=[(4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)])
 def command_refused(dut: Dut, value: int, code: int) -> None:
     dut.refuses("H", 0x2130, 0, value, code)
 

@@ -12,7 +12,6 @@ from tipforce.dictionary import table
 profile_404 = Service("profile_404", own=True)
 settings_404 = Service("settings_404", own=True)
 
-
 NEWEST_MS = 110  # a live value that is read is at most 100 ms old
 SIMULATED = ((0x2200, 1), (0x2201, 1))
 PARTS = ("gauge", "force", "magnitude", "direction", "contact angle")
@@ -272,8 +271,8 @@ def filter_type_refused(dut: Dut, value: int, code: int) -> None:
 
 @settings_404("CiA 404 61A0h", "a contact channel has no filter: 06090011h")
 def filter_of_contact(dut: Dut) -> None:
-    dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, 0x06090011)
-    dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, 0x06090011)
+    dut.refuses("B", 0x61A0, gauges(dut) + 1, 1, Abort.NO_SUB)
+    dut.refuses("H", 0x61A1, gauges(dut) + 1, 1, Abort.NO_SUB)
 
 
 @settings_404("CiA 404 61A1h", "a moving average takes {0} values: {1}", each=[
@@ -330,7 +329,7 @@ def autotare_signature(dut: Dut) -> None:
     n = gauges(dut)
     dut.holds("B", 0x6139, 0, n + 1)
     dut.refuses("I", 0x6139, n + 1, 0x61726175, Abort.NOT_STORED)
-    dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, 0x06090011)
+    dut.refuses("I", 0x6139, 1, table.SIGNATURE_TARA, Abort.NO_SUB)
 
 
 @settings_404("CiA 404 6139h", "autotare without calibration: 08000022h")

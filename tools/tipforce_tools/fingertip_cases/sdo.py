@@ -29,7 +29,7 @@ download = Service("sdo_block_download", own=True)
 ])  # fmt: skip
 def write_only(dut: Dut, index: int, sub: int) -> None:
     dut.request(struct.pack("<BHB", 0x40, index, sub))
-    dut.aborted(index, sub, 0x06010001)
+    dut.aborted(index, sub, Abort.WRITE_ONLY)
 
 
 @sdo("CiA 301 7.2.4.3.17", "06090032h: a value below the limit of {0:04X}h:{1}", each=[
@@ -37,7 +37,7 @@ def write_only(dut: Dut, index: int, sub: int) -> None:
 ])  # fmt: skip
 def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
     before = dut.number(kind, index, sub)
-    dut.refuses(kind, index, sub, value, 0x06090032)
+    dut.refuses(kind, index, sub, value, Abort.TOO_LOW)
     dut.holds(kind, index, sub, before)
 
 
@@ -89,9 +89,9 @@ def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
     "CiA 301 7.2.4.3.3",
     "refused at the initiate: {3}",
     each=[
-        (0x1008, 0, 0x06010002, "a read-only object"),
-        (0xFFFF, 0, 0x06020000, "no object"),
-        (0x1018, 9, 0x06090011, "no sub-index"),
+        (0x1008, 0, Abort.READ_ONLY, "a read-only object"),
+        (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
+        (0x1018, 9, Abort.NO_SUB, "no sub-index"),
     ],
 )
 def download_refused(dut: Dut, index: int, sub: int, code: int, _why: str) -> None:
