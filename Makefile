@@ -77,7 +77,7 @@ long: bootstrap-test ## run every long check at full size, and write the reports
 	$(PYTHON) -m bench.fem
 	.venv/bin/tipforce report -o build/report
 	.venv/bin/tipforce vcan -- $(PYTHON) -m bench.conformance_document > build/conformance.md
-	mv build/conformance.md docs/conformance.md
+	$(PYTHON) -m bench.conformance_document --summary build/conformance.md > docs/conformance.md
 
 generate: bootstrap-test ## write the committed files generated from the object dictionary and the command line
 	@$(PYTHON) -m tipforce.dictionary.generate

@@ -2,7 +2,7 @@
 
 import struct
 
-from tipforce.device.codes import NEVER_US
+NEVER_US = 1 << 62
 
 Sent = list[tuple[int, bytes]]
 NODE_ID = 5

@@ -4,8 +4,9 @@ import re
 
 import pytest
 
-from tipforce_tools.conformance.case import Case, all_cases
-from tipforce_tools.conformance.run import PASS, run_in_process
+from canopen_conformance.case import Case
+from canopen_conformance.run import PASS
+from conformance.fingertip import all_cases, run_in_process
 
 CASES = all_cases()
 NOT_APPLICABLE: frozenset[str] = frozenset()  # a node with everything has something for each case

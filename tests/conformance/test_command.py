@@ -9,15 +9,14 @@ from dataclasses import replace
 import can
 import pytest
 
-from tipforce.errors import NoResponseError
+from canopen_conformance.case import Case, CheckError, LostDeviceError, clause_key
+from canopen_conformance.dut import Dut
+from canopen_conformance.run import FAIL, Result, lines, run_case, run_on, summary
+from canopen_conformance.wire import CoreLink
+from conformance.fingertip import all_cases, core_node, matching
 from tipforce.running import loop
 from tipforce.running.ports import PythonCanPort
 from tipforce_tools.cli.main import main
-from tipforce_tools.conformance.case import Case, CheckError, all_cases, matching
-from tipforce_tools.conformance.dut import Dut
-from tipforce_tools.conformance.links import CoreLink, core_node
-from tipforce_tools.conformance.report import clause_key, lines, summary
-from tipforce_tools.conformance.run import FAIL, Result, run_case, run_on
 
 CHANNEL = "conformance"
 ON_BUS = ("conformance", "--node-id", "5", "-i", "virtual", "-c", CHANNEL)
@@ -41,8 +40,8 @@ def failing() -> Result:
     def body(dut: Dut) -> None:
         dut.ask("40 00 10 00", "43 00 10 00 FF FF FF FF")
 
-    found = replace(matching("identity.device_type")[0], name="test.body", title="another type", body=body)
-    return run_case(found, Dut(CoreLink(core_node()), 5), True)
+    impossible = replace(matching("identity.device_type")[0], name="test.body", title="another type", body=body)
+    return run_case(impossible, Dut(CoreLink(core_node()), 5), True)
 
 
 def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
@@ -53,8 +52,8 @@ def test_list_names_every_case(capsys: pytest.CaptureFixture[str]) -> None:
 
 
 def test_pattern_chooses_by_name_and_by_clause() -> None:
-    assert {found.name.partition(".")[0] for found in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
-    assert [found.name for found in matching("emcy.message")] == ["emcy.message"]
+    assert {case.name.partition(".")[0] for case in matching("CiA 305 6.6*")} == {"lss_identify", "lss_unconfigured"}
+    assert [case.name for case in matching("emcy.message")] == ["emcy.message"]
 
 
 @pytest.mark.parametrize(
@@ -89,7 +88,7 @@ def test_persistent_cases_need_permission(capsys: pytest.CaptureFixture[str]) ->
 def test_node_that_is_not_there_is_no_response(
     capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tipforce_tools.conformance.dut.BOOT_MS", 10)
+    monkeypatch.setattr("canopen_conformance.dut.BOOT_MS", 10)
     assert main([*ON_BUS, "--case", "identity.*"]) == 5
     assert "no boot-up message" in capsys.readouterr().err
 
@@ -114,7 +113,7 @@ def test_a_device_that_dies_ends_the_run() -> None:
     with pytest.MonkeyPatch.context() as monkey:
         run = run_on(Dut(link, 5), [killer, template], persistent=False)
         assert next(run).verdict == FAIL
-        with pytest.raises(NoResponseError, match="no longer boots after the case test"):
+        with pytest.raises(LostDeviceError, match="no longer boots after the case test"):
             next(run)
 
 
@@ -132,7 +131,7 @@ def test_sigterm_ends_with_the_results_until_then(
             signal.raise_signal(signal.SIGTERM)
         return run_case(case, dut, persistent)
 
-    monkeypatch.setattr("tipforce_tools.conformance.run.run_case", terminated)
+    monkeypatch.setattr("canopen_conformance.run.run_case", terminated)
     try:
         assert main([*ON_BUS, "--case", "identity.identity*"]) == 130
     finally:

@@ -2,9 +2,10 @@
 
 import pytest
 
+from canopen_conformance.case import Case
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS
+from conformance.fingertip import all_cases, run_in_process
 from conformance.minimal import MinimalDevice
-from tipforce_tools.conformance.case import Case, all_cases
-from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process
 
 # The standard demands segmented transfer of an SDO server (7.2.4.1); this one has none, and that is to be found.
 LACKING = "sdo_segmented."
@@ -12,7 +13,7 @@ LACKING = "sdo_segmented."
 
 @pytest.mark.parametrize("case", all_cases(), ids=lambda case: case.name)
 def test_minimal_device_never_crashes_a_case(case: Case) -> None:
-    result, _link = run_in_process(case, MinimalDevice)
+    result, _link = run_in_process(case, MinimalDevice())
     if result.verdict == NOT_APPLICABLE:
         assert result.reason
     else:
@@ -20,7 +21,7 @@ def test_minimal_device_never_crashes_a_case(case: Case) -> None:
 
 
 def test_minimal_device_gets_all_three_verdicts() -> None:
-    verdicts = [run_in_process(case, MinimalDevice)[0].verdict for case in all_cases()]
+    verdicts = [run_in_process(case, MinimalDevice())[0].verdict for case in all_cases()]
     assert verdicts.count(PASS) > 80
     assert verdicts.count(NOT_APPLICABLE) > 300
     assert 0 < verdicts.count(FAIL) < 20
@@ -29,4 +30,4 @@ def test_minimal_device_gets_all_three_verdicts() -> None:
 def test_own_cases_are_not_run_on_a_foreign_device() -> None:
     for case in all_cases():
         if case.own:
-            assert run_in_process(case, MinimalDevice)[0].verdict == NOT_APPLICABLE
+            assert run_in_process(case, MinimalDevice())[0].verdict == NOT_APPLICABLE

@@ -5,6 +5,8 @@ from typing import Any, TypeAlias
 
 import pytest
 
+from canopen_conformance.run import FAIL
+from conformance.fingertip import matching, run_in_process
 from tipforce.device import codes, lss, pdo, sdo_block
 from tipforce.device.codes import SIGNATURE_SAVE
 from tipforce.device.emcy import Emcy
@@ -21,8 +23,6 @@ from tipforce.device.sdo_server import SdoServer
 from tipforce.device.storage import Storage
 from tipforce.device.sync import SyncConsumer
 from tipforce.device.tpdo import TransmitPdo
-from tipforce_tools.conformance.case import matching
-from tipforce_tools.conformance.run import FAIL, run_in_process
 
 Injection: TypeAlias = Callable[[pytest.MonkeyPatch], None]
 

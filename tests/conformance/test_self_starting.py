@@ -2,11 +2,12 @@
 
 import pytest
 
+from canopen_conformance.case import Case
+from canopen_conformance.dut import Dut
+from canopen_conformance.run import FAIL, NOT_APPLICABLE, PASS, run_on
+from canopen_conformance.wire import CoreLink
+from conformance.fingertip import all_cases, matching, run_in_process
 from conformance.self_starting import NODE_ID, SelfStarting
-from tipforce_tools.conformance.case import Case, all_cases, matching
-from tipforce_tools.conformance.dut import Dut
-from tipforce_tools.conformance.links import CoreLink
-from tipforce_tools.conformance.run import FAIL, NOT_APPLICABLE, PASS, run_in_process, run_on
 
 FOREIGN = [case for case in all_cases() if not case.own]
 
@@ -15,7 +16,7 @@ def test_no_case_fails() -> None:
     failed = {}
     verdicts = []
     for case in FOREIGN:
-        result, _ = run_in_process(case, SelfStarting)
+        result, _ = run_in_process(case, SelfStarting())
         verdicts.append(result.verdict)
         if result.verdict == FAIL:
             failed[case.name] = "\n".join([result.reason, *result.log[-6:]])
@@ -56,5 +57,5 @@ def test_cases_that_only_read_share_one_reset() -> None:
     ],
 )
 def test_the_reason_names_what_the_device_refuses(name: str, reason: str) -> None:
-    result, _ = run_in_process(matching(name)[0], SelfStarting)
+    result, _ = run_in_process(matching(name)[0], SelfStarting())
     assert (result.verdict, result.reason) == (NOT_APPLICABLE, reason)

@@ -31,7 +31,7 @@ ALLOWED = {
     "node/tipforce/dictionary/objects.py": (COMMUNICATION, OWN_INDEX),  # generated
     "node/tipforce/dictionary/indices.py": (OWN_INDEX,),  # generated
 }
-INDEPENDENT = "tools/tipforce_tools/conformance/"
+INDEPENDENT = "tools/tipforce_tools/fingertip_cases/"
 """The conformance cases state the standard's numbers a second time: a wrong one in ``codes`` must not pass them."""
 
 

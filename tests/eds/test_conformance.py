@@ -6,12 +6,12 @@ from pathlib import Path
 
 import pytest
 
+from canopen_conformance.run import FAIL, PASS
+from conformance.fingertip import matching, run_in_process
 from eds.samples import pdo, record, text, var
 from tipforce.device.node import Device
 from tipforce.eds import read_eds
 from tipforce.eds.load import device_of
-from tipforce_tools.conformance.case import matching
-from tipforce_tools.conformance.run import FAIL, PASS, run_in_process
 
 PLAIN = text(
     var("1003", 7, "ro", "0"), var("1005", 7, "ro", "128"), var("1009", 9, "const"),
@@ -60,6 +60,6 @@ def test_no_case_fails(content: str, tmp_path: Path) -> None:
 
         return device_of(read_eds(path, 5), save, store.get)
 
-    results = [run_in_process(case, device)[0] for case in CASES]
-    assert [(one.case.name, one.reason) for one in results if one.verdict == FAIL] == []
-    assert sum(one.verdict == PASS for one in results) > 10
+    results = [run_in_process(case, device())[0] for case in CASES]
+    assert [(result.case.name, result.reason) for result in results if result.verdict == FAIL] == []
+    assert sum(result.verdict == PASS for result in results) > 10

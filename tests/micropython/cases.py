@@ -1,19 +1,15 @@
 """The conformance suite as conversations: its cases, as they run in one process, recorded."""
 
+from conformance.fingertip import NODE_ID, SERIAL, all_cases, core_eds, run_in_process
 from micropython.recording import RecordedDevice, Recording
-from tipforce_tools.conformance.case import all_cases
-from tipforce_tools.conformance.links import CORE_NODE_ID, core_eds
-from tipforce_tools.conformance.run import run_in_process
-
-_SERIAL = 0x1234  # that of links.core_node
 
 
 def conformance_recordings() -> list[Recording]:
-    """Each case on a node of its own, as ``links.core_node`` builds it."""
-    found = []
+    """Each case on a node of its own, as ``fingertip.core_node`` builds it."""
+    recordings = []
     for case in all_cases():
-        device = RecordedDevice(case.name, CORE_NODE_ID, eds=core_eds().decode(), serial=_SERIAL)
-        _result, link = run_in_process(case, lambda device=device: device)  # type: ignore[misc]
+        device = RecordedDevice(case.name, NODE_ID, eds=core_eds().decode(), serial=SERIAL)
+        _result, link = run_in_process(case, device)
         assert len(link.steps) == len(device.recording.steps)
-        found.append(device.recording)
-    return found
+        recordings.append(device.recording)
+    return recordings

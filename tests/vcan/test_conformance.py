@@ -9,7 +9,7 @@ from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
 
-from tipforce_tools.conformance.case import all_cases
+from conformance.fingertip import all_cases
 from vcan.support import Launch, running_node
 
 TOLERANCE_MS = "50"  # a machine that does other work as well; the command itself takes 20

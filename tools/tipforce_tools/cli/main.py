@@ -58,7 +58,7 @@ COMMANDS = {
     "load": ("tipforce_tools.network.load", "measure the load of a bus, or compute that of a planned hand"),
     "design": ("tipforce_tools.design.command", "recompute the paper's tables, sweep and optimise the structure"),
     "report": ("tipforce_tools.report.command", "measure error against run time, and check extreme cases"),
-    "conformance": ("tipforce_tools.conformance.command", "test a CANopen device against the CiA standards, by clause"),
+    "conformance": ("tipforce_tools.conformance", "test a CANopen device against the CiA standards, by clause"),
     "export": ("tipforce_tools.export", "write EDS, DBC, DCF, or C for firmware, from the object dictionary"),
     "completion": ("tipforce_tools.completion.command", "print a shell's TAB completion script for all commands"),
     "doctor": ("tipforce_tools.doctor.command", "find what this machine lacks for a working bus, with next steps"),

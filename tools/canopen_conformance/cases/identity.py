@@ -1,0 +1,239 @@
+"""Identity of the device (CiA 301, 7.5.2.1 to 7.5.2.33), and its stored parameters (7.5.2.13 and 7.5.2.14)."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.cases.pdo import TPDO1, check_mapped
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import RESET_COMMUNICATION, RESET_NODE, Abort
+
+identity = Service("identity")
+storage = Service("storage")
+
+
+@identity("CiA 301 7.5.2.1", "1000h is there, an UNSIGNED32, and stays the same")
+def device_type(dut: Dut) -> None:
+    first = dut.integer("I", 0x1000)
+    dut.holds("I", 0x1000, 0, first)
+
+
+@identity("CiA 301 7.5.2.2", "1001h is there, an UNSIGNED8")
+def error_register(dut: Dut) -> None:
+    dut.integer("B", 0x1001)
+
+
+@identity("CiA 301 7.5.2.3", "1002h is an UNSIGNED32 that cannot be written", needs=((0x1002, 0),))
+def status_register(dut: Dut) -> None:
+    dut.integer("I", 0x1002)
+    dut.refuses("I", 0x1002, 0, 0, Abort.READ_ONLY)
+
+
+@identity("CiA 301 7.5.2.8", "{0:04X}h is a text of visible characters", each=[(0x1008,), (0x1009,), (0x100A,)])
+def name(dut: Dut, index: int) -> None:
+    if not dut.exists(index, 0):
+        raise NotApplicableError(f"no object {index:04X}h")
+    data = dut.read(index)
+    if not data.rstrip(b"\0"):
+        raise NotApplicableError(f"{index:04X}h is empty")
+    check(not any(not 0x20 <= byte < 0x7F for byte in data.rstrip(b"\0")), "visible characters", data.hex(" "))
+
+
+@identity("CiA 301 7.5.2.8", "{0:04X}h cannot be written", each=[(0x1008,), (0x1009,), (0x100A,)])
+def name_constant(dut: Dut, index: int) -> None:
+    if not dut.exists(index, 0):
+        raise NotApplicableError(f"no object {index:04X}h")
+    dut.refuses_bytes(index, 0, b"abcd", Abort.READ_ONLY)
+
+
+@identity("CiA 301 7.5.2.21", "1018h has the vendor-ID, and one to four entries")
+def identity_identity(dut: Dut) -> None:
+    highest = dut.integer("B", 0x1018, 0)
+    check(1 <= highest <= 4, "1 to 4 entries", str(highest))
+    for sub in range(1, highest + 1):
+        if sub == 1 or dut.exists(0x1018, sub):
+            dut.integer("I", 0x1018, sub)
+
+
+@identity("CiA 301 7.5.2.21", "1018h:{0} cannot be written", each=[(1,), (2,), (3,), (4,)])
+def identity_identity_constant(dut: Dut, sub: int) -> None:
+    if not dut.exists(0x1018, sub):
+        raise NotApplicableError(f"no 1018h:{sub}")
+    dut.refuses("I", 0x1018, sub, 1, Abort.READ_ONLY)
+
+
+@identity("CiA 301 7.5.2.23", "1020h:{0} is written and read back", needs=((0x1020, 1), (0x1020, 2)), each=[(1,), (2,)])
+def configuration_date(dut: Dut, sub: int) -> None:
+    dut.put("I", 0x1020, sub, 0x12345678)
+    dut.holds("I", 0x1020, sub, 0x12345678)
+
+
+@identity("CiA 301 7.5.2.23", "1020h is lost with what it speaks of, unless stored", needs=((0x1020, 1),))
+def configuration_lost(dut: Dut) -> None:
+    before = dut.integer("I", 0x1020, 1)
+    dut.put("I", 0x1020, 1, before ^ 0xFF)
+    dut.reset()
+    dut.holds("I", 0x1020, 1, before)
+
+
+@identity(
+    "CiA 301 7.5.2.33",
+    "1200h:{0} is the pre-defined COB-ID {1:03X}h + node-id",
+    needs=((0x1200, 1), (0x1200, 2)),
+    each=[(1, 0x600), (2, 0x580)],
+)
+def sdo_server(dut: Dut, sub: int, base: int) -> None:
+    dut.holds("I", 0x1200, sub, base + dut.node_id)
+
+
+@identity("CiA 301 7.5.2.33", "1200h:{0} cannot be written", needs=((0x1200, 1), (0x1200, 2)), each=[(1,), (2,)])
+def sdo_server_constant(dut: Dut, sub: int) -> None:
+    dut.refuses("I", 0x1200, sub, 0x600 + dut.node_id, Abort.READ_ONLY)
+
+
+@identity(
+    "CiA 301 7.3.3",
+    "the COB-ID of TPDO{0} is the pre-defined one, unless it is disabled",
+    each=[(1,), (2,), (3,), (4,)],
+)
+def predefined_tpdo(dut: Dut, number: int) -> None:
+    predefined(dut, 0x1800 + number - 1, 0x80 + 0x100 * number)
+
+
+@identity("CiA 301 7.3.3", "the COB-ID of RPDO1 is the pre-defined one, unless it is disabled")
+def predefined_rpdo(dut: Dut) -> None:
+    predefined(dut, 0x1400, 0x200)
+
+
+def predefined(dut: Dut, index: int, base: int) -> None:
+    """A PDO's default COB-ID."""
+    if not dut.exists(index, 1):
+        raise NotApplicableError(f"no object {index:04X}h")
+    cob_id = dut.integer("I", index, 1)
+    if cob_id & 0x7F not in (0, dut.node_id):
+        raise NotApplicableError(f"{index:04X}h:01 is configured: {cob_id:08X}h belongs to another node")
+    check(cob_id & 0x80000000 or cob_id & 0x7FF == base + dut.node_id, f"{base + dut.node_id:03X}h", f"{cob_id:08X}h")
+
+
+SAVE, LOAD = 0x65766173, 0x64616F6C
+GROUP = ((0x1010, 1), (0x1011, 1))
+WRONG_SIGNATURE = (Abort.NOT_STORED, Abort.GENERAL_ERROR, Abort.INVALID_VALUE)
+BOTH = [(0x1010, "store"), (0x1011, "restore")]
+ALL = (*GROUP, (0x1016, 1))
+VALUE = 0x700000 | 4711  # for 1016h:1, which every default leaves at 0
+
+
+@contextmanager
+def restored(dut: Dut, sub: int = 1) -> Iterator[None]:
+    """After it the group is at its defaults again."""
+    try:
+        yield
+    finally:
+        dut.put("I", 0x1011, sub, LOAD)
+
+
+def store(dut: Dut, sub: int) -> None:
+    """Store a group; not applicable for a device that has nowhere to store."""
+    code = dut.try_write(0x1010, sub, struct.pack("<I", SAVE))
+    if code == Abort.HARDWARE_ERROR:
+        raise NotApplicableError("the device has nowhere to store")
+    check(not code, "parameters stored", f"abort {code:08X}h")
+
+
+@storage("CiA 301 7.5.2.13", "{1} with a wrong signature ({2}): 08000020h", needs=GROUP, each=[
+    (index, name, signature) for index, name in BOTH for signature in ("evas", "SAVE", "loaf", "abcd")
+])  # fmt: skip
+def wrong_signature(dut: Dut, index: int, _name: str, signature: str) -> None:
+    dut.refuses_bytes(index, 1, signature.encode(), *WRONG_SIGNATURE)
+
+
+@storage("CiA 301 7.5.2.13", "the signature of the other object is a wrong one", needs=GROUP, each=[
+    (0x1010, LOAD), (0x1011, SAVE),
+])  # fmt: skip
+def other_signature(dut: Dut, index: int, signature: int) -> None:
+    dut.refuses("I", index, 1, signature, *WRONG_SIGNATURE)
+
+
+@storage("CiA 301 7.5.2.13", "{1}: two bytes are refused by their length", needs=GROUP, each=BOTH)
+def size(dut: Dut, index: int, _name: str) -> None:
+    dut.refuses("H", index, 1, 0x6173, Abort.TOO_SHORT, Abort.WRONG_LENGTH)
+
+
+@storage("CiA 301 7.5.2.13", "{1} of a group that is not there: 06090011h", needs=GROUP, each=BOTH)
+def no_group(dut: Dut, index: int, _name: str) -> None:
+    dut.refuses("I", index, dut.integer("B", index, 0) + 1, SAVE, Abort.NO_SUB)
+
+
+@storage("CiA 301 7.5.2.13", "what is not stored is lost by {1}", needs=((0x1016, 1),), each=[
+    (RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication"),
+])  # fmt: skip
+def not_stored(dut: Dut, command: int, _name: str) -> None:
+    before = dut.integer("I", 0x1016, 1)
+    dut.put("I", 0x1016, 1, VALUE)
+    dut.reset(command)
+    dut.holds("I", 0x1016, 1, before)
+
+
+@storage(
+    "CiA 301 7.5.2.13",
+    "1010h:{0} stores communication parameters for {2}",
+    needs=ALL,
+    persistent=True,
+    each=[
+        (sub, command, name)
+        for sub in (1, 2)
+        for command, name in ((RESET_NODE, "reset node"), (RESET_COMMUNICATION, "reset communication"))
+    ],
+)
+def stored(dut: Dut, sub: int, command: int, _name: str) -> None:
+    if not dut.exists(0x1010, sub):
+        raise NotApplicableError(f"no 1010h:{sub}")
+    with restored(dut):
+        dut.put("I", 0x1016, 1, VALUE)
+        store(dut, sub)
+        dut.put("I", 0x1016, 1, 0)
+        dut.reset(command)
+        dut.holds("I", 0x1016, 1, VALUE)
+
+
+@storage(
+    "CiA 301 7.5.2.14",
+    "1011h:{0} changes nothing before a reset, then brings the defaults",
+    needs=ALL,
+    persistent=True,
+    each=[(1,), (2,)],
+)
+def restore(dut: Dut, sub: int) -> None:
+    if not dut.exists(0x1011, sub):
+        raise NotApplicableError(f"no 1011h:{sub}")
+    with restored(dut):
+        dut.put("I", 0x1016, 1, VALUE)
+        store(dut, 1)
+        dut.put("I", 0x1011, sub, LOAD)
+        dut.holds("I", 0x1016, 1, VALUE)
+        dut.reset(RESET_COMMUNICATION if sub == 2 else RESET_NODE)
+        dut.holds("I", 0x1016, 1, 0)
+
+
+@storage(
+    "CiA 301 7.5.2.13",
+    "PDO parameters are stored, and the PDO works as stored",
+    needs=((0x1010, 2), *TPDO1),
+    persistent=True,
+)
+def stored_pdo(dut: Dut) -> None:
+    cob_id = dut.integer("I", 0x1800, 1)
+    check_mapped(dut)
+    with restored(dut):
+        dut.put("I", 0x1800, 1, cob_id | 0x80000000)
+        dut.put("B", 0x1800, 2, 1)
+        dut.put("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
+        store(dut, 2)
+        dut.reset(RESET_NODE)
+        dut.holds("I", 0x1800, 1, cob_id & 0x40000000 | 0x3A5)
+        dut.nmt(1)
+        dut.send(0x080)
+        dut.expect(0x3A5)

@@ -1,0 +1,278 @@
+"""LSS slave: switch state, configure, inquire (CiA 305).
+
+All of them select the device by its identity, so that other LSS slaves on the bus stay as they are; the two cases of
+"switch state global" switch all of them to configuration and back.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import RESET_COMMUNICATION, STOP
+
+case = Service("lss")
+
+IDENTITY = ((0x1018, 1), (0x1018, 2), (0x1018, 3), (0x1018, 4))
+MASTER, SLAVE = 0x7E5, 0x7E4
+UNCONFIGURED = 255
+OTHER_ID = 0x5D
+PARTS = ("vendor-ID", "product code", "revision number", "serial number")
+
+
+def say(dut: Dut, service: int, *data: int, number: int | None = None) -> None:
+    """One LSS request: the service, then bytes or one UNSIGNED32."""
+    content = bytes((service, *data)) if number is None else struct.pack("<BI", service, number)
+    dut.send(MASTER, content + bytes(8 - len(content)))
+
+
+def identity(dut: Dut) -> list[int]:
+    """1018h:1-4."""
+    return [dut.integer("I", 0x1018, sub) for sub in (1, 2, 3, 4)]
+
+
+def select(dut: Dut, numbers: list[int]) -> None:
+    """The four requests of "switch state selective"."""
+    for part, number in enumerate(numbers):
+        say(dut, 0x40 + part, number=number)
+
+
+def waiting(dut: Dut) -> None:
+    """Switch all slaves to the waiting state."""
+    say(dut, 0x04, 0)
+
+
+@contextmanager
+def configuring(dut: Dut, numbers: list[int] | None = None) -> Iterator[list[int]]:
+    """Configuration state within, waiting state after; not applicable without LSS. Yields the identity."""
+    own = identity(dut) if numbers is None else numbers
+    select(dut, own)
+    answer = dut.heard(SLAVE)
+    if answer is None:
+        raise NotApplicableError("no LSS slave")
+    check(answer.data[0] == 0x44, "7E4#44...", answer.data.hex(" "))
+    try:
+        yield own
+    finally:
+        waiting(dut)
+
+
+def in_configuration(dut: Dut) -> bool:
+    """Whether the device answers what only the configuration state answers."""
+    say(dut, 0x5E)
+    return dut.heard(SLAVE, 30) is not None
+
+
+@case("CiA 305 6.3.1", "switch state global, configuration: inquiries are answered", needs=IDENTITY)
+def global_configuration(dut: Dut) -> None:
+    say(dut, 0x04, 1)
+    answered = in_configuration(dut)
+    waiting(dut)
+    if not answered:
+        raise NotApplicableError("no LSS slave")
+
+
+@case("CiA 305 6.3.1", "switch state global, waiting: inquiries are not answered", needs=IDENTITY)
+def global_waiting(dut: Dut) -> None:
+    with configuring(dut):
+        pass
+    say(dut, 0x5E)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.3.1", "switch state global with mode {0} does nothing", needs=IDENTITY, each=[(2,), (255,)])
+def global_mode(dut: Dut, mode: int) -> None:
+    say(dut, 0x04, mode)
+    say(dut, 0x5E)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.3.2", "switch state selective: answer 44h, then configuration", needs=IDENTITY)
+def selective(dut: Dut) -> None:
+    select(dut, identity(dut))
+    answer = dut.heard(SLAVE)
+    if answer is None:
+        raise NotApplicableError("no LSS slave")
+    configured = in_configuration(dut)
+    waiting(dut)
+    check(answer.data == b"\x44" + bytes(7) and configured, "44h and the configuration state", answer.data.hex(" "))
+
+
+@case("CiA 305 6.3.2", "switch state selective with another {1}: silence", needs=IDENTITY, each=list(enumerate(PARTS)))
+def selective_other(dut: Dut, part: int, _name: str) -> None:
+    numbers = identity(dut)
+    numbers[part] ^= 1
+    select(dut, numbers)
+    say(dut, 0x5E)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.3.2", "switch state selective without its first request: silence", needs=IDENTITY)
+def selective_incomplete(dut: Dut) -> None:
+    for part, number in list(enumerate(identity(dut)))[1:]:
+        say(dut, 0x40 + part, number=number)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.3.2", "switch state selective in another order: silence", needs=IDENTITY)
+def selective_order(dut: Dut) -> None:
+    for part, number in reversed(list(enumerate(identity(dut)))):
+        say(dut, 0x40 + part, number=number)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.3.2", "after a wrong selection the right one selects", needs=IDENTITY)
+def selective_again(dut: Dut) -> None:
+    numbers = identity(dut)
+    select(dut, [numbers[0], numbers[1] ^ 1, *numbers[2:]])
+    dut.silence(SLAVE, ms=5)
+    with configuring(dut, numbers):
+        pass
+
+
+# --- inquire ----------------------------------------------------------------------------------------------
+
+
+@case("CiA 305 6.5", "inquire {1}", needs=IDENTITY, each=list(enumerate(PARTS)))
+def inquire(dut: Dut, part: int, _name: str) -> None:
+    with configuring(dut) as own:
+        say(dut, 0x5A + part)
+        dut.expect(SLAVE, struct.pack("<BIxxx", 0x5A + part, own[part]).hex())
+
+
+@case("CiA 305 6.5", "inquire node-id", needs=IDENTITY)
+def inquire_node_id(dut: Dut) -> None:
+    with configuring(dut):
+        say(dut, 0x5E)
+        dut.expect(SLAVE, f"5E {dut.node_id:02X} 00 00 00 00 00 00")
+
+
+@case(
+    "CiA 305 6.5", "an inquiry in the waiting state is not answered", needs=IDENTITY, each=[(0x5A,), (0x5D,), (0x5E,)]
+)
+def inquire_waiting(dut: Dut, service: int) -> None:
+    say(dut, service)
+    dut.silence(SLAVE)
+
+
+@case("CiA 305 6.5", "an unknown service is not answered", needs=IDENTITY, each=[(0x00,), (0x60,), (0xFF,)])
+def unknown(dut: Dut, service: int) -> None:
+    with configuring(dut):
+        say(dut, service)
+        dut.silence(SLAVE)
+
+
+@case("CiA 305 6.2", "a request of {0} bytes is passed over", needs=IDENTITY, each=[(0,), (1,), (7,)])
+def length(dut: Dut, size: int) -> None:
+    with configuring(dut):
+        dut.send(MASTER, (b"\x5e" + bytes(7))[:size])
+        dut.silence(SLAVE)
+
+
+@case("CiA 305 6.2", "reset communication leads back to the waiting state", needs=IDENTITY)
+def reset(dut: Dut) -> None:
+    with configuring(dut):
+        dut.reset(RESET_COMMUNICATION)
+        say(dut, 0x5E)
+        dut.silence(SLAVE)
+
+
+@case("CiA 301 7.3.2.3", "LSS is served in STOPPED, and nothing else is", needs=IDENTITY)
+def stopped(dut: Dut) -> None:
+    own = identity(dut)
+    dut.nmt(STOP)
+    with configuring(dut, own):
+        say(dut, 0x5E)
+        dut.expect(SLAVE, f"5E {dut.node_id:02X} *")
+
+
+# --- configure --------------------------------------------------------------------------------------------
+
+
+@case(
+    "CiA 305 6.4.1", "configure node-id {0}: out of range, error 1", needs=IDENTITY, each=[(0,), (128,), (200,), (254,)]
+)
+def node_id_refused(dut: Dut, node_id: int) -> None:
+    with configuring(dut):
+        say(dut, 0x11, node_id)
+        dut.expect(SLAVE, "11 01 00 00 00 00 00 00")
+
+
+@case(
+    "CiA 305 6.4.1",
+    "configure node-id {0}: taken, and not in use before a reset",
+    needs=IDENTITY,
+    persistent=True,
+    each=[(1,), (127,), (255,)],
+)
+def node_id_taken(dut: Dut, node_id: int) -> None:
+    with configuring(dut):
+        try:
+            say(dut, 0x11, node_id)
+            dut.expect(SLAVE, "11 00 00 00 00 00 00 00")
+            dut.ask("40 00 10 00", "43 00 10 00 *")
+        finally:
+            say(dut, 0x11, dut.node_id)
+
+
+@case("CiA 305 6.4.1", "the new node-id is in use after reset communication", needs=IDENTITY, persistent=True)
+def node_id_changed(dut: Dut) -> None:
+    old = dut.node_id
+    with configuring(dut) as own:
+        say(dut, 0x11, OTHER_ID)
+        dut.expect(SLAVE, "11 00 *")
+    try:
+        dut.nmt(RESET_COMMUNICATION)
+        dut.node_id = OTHER_ID
+        dut.boot_up()
+        dut.ask("40 00 10 00", "43 00 10 00 *")
+        if dut.exists(0x1014, 0):
+            dut.holds("I", 0x1014, 0, 0x80 + OTHER_ID)
+        if dut.exists(0x1200, 1):
+            dut.holds("I", 0x1200, 1, 0x600 + OTHER_ID)
+    finally:
+        restore_node_id(dut, own, old)
+
+
+def restore_node_id(dut: Dut, own: list[int], node_id: int) -> None:
+    """Give the device its own node-id back, whatever it has now, and hear it boot."""
+    waiting(dut)
+    select(dut, own)
+    dut.heard(SLAVE)
+    say(dut, 0x11, node_id)
+    dut.heard(SLAVE)
+    dut.forget()
+    waiting(dut)  # a device without a node-id boots now
+    if dut.node_id != UNCONFIGURED:
+        dut.nmt(RESET_COMMUNICATION)
+    dut.node_id = node_id
+    dut.boot_up()
+
+
+@case("CiA 305 6.4.2", "configure bit timing, table {0}, index {1}: error {2}", needs=IDENTITY, persistent=True, each=[
+    *((0, index, 0) for index in (0, 2, 3, 4, 8)), (0, 5, 1), (0, 10, 1), (1, 0, 1),
+])  # fmt: skip
+def bit_timing(dut: Dut, table: int, index: int, error: int) -> None:
+    with configuring(dut):
+        say(dut, 0x13, table, index)
+        dut.expect(SLAVE, f"13 {error:02X} *")
+        say(dut, 0x13, 0, 0)
+
+
+@case("CiA 305 6.4.3", "store configuration: error 0", needs=IDENTITY, persistent=True)
+def store(dut: Dut) -> None:
+    with configuring(dut):
+        say(dut, 0x17)
+        dut.expect(SLAVE, "17 00 00 00 00 00 00 00", 2000)
+
+
+@case("CiA 305 6.4", "configuration services in the waiting state do nothing", needs=IDENTITY, each=[
+    (0x11, OTHER_ID), (0x13, 0), (0x17, 0),
+])  # fmt: skip
+def configure_waiting(dut: Dut, service: int, value: int) -> None:
+    say(dut, service, value)
+    dut.silence(SLAVE)
+    dut.reset(RESET_COMMUNICATION)

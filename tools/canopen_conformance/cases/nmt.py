@@ -1,0 +1,234 @@
+"""NMT slave: transitions, resets, boot-up, and what each state allows (CiA 301, 7.2.8.2 and 7.3.2)."""
+
+from __future__ import annotations
+
+import struct
+
+from canopen_conformance.case import NotApplicableError, Service, check
+from canopen_conformance.cases.emcy import break_sync
+from canopen_conformance.cases.pdo import TPDO1, enable_tpdo1, mapped_rpdo1
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import (
+    ENTER_PRE_OPERATIONAL,
+    EXTENDED_FLAG,
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    REMOTE_FLAG,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    START,
+    STOP,
+    STOPPED,
+)
+
+case = Service("nmt")
+
+HEARTBEAT = ((0x1017, 0),)
+STATES = {PRE_OPERATIONAL: "PRE-OPERATIONAL", OPERATIONAL: "OPERATIONAL", STOPPED: "STOPPED"}
+COMMANDS = {START: "start", STOP: "stop", ENTER_PRE_OPERATIONAL: "enter PRE-OPERATIONAL"}
+AFTER = {START: OPERATIONAL, STOP: STOPPED, ENTER_PRE_OPERATIONAL: PRE_OPERATIONAL}
+RESETS = {RESET_NODE: "reset node", RESET_COMMUNICATION: "reset communication"}
+TARGETS = ("to this node", "to all nodes")
+
+
+@case(
+    "CiA 301 7.2.8.3.1",
+    "{3} in {2}, {4}",
+    needs=HEARTBEAT,
+    each=[
+        (before, command, STATES[before], COMMANDS[command], target)
+        for target in TARGETS
+        for before in STATES
+        for command in COMMANDS
+    ],
+)
+def transition(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
+    dut.beat()
+    dut.enter(before)
+    dut.nmt(command, None if target == TARGETS[0] else 0)
+    dut.state(AFTER[command])
+
+
+@case(
+    "CiA 301 7.2.8.3.1",
+    "{3} in {2}, {4}: boot-up, then PRE-OPERATIONAL",
+    needs=HEARTBEAT,
+    each=[
+        (before, command, STATES[before], RESETS[command], target)
+        for target in TARGETS
+        for before in STATES
+        for command in RESETS
+    ],
+)
+def reset(dut: Dut, before: int, command: int, _in: str, _what: str, target: str) -> None:
+    dut.waits_for_start()
+    dut.enter(before)
+    dut.forget()
+    dut.nmt(command, None if target == TARGETS[0] else 0)
+    dut.boot_up()
+    dut.beat()
+    dut.state(PRE_OPERATIONAL)
+
+
+@case(
+    "CiA 301 7.2.8.3.1",
+    "ignored: {1}",
+    needs=HEARTBEAT,
+    each=[
+        (frame, why)
+        for why, frame in {
+            "start of another node": (0, "01 7E"),
+            "no data": (0, ""),
+            "one byte": (0, "01"),
+            "three bytes": (0, "01 00 00"),
+            "eight bytes": (0, "01 00 00 00 00 00 00 00"),
+            "command specifier 0": (0, "00 00"),
+            "command specifier 3": (0, "03 00"),
+            "command specifier 127": (0, "7F 00"),
+            "command specifier 131": (0, "83 00"),
+            "command specifier 255": (0, "FF 00"),
+            "start in a 29-bit frame": (EXTENDED_FLAG, "01 00"),
+            "a remote frame": (REMOTE_FLAG, ""),
+        }.items()
+    ],
+)
+def ignored(dut: Dut, frame: tuple[int, str], _why: str) -> None:
+    dut.beat()
+    dut.send(*frame)
+    dut.state(PRE_OPERATIONAL)
+    dut.silence()
+
+
+@case("CiA 301 7.2.8.3.1", "node-id + 128 in the command is not this node", needs=HEARTBEAT)
+def node_id_with_high_bit(dut: Dut) -> None:
+    dut.beat()
+    dut.nmt(START, 0x80 | dut.node_id)
+    dut.state(PRE_OPERATIONAL)
+
+
+@case("CiA 301 7.2.8.3.3", "the boot-up message is one byte 00, and one message alone", each=[(RESET_NODE,), (130,)])
+def boot_up_once(dut: Dut, command: int) -> None:
+    dut.reset(command)
+    dut.silence()
+    dut.silence(0x700 + dut.node_id, ms=10)
+
+
+@case("CiA 301 7.2.8.3.3", "nothing is sent before the boot-up message", needs=HEARTBEAT)
+def boot_up_first(dut: Dut) -> None:
+    dut.enter(OPERATIONAL)
+    dut.forget()
+    dut.nmt(RESET_NODE)
+    for can_id in (0x80, 0x180, 0x280, 0x380, 0x480, 0x580):
+        dut.silence(can_id + dut.node_id, ms=0)
+    dut.boot_up()
+
+
+@case(
+    "CiA 301 7.3.2.3", "SDO is served in {1}", each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL"), (OPERATIONAL, "OPERATIONAL")]
+)
+def sdo_served(dut: Dut, state: int, _name: str) -> None:
+    dut.enter(state)
+    dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@case("CiA 301 7.3.2.3", "SDO is not served in STOPPED, and served again after it")
+def sdo_stopped(dut: Dut) -> None:
+    dut.nmt(STOP)
+    dut.request("40 00 10 00")
+    dut.no_sdo()
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@case("CiA 301 7.3.2.3", "stop ends an SDO transfer without a word", needs=((0x1008, 0),))
+def stop_ends_sdo(dut: Dut) -> None:
+    if dut.ask("40 08 10 00")[0] & 0xE3 != 0x41:
+        raise NotApplicableError("1008h fits into one frame")
+    dut.nmt(STOP)
+    dut.request("60")
+    dut.no_sdo()
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.ask("60", lambda data: data[0] == 0x80)
+
+
+@case(
+    "CiA 301 7.3.2.3",
+    "a synchronous TPDO in {1}: {2}",
+    needs=TPDO1,
+    each=[
+        (PRE_OPERATIONAL, "PRE-OPERATIONAL", "silent"),
+        (OPERATIONAL, "OPERATIONAL", "sent"),
+        (STOPPED, "STOPPED", "silent"),
+    ],
+)
+def tpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
+    can_id = enable_tpdo1(dut, transmission=1)
+    dut.enter(state)
+    dut.send(0x080)
+    if does == "sent":
+        dut.expect(can_id)
+    else:
+        dut.silence(can_id)
+
+
+@case("CiA 301 7.3.2.3", "TPDOs stop when OPERATIONAL is left, and go on when it is entered again", needs=TPDO1)
+def tpdo_leave_and_return(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, transmission=1)
+    for command in (ENTER_PRE_OPERATIONAL, STOP):
+        dut.nmt(START)
+        dut.send(0x080)
+        dut.expect(can_id)
+        dut.nmt(command)
+        dut.send(0x080)
+        dut.silence(can_id)
+
+
+@case(
+    "CiA 301 7.3.2.3",
+    "an RPDO in {1}: {2}",
+    needs=((0x1013, 0), (0x1400, 1), (0x1600, 0)),
+    each=[(PRE_OPERATIONAL, "PRE-OPERATIONAL", "ignored"), (OPERATIONAL, "OPERATIONAL", "taken")],
+)
+def rpdo_by_state(dut: Dut, state: int, _name: str, does: str) -> None:
+    can_id = mapped_rpdo1(dut, 0x10130020)
+    dut.put("I", 0x1013, 0, 0)
+    dut.enter(state)
+    dut.send(can_id, struct.pack("<I", 0x70000000))
+    time_us = dut.integer("I", 0x1013)
+    check((time_us >= 0x70000000) == (does == "taken"), f"the RPDO {does}", f"1013h = {time_us:08X}h")
+
+
+@case("CiA 301 7.3.2.3", "an EMCY waits while STOPPED and comes after it", needs=((0x1014, 0), (0x1016, 1)))
+def emcy_waits(dut: Dut) -> None:
+    dut.put("I", 0x1016, 1, 0x700000 | 40)
+    dut.send(0x770, "05")
+    dut.nmt(STOP)
+    dut.silence(0x80 + dut.node_id, ms=100)
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.expect(0x80 + dut.node_id, "30 81 *")
+
+
+@case("CiA 301 7.3.2.3", "SYNC is not looked at in STOPPED", needs=((0x1005, 0), (0x1014, 0)))
+def sync_stopped(dut: Dut) -> None:
+    dut.nmt(STOP)
+    break_sync(dut)
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.silence(0x80 + dut.node_id)
+
+
+@case(
+    "CiA 302-2 1F80h",
+    "bit 2 clear and stored: OPERATIONAL by itself after boot-up",
+    needs=((0x1F80, 0), (0x1010, 2), (0x1011, 2), (0x1017, 0)),
+    persistent=True,
+)
+def self_start(dut: Dut) -> None:
+    dut.waits_for_start()
+    try:
+        dut.put("I", 0x1F80, 0, 0)
+        dut.put("H", 0x1017, 0, 20)
+        dut.put("I", 0x1010, 2, 0x65766173)
+        dut.reset(RESET_COMMUNICATION)
+        dut.state(OPERATIONAL)
+    finally:
+        dut.put("I", 0x1011, 2, 0x64616F6C)

@@ -1,0 +1,310 @@
+"""SDO server: upload and download by blocks (CiA 301, 7.2.4.3.9 to 7.2.4.3.16)."""
+
+from __future__ import annotations
+
+import binascii
+import struct
+
+from canopen_conformance.case import CheckError, NotApplicableError, Service, check
+from canopen_conformance.cases.sdo import BEAT, NAMES
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import STOP, Abort
+
+upload = Service("sdo_block")
+download = Service("sdo_block_download")
+
+
+def initiate(dut: Dut, index: int, block_size: int, switch: int = 0, crc: bool = True) -> bytes:
+    """Initiate a block upload; not applicable where the device knows no block transfer."""
+    answer = dut.ask(struct.pack("<BHBBB", 0xA4 if crc else 0xA0, index, 0, block_size, switch))
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
+        raise NotApplicableError("no SDO block transfer")
+    return answer
+
+
+def begin_block_upload(dut: Dut, block_size: int, crc: bool = True) -> tuple[int, bytes]:
+    """Initiate the block upload of a string of several segments; (index, what a segmented upload gives)."""
+    for index in NAMES:
+        data = dut.try_read(index)
+        if isinstance(data, bytes) and len(data) > 7:
+            answer = initiate(dut, index, block_size, crc=crc)
+            if answer[0] & 0xF9 != 0xC0 or answer[1:4] != struct.pack("<HB", index, 0):
+                raise CheckError(f"C0h (with bits 1, 2) and {index:04X}h", answer.hex(" "))
+            if answer[0] & 2 and answer[4:] != struct.pack("<I", len(data)):
+                raise CheckError(f"size {len(data)}", answer[4:].hex(" "))
+            return index, data
+    raise NotApplicableError("no string of several segments")
+
+
+def block(dut: Dut, count: int, last: bool) -> bytes:
+    """``count`` segments numbered from 1, the last of them marked as the last of all or not."""
+    data = b""
+    for number in range(1, count + 1):
+        head = number | (0x80 if last and number == count else 0)
+        data += dut.answer(lambda d, h=head: d[0] == h)[1:]  # type: ignore[misc]
+    return data
+
+
+def end_block_upload(dut: Dut, data: bytes, crc: bool = True) -> None:
+    """The end of the server, after which the client says that it is content."""
+    unused = -len(data) % 7
+    answer = dut.answer(lambda d: d[0] & 0xE3 == 0xC1)
+    wanted = binascii.crc_hqx(data, 0) if crc else 0
+    if answer[0] >> 2 & 7 != unused or struct.unpack("<H", answer[1:3])[0] != wanted:
+        raise CheckError(f"{unused} bytes unused, CRC {wanted:04X}h", answer.hex(" "))
+    dut.request("A1")
+    dut.no_sdo()
+
+
+def segments(data: bytes) -> int:
+    """How many segments carry ``data``."""
+    return -(-len(data) // 7)
+
+
+@upload("CiA 301 7.2.4.3.13", "one block: size, segments, end with CRC")
+def sdo_block_upload(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 127)
+    dut.request("A3")
+    received = block(dut, segments(data), True)
+    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
+    dut.request(f"A2 {segments(data):02X} 7F")
+    end_block_upload(dut, data)
+
+
+@upload("CiA 301 7.2.4.3.14", "blocks of one segment")
+def blocks_of_one(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 1)
+    dut.request("A3")
+    count = segments(data)
+    for number in range(1, count + 1):
+        part = block(dut, 1, number == count)
+        if part[: len(data) - 7 * number + 7] != data[7 * number - 7 : 7 * number]:
+            raise CheckError(f"segment {number}", part.hex(" "))
+        dut.request("A2 01 01")
+    end_block_upload(dut, data)
+
+
+@upload("CiA 301 7.2.4.3.14", "the client changes the block size from block to block")
+def changed_block_size(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 1)
+    dut.request("A3")
+    received = block(dut, 1, False)
+    dut.request("A2 01 7F")
+    received += block(dut, segments(data) - 1, True)
+    dut.request(f"A2 {segments(data) - 1:02X} 7F")
+    end_block_upload(dut, data)
+    check(received[: len(data)] == data, data.hex(" "), received.hex(" "))
+
+
+@upload("CiA 301 7.2.4.3.14", "ackseq {0} of 2: the rest comes again from there", each=[(0,), (1,)])
+def resend(dut: Dut, received: int) -> None:
+    _index, data = begin_block_upload(dut, 2)
+    dut.request("A3")
+    block(dut, 2, segments(data) == 2)
+    dut.request(f"A2 {received:02X} 7F")
+    rest = data[7 * received :]
+    sent_again = block(dut, segments(rest), True)
+    check(sent_again[: len(rest)] == rest, rest.hex(" "), sent_again.hex(" "))
+    dut.request(f"A2 {segments(rest):02X} 7F")
+    end_block_upload(dut, data)
+
+
+@upload("CiA 301 7.2.4.3.14", "the last block is lost: ackseq 0, and it comes again")
+def resend_last(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 127)
+    dut.request("A3")
+    for _ in range(2):
+        block(dut, segments(data), True)
+        dut.request("A2 00 7F")
+    block(dut, segments(data), True)
+    dut.request(f"A2 {segments(data):02X} 7F")
+    end_block_upload(dut, data)
+
+
+@upload(
+    "CiA 301 7.2.4.3.13", "block size {0} at the initiate: 05040002h", needs=((0x1008, 0),), each=[(0,), (128,), (255,)]
+)
+def block_size_refused(dut: Dut, size: int) -> None:
+    answer = initiate(dut, 0x1008, size)
+    check(answer == struct.pack("<BHBI", 0x80, 0x1008, 0, Abort.BLOCK_SIZE), "abort 05040002h", answer.hex(" "))
+
+
+@upload("CiA 301 7.2.4.3.14", "block size {0} in an answer: 05040002h", each=[(0,), (128,)])
+def block_size_refused_later(dut: Dut, size: int) -> None:
+    index, _data = begin_block_upload(dut, 1)
+    dut.request("A3")
+    block(dut, 1, False)
+    dut.request(f"A2 01 {size:02X}")
+    dut.aborted(index, 0, Abort.BLOCK_SIZE)
+
+
+@upload("CiA 301 7.2.4.3.16", "a client without CRC finds 0 in its place")
+def without_crc(dut: Dut) -> None:
+    _index, data = begin_block_upload(dut, 127, crc=False)
+    dut.request("A3")
+    block(dut, segments(data), True)
+    dut.request(f"A2 {segments(data):02X} 7F")
+    end_block_upload(dut, data, crc=False)
+
+
+@upload("CiA 301 7.2.4.3.13", "refused at the initiate: {2}", each=[
+    (0xFFFF, Abort.NO_OBJECT, "no object"), (None, Abort.WRITE_ONLY, "a write-only object"),
+])  # fmt: skip
+def refused(dut: Dut, index: int | None, code: int, _why: str) -> None:
+    if index is None:
+        index = dut.product.write_only_index if dut.product and dut.is_of_product() else None
+    if index is None:
+        raise NotApplicableError("no write-only object is known")
+    answer = initiate(dut, index, 127)
+    check(answer == struct.pack("<BHBI", 0x80, index, 0, code), f"abort {code:08X}h", answer.hex(" "))
+
+
+@upload("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, the transfer is over", each=[
+    (False, "before the start"), (True, "after a block"),
+])  # fmt: skip
+def aborted(dut: Dut, started: bool, _when: str) -> None:
+    index, _data = begin_block_upload(dut, 1)
+    if started:
+        dut.request("A3")
+        block(dut, 1, False)
+    dut.request(struct.pack("<BHBI", 0x80, index, 0, Abort.GENERAL_ERROR))
+    dut.no_sdo()
+    dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@upload("CiA 301 7.3.2.3", "stop ends a block upload without a word")
+def stopped(dut: Dut) -> None:
+    begin_block_upload(dut, 1)
+    dut.nmt(STOP)
+    dut.request("A3")
+    dut.no_sdo()
+
+
+@upload(
+    "CiA 301 7.2.4.3.17", "a block command without a transfer: 05040001h", each=[("A1",), ("A2",), ("A3",), ("C1",)]
+)
+def no_transfer(dut: Dut, command: str) -> None:
+    initiate(dut, 0x1000, 127)
+    dut.request("80 00 10 00 00 00 00 08")
+    dut.ask(f"{command} 00 10 00", lambda d: d[0] == 0x80 and d[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND))
+
+
+VALUE = b"\x34\x12"
+
+
+def begin_block_download(dut: Dut, index: int, size: int | None, crc: bool = True) -> int:
+    """Initiate a block download; the block size that the server asks for."""
+    command = 0xC0 | (4 if crc else 0) | (0 if size is None else 2)
+    answer = dut.ask(struct.pack("<BHBI", command, index, 0, size or 0))
+    if answer[0] == 0x80 and answer[4:] == struct.pack("<I", Abort.UNKNOWN_COMMAND):
+        raise NotApplicableError("no SDO block transfer")
+    if answer[0] & 0xFB != 0xA0 or answer[1:4] != struct.pack("<HB", index, 0) or not 1 <= answer[4] <= 127:
+        raise CheckError(f"A0h or A4h, {index:04X}h, a block size of 1 to 127", answer.hex(" "))
+    return answer[4]
+
+
+def segment(dut: Dut, number: int, data: bytes, last: bool = False) -> None:
+    """One segment, which has no answer of its own."""
+    dut.request(bytes((number | (0x80 if last else 0),)) + data)
+
+
+def end_block_download(dut: Dut, data: bytes, unused: int | None = None, crc: int | None = None) -> None:
+    """The client's end."""
+    bytes_unused = -len(data) % 7 if unused is None else unused
+    checksum = binascii.crc_hqx(data, 0) if crc is None else crc
+    dut.request(struct.pack("<BH", 0xC1 | bytes_unused << 2, checksum))
+
+
+def one_segment(dut: Dut, size: int | None = 2, crc: bool = True) -> None:
+    """1017h in one segment, up to the answer to it."""
+    begin_block_download(dut, 0x1017, size, crc)
+    segment(dut, 1, VALUE, True)
+    dut.answer("A2 01 .. 00 00 00 00 00")
+
+
+@download("CiA 301 7.2.4.3.9", "one segment, {1}", needs=BEAT, each=[(2, "size stated"), (None, "size not stated")])
+def sdo_block_download_download(dut: Dut, size: int | None, _how: str) -> None:
+    one_segment(dut, size)
+    end_block_download(dut, VALUE)
+    dut.answer("A1")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@download("CiA 301 7.2.4.3.16", "a client without CRC: what stands in its place is not looked at", needs=BEAT)
+def sdo_block_download_without_crc(dut: Dut) -> None:
+    one_segment(dut, crc=False)
+    end_block_download(dut, VALUE, crc=0xBEEF)
+    dut.answer("A1")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@download("CiA 301 7.2.4.3.16", "a wrong CRC: 05040004h, nothing is written", needs=BEAT)
+def bad_crc(dut: Dut) -> None:
+    before = dut.integer("H", 0x1017)
+    one_segment(dut)
+    end_block_download(dut, VALUE, crc=binascii.crc_hqx(VALUE, 0) ^ 1)
+    dut.aborted(0x1017, 0, Abort.CRC_ERROR)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download(
+    "CiA 301 7.2.4.3.11",
+    "{1} bytes at the end than stated",
+    needs=BEAT,
+    each=[(4, "more", Abort.TOO_LONG), (6, "fewer", Abort.TOO_SHORT)],
+)
+def size_mismatch(dut: Dut, unused: int, _how: str, code: int) -> None:
+    before = dut.integer("H", 0x1017)
+    one_segment(dut)
+    end_block_download(dut, (VALUE + bytes(5))[: 7 - unused], unused)
+    dut.aborted(0x1017, 0, code, Abort.WRONG_LENGTH)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download("CiA 301 7.2.4.3.10", "segment number 0: 05040003h", needs=BEAT)
+def sequence_zero(dut: Dut) -> None:
+    begin_block_download(dut, 0x1017, 2)
+    dut.request("00 34 12")
+    dut.aborted(0x1017, 0, Abort.SEQUENCE_NUMBER)
+
+
+@download("CiA 301 7.2.4.3.9", "refused at the initiate: {3}", each=[
+    (0x1000, 4, Abort.READ_ONLY, "a read-only object"), (0xFFFF, 4, Abort.NO_OBJECT, "no object"),
+])  # fmt: skip
+def sdo_block_download_refused(dut: Dut, index: int, size: int, code: int, _why: str) -> None:
+    codes = (code,) if dut.is_of_product() else (code, Abort.UNKNOWN_COMMAND)  # a device may know no block transfer
+    dut.request(struct.pack("<BHBI", 0xC6, index, 0, size))
+    dut.aborted(index, 0, *codes)
+
+
+@download("CiA 301 7.2.4.3.17", "the client aborts {1}: no answer, nothing is written", needs=BEAT, each=[
+    (False, "before the first segment"), (True, "before the end"),
+])  # fmt: skip
+def sdo_block_download_aborted(dut: Dut, sent: bool, _when: str) -> None:
+    before = dut.integer("H", 0x1017)
+    if sent:
+        one_segment(dut)
+    else:
+        begin_block_download(dut, 0x1017, 2)
+    dut.request("80 17 10 00 00 00 00 08")
+    dut.no_sdo()
+    dut.holds("H", 0x1017, 0, before)
+
+
+@download("CiA 301 7.2.4.3.11", "a refused value is refused at the end", needs=((0x1019, 0),))
+def refused_value(dut: Dut) -> None:
+    begin_block_download(dut, 0x1019, 1)
+    segment(dut, 1, b"\xf1", True)
+    dut.answer("A2 01 ..")
+    end_block_download(dut, b"\xf1")
+    dut.aborted(0x1019, 0, Abort.TOO_HIGH, Abort.INVALID_VALUE)
+    dut.holds("B", 0x1019, 0, 0)
+
+
+@download("CiA 301 7.2.4.3.9", "after a block download another transfer goes as ever", needs=BEAT)
+def afterwards(dut: Dut) -> None:
+    one_segment(dut)
+    end_block_download(dut, VALUE)
+    dut.answer("A1")
+    dut.ask("40 17 10 00", "4B 17 10 00 34 12")
+    dut.ask("2B 17 10 00 00 00", "60 17 10 00")

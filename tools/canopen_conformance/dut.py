@@ -1,0 +1,341 @@
+"""The device under test: an NMT master and SDO client on raw frames."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from contextlib import suppress
+
+from canopen_conformance.case import CheckError, LostDeviceError, NotApplicableError, Product
+from canopen_conformance.wire import (
+    ENTER_PRE_OPERATIONAL,
+    OPERATIONAL,
+    PRE_OPERATIONAL,
+    QUIET_MS,
+    RESET_COMMUNICATION,
+    RESET_NODE,
+    START,
+    STOP,
+    Abort,
+    Frame,
+    Frames,
+    Link,
+    Wanted,
+    as_bytes,
+)
+
+LAST_DATA_TYPE = 0x1B
+_RPDO_MAPPING, _RPDO_MAPPING_END, _TPDO_MAPPING, _TPDO_MAPPING_END = 0x1600, 0x1800, 0x1A00, 0x1C00
+# A device may lack support for a value: access, mapping, PDO length, compatibility, value, its limits, general, state.
+_MAY_REFUSE = (
+    Abort.UNSUPPORTED_ACCESS, Abort.NOT_MAPPABLE, Abort.PDO_LENGTH, Abort.INCOMPATIBLE, Abort.INVALID_VALUE,
+    Abort.TOO_HIGH, Abort.TOO_LOW, Abort.GENERAL_ERROR, Abort.NOT_STORED, Abort.DEVICE_STATE,
+)  # fmt: skip
+BOOT_MS = 5000  # real devices may take long
+_BEAT_MS = 20
+_SLOW_RESET_MS = 250
+
+
+class Dut(Frames):
+    """One device on a link, with its present node-id. ``product``: of the caller's own cases, if it has any."""
+
+    def __init__(self, link: Link, node_id: int, product: Product | None = None) -> None:
+        super().__init__(link, node_id)
+        self.product = product
+        self._survey: dict[tuple[int, int], bool] = {}
+        self._of_product: bool | None = None
+        self._starts_by_itself: bool | None = None
+        self._own_sync: list[tuple[int, bytes]] | None = None
+        self._fresh = False  # as after a reset: since then only objects were read
+        self._reset_command = RESET_NODE
+
+    # --- NMT ------------------------------------------------------------------------------------------------
+
+    def nmt(self, command: int, node_id: int | None = None) -> None:
+        """Send an NMT command to this device, or to ``node_id`` (0: all)."""
+        self.send(0x000, bytes((command, self.node_id if node_id is None else node_id)))
+
+    def send(self, can_id: int, data: bytes | str = b"") -> None:
+        """Send a frame."""
+        self._fresh = False
+        super().send(can_id, data)
+
+    def reset(self, command: int = RESET_NODE) -> None:
+        """Reset the device and wait for its boot-up, then PRE-OPERATIONAL; earlier frames are discarded."""
+        self.boot(command)
+        if self.starts_by_itself():
+            self.nmt(ENTER_PRE_OPERATIONAL)
+            self.sleep(QUIET_MS)  # for the PDOs of its short time in OPERATIONAL
+            self._pending.clear()
+        self._end_own_sync()
+        self._fresh = True
+
+    def boot(self, command: int) -> None:
+        """Reset the device and wait for its boot-up message."""
+        self.forget()
+        self.nmt(command)
+        self.boot_up()
+        self._pending.clear()  # frames before the boot-up message precede the reset
+
+    def refresh(self) -> None:
+        """Reset the device, unless it was only asked for objects since the last reset."""
+        if not self._fresh:
+            self.reset(self._reset_command)
+
+    def measure_resets(self) -> None:
+        """Reset the device. If reset node is slow and reset communication is faster, ``refresh`` uses the latter.
+
+        It restores what the cases change on any device: the communication parameters. Raises LostDeviceError if the
+        device does not boot.
+        """
+        times_us = {}
+        for command in (RESET_NODE, RESET_COMMUNICATION):
+            start_us = self.now_us
+            try:
+                self.reset(command)
+            except CheckError as failure:
+                raise LostDeviceError(
+                    f"node {self.node_id} (0x{self.node_id:02X}): no boot-up message after NMT reset node; is it on "
+                    "this bus, is the bit rate right?"
+                ) from failure
+            times_us[command] = self.now_us - start_us
+            if times_us[command] < 1000 * _SLOW_RESET_MS:
+                break
+        self._reset_command = min(times_us, key=lambda command: times_us[command])
+        self.refresh()
+        with suppress(CheckError):
+            self.is_of_product()
+
+    def starts_by_itself(self) -> bool:
+        """Return whether the device enters OPERATIONAL after its boot-up (CiA 302-2, 1F80h), by 1F80h or heartbeat."""
+        if self._starts_by_itself is None:
+            self._starts_by_itself = False
+            with suppress(CheckError):  # a device without SDO fails the cases of SDO
+                startup = self.try_read(0x1F80)
+                self._starts_by_itself = not startup[0] & 4 if isinstance(startup, bytes) else self._beats_operational()
+        return self._starts_by_itself
+
+    def _end_own_sync(self) -> None:
+        """End what 1006h and 1019h have after a reset: cases send their own SYNC, without a number."""
+        with suppress(CheckError):
+            if self._own_sync is None:
+                values = [(index, self.try_read(index)) for index in (0x1006, 0x1019)]
+                self._own_sync = [(index, bytes(len(v))) for index, v in values if isinstance(v, bytes) and any(v)]
+            for index, zero in self._own_sync:
+                self.try_write(index, 0, zero)
+
+    def _beats_operational(self) -> bool:
+        period = self.try_read(0x1017)
+        if not isinstance(period, bytes) or self.try_write(0x1017, 0, struct.pack("<H", _BEAT_MS)):
+            return False
+        beat = self.heard(0x700 + self.node_id, 3 * _BEAT_MS)
+        self.try_write(0x1017, 0, period)
+        self.forget(0x700 + self.node_id)
+        return beat is not None and beat.data == bytes((OPERATIONAL,))
+
+    def waits_for_start(self) -> None:
+        """End a case about the state after the boot-up for a device that starts by itself."""
+        if self.starts_by_itself():
+            raise NotApplicableError("the device enters OPERATIONAL by itself after its boot-up")
+
+    def boot_up(self) -> Frame:
+        """Wait for the boot-up message; a heartbeat sent during the reset may precede it."""
+        limit_us = self.now_us + 1000 * BOOT_MS
+        while True:
+            frame = self.expect(0x700 + self.node_id, within_ms=max(0, limit_us - self.now_us) / 1000)
+            if frame.data == b"\0":
+                return frame
+
+    def beat(self) -> None:
+        """Set a short heartbeat period, which shows the NMT state."""
+        self.put("H", 0x1017, 0, _BEAT_MS)
+
+    def state(self, expected: int) -> None:
+        """Check that the heartbeats carry ``expected``; the first may have been sent before."""
+        can_id = 0x700 + self.node_id
+        self.forget(can_id)
+        self.expect(can_id, within_ms=2 * _BEAT_MS)
+        self.expect(can_id, f"{expected:02X}", 2 * _BEAT_MS)
+
+    def enter(self, state: int) -> None:
+        """Change from PRE-OPERATIONAL, the state after a reset, to ``state``."""
+        if state != PRE_OPERATIONAL:
+            self.nmt(START if state == OPERATIONAL else STOP)
+
+    # --- SDO, frame by frame --------------------------------------------------------------------------------
+
+    def request(self, data: bytes | str) -> None:
+        """Send an SDO frame, padded to 8 bytes."""
+        content = as_bytes(data)
+        self.send(0x600 + self.node_id, content + bytes(8 - len(content)))
+
+    def answer(self, wanted: Wanted = None, within_ms: float = 1000) -> bytes:
+        """Return the next SDO frame of the device; hex text is padded to 8 bytes with 00."""
+        if isinstance(wanted, str) and not wanted.endswith("*"):
+            wanted += " 00" * (8 - len(wanted.replace(" ", "")) // 2)
+        data = self.expect(0x580 + self.node_id, wanted, within_ms).data
+        if len(data) != 8:
+            raise CheckError("an SDO response of 8 bytes", f"{len(data)} bytes")
+        return data
+
+    def ask(self, data: bytes | str, wanted: Wanted = None) -> bytes:
+        """Send a request and return the response."""
+        self.request(data)
+        return self.answer(wanted)
+
+    def aborted(self, index: int, sub: int, *codes: int, within_ms: float = 1000) -> None:
+        """Check that the next SDO frame is an abort of this object with one of ``codes``."""
+        data = self.answer(within_ms=within_ms)
+        shown = " or ".join(f"{code:08X}h" for code in codes)
+        if data[:4] != struct.pack("<BHB", 0x80, index, sub) or int.from_bytes(data[4:], "little") not in codes:
+            raise CheckError(f"abort {shown} of {index:04X}h:{sub:02X}", data.hex(" ").upper())
+
+    def no_sdo(self, ms: float = 30) -> None:
+        """Check that the device sends no SDO frame."""
+        self.silence(0x580 + self.node_id, ms=ms)
+
+    # --- SDO, whole transfers -------------------------------------------------------------------------------
+
+    def try_read(self, index: int, sub: int = 0) -> bytes | int:
+        """Upload, expedited or segmented: return the data, or the abort code."""
+        fresh = self._fresh
+        first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
+        data: bytes | int
+        if first[0] == 0x80:
+            data = int.from_bytes(first[4:], "little")
+        elif first[0] & 2:
+            data = first[4 : 8 - (first[0] >> 2 & 3)] if first[0] & 1 else first[4:]
+        else:
+            data = self.read_segments()
+        self._fresh = fresh
+        return data
+
+    def read_segments(self) -> bytes:
+        """Read the segments of an initiated upload."""
+        data, toggle = b"", 0
+        while True:
+            part = self.ask(bytes((0x60 | toggle,)), lambda d, t=toggle: d[0] & 0xF0 == t)  # type: ignore[misc]
+            data += part[1 : 8 - (part[0] >> 1 & 7)]
+            if part[0] & 1:
+                return data
+            toggle ^= 0x10
+
+    def try_write(self, index: int, sub: int, data: bytes) -> int:
+        """Download, expedited or segmented: return 0, or the abort code."""
+        if 0 < len(data) <= 4:
+            answer = self.ask(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
+        else:
+            answer = self.ask(struct.pack("<BHBI", 0x21, index, sub, len(data)))
+            for offset in range(0, max(len(data), 1), 7):
+                if answer[0] == 0x80:
+                    break
+                part = data[offset : offset + 7]
+                command = (offset // 7 & 1) << 4 | 7 - len(part) << 1 | (offset + 7 >= len(data))
+                answer = self.ask(bytes((command,)) + part)
+        return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
+
+    def read(self, index: int, sub: int = 0) -> bytes:
+        """Upload; it must succeed."""
+        data = self.try_read(index, sub)
+        if isinstance(data, int):
+            raise CheckError(f"{index:04X}h:{sub:02X} to be read", f"abort {data:08X}h")
+        return data
+
+    def number(self, kind: str, index: int, sub: int = 0) -> float:
+        """Upload a number; ``kind`` is struct's letter, and the size must match it."""
+        data = self.read(index, sub)
+        if len(data) != struct.calcsize(kind):
+            raise CheckError(f"{struct.calcsize(kind)} bytes in {index:04X}h:{sub:02X}", data.hex(" "))
+        value: float = struct.unpack("<" + kind, data)[0]
+        return value
+
+    def integer(self, kind: str, index: int, sub: int = 0) -> int:
+        """Upload an integer."""
+        return int(self.number(kind, index, sub))
+
+    def put(self, kind: str, index: int, sub: int, value: float) -> None:
+        """Download a number that the case needs as its precondition: not applicable if the device may refuse it."""
+        self._put(kind, index, sub, value, (Abort.READ_ONLY, *_MAY_REFUSE))
+
+    def accepts(self, kind: str, index: int, sub: int, value: float) -> None:
+        """Check that the device accepts a number; not applicable if the object is read-only."""
+        self._put(kind, index, sub, value, (Abort.READ_ONLY,))
+
+    def _put(self, kind: str, index: int, sub: int, value: float, allowed: tuple[int, ...]) -> None:
+        code = self.try_write(index, sub, struct.pack("<" + kind, value))
+        shown = f"{value:g}" if kind == "f" else f"{int(value):X}h"
+        if code == Abort.READ_ONLY:
+            raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        if (
+            code == Abort.NO_OBJECT
+            and _RPDO_MAPPING <= index < _RPDO_MAPPING_END
+            and int(value) >> 16 <= LAST_DATA_TYPE
+        ):
+            raise NotApplicableError(f"no data type {int(value) >> 16:04X}h as a dummy entry (CiA 301, 7.4.7.1)")
+        if code == Abort.NO_SUB and (
+            _RPDO_MAPPING <= index < _RPDO_MAPPING_END or _TPDO_MAPPING <= index < _TPDO_MAPPING_END
+        ):
+            raise NotApplicableError(f"{index:04X}h has no sub-index {sub}")
+        if code in allowed:
+            raise NotApplicableError(f"{index:04X}h:{sub:02X} does not take {shown} (abort {code:08X}h)")
+        if code:
+            raise CheckError(f"{index:04X}h:{sub:02X} to accept {shown}", f"abort {code:08X}h")
+
+    def holds(self, kind: str, index: int, sub: int, value: float) -> None:
+        """Check that the object reads as ``value``."""
+        value_read = self.number(kind, index, sub)
+        if value_read != value:
+            raise CheckError(f"{index:04X}h:{sub:02X} = {value}", str(value_read))
+
+    def refuses(self, kind: str, index: int, sub: int, value: float, *codes: int) -> None:
+        """Check that writing a number is aborted with one of ``codes``."""
+        self.refuses_bytes(index, sub, struct.pack("<" + kind, value), *codes)
+
+    def refuses_bytes(self, index: int, sub: int, data: bytes, *codes: int) -> None:
+        """Check that writing bytes is aborted with one of ``codes``; not applicable if the object is read-only.
+
+        A device with limits may name these for an invalid value.
+        """
+        code = self.try_write(index, sub, data)
+        if code == Abort.READ_ONLY and code not in codes:
+            raise NotApplicableError(f"{index:04X}h:{sub:02X} cannot be written")
+        if code in (Abort.TOO_HIGH, Abort.TOO_LOW) and Abort.INVALID_VALUE in codes and not self.is_of_product():
+            return
+        if code not in codes:
+            shown = " or ".join(f"{wanted:08X}h" for wanted in codes)
+            raise CheckError(
+                f"abort {shown} of {index:04X}h:{sub:02X}", f"abort {code:08X}h" if code else "it was written"
+            )
+
+    # --- identity -------------------------------------------------------------------------------------------
+
+    def lacks(self, entries: Sequence[tuple[int, int]]) -> tuple[int, int] | None:
+        """Return the first of the entries that does not exist; reset the device before it asks."""
+        if any(entry not in self._survey for entry in entries):
+            self.refresh()
+        return next((entry for entry in entries if not self.exists(*entry)), None)
+
+    def exists(self, index: int, sub: int) -> bool:
+        """Return whether the entry exists, by SDO upload; a write-only entry exists, too."""
+        key = (index, sub)
+        if key not in self._survey:
+            fresh = self._fresh
+            first = self.ask(struct.pack("<BHB", 0x40, index, sub), lambda d: d[0] & 0xE0 in (0x40, 0x80))
+            lacks = first[0] == 0x80 and int.from_bytes(first[4:], "little") in (Abort.NO_OBJECT, Abort.NO_SUB)
+            self._survey[key] = not lacks
+            if first[0] != 0x80 and not first[0] & 2:
+                # Segments would follow, ten thousand of them for the EDS in 1021h: the initiate response is enough.
+                self.request(struct.pack("<BHBI", 0x80, index, sub, Abort.GENERAL_ERROR))
+            self._fresh = fresh
+        return self._survey[key]
+
+    def is_of_product(self) -> bool:
+        """Return whether 1018h:2 is a product code of ``product``."""
+        if self._of_product is None:
+            code = self.try_read(0x1018, 2) if self.product else 0
+            self._of_product = (
+                self.product is not None
+                and isinstance(code, bytes)
+                and int.from_bytes(code, "little") & self.product.mask == self.product.code
+            )
+        return self._of_product

@@ -1,0 +1,68 @@
+"""`tipforce conformance`: raw-frame checks of a CANopen device on a bus, by clause of the standard."""
+
+from __future__ import annotations
+
+import argparse
+
+from tipforce.errors import InputError, NoResponseError
+from tipforce_tools.cli import common
+
+EPILOG = """\
+A reset follows each case that changes the node; nothing stays stored. A node that starts by itself is put into
+PRE-OPERATIONAL first; where reset node is slow, reset communication takes its place. SYNC, NMT to all nodes and LSS
+reach every device on the bus: run it with this device alone on the bus, or with others that may be disturbed.
+--persistent also stores parameters, restores defaults and changes the node-id temporarily; afterwards the stored
+parameters are the defaults.
+
+A required frame is awaited for 200 ms (an SDO response 1 s, a boot-up 5 s), a forbidden one for 30 ms. --tolerance
+is the permitted error of measured times. A case about a feature that the device lacks, or with a precondition that it
+may refuse, is "not applicable". Results are printed as they come; Ctrl-C and SIGTERM end with those until then.
+
+examples:
+  tipforce conformance --node-id 5 -i socketcan -c can0
+  tipforce conformance --node-id 5 -i socketcan -c can0 --case 'sdo_block*' --json
+  tipforce conformance --list --case 'CiA 305*'
+exit codes: 0 all applicable cases passed, 1 a case failed, 2 usage, 5 no response from the node, 130 interrupted
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce conformance`."""
+    from canopen_conformance.__main__ import add_arguments as add_case_arguments
+
+    parser.epilog = EPILOG
+    add_case_arguments(parser, common.node_id)
+    common.add_confirm_argument(parser)
+    common.add_bus_arguments(parser)
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the cases and print the report; 1 if any failed. Raises NoResponseError if the node does not boot."""
+    from canopen_conformance.case import LostDeviceError, all_cases, by_clause, matching
+    from canopen_conformance.dut import Dut
+    from canopen_conformance.run import listing, run_and_print
+    from canopen_conformance.wire import BusLink
+    from tipforce_tools import fingertip_cases
+    from tipforce_tools.cli.main import terminate_as_interrupt
+
+    cases = by_clause(matching(args.case, all_cases(fingertip_cases)))
+    if not cases:
+        raise InputError(f"--case {args.case!r}: matches no case; `tipforce conformance --list` shows all")
+    if args.list:
+        print(listing(cases))
+        return 0
+    if args.tolerance < 0:
+        raise InputError(f"--tolerance {args.tolerance}: allowed is 0 or more")
+    common.set_up_logging(args)
+    node = f"node {common.shown_id(args.node_id)}"
+    if args.persistent:
+        common.confirm(args, f"{node}: stored parameters return to defaults, node-id and bit rate are written")
+    terminate_as_interrupt()
+    with common.open_bus(args) as bus:
+        dut = Dut(BusLink(bus, args.tolerance), args.node_id, fingertip_cases.FINGERTIP)
+        try:
+            passed = run_and_print(dut, cases, args.persistent, args.json, lambda counts: common.note(args, counts))
+        except LostDeviceError as error:
+            raise NoResponseError(str(error)) from error
+    return 0 if passed else 1

@@ -1,0 +1,353 @@
+"""PDOs of a fingertip: parameters and types beyond the standard, interrupts (CiA 404), sample counter and status."""
+
+from __future__ import annotations
+
+import struct
+
+from canopen_conformance.case import CheckError, Service, check
+from canopen_conformance.cases.pdo import (
+    HIGH_RESOLUTION,
+    TIME_U32,
+    TPDO1,
+    disable_pdo,
+    enable_tpdo1,
+    high_resolution,
+    mapped_rpdo1,
+    on_syncs,
+    remap,
+    set_time,
+)
+from canopen_conformance.cases.pdo_parameters import BOTH, EITHER, NO_RTR
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import ENTER_PRE_OPERATIONAL, REMOTE_FLAG, START, Abort
+
+pdo_parameters = Service("pdo_parameters", own=True)
+rpdo = Service("rpdo", own=True)
+tpdo = Service("tpdo", own=True)
+interrupts_404 = Service("interrupts_404", own=True)
+
+
+@pdo_parameters("CiA 301 7.5.2.35", "{2}: a 29-bit CAN-ID is not offered: 06090030h", needs=EITHER, each=[
+    (*pdo, bits) for pdo in BOTH for bits in (0x20000000, 0x800)
+])  # fmt: skip
+def extended(dut: Dut, communication: int, _mapping: int, _name: str, bits: int) -> None:
+    cob_id = disable_pdo(dut, communication)
+    dut.refuses("I", communication, 1, cob_id | bits, Abort.INVALID_VALUE)
+
+
+@pdo_parameters("CiA 301 7.5.2.37", "a TPDO that answers to remote frames is not offered: 06090030h", needs=TPDO1)
+def rtr(dut: Dut) -> None:
+    cob_id = disable_pdo(dut, 0x1800)
+    dut.refuses("I", 0x1800, 1, cob_id & ~NO_RTR, Abort.INVALID_VALUE)
+
+
+@pdo_parameters("CiA 301 7.5.2.37", "{2}: transmission type {3} (by remote frame) is refused", needs=EITHER, each=[
+    (*pdo, value) for pdo in BOTH for value in (252, 253)
+])  # fmt: skip
+def rtr_type(dut: Dut, communication: int, _mapping: int, _name: str, value: int) -> None:
+    dut.refuses("B", communication, 2, value, Abort.INVALID_VALUE)
+
+
+@pdo_parameters("CiA 301 7.5.2.36", "06040041h: {3}", needs=EITHER, each=[
+    (0x1800, 0x1A00, 0x10000020, "1000h is not mappable"),
+    (0x1800, 0x1A00, 0x21040020, "a write-only object in a TPDO"),
+    (0x1400, 0x1600, 0x21200008, "a read-only object in an RPDO"),
+    (0x1800, 0x1A00, 0x71300108, "another length than the object's in a TPDO"),
+    (0x1400, 0x1600, 0x21300008, "another length than the object's in an RPDO"),
+    (0x1400, 0x1600, 0x00050010, "another length than the dummy type's"),
+])  # fmt: skip
+def not_mappable(dut: Dut, communication: int, mapping: int, word: int, _what: str) -> None:
+    disable_pdo(dut, communication)
+    dut.put("B", mapping, 0, 0)
+    dut.refuses("I", mapping, 1, word, Abort.NOT_MAPPABLE)
+
+
+@pdo_parameters("CiA 301 7.5.2.36", "{2}: an entry of 0 counted in is refused", needs=EITHER, each=BOTH)
+def empty_entry(dut: Dut, communication: int, mapping: int, _name: str) -> None:
+    disable_pdo(dut, communication)
+    dut.put("B", mapping, 0, 0)
+    dut.put("I", mapping, 1, 0)
+    dut.refuses("B", mapping, 0, 1, Abort.NO_OBJECT, Abort.NOT_MAPPABLE)
+
+
+@rpdo("CiA 301 7.2.2.2", "what waited for a SYNC is forgotten when OPERATIONAL is left", needs=HIGH_RESOLUTION)
+def forgotten(dut: Dut) -> None:
+    can_id = mapped_rpdo1(dut, TIME_U32, transmission=1)
+    dut.nmt(START)
+    set_time(dut)
+    dut.send(can_id, struct.pack("<I", 0x60000000))
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.nmt(START)
+    dut.send(0x080)
+    high_resolution(dut, 0, 0x60000000)
+
+
+@rpdo("CiA 301 7.2.7.1", "an RPDO of the right length cures 8210h", needs=(*HIGH_RESOLUTION, (0x1014, 0)))
+def length_cured(dut: Dut) -> None:
+    can_id = mapped_rpdo1(dut, TIME_U32)
+    dut.nmt(START)
+    for _ in range(2):
+        dut.send(can_id)
+        dut.expect(0x80 + dut.node_id, "10 82 *")
+        dut.send(can_id, bytes(4))
+        dut.expect(0x80 + dut.node_id, "00 00 00 *")
+
+
+@tpdo("CiA 301 7.2.2.2", "type 240: silent for the 200 SYNCs after a TPDO", needs=TPDO1)
+def cyclic_240(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 240)
+    dut.nmt(START)
+    for _ in range(239):
+        dut.send(0x080)
+    dut.silence(can_id, ms=50)
+    dut.send(0x080)
+    dut.expect(can_id)
+
+
+@tpdo("CiA 301 7.2.2.2", "the SYNCs count anew when OPERATIONAL is entered", needs=TPDO1)
+def counted_anew(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 3)
+    dut.nmt(START)
+    dut.send(0x080)
+    dut.send(0x080)
+    dut.nmt(ENTER_PRE_OPERATIONAL)
+    dut.nmt(START)
+    answered = on_syncs(dut, can_id, 3)
+    check(answered == [3], "an answer to the third SYNC", f"answers to SYNC {answered}")
+
+
+@tpdo("CiA 301 7.2.2.2", "type 0: silent at a SYNC while there was no event", needs=TPDO1)
+def acyclic(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 0)
+    dut.nmt(START)
+    dut.send(0x080)
+    dut.sleep(dut.link.tolerance_ms)
+    dut.forget(can_id)
+    for _ in range(3):
+        dut.send(0x080)
+    dut.silence(can_id)
+
+
+@tpdo("CiA 301 7.2.2.2", "type {0}: sent once when OPERATIONAL is entered", needs=TPDO1, each=[(254,), (255,)])
+def first_values(dut: Dut, transmission: int) -> None:
+    can_id = enable_tpdo1(dut, transmission)
+    dut.nmt(START)
+    dut.expect(can_id)
+    dut.silence(can_id)
+
+
+@tpdo("CiA 301 7.2.2.5.2", "a remote frame is not answered by a TPDO without RTR", needs=TPDO1)
+def remote_frame(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    dut.nmt(START)
+    dut.send(can_id | REMOTE_FLAG)
+    dut.silence(can_id)
+
+
+@tpdo("CiA 301 7.5.2.38", "a new mapping: contents in the order of the entries, little-endian", needs=TPDO1)
+def remapped(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, 0x10010008, 0x21230010, 0x10020020)
+    dut.nmt(START)
+    dut.send(0x080)
+    data = dut.expect(can_id, lambda d: len(d) == 7).data
+    wanted = dut.read(0x1001) + dut.read(0x2123) + dut.read(0x1002)
+    check(data == wanted, wanted.hex(" "), data.hex(" "))
+
+
+@tpdo("CiA 301 7.5.2.38", "a TPDO that maps nothing is not sent", needs=TPDO1)
+def nothing_mapped(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1)
+    cob_id = disable_pdo(dut, 0x1800)
+    remap(dut, 0x1A00)
+    dut.put("I", 0x1800, 1, cob_id)
+    dut.nmt(START)
+    dut.send(0x080)
+    dut.silence(can_id)
+
+
+GAUGE_1 = 0x71300110
+STATUS, COUNTER = 0x21200008, 0x21210008
+NEEDS = (*TPDO1, (0x6133, 1))
+NUMBERED = (*TPDO1, (0x1019, 0))
+SAMPLE_MS = 130  # 100 ms after the last SYNC samples are taken without one
+
+
+def begin(dut: Dut, transmission: int = 255, **others: int) -> int:
+    """TPDO1 carries gauge 1, OPERATIONAL, what it says at first has been heard; its CAN-ID."""
+    can_id = enable_tpdo1(dut, transmission, GAUGE_1, **others)
+    dut.nmt(START)
+    dut.sleep(SAMPLE_MS)
+    dut.forget(can_id)
+    return can_id
+
+
+def shift(dut: Dut, microstrain: float) -> None:
+    """Move gauge 1 by its offset."""
+    dut.put("f", 0x6124, 1, microstrain)
+
+
+@interrupts_404("CiA 404 6133h", "a change of {0} microstrain with a delta of 100: {1}", needs=NEEDS, each=[
+    (150.0, "sent"), (-150.0, "sent"), (50.0, "silent"),
+])  # fmt: skip
+def delta(dut: Dut, change: float, what: str) -> None:
+    dut.put("f", 0x6133, 1, 100.0)
+    can_id = begin(dut)
+    shift(dut, change)
+    if what == "sent":
+        dut.expect(can_id, within_ms=SAMPLE_MS)
+    dut.silence(can_id, ms=SAMPLE_MS)
+
+
+@interrupts_404("CiA 404 6133h", "delta 0: no interrupt", needs=NEEDS)
+def delta_off(dut: Dut) -> None:
+    can_id = begin(dut)
+    shift(dut, 1000.0)
+    dut.silence(can_id, ms=SAMPLE_MS)
+
+
+@interrupts_404("CiA 404 6133h", "small changes add up to a delta", needs=NEEDS)
+def delta_sum(dut: Dut) -> None:
+    dut.put("f", 0x6133, 1, 100.0)
+    can_id = begin(dut)
+    shift(dut, 60.0)
+    dut.silence(can_id, ms=SAMPLE_MS)
+    shift(dut, 120.0)
+    dut.expect(can_id, within_ms=SAMPLE_MS)
+
+
+@interrupts_404("CiA 404 {0:04X}h", "the limit {0:04X}h is passed, and passed again: one TPDO each", needs=NEEDS, each=[
+    (0x6135, 200.0), (0x6134, -200.0),
+])  # fmt: skip
+def limit(dut: Dut, index: int, value: float) -> None:
+    dut.put("f", index, 1, value)
+    can_id = begin(dut)
+    for microstrain in (1.5 * value, 0.0):
+        shift(dut, microstrain)
+        dut.expect(can_id, within_ms=SAMPLE_MS)
+        dut.silence(can_id, ms=SAMPLE_MS)
+
+
+@interrupts_404("CiA 404 6136h", "the hysteresis holds a value outside until it is well inside", needs=NEEDS)
+def hysteresis(dut: Dut) -> None:
+    dut.put("f", 0x6135, 1, 200.0)
+    dut.put("f", 0x6136, 1, 100.0)
+    can_id = begin(dut)
+    shift(dut, 250.0)
+    dut.expect(can_id, within_ms=SAMPLE_MS)
+    shift(dut, 150.0)
+    dut.silence(can_id, ms=SAMPLE_MS)
+    shift(dut, 50.0)
+    dut.expect(can_id, within_ms=SAMPLE_MS)
+
+
+@interrupts_404("CiA 301 7.2.2.2", "type 0: an interrupt is sent with the next SYNC, once", needs=NEEDS)
+def interrupts_404_acyclic(dut: Dut) -> None:
+    dut.put("f", 0x6133, 1, 100.0)
+    can_id = begin(dut, 0)
+    dut.send(0x080)
+    dut.sleep(dut.link.tolerance_ms)
+    dut.forget(can_id)
+    shift(dut, 150.0)
+    dut.sleep(5)
+    dut.send(0x080)
+    dut.expect(can_id)
+    dut.sleep(5)
+    dut.send(0x080)
+    dut.silence(can_id)
+
+
+@interrupts_404(
+    "CiA 301 7.5.2.37",
+    "the inhibit time lies between two interrupts; the later value is not lost",
+    needs=(*NEEDS, (0x1800, 3)),
+)
+def inhibit(dut: Dut) -> None:
+    dut.put("f", 0x6133, 1, 100.0)
+    dut.put("I", 0x6114, 1, 5000)
+    can_id = begin(dut, 255, inhibit_100us=4000)
+    dut.sleep(400)
+    shift(dut, 150.0)
+    first = dut.expect(can_id, within_ms=SAMPLE_MS)
+    shift(dut, 300.0)
+    second = dut.expect(can_id, within_ms=500)
+    if second.at_us - first.at_us < 1000 * (400 - dut.link.tolerance_ms):
+        raise CheckError("400 ms between two TPDOs", f"{(second.at_us - first.at_us) / 1000:.0f} ms")
+    check(second.data != first.data, "the later value", "the first one again")
+
+
+# --- what a PDO carries -----------------------------------------------------------------------------------
+
+
+@interrupts_404("tipforce 2121h", "the sample counter goes up by one for each SYNC, and wraps", needs=TPDO1)
+def counter(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, COUNTER)
+    dut.nmt(START)
+    last = -1
+    for _ in range(260):
+        dut.sleep(1)
+        dut.send(0x080)
+        value = dut.expect(can_id).data[0]
+        check(last < 0 or value == (last + 1) & 0xFF, str((last + 1) & 0xFF), str(value))
+        last = value
+
+
+@interrupts_404("tipforce 2121h", "with 1019h = 240 the counter is the number of the SYNC, 1 to 240", needs=NUMBERED)
+def numbered(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, COUNTER)
+    dut.put("B", 0x1019, 0, 240)
+    dut.nmt(START)
+    for number in (1, 2, 7, 8, 239, 240, 1, 120):  # also where numbers were left out
+        dut.send(0x080, bytes((number,)))
+        value = dut.expect(can_id).data[0]
+        check(value == number, str(number), str(value))
+
+
+@interrupts_404("tipforce 2121h", "all TPDOs of one SYNC carry the same counter", needs=(*TPDO1, (0x1801, 1)))
+def one_sample(dut: Dut) -> None:
+    second = dut.integer("I", 0x1801, 1)
+    if second & 0x80000000:
+        dut.put("I", 0x1801, 1, second & ~0x80000000)
+    can_id = enable_tpdo1(dut, 1)
+    dut.nmt(START)
+    for _ in range(3):
+        dut.sleep(1)
+        dut.send(0x080)
+        first = dut.expect(can_id).data
+        other = dut.expect(second & 0x7FF).data
+        check(first[7] == other[7] and first[6] == other[6], "one status and counter", f"{first.hex()} {other.hex()}")
+
+
+@interrupts_404("tipforce 2120h", "a SYNC that finds no new sample: status bit 3, the counter repeated", needs=TPDO1)
+def stale(dut: Dut) -> None:
+    can_id = enable_tpdo1(dut, 1, STATUS, COUNTER)
+    dut.put("I", 0x6114, 1, 1000000)
+    dut.nmt(START)
+    for _ in range(2):  # one of two pairs lies within one sample period
+        for _ in range(2):
+            dut.send(0x080)
+        first, second = dut.expect(can_id).data, dut.expect(can_id).data
+        if second[1] == first[1]:
+            break
+    check(second[1] == first[1] and second[0] & 8, "bit 3, and the same counter", f"{first.hex()} {second.hex()}")
+
+
+@interrupts_404("tipforce 2130h", "command {0}: {1:08X}h", each=[(4, Abort.TOO_HIGH), (255, Abort.TOO_HIGH)])
+def command_refused(dut: Dut, value: int, code: int) -> None:
+    dut.refuses("H", 0x2130, 0, value, code)
+
+
+@interrupts_404(
+    "tipforce 2120h",
+    "a {0}-byte object is read as its type says",
+    each=[(1, 0x2120), (1, 0x2121), (2, 0x2122), (2, 0x2123), (2, 0x2124)],
+)
+def live_sizes(dut: Dut, size: int, index: int) -> None:
+    check(len(dut.read(index)) == size, f"{size} bytes", "another size")
+
+
+@interrupts_404("tipforce 2120h", "status bit 1 follows the calibration")
+def calibrated_bit(dut: Dut) -> None:
+    active = dut.integer("I", 0x2103, 3)
+    dut.sleep(110)
+    if bool(dut.integer("B", 0x2120) & 2) != bool(active):
+        raise CheckError(f"bit 1 {bool(active)}", f"{dut.integer('B', 0x2120):02X}h")

@@ -1,0 +1,304 @@
+"""Beyond the standard: the SDO server of a fingertip, expedited, segmented and by blocks."""
+
+from __future__ import annotations
+
+import struct
+
+from canopen_conformance.case import Service, check
+from canopen_conformance.cases.sdo import BEAT, begin_download, begin_upload
+from canopen_conformance.cases.sdo_block import (
+    begin_block_download,
+    begin_block_upload,
+    block,
+    end_block_download,
+    initiate,
+    one_segment,
+    segment,
+)
+from canopen_conformance.dut import Dut
+from canopen_conformance.wire import Abort
+
+sdo = Service("sdo", own=True)
+segmented = Service("sdo_segmented", own=True)
+block_upload = Service("sdo_block", own=True)
+download = Service("sdo_block_download", own=True)
+
+
+@sdo("CiA 301 7.2.4.3.17", "06010001h: a read of {0:04X}h:{1}, which can only be written", each=[
+    (0x2104, 0), (0x2105, 3), (0x6125, 1),
+])  # fmt: skip
+def write_only(dut: Dut, index: int, sub: int) -> None:
+    dut.request(struct.pack("<BHB", 0x40, index, sub))
+    dut.aborted(index, sub, Abort.WRITE_ONLY)
+
+
+@sdo("CiA 301 7.2.4.3.17", "06090032h: a value below the limit of {0:04X}h:{1}", each=[
+    (0x6114, 1, "I", 99), (0x6112, 1, "B", 0), (0x61A1, 1, "H", 0),
+])  # fmt: skip
+def value_low(dut: Dut, index: int, sub: int, kind: str, value: int) -> None:
+    before = dut.number(kind, index, sub)
+    dut.refuses(kind, index, sub, value, Abort.TOO_LOW)
+    dut.holds(kind, index, sub, before)
+
+
+RECORD = ((0x2141, 0),)
+
+
+@segmented("CiA 301 7.2.4.2.5", "a new initiate gives up the upload that went on")
+def upload_restart(dut: Dut) -> None:
+    _index, size = begin_upload(dut)
+    dut.ask("60", "0. *")
+    begin_upload(dut)
+    size_read = len(dut.read_segments())
+    check(size_read == size, f"{size} bytes from the start", f"{size_read}")
+
+
+@segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, and the transfer is over")
+def upload_timeout(dut: Dut) -> None:
+    index, _size = begin_upload(dut)
+    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
+    dut.ask("60", lambda data: data[0] == 0x80)
+
+
+@segmented("CiA 301 7.2.4.3.17", "each request gives the client its time anew")
+def upload_patience(dut: Dut) -> None:
+    begin_upload(dut)
+    dut.no_sdo(ms=700)
+    dut.ask("60", "0. *")
+    dut.no_sdo(ms=700)
+    dut.ask("70", lambda data: data[0] & 0xF0 == 0x10)
+
+
+@segmented(
+    "CiA 301 7.2.4.3.3",
+    "a stated size that the object cannot have is refused at the initiate",
+    each=[
+        (0x1017, 1, Abort.TOO_SHORT),
+        (0x1017, 3, Abort.TOO_LONG),
+        (0x2141, 5, Abort.TOO_SHORT),
+        (0x2141, 0x10000, Abort.TOO_LONG),
+        (0x1017, 0, Abort.TOO_SHORT),
+    ],
+)
+def download_stated(dut: Dut, index: int, size: int, code: int) -> None:
+    dut.request(struct.pack("<BHBI", 0x21, index, 0, size))
+    dut.aborted(index, 0, code)
+
+
+@segmented(
+    "CiA 301 7.2.4.3.3",
+    "refused at the initiate: {3}",
+    each=[
+        (0x1008, 0, Abort.READ_ONLY, "a read-only object"),
+        (0xFFFF, 0, Abort.NO_OBJECT, "no object"),
+        (0x1018, 9, Abort.NO_SUB, "no sub-index"),
+    ],
+)
+def download_refused(dut: Dut, index: int, sub: int, code: int, _why: str) -> None:
+    dut.request(struct.pack("<BHBI", 0x21, index, sub, 20))
+    dut.aborted(index, sub, code)
+    dut.ask("00", lambda data: data[0] == 0x80)
+
+
+@segmented("CiA 301 7.2.4.2.2", "a new initiate gives up the download that went on", needs=BEAT)
+def download_restart(dut: Dut) -> None:
+    begin_download(dut)
+    dut.ask("0C 99", "20")
+    begin_download(dut)
+    dut.ask("0B 34 12", "20")
+    dut.holds("H", 0x1017, 0, 0x1234)
+
+
+@segmented("CiA 301 7.2.4.3.17", "a silent client: 05040000h, nothing is written", needs=BEAT)
+def download_timeout(dut: Dut) -> None:
+    before = dut.integer("H", 0x1017)
+    begin_download(dut)
+    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
+    dut.holds("H", 0x1017, 0, before)
+
+
+@segmented("CiA 301 7.2.4.3.4", "many segments: a whole record is written and read back", needs=RECORD)
+def download_many(dut: Dut) -> None:
+    record = bytes(len(dut.read(0x2141)) - 1) + b"\1"
+    dut.refuses_bytes(0x2141, 0, record, 0)
+    check(dut.read(0x2141) == record, "the record that was written", "another one")
+
+
+LONG = ((0x1021, 0),)
+
+
+@block_upload("CiA 301 7.2.4.3.14", "ackseq beyond what was sent: 05040003h")
+def acknowledged_too_much(dut: Dut) -> None:
+    index, _data = begin_block_upload(dut, 1)
+    dut.request("A3")
+    block(dut, 1, False)
+    dut.request("A2 02 7F")
+    dut.aborted(index, 0, Abort.SEQUENCE_NUMBER)
+
+
+@block_upload(
+    "CiA 301 7.2.4.3.13",
+    "protocol switch: {0} bytes and pst {1} give a {2} upload",
+    needs=((0x1000, 0),),
+    each=[(4, 4, "expedited"), (4, 255, "expedited"), (4, 3, "block"), (4, 0, "block")],
+)
+def protocol_switch(dut: Dut, _size: int, switch: int, how: str) -> None:
+    answer = initiate(dut, 0x1000, 127, switch)
+    wanted = 0x43 if how == "expedited" else 0xC6
+    check(answer[0] == wanted, f"{wanted:02X}h", f"{answer[0]:02X}h")
+
+
+@block_upload("CiA 301 7.2.4.3.13", "protocol switch to a segmented upload")
+def protocol_switch_segmented(dut: Dut) -> None:
+    answer = initiate(dut, 0x1008, 127, 100)
+    check(answer[0] == 0x41, "41h", f"{answer[0]:02X}h")
+    dut.read_segments()
+
+
+@block_upload("CiA 301 7.2.4.3.14", "full blocks of 127 segments", needs=LONG)
+def full_block(dut: Dut) -> None:
+    size = struct.unpack("<I", initiate(dut, 0x1021, 127)[4:])[0]
+    dut.request("A3")
+    first = block(dut, 127, size <= 889)
+    dut.request("A2 7F 02")
+    first += block(dut, 2, False)
+    dut.request("80 21 10 00 00 00 00 08")
+    dut.ask("40 21 10 00", "41 21 10 00 *")
+    for offset in range(0, 35, 7):
+        part = dut.ask("60" if offset % 14 == 0 else "70")[1:]
+        check(part == first[offset : offset + 7], part.hex(" "), first[offset : offset + 7].hex(" "))
+
+
+@block_upload("CiA 301 7.2.4.2.13", "an initiate gives up the block upload that went on")
+def restart(dut: Dut) -> None:
+    begin_block_upload(dut, 1)
+    dut.request("A3")
+    block(dut, 1, False)
+    dut.ask("40 00 10 00", "43 00 10 00 *")
+
+
+@block_upload(
+    "CiA 301 7.2.4.3.17",
+    "{1}: 05040001h",
+    each=[
+        ("A2 01 7F", "an answer before the start"),
+        ("A1", "an end before the start"),
+        ("60", "a segment of another transfer"),
+    ],
+)
+def wrong_command(dut: Dut, request: str, _why: str) -> None:
+    index, _data = begin_block_upload(dut, 1)
+    dut.request(request)
+    dut.aborted(index, 0, Abort.UNKNOWN_COMMAND)
+
+
+@block_upload(
+    "CiA 301 7.2.4.3.17",
+    "a client that is silent {1}: 05040000h",
+    each=[(False, "before the start"), (True, "after a block")],
+)
+def silent_client(dut: Dut, started: bool, _when: str) -> None:
+    index, _data = begin_block_upload(dut, 1)
+    if started:
+        dut.request("A3")
+        block(dut, 1, False)
+    dut.aborted(index, 0, Abort.TIMED_OUT, within_ms=1200)
+
+
+def record(dut: Dut) -> bytes:
+    """A record for 2141h that is not the present one."""
+    return bytes(len(dut.read(0x2141)) - 1) + b"\1"
+
+
+@download("CiA 301 7.2.4.3.10", "many segments: the whole record is written", needs=RECORD)
+def many(dut: Dut) -> None:
+    data = record(dut)
+    begin_block_download(dut, 0x2141, len(data))
+    last = -(-len(data) // 7)
+    for number in range(1, last + 1):
+        segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    dut.answer(f"A2 {last:02X} ..")
+    end_block_download(dut, data)
+    dut.answer("A1")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
+
+
+@download(
+    "CiA 301 7.2.4.3.10", "a segment is lost: ackseq names the one before it, and the rest is sent again", needs=RECORD
+)
+def lost_segment(dut: Dut) -> None:
+    data = record(dut)
+    begin_block_download(dut, 0x2141, len(data))
+    last = -(-len(data) // 7)
+    for number in range(1, last + 1):
+        if number != 3:
+            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    dut.answer("A2 02 ..")
+    for number in range(1, last - 1):
+        segment(dut, number, data[7 * number + 7 : 7 * number + 14], number == last - 2)
+    dut.answer(f"A2 {last - 2:02X} ..")
+    end_block_download(dut, data)
+    dut.answer("A1")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
+
+
+@download("CiA 301 7.2.4.3.10", "a segment that comes twice counts once", needs=RECORD)
+def twice(dut: Dut) -> None:
+    data = record(dut)
+    begin_block_download(dut, 0x2141, len(data))
+    last = -(-len(data) // 7)
+    for number in range(1, last + 1):
+        for _ in range(2 if number == 2 else 1):
+            segment(dut, number, data[7 * number - 7 : 7 * number], number == last)
+    dut.answer(f"A2 {last:02X} ..")
+    end_block_download(dut, data)
+    dut.answer("A1")
+    check(dut.read(0x2141) == data, "the record that was written", "another one")
+
+
+@download("CiA 301 7.2.4.3.10", "the last segment is lost: the server says after a while what it has", needs=RECORD)
+def lost_last(dut: Dut) -> None:
+    data = record(dut)
+    begin_block_download(dut, 0x2141, len(data))
+    last = -(-len(data) // 7)
+    for number in range(1, last):
+        segment(dut, number, data[7 * number - 7 : 7 * number])
+    dut.answer(f"A2 {last - 1:02X} ..", within_ms=900)
+    segment(dut, 1, data[7 * last - 7 :], True)
+    dut.answer("A2 01 ..")
+    end_block_download(dut, data)
+    dut.answer("A1")
+
+
+@download("CiA 301 7.2.4.3.10", "more data than stated: {0:08X}h, before the end", needs=BEAT, each=[(Abort.TOO_LONG,)])
+def too_much(dut: Dut, code: int) -> None:
+    begin_block_download(dut, 0x1017, 2)
+    segment(dut, 1, bytes(7))
+    dut.aborted(0x1017, 0, code)
+
+
+@download("CiA 301 7.2.4.3.9", "a size that the object cannot have is refused at the initiate", needs=BEAT, each=[
+    (1, Abort.TOO_SHORT), (3, Abort.TOO_LONG), (0xFFFFFFFF, Abort.TOO_LONG),
+])  # fmt: skip
+def refused_size(dut: Dut, size: int, code: int) -> None:
+    dut.request(struct.pack("<BHBI", 0xC6, 0x1017, 0, size))
+    dut.aborted(0x1017, 0, code)
+
+
+@download("CiA 301 7.2.4.3.17", "a client that is silent {1}: 05040000h", needs=BEAT, each=[
+    (False, "during a block"), (True, "before the end"),
+])  # fmt: skip
+def sdo_block_download_silent_client(dut: Dut, sent: bool, _when: str) -> None:
+    if sent:
+        one_segment(dut)
+    else:
+        begin_block_download(dut, 0x1017, 2)
+        dut.answer("A2 00 .. 00 00 00 00 00", within_ms=900)
+    dut.aborted(0x1017, 0, Abort.TIMED_OUT, within_ms=1200)
+
+
+@download("CiA 301 7.2.4.3.11", "no end but another command: 05040001h", needs=BEAT)
+def wrong_end(dut: Dut) -> None:
+    one_segment(dut)
+    dut.request("C2")
+    dut.aborted(0x1017, 0, Abort.UNKNOWN_COMMAND)
