@@ -22,9 +22,9 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.design.figures_of_merit import LoadSet
-from tipforce.sensor.design.search import OBJECTIVES, Objective, score, search
-from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot
+from tipforce_lab.design.figures_of_merit import LoadSet
+from tipforce_lab.design.search import OBJECTIVES, Objective, score, search
+from tipforce_lab.design.search_problem import Design, Limits, Problem, Slot
 
 FloatArray = npt.NDArray[np.float64]
 

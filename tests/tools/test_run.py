@@ -14,10 +14,10 @@ import pytest
 
 from tipforce.scene.scene_parts import identifiers, parts
 from tipforce.scene.schema import read_scene
+from tipforce_lab.report.studies.scene_costs import STEPS, scene_costs, studies
+from tipforce_lab.report.study import Effort
+from tipforce_lab.scene_cost import Measured, _differences, import_times, nondecreasing, part_costs
 from tipforce_tools.cli.main import main
-from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies
-from tipforce_tools.report.study import Effort
-from tipforce_tools.scene.cost import Measured, _differences, import_times, nondecreasing, part_costs
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SHIPPED = sorted(path.stem for path in SCENES.glob("*.toml"))

@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics import exact
 from tipforce.sensor.dynamics.first_order_hold import (
     State,
     at_rest,
@@ -23,6 +22,7 @@ from tipforce.sensor.dynamics.first_order_hold import (
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sources.dynamic_load import DynamicLoad
+from tipforce_lab.dynamics import exact
 
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)

@@ -10,11 +10,13 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics import exact
-from tipforce.sensor.dynamics.assembly import Striker
 from tipforce.sensor.dynamics.first_order_hold import respond_at
-from tipforce.sensor.dynamics.impact import impact
-from tipforce.sensor.dynamics.integrators import (
+from tipforce.sensor.dynamics.model import Modes, modes
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_lab.dynamics import exact
+from tipforce_lab.dynamics.assembly import Striker
+from tipforce_lab.dynamics.impact import impact
+from tipforce_lab.dynamics.integrators import (
     SCIPY_METHODS,
     Load,
     Problem,
@@ -26,8 +28,6 @@ from tipforce.sensor.dynamics.integrators import (
     runge_kutta_4,
     scipy_method,
 )
-from tipforce.sensor.dynamics.model import Modes, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 
 FloatArray = npt.NDArray[np.float64]
 Fixed = Callable[[Problem, Load, FloatArray], Run]

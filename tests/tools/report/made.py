@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
-from tipforce_tools.report import run
-from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
+from tipforce_lab.report import run
+from tipforce_lab.report.stability.case import Case, Observed
+from tipforce_lab.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
 
 TIMING = Timing(2e-6, 1e-6, 4e-6, 7)
 

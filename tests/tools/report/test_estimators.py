@@ -10,11 +10,11 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.sensor.contact import scalar
-from tipforce_tools.report import micropython
-from tipforce_tools.report.studies import estimator_fixed as fixed
-from tipforce_tools.report.studies import estimator_inputs as inputs
-from tipforce_tools.report.studies import estimators
-from tipforce_tools.report.study import Study
+from tipforce_lab.report import micropython
+from tipforce_lab.report.studies import estimator_fixed as fixed
+from tipforce_lab.report.studies import estimator_inputs as inputs
+from tipforce_lab.report.studies import estimators
+from tipforce_lab.report.study import Study
 from tools.report.made import Tiny, at_once
 
 
@@ -135,7 +135,7 @@ def test_without_micropython_its_method_is_left_out(monkeypatch: pytest.MonkeyPa
     def lacking(*_args: object) -> None:
         raise EnvironmentLackError("Node.js is not installed")
 
-    monkeypatch.setattr("tipforce_tools.report.micropython.run", lacking)
+    monkeypatch.setattr("tipforce_lab.report.micropython.run", lacking)
     monkeypatch.setattr(estimators, "timed", at_once)
     for one in estimators.studies(Tiny(), lambda: None):
         assert one.left_out == {estimators.MICROPYTHON: "Node.js is not installed"}

@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.report import page, plots
-from tipforce_tools.report.run import Judged, LeftOut, Report
-from tipforce_tools.report.study import Effort
-from tipforce_tools.report.verdict import advice, verdict
+from tipforce_lab.report import page, plots
+from tipforce_lab.report.run import Judged, LeftOut, Report
+from tipforce_lab.report.study import Effort
+from tipforce_lab.report.verdict import advice, verdict
+from tipforce_tools.cli.common import json_line
 from tools.report.made import cases, grid, study
 
 pytestmark = pytest.mark.skipif(
@@ -160,7 +161,7 @@ def test_both_lights_print_and_phones_are_provided_for(html: str, parsed: Elemen
 def test_methods_differ_without_colour(report: Report) -> None:
     from dataclasses import replace
 
-    from tipforce_tools.report.study import Series
+    from tipforce_lab.report.study import Series
 
     many = replace(
         report.studies[0],
@@ -185,7 +186,7 @@ def test_the_same_report_gives_the_same_bytes(report: Report, html: str) -> None
 
 @pytest.fixture(scope="module")
 def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return page.write(report, tmp_path_factory.mktemp("report"))
+    return page.write(report, tmp_path_factory.mktemp("report"), json_line)
 
 
 def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
@@ -198,7 +199,7 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
 def test_a_place_that_is_not_there_is_said(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "html", lambda _report: "")
     with pytest.raises(InputError, match=r"index\.html"):
-        page.write(report, tmp_path / "absent")
+        page.write(report, tmp_path / "absent", json_line)
 
 
 def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:

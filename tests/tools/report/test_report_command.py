@@ -11,10 +11,10 @@ from typing import Any
 
 import pytest
 
+from tipforce_lab.report import run
+from tipforce_lab.report.stability.case import Case, Observed
+from tipforce_lab.report.study import Effort, Study
 from tipforce_tools.cli.main import main
-from tipforce_tools.report import run
-from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Effort, Study
 from tools.report import made
 
 

@@ -17,10 +17,11 @@ from tipforce.host.decoding import columns, decoder
 from tipforce.host.logs import candump
 from tipforce.sensor.calibration import fit as fitting
 from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_redundancy
-from tipforce.sensor.dynamics import first_order_hold, integrators, model, switched
+from tipforce.sensor.dynamics import first_order_hold, model
 from tipforce.sensor.structure import plane_frame
-from tipforce_tools.report.stability.all import AREAS, cases
-from tipforce_tools.report.stability.case import Case, plain, shortened
+from tipforce_lab.dynamics import integrators, switched
+from tipforce_lab.report.stability.all import AREAS, cases
+from tipforce_lab.report.stability.case import Case, plain, shortened
 
 CASES = {case.key: case for case in cases()}
 OUTCOMES = {"pass", "bounded", "flagged", "refused"}

@@ -11,9 +11,9 @@ import numpy as np
 
 from tipforce.sensor.calibration.validity import FALSE_ALARM_RATE
 from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
-from tipforce.sensor.design.assessment import AGREEMENT, Assessment
-from tipforce.sensor.design.figures_of_merit import Merit
 from tipforce.sensor.structure.gauge_positions import gauge_matrix, gauge_name
+from tipforce_lab.design.assessment import AGREEMENT, Assessment
+from tipforce_lab.design.figures_of_merit import Merit
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:

@@ -6,8 +6,9 @@ import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
+from tipforce_lab.design.section import Section
 from tipforce_tools.cli import common
-from tipforce_tools.design.section import Section, print_section
+from tipforce_tools.design.print_section import print_section
 
 NAMES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
 
@@ -43,9 +44,9 @@ def run(args: argparse.Namespace) -> int:
     for section in sections(args):
         print_section(args, section)
     if args.output is not None:
-        from tipforce_tools.design.plots import draw
+        from tipforce_lab.design.plots import draw
 
-        for path in draw(args):
+        for path in draw(args.what, args.output, args.format, args.noise, args.repeats, args.seed):
             common.note(args, f"wrote {path}")
     return 0
 
@@ -53,7 +54,9 @@ def run(args: argparse.Namespace) -> int:
 def sections(args: argparse.Namespace) -> Iterator[Section]:
     """Yield the requested sections, each computed when it is needed."""
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_tools.design import beyond, figures, tables
+    from tipforce_lab.design import beyond
+    from tipforce_lab.design import figure_sections as figures
+    from tipforce_lab.design import table_sections as tables
 
     makers: dict[str, list[Callable[[], Section]]] = {
         "1": [lambda: tables.table_1_section(FABRICATED)],

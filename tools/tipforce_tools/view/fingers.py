@@ -10,11 +10,11 @@ from typing import Any, Literal
 import numpy as np
 
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 
 MM = 1e3
 _LAYOUT_NAMES = {1: "I", 2: "II", 3: "III"}
