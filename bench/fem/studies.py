@@ -15,8 +15,7 @@ import numpy.typing as npt
 from tipforce.sensor.structure.layouts import LAYOUTS
 from tipforce.sensor.structure.published import CASES
 from tipforce.sensor.structure.strain import condition_number
-from tipforce_lab.fem.gauges import Face, face, nearest_place, strain_matrix
-from tipforce_lab.fem.limit import Limit, corner_exponent, extrapolate
+from tipforce_lab.fem.gauges import Face, Limit, corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.outline import STATED
 from tipforce_lab.fem.plane_stress import Model, solve

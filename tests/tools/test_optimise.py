@@ -11,7 +11,7 @@ import pytest
 
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce.sensor.structure.limits import worst_stress
-from tipforce_lab.design.figures_of_merit import LoadSet, merit
+from tipforce_lab.design.merit import LoadSet, merit
 from tipforce_tools.cli.layout_file import read_layout
 from tipforce_tools.cli.main import main
 

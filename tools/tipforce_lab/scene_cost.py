@@ -21,6 +21,8 @@ from tipforce.scene import schema
 from tipforce.scene.loads import load_of
 from tipforce.scene.run import Options, Outcome, run_scene
 from tipforce.scene.scene_parts import Part, parts
+from tipforce.shipped_files import shipped_folder
+from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
 
 _LENGTHEN = 4  # ratio of the long run to the short run of a pair: their difference excludes the set-up
 
@@ -265,3 +267,42 @@ def _attribute(report: str, built: list[Part]) -> dict[str, float]:
             us = own_us if module.startswith("tipforce") else total_us
             found[owners[module]] = found.get(owners[module], 0.0) + 1e-3 * int(us)
     return found
+
+
+SCENES = ("static", "full")
+STEPS = len(SCENES)
+
+
+def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
+    """Return the study of the report: each scene with its parts removed in sequence, down to the bare nodes."""
+    from msgspec.structs import replace
+
+    from tipforce.scene.schema import read_scene
+
+    series = []
+    for name in SCENES:
+        path = shipped_folder("scenes") / f"{name}.toml"
+        scene = read_scene(path)
+        # A plot takes longer than all other parts and does not grow with the samples.
+        ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
+        found = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
+        settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
+        points = [
+            Point(setting, one.P_rms_newtons, quartiles(one.seconds))
+            for setting, one in zip(settings, found, strict=True)
+        ]
+        series.append(Series(name, tuple(points)))
+        advance()
+    whole, least = (one.points[0].timing.seconds for one in (series[1], series[0]))
+    return [
+        Study(
+            "scenes", "What a scene builds: run time and error of P, part by part", "RMS error of P, N",
+            "s per sample", "the load that the scene applies", 0.0, tuple(series),
+            remarks=(
+                f"The scene that names everything takes {whole / least:.0f} times as long per sample as the static.",
+                "A sample is one node at one SYNC; processor time of a whole run, building included.",
+                "Each row takes one more part away. Without the contact in the nodes there is no P, so no error.",
+                "With a filter the converter runs continuously, not only at SYNCs: its own step includes that.",
+            ),
+        )
+    ]  # fmt: skip

@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> int:
     causes = _causes(args, calibration)
     found = budget(sensor, loads, causes)
     if args.output:
-        from tipforce_lab.design.budget_plot import plot
+        from tipforce_lab.design.error_budget import plot
 
         plot(found, args.output)
     records = _records(found)

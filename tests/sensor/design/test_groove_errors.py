@@ -8,7 +8,7 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce_lab.design.groove_errors import simulate_groove_errors
+from tipforce_lab.design.paper_figures import simulate_groove_errors
 
 
 def test_grooves_pull_outward() -> None:

@@ -14,22 +14,21 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
 from tipforce.sensor.structure.published import CASES, HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_matrix
-from tipforce_lab.design.printed_matrices import (
-    measured_rows,
-    nearest_common_shifts,
-    rounding_range,
-    shared_gauge_disagreement,
-)
-from tipforce_lab.design.ranking import ranked_layouts, ties
 from tipforce_lab.design.tables import (
     SYMBOLS,
     THIN_UNIT,
     condition_numbers_by_unit,
     maximum_over_contacts,
+    measured_rows,
+    nearest_common_shifts,
+    ranked_layouts,
     reading,
+    rounding_range,
+    shared_gauge_disagreement,
     table_1,
     table_2,
     table_3,
+    ties,
 )
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)

@@ -17,8 +17,7 @@ from tipforce.sensor.dynamics.model import half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import closing_load, slit_closure
 from tipforce.sensor.structure.plane_frame import Frame
-from tipforce_lab.dynamics.assembly import Assembly, Striker
-from tipforce_lab.dynamics.impact import impact, overload
+from tipforce_lab.dynamics.impact import Assembly, Striker, impact, overload
 from tipforce_lab.dynamics.slit import slit_stop
 from tipforce_lab.dynamics.switched import exponential
 

@@ -16,7 +16,7 @@ from tipforce.sensor.dynamics.eigen import jacobi
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
-from tipforce_lab.dynamics.response import (
+from tipforce_lab.dynamics.sampling import (
     frequency_of_error,
     quasi_static_error,
 )

@@ -19,7 +19,7 @@ from tipforce.sensor.structure.gauge_shift import (
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce.sensor.structure.strain import condition_number, strain_matrix
-from tipforce_lab.design.shift_study import condition_against_shift, influences, most_influential, shift_to_reach
+from tipforce_lab.design.paper_figures import condition_against_shift, influences, most_influential, shift_to_reach
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 

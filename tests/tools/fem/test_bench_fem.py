@@ -8,7 +8,7 @@ from bench.fem import studies, table_3
 from bench.fem.__main__ import main
 from bench.fem.figures import distance, worst_error
 
-from tipforce_lab.fem.limit import extrapolate_matrix
+from tipforce_lab.fem.gauges import extrapolate_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.plane_stress import Model, Solution, solve
 

@@ -11,8 +11,7 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_shift import GaugePosition
-from tipforce_lab.fem.gauges import face, nearest_place, strain_matrix
-from tipforce_lab.fem.limit import corner_exponent, extrapolate
+from tipforce_lab.fem.gauges import corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.outline import STATED, Outline
 from tipforce_lab.fem.plane_stress import Model, Solution, solve

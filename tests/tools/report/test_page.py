@@ -16,7 +16,7 @@ from tipforce.errors import EnvironmentLackError, InputError
 from tipforce_lab.report import page, plots
 from tipforce_lab.report.run import Judged, LeftOut, Report
 from tipforce_lab.report.study import Effort
-from tipforce_lab.report.verdict import advice, verdict
+from tipforce_lab.report.text import advice, verdict
 from tipforce_tools.cli.common import json_line
 from tools.report.made import cases, grid, study
 

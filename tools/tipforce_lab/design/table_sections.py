@@ -14,11 +14,21 @@ from tipforce.sensor.structure.published import (
     TABLE_3_THEORY,
 )
 from tipforce.sensor.structure.strain import thin_limit_matrix
-from tipforce_lab.design.printed_matrices import nearest_common_shifts, rounding_range, shared_gauge_disagreement
-from tipforce_lab.design.ranking import ranked_layouts, ties
-from tipforce_lab.design.section import Section
-from tipforce_lab.design.shift_study import shift_to_reach
-from tipforce_lab.design.tables import THIN_UNIT, condition_numbers_by_unit, reading, table_1, table_2, table_3
+from tipforce_lab.design.paper_figures import shift_to_reach
+from tipforce_lab.design.tables import (
+    THIN_UNIT,
+    Section,
+    condition_numbers_by_unit,
+    nearest_common_shifts,
+    ranked_layouts,
+    reading,
+    rounding_range,
+    shared_gauge_disagreement,
+    table_1,
+    table_2,
+    table_3,
+    ties,
+)
 
 MM = 1e3
 MICRO = 1e6

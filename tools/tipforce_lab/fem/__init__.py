@@ -4,8 +4,8 @@ from tipforce._lazy import lazy
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:
+    from tipforce_lab.fem.gauges import corner_exponent as corner_exponent
     from tipforce_lab.fem.gauges import strain_matrix as strain_matrix
-    from tipforce_lab.fem.limit import corner_exponent as corner_exponent
     from tipforce_lab.fem.mesh import Resolution as Resolution
     from tipforce_lab.fem.plane_stress import Model as Model
     from tipforce_lab.fem.plane_stress import solve as solve
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 _MODULES = {
     "Model": "plane_stress",
     "Resolution": "mesh",
-    "corner_exponent": "limit",
+    "corner_exponent": "gauges",
     "solve": "plane_stress",
     "strain_matrix": "gauges",
 }

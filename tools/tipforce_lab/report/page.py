@@ -14,7 +14,7 @@ from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
 from tipforce_lab.report.run import Item, Judged, LeftOut, Report
 from tipforce_lab.report.study import Grid, Study
-from tipforce_lab.report.verdict import advice, verdict
+from tipforce_lab.report.text import advice, verdict
 
 
 def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:

@@ -21,7 +21,7 @@ STUDIES: dict[str, tuple[str, str]] = {
     "fits": ("tipforce_lab.report.studies.fits", "calibration fits against the number of loads"),
     "decoders": ("tipforce_lab.report.studies.decoders", "decoders of CAN frames"),
     "honesty": ("tipforce_lab.report.studies.honesty", "wrong values shown as ok: every fault by every method"),
-    "scenes": ("tipforce_lab.report.studies.scene_costs", "cost of each part of a scene"),
+    "scenes": ("tipforce_lab.scene_cost", "cost of each part of a scene"),
 }
 """Key -> (module with STEPS and studies(effort, advance), subject)."""
 STABILITY = "stability"

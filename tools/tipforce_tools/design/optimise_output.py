@@ -12,8 +12,7 @@ import numpy as np
 from tipforce.sensor.calibration.validity import FALSE_ALARM_RATE
 from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
 from tipforce.sensor.structure.gauge_positions import gauge_matrix, gauge_name
-from tipforce_lab.design.assessment import AGREEMENT, Assessment
-from tipforce_lab.design.figures_of_merit import Merit
+from tipforce_lab.design.merit import AGREEMENT, Assessment, Merit
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:

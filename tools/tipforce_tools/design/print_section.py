@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from tipforce_lab.design.section import Record, Section
 from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce_lab.design.tables import Record, Section
 
 
 def print_section(args: argparse.Namespace, section: Section) -> None:

@@ -9,13 +9,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
-from tipforce_lab.design.section import Record, Section
 from tipforce_tools.cli import common
 from tipforce_tools.design.print_section import print_section
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.gauge_shift import GaugePosition
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce_lab.design.tables import Record, Section
 
 DIMENSIONS = ("a", "d", "r", "h1", "h2", "width")
 DEFAULT_SHIFT_MM = 5.0
@@ -63,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence[str | GaugePosition]) -> Section:
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
+
+    from tipforce_lab.design.tables import Section
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]
     if args.what in DIMENSIONS:

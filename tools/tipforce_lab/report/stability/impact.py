@@ -11,8 +11,7 @@ from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.limits import closing_load
 from tipforce_lab.dynamics import integrators
-from tipforce_lab.dynamics.assembly import Striker
-from tipforce_lab.dynamics.impact import Impact, impact, overload
+from tipforce_lab.dynamics.impact import Impact, Striker, impact, overload
 from tipforce_lab.dynamics.slit import slit_stop
 from tipforce_lab.report.stability.case import Case, Observed, refusal
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from tipforce.arrays import FloatArray
 from tipforce.errors import EnvironmentLackError
-from tipforce_lab.report.studies import estimator_fixed as fixed
 from tipforce_lab.report.studies import estimator_methods as methods
 from tipforce_lab.report.studies.estimator_inputs import (
     COUNT_BITS,
@@ -43,11 +42,11 @@ _METHODS: dict[str, dict[str, Callable[[Contacts], methods.Method]]] = {
         "inside, REAL32 C": lambda given: methods.on_the_node(given, "inside"),
     },
 }
-_FORMATS: dict[str, dict[str, fixed.Format]] = {
-    WRAPS: {f"{bits}-bit C": fixed.Format(bits, 16, 32, fixed.cordic(16)) for bits in (8, 12, 14, 16)},
-    INT16: {f"{bits}-bit C": fixed.Format(bits, 16, 64, fixed.cordic(16)) for bits in (8, 12, 16)},
-    INT32: {f"{n} iterations": fixed.Format(32, 24, 64, fixed.cordic(n)) for n in (8, 12, 16, 20, 28)},
-    INT32_TABLE: {f"{n} entries": fixed.Format(32, 24, 64, fixed.table(n)) for n in (16, 64, 256, 1024)},
+_FORMATS: dict[str, dict[str, methods.Format]] = {
+    WRAPS: {f"{bits}-bit C": methods.Format(bits, 16, 32, methods.cordic(16)) for bits in (8, 12, 14, 16)},
+    INT16: {f"{bits}-bit C": methods.Format(bits, 16, 64, methods.cordic(16)) for bits in (8, 12, 16)},
+    INT32: {f"{n} iterations": methods.Format(32, 24, 64, methods.cordic(n)) for n in (8, 12, 16, 20, 28)},
+    INT32_TABLE: {f"{n} entries": methods.Format(32, 24, 64, methods.table(n)) for n in (16, 64, 256, 1024)},
 }
 STEPS = 2 * (sum(map(len, _METHODS.values())) + sum(map(len, _FORMATS.values())) + 1)
 

@@ -18,7 +18,7 @@ from tipforce.sensor.dynamics.beam_mass import beam_mass_matrix
 from tipforce.sensor.dynamics.model import STEEL_DENSITY, compliances, half_cylinder
 from tipforce.sensor.structure.geometry import Geometry
 from tipforce.sensor.structure.plane_frame import EULER_BERNOULLI, Frame
-from tipforce_lab.dynamics.assembly import Striker
+from tipforce_lab.dynamics.impact import Striker
 
 METHOD = "scipy: mass and stiffness matrices, eigh, expm of the motion together with its load"
 METHOD_OF_IMPACT = "scipy: mass and stiffness matrices, eigh, DOP853 (rtol 1e-13) from contact to contact"

@@ -75,7 +75,7 @@ def _smooth() -> _Task:
 
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import exact
+    from tipforce_lab.dynamics import integrators
     from tipforce_lab.dynamics.integrators import Problem
 
     body, F, duration = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.04
@@ -87,7 +87,7 @@ def _smooth() -> _Task:
 
     return _Task(
         "integrators-smooth", "Smooth load: one raised cosine of 40 ms, damping 1 %", Problem(body), load, duration, t,
-        exact.raised_cosine(body, F, duration, t), "steady state and free motion in closed form", 1e-14,
+        integrators.raised_cosine(body, F, duration, t), "steady state and free motion in closed form", 1e-14,
         _held(body, load, duration), None, "simulate a slowly changing load", lambda: _checked("smooth", False, F, t),
     )  # fmt: skip
 
@@ -97,7 +97,7 @@ def _step() -> _Task:
 
     from tipforce.sensor.dynamics.model import STEEL_DENSITY, modes
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import exact
+    from tipforce_lab.dynamics import integrators
     from tipforce_lab.dynamics.integrators import Problem
 
     # The mass of the beams adds modes to 77 kHz: stiff.
@@ -110,8 +110,9 @@ def _step() -> _Task:
 
     return _Task(
         "integrators-step", "A step of the load, beams with mass (modes from 92 Hz to 77 kHz), damping 1 %",
-        Problem(body), load, duration, t, exact.step(body, F, t), "free motion in closed form, from 0 to each time",
-        1e-14, _held(body, load, duration), None, "simulate a sudden load on a stiff structure",
+        Problem(body), load, duration, t, integrators.step(body, F, t),
+        "free motion in closed form, from 0 to each time", 1e-14,
+        _held(body, load, duration), None, "simulate a sudden load on a stiff structure",
         lambda: _checked("step", True, F, t),
     )  # fmt: skip
 
@@ -121,7 +122,7 @@ def _tap() -> _Task:
 
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics import exact
+    from tipforce_lab.dynamics import integrators
     from tipforce_lab.dynamics.integrators import Problem
 
     body, F, duration, tap = modes(FABRICATED, _DAMPING), np.array(_FORCE), 0.02, 1e-3
@@ -133,7 +134,7 @@ def _tap() -> _Task:
 
     return _Task(
         "integrators-tap", "A tap: half a sine of 1 ms, then 19 ms of ringing, damping 1 %", Problem(body), load,
-        duration, t, exact.half_sine(body, F, tap, t), "harmonic and free motion in closed form", 1e-14,
+        duration, t, integrators.half_sine(body, F, tap, t), "harmonic and free motion in closed form", 1e-14,
         _held(body, load, duration), None, "simulate a tap", lambda: _checked("half_sine", False, F, tap, t),
     )  # fmt: skip
 
@@ -143,8 +144,7 @@ def _impact() -> _Task:
 
     from tipforce.sensor.dynamics.model import modes
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_lab.dynamics.assembly import Striker
-    from tipforce_lab.dynamics.impact import impact
+    from tipforce_lab.dynamics.impact import Striker, impact
     from tipforce_lab.dynamics.integrators import Problem, no_load
 
     body, striker, duration = modes(FABRICATED, _DAMPING), Striker(0.01, 0.3, 1e7), 4e-3

@@ -13,7 +13,7 @@ from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.plane_frame import FrameModel
-    from tipforce_lab.fem.limit import Limit
+    from tipforce_lab.fem.gauges import Limit
 
 Matrix = Callable[[], FloatArray]
 
@@ -207,7 +207,7 @@ def _finite_elements(effort: Effort, cells: int, grading: float | None) -> _Foun
 
 
 def _reference(effort: Effort) -> _Reference:
-    from tipforce_lab.fem.limit import extrapolate, extrapolate_matrix
+    from tipforce_lab.fem.gauges import extrapolate, extrapolate_matrix
 
     levels = _QUICK_REFERENCE if effort.quick else _FULL_REFERENCE
     matrices = [_fe_matrix(cells, None)[0] for cells in levels]

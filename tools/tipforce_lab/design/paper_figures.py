@@ -1,21 +1,162 @@
-"""Figures 6 and 9 and section 3.3 of the paper as numbers, each compared with the paper's claim."""
+"""Figures 6 and 9 of the paper and section 3.3: condition number against gauge shift, errors in the grooves, loads off
+the plane."""
 
 from __future__ import annotations
 
 import itertools
+from dataclasses import dataclass
 from functools import partial
 from math import degrees, radians
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
+from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
+from tipforce.sensor.calibration.grooves import Grooves, paper_grooves
+from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
+from tipforce.sensor.contact.force import force_from_strain, force_vector
+from tipforce.sensor.structure.gauge_shift import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.layouts import LAYOUTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
-from tipforce_lab.design.groove_errors import simulate_groove_errors
-from tipforce_lab.design.section import Section
-from tipforce_lab.design.shift_study import condition_against_shift, influences, most_influential
+from tipforce.sensor.structure.published import CALIBRATION_THETA_DEG, CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
+from tipforce_lab.design.tables import Section
+
+
+class Influence(NamedTuple):
+    """Effect of a shift of one gauge on the condition number of a layout."""
+
+    slope_per_mm: float
+    """Change per millimetre inward, at the nominal position."""
+    change: float
+    """Change for the whole requested shift."""
+
+
+def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.ArrayLike) -> FloatArray:
+    """Return the condition numbers (n + 1, m): each gauge shifted alone, and in the last row all together.
+
+    shifts_m: (m,), inward along the beams. Raises InputError for an unusable layout or a shift off the beam.
+    """
+    n, shifts = len(layout(gauges)), np.asarray(shifts_m, dtype=np.float64)
+    moving = np.vstack((np.eye(n), np.ones((1, n))))
+    singular = np.linalg.svd(
+        shifted_matrix(geometry, gauges, moving[:, np.newaxis] * shifts[:, np.newaxis]), compute_uv=False
+    )
+    result: FloatArray = singular[..., 0] / singular[..., -1]
+    return result
+
+
+def influences(geometry: Geometry, gauges: Layout, shift_m: float) -> list[Influence]:
+    """Return per gauge the effect of its shift alone on the condition number. Raises as condition_against_shift()."""
+    step = 1e-9
+    found = condition_against_shift(geometry, gauges, [0.0, step, shift_m])[:-1]
+    return [Influence((row[1] - row[0]) / step * 1e-3, row[2] - row[0]) for row in found.tolist()]
+
+
+def most_influential(geometry: Geometry, gauges: Layout, shift_m: float) -> int:
+    """Return the number (1 for SG1) of the gauge whose shift changes the condition number most, up or down."""
+    changes = [abs(found.change) for found in influences(geometry, gauges, shift_m)]
+    return 1 + int(np.argmax(changes))
+
+
+def shift_to_reach(
+    geometry: Geometry,
+    gauges: Layout,
+    condition: float,
+    moving: tuple[str, ...],
+    others_m: float = 0.0,
+    largest_shift_m: float = 5e-3,
+) -> float:
+    """Return the smallest inward shift of the gauges at `moving` that gives the layout a condition number.
+
+    The other gauges stay others_m off their points. NaN if no shift up to largest_shift_m does. Raises
+    InputError for a point that is not in the layout.
+    """
+    points = layout(gauges)
+    for point in moving:
+        if point not in points:
+            raise InputError(f"gauge point {point!r} is not in the layout: allowed are {', '.join(points)}")
+    moves = np.array([point in moving for point in points])
+    shifts = np.linspace(0.0, largest_shift_m, 501)
+    for _ in range(4):
+        rows = np.where(moves, shifts[:, np.newaxis], others_m)
+        singular = np.linalg.svd(shifted_matrix(geometry, points, rows), compute_uv=False)
+        above = singular[:, 0] / singular[:, -1] > condition
+        crossings = np.flatnonzero(above[1:] != above[:-1])
+        if crossings.size == 0:
+            return float("nan")
+        shifts = np.linspace(shifts[crossings[0]], shifts[crossings[0] + 1], 51)
+    return float(shifts.mean())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GrooveErrors:
+    """Errors of (P, phi, theta) at n grooves, newtons and radians."""
+
+    grooves: Grooves
+    errors: FloatArray
+    """(repeats, n, 3): estimate minus truth, of independent calibrations and readings."""
+    standard_uncertainties: FloatArray
+    """(n, 3): first order, from the reading's noise and the calibration's."""
+
+
+def simulate_groove_errors(
+    geometry: Geometry,
+    gauges: Layout,
+    noise_strain: float,
+    *,
+    repeats: int,
+    seed: int,
+    P_newtons: float = CALIBRATION_WEIGHT_NEWTONS,
+) -> GrooveErrors:
+    """Return the errors caused by equal, independent, normal gauge noise at the paper's grooves.
+
+    Each repeat fits V = A F by least squares to noisy readings in the grooves between 0 and 90 degrees, as section
+    4.3 does, inverts A, then reads every groove once more. noise_strain: standard deviation per reading. Three
+    gauges. Raises InputError for noise that is not positive, fewer than 1 repeat, or another number of gauges.
+    """
+    A = strain_matrix(geometry, gauges)
+    if A.shape[0] != 3:
+        raise InputError(f"{A.shape[0]} gauges: allowed are layouts of 3 gauges, as in the paper")
+    if not (noise_strain > 0.0 and P_newtons > 0.0) or repeats < 1:
+        raise InputError(
+            f"noise_strain = {noise_strain!r}, P_newtons = {P_newtons!r}, repeats = {repeats!r}: "
+            "allowed are positive numbers"
+        )
+    rng = np.random.default_rng(seed)
+    grooves = paper_grooves()
+    F = force_vector(P_newtons, grooves.phi_rad, grooves.theta_rad)
+    fitted = F[_calibrated(grooves)]
+    errors = np.empty((repeats, len(F), 3))
+    for index in range(repeats):
+        V = fitted @ A.T + rng.normal(0.0, noise_strain, (len(fitted), 3))
+        C = np.linalg.inv(np.linalg.lstsq(fitted, V, rcond=None)[0].T)
+        readings = F @ A.T + rng.normal(0.0, noise_strain, F.shape)
+        errors[index] = _contact_errors(force_from_strain(C, readings), grooves, P_newtons)
+    C = calibration_matrix(geometry, gauges)
+    leverage = np.einsum("ni,ij,nj->n", F, np.linalg.inv(fitted.T @ fitted), F)
+    covariances = noise_strain**2 * (1.0 + leverage[:, np.newaxis, np.newaxis]) * (C @ C.T)
+    return GrooveErrors(grooves, errors, standard_uncertainties(F, covariances, pull=True))
+
+
+def _calibrated(grooves: Grooves) -> npt.NDArray[np.bool_]:
+    low, high = np.radians(CALIBRATION_THETA_DEG)
+    inside: npt.NDArray[np.bool_] = (grooves.theta_rad >= low) & (grooves.theta_rad <= high + 1e-9)
+    return inside
+
+
+def _contact_errors(F: FloatArray, grooves: Grooves, P_newtons: float) -> FloatArray:
+    found = contacts(F, pull=True)
+    errors = np.stack(
+        (found.P_newtons - P_newtons, found.phi_rad - grooves.phi_rad, found.theta_rad - grooves.theta_rad), axis=-1
+    )
+    errors[:, 1:] = (errors[:, 1:] + np.pi) % (2.0 * np.pi) - np.pi
+    result: FloatArray = errors
+    return result
+
 
 SHIFTS_MM = (0.0, 0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 5.0)
 FIGURE_9_CASE = "I"

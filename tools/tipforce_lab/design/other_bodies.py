@@ -1,19 +1,174 @@
-"""Beyond the paper's tables: comparators on one scale, materials and the largest load, smaller fingertips."""
+"""The comparators [5] and [11], other materials and smaller bodies: strain, noise and largest load, by beam theory.
+
+The material values are typical ones of data sheets (assumed: the paper names AISI 4340 alone, without values); replace
+them by those of the sheet that is bought. Yield is static; repeated loads need a fatigue limit.
+"""
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import InputError
+from tipforce.sensor.dynamics.model import half_cylinder, modes
+from tipforce.sensor.structure.gauge_shift import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, CASES
-from tipforce_lab.design.comparators import (
-    COMPARATORS,
-    MOMENT_UNITS,
-    best_length,
-    condition_at_length,
-    condition_range,
-    lengths_of_condition,
+from tipforce.sensor.structure.layouts import Layout
+from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
+from tipforce.sensor.structure.strain import calibration_matrix, condition_number, noise_gain, strain_matrix
+from tipforce_lab.design.tables import Record, Section
+
+
+class Comparator(NamedTuple):
+    """A sensor that the paper compares with (section 1)."""
+
+    reference: str
+    axes: int
+    condition: float
+    """As printed."""
+
+
+COMPARATORS = (Comparator("[5]", 6, 4.2), Comparator("[11]", 3, 20.05))
+MOMENT_UNITS = {"N mm": 1e-3, "N m": 1.0}
+"""Units in which moments are stated, as lengths in metres."""
+
+
+def condition_at_length(geometry: Geometry, gauges: Layout, length_m: float) -> float:
+    """Return the condition number with F2 as the force M / length. Raises InputError for a length that is not > 0."""
+    if not 0.0 < length_m < math.inf:
+        raise InputError(f"length_m = {length_m!r}: allowed is a positive finite number")
+    return condition_number(strain_matrix(geometry, gauges) * np.array([1.0, length_m / geometry.r_m, 1.0]))
+
+
+def condition_range(condition: float, from_length_m: float, to_length_m: float) -> tuple[float, float]:
+    """Return the condition numbers possible on another scale for a matrix of which only the number is known.
+
+    Its moment columns change by the factor f = to / from. A diagonal matrix of condition number max(f, 1 / f) changes
+    the condition number by no more than that factor, up or down, and no condition number is below 1.
+    """
+    factor = max(to_length_m / from_length_m, from_length_m / to_length_m)
+    return max(1.0, condition / factor), condition * factor
+
+
+def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -> tuple[float, ...]:
+    """Return the lengths (m) at which a layout has a given condition number: none, or one to either side of its best.
+
+    The logarithm of the length is halved between the best length and 1e-6 and 1e6 of it.
+    """
+    best = best_length(geometry, gauges)
+    if condition < condition_at_length(geometry, gauges, best):
+        return ()
+    found = []
+    for end in (-6.0, 6.0):
+        near, far = 0.0, end
+        for _ in range(60):
+            middle = 0.5 * (near + far)
+            if condition_at_length(geometry, gauges, best * 10.0**middle) < condition:
+                near = middle
+            else:
+                far = middle
+        found.append(best * 10.0**near)
+    return tuple(found)
+
+
+def best_length(geometry: Geometry, gauges: Layout) -> float:
+    """Return the length (m) with the smallest condition number, to 1e-4, between r / 100 and 100 r."""
+    low, high = -2.0, 2.0
+    for _ in range(6):
+        steps: FloatArray = np.linspace(low, high, 41)
+        values = [condition_at_length(geometry, gauges, geometry.r_m * 10.0**step) for step in steps.tolist()]
+        at, width = int(np.argmin(values)), steps[1] - steps[0]
+        low, high = float(steps[at] - width), float(steps[at] + width)
+    return float(geometry.r_m * 10.0 ** (0.5 * (low + high)))
+
+
+class Material(NamedTuple):
+    """An elastic material, isotropic."""
+
+    name: str
+    youngs_modulus_pascals: float
+    yield_pascals: float
+    density_kg_m3: float
+
+
+STEEL_4340 = Material("AISI 4340, hardened", 205e9, 1080e6, 7850.0)
+MATERIALS = (
+    STEEL_4340,
+    Material("17-4 PH, H900", 197e9, 1170e6, 7800.0),
+    Material("AISI 304, annealed", 193e9, 215e6, 8000.0),
+    Material("Ti-6Al-4V, annealed", 114e9, 880e6, 4430.0),
+    Material("CuBe C17200, hardened", 128e9, 1000e6, 8250.0),
+    Material("Al 7075-T6", 71.7e9, 503e6, 2810.0),
 )
-from tipforce_lab.design.materials import MATERIALS, Figures, figures_of, scaled
-from tipforce_lab.design.section import Record, Section
+
+
+class Figures(NamedTuple):
+    """One body of one material with one layout."""
+
+    strain_per_newton: float
+    """The largest anywhere on the beams, over all loads."""
+    noise_gain_newtons: float
+    """sqrt(trace(C C^T)), newtons per unit strain."""
+    yield_newtons: float
+    """Smallest load, over all contacts and directions, that reaches the yield stress."""
+    slit_newtons: float
+    """And that closes a slit of PAPER_SLIT_M."""
+    frequency_hz: float
+    """Lowest natural frequency, massless beams."""
+
+    @property
+    def largest_newtons(self) -> float:
+        """The largest load that neither yields nor closes the slit."""
+        return min(self.yield_newtons, self.slit_newtons)
+
+
+def figures_of(geometry: Geometry, material: Material, gauges: Layout) -> Figures:
+    """Return the figures of a body made of a material. Raises InputError for an unusable layout."""
+    body = replace(geometry, youngs_modulus_pascals=material.youngs_modulus_pascals)
+    stress = worst_stress(body, 1.0)
+    moving = modes(body, 0.0, half_cylinder(body, material.density_kg_m3))
+    return Figures(
+        stress / material.youngs_modulus_pascals, noise_gain(calibration_matrix(body, gauges)),
+        material.yield_pascals / stress, PAPER_SLIT_M / slit_closure(body, 1.0),
+        float(min(moving.omega_rad_s)) / (2.0 * math.pi),
+    )  # fmt: skip
+
+
+class Scaled(NamedTuple):
+    """A body scaled down, and what gauges of the same length make of it."""
+
+    geometry: Geometry
+    figures: Figures
+    condition: float
+    """Gauges at their points."""
+    condition_of_gauges: float
+    """Gauges of GAUGE_LENGTH_M that begin at the points: their middles are half of it inward."""
+    condition_of_shift: float
+    """These, and the last one another 0.2 mm inward: how much the place of the gauges matters."""
+
+
+def scaled(geometry: Geometry, scale: float, gauges: Layout, keep_thickness: bool) -> Scaled:
+    """Return a body with lengths and width times ``scale``; thicknesses as well, or kept.
+
+    Stress per newton grows as 1 / scale^2 in the first case, and is the same in the second (a / (b h^2)).
+    """
+    g = geometry
+    body = replace(g, a_m=scale * g.a_m, d_m=scale * g.d_m, r_m=scale * g.r_m, width_m=scale * g.width_m)
+    if not keep_thickness:
+        body = replace(body, h1_m=scale * g.h1_m, h2_m=scale * g.h2_m)
+    half = 0.5 * GAUGE_LENGTH_M
+    matrix = strain_matrix(body, gauges)
+    off = [half] * (len(matrix) - 1) + [half + 0.2e-3]
+    return Scaled(
+        body, figures_of(body, STEEL_4340, gauges), condition_number(matrix),
+        condition_number(shifted_matrix(body, gauges, half)), condition_number(shifted_matrix(body, gauges, off)),
+    )  # fmt: skip
+
 
 MM, MICRO = 1e3, 1e6
 SCALES = (1.0, 0.75, 0.5, 1.0 / 3.0, 0.25)
