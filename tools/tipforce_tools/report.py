@@ -16,8 +16,8 @@ EPILOG = """\
 Error against run time compares methods for one task with a reference of stated error. A time is the median of several
 runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases state what holds
 where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged (marked as unknown),
-refused (an error names the place). Some studies need optional packages; without them they are left out, and the report
-names them: pip install "tipforce[report]" installs all.
+refused (an error names the place). The tests of this version recorded them. Some studies need optional packages;
+without them they are left out, and the report names them: pip install "tipforce[report]" installs all.
 
 examples:
   tipforce report --quick
@@ -62,14 +62,12 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print_list(args: argparse.Namespace) -> None:
-    from tipforce_lab.report.run import STABILITY, STUDIES, all_cases
+    from tipforce_lab.report.cases import all_cases
+    from tipforce_lab.report.run import STABILITY, STUDIES
 
     rows = [(key, "study", what) for key, (_, what) in STUDIES.items()]
     rows.append((STABILITY, "cases", "all cases below"))
-    try:
-        rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
-    except ImportError as lack:
-        common.note(args, f"the cases cannot be listed: {lack}")
+    rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
     for key, kind, what in rows:
         if args.json:
             common.print_json({"key": key, "kind": kind, "what": what})

@@ -12,7 +12,8 @@ from typing import Any
 
 from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
-from tipforce_lab.report.run import Item, Judged, LeftOut, Report
+from tipforce_lab.report.cases import Case
+from tipforce_lab.report.run import Item, LeftOut, Report
 from tipforce_lab.report.study import Grid, Study
 from tipforce_lab.report.text import advice, verdict
 
@@ -84,7 +85,7 @@ _HOW_TO_READ = (
 )
 _OUTCOMES = (
     "pass: right to rounding. bounded: the error has a stated bound. flagged: the value is marked as unknown. refused: "
-    "an error or abort code names the place, and nothing changed."
+    "an error or abort code names the place, and nothing changed. The tests of this version recorded them."
 )
 
 
@@ -181,30 +182,31 @@ def _grid(grid: Grid) -> str:
     )
 
 
-def _cases(cases: list[Judged]) -> list[str]:
+def _cases(cases: list[Case]) -> list[str]:
     """Return one table per area, folded unless a claim of it does not hold."""
-    areas: dict[str, list[Judged]] = {}
-    for one in cases:
-        areas.setdefault(one.case.key.split(".")[0], []).append(one)
+    areas: dict[str, list[Case]] = {}
+    for case in cases:
+        areas.setdefault(case.key.split(".")[0], []).append(case)
     parts = []
-    for area, found in areas.items():
-        broken = sum(not one.observed.held for one in found)
-        told = f"{broken} of {len(found)} do NOT hold" if broken else f"all {len(found)} hold"
+    for area, cases_of_area in areas.items():
+        broken, count = sum(not case.held for case in cases_of_area), len(cases_of_area)
+        result = f"{broken} of {count} do NOT hold" if broken else f"all {count} hold"
         opened = " open" if broken else ""
-        parts.append(f"<details{opened}><summary>{escape(area)}: {told}</summary>{_case_table(found)}</details>")
+        parts.append(
+            f"<details{opened}><summary>{escape(area)}: {result}</summary>{_case_table(cases_of_area)}</details>"
+        )
     return parts
 
 
-def _case_table(cases: list[Judged]) -> str:
+def _case_table(cases: list[Case]) -> str:
     rows = []
-    for one in cases:
-        case, held = one.case, one.observed.held
-        told = {"situation": case.situation, "claim": case.claim, "seen": one.observed.figures}
-        cells = "".join(f'<td data-name="{name}" class="seen">{escape(what)}</td>' for name, what in told.items())
-        outcome = escape(case.outcome) if held else f"NOT {escape(case.outcome)}"
+    for case in cases:
+        texts = {"situation": case.situation, "claim": case.claim, "seen": case.figures}
+        cells = "".join(f'<td data-name="{name}" class="seen">{escape(text)}</td>' for name, text in texts.items())
+        outcome = escape(case.outcome) if case.held else f"NOT {escape(case.outcome)}"
         rows.append(
             f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
-            f'<td class="outcome {"held" if held else "broken"}">{outcome}</td>{cells}</tr>'
+            f'<td class="outcome {"held" if case.held else "broken"}">{outcome}</td>{cells}</tr>'
         )
     head = "".join(f'<th scope="col">{name}</th>' for name in ("case", "outcome", "situation", "claim", "seen"))
     body = f'<table class="cases"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'

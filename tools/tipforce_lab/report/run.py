@@ -1,4 +1,4 @@
-"""Run the studies and the extreme cases. A missing package or a failure is a line in the report, not its end."""
+"""Run the studies and read the extreme cases. A missing package or a failure is a line in the report, not its end."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from fnmatch import fnmatchcase
 from typing import Any
 
 from tipforce.errors import EnvironmentLackError, InputError, TipforceError
-from tipforce_lab.report.stability.case import Case, Observed, plain
+from tipforce_lab.report.cases import Case, all_cases
 from tipforce_lab.report.study import Effort, Grid, Study
 
 STUDIES: dict[str, tuple[str, str]] = {
@@ -25,19 +25,10 @@ STUDIES: dict[str, tuple[str, str]] = {
 }
 """Key -> (module with STEPS and studies(effort, advance), subject)."""
 STABILITY = "stability"
-CASES_MODULE = "tipforce_lab.report.stability.all"
 _EXTRAS = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}
 _VERSIONS = ("numpy", "scipy", "scikit-fem", "matplotlib", "python-can", "canopen", "cantools")
 
 Advance = Callable[[], None]
-
-
-@dataclass(frozen=True, slots=True)
-class Judged:
-    """One extreme case and its observation."""
-
-    case: Case
-    observed: Observed
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +40,7 @@ class LeftOut:
     failed: bool
 
 
-Item = Study | Grid | Judged | LeftOut
+Item = Study | Grid | Case | LeftOut
 
 
 @dataclass(slots=True)
@@ -61,13 +52,13 @@ class Report:
     machine: dict[str, str]
     studies: list[Study] = field(default_factory=list)
     grids: list[Grid] = field(default_factory=list)
-    cases: list[Judged] = field(default_factory=list)
+    cases: list[Case] = field(default_factory=list)
     left_out: list[LeftOut] = field(default_factory=list)
 
     def sound(self) -> bool:
         """Whether every claim held and nothing failed; parts left out for a missing package do not count."""
         return (
-            all(one.observed.held for one in self.cases)
+            all(case.held for case in self.cases)
             and all(row.held for grid in self.grids for row in grid.rows)
             and not any(one.failed for one in self.left_out)
         )
@@ -112,18 +103,8 @@ def selected(only: str | None) -> Selection:
 
 
 def _require_case(word: str) -> None:
-    try:
-        keys = [case.key for case in all_cases()]
-    except (ImportError, TipforceError):
-        keys = []
-    if not any(fnmatchcase(key, pattern) for key in keys for pattern in (word, f"{word}.*")):
+    if not matching(all_cases(), (word, f"{word}.*")):
         raise InputError(f"--only {word!r}: allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list")
-
-
-def all_cases() -> list[Case]:
-    """Return every extreme case. Raises ImportError if a package for one of them is missing."""
-    found: list[Case] = importlib.import_module(CASES_MODULE).cases()
-    return found
 
 
 def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
@@ -143,8 +124,7 @@ class Run:
             with_lack = _guarded(lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
             self._keep(key, with_lack, lambda module, key=key: self._modules.append((key, module)))  # type: ignore[misc]
         if selection.cases:
-            self._keep(STABILITY, _guarded(all_cases), self._cases.extend)
-            self._cases = matching(self._cases, selection.cases)
+            self._cases = matching(all_cases(), selection.cases)
         self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
 
     def items(self, advance: Advance) -> Iterator[Item]:
@@ -158,10 +138,8 @@ class Run:
             if not isinstance(found, _Lack):
                 yield from found
         for case in self._cases:
-            before = len(self.report.left_out)
-            found = _guarded(lambda case=case: Judged(case, _observed(case)))  # type: ignore[misc]
-            self._keep(case.key, found, self.report.cases.append)
-            yield from self.report.left_out[before:] or [found]
+            self.report.cases.append(case)
+            yield case
             advance()
 
     def _keep(self, key: str, found: Any, take: Callable[[Any], object]) -> None:
@@ -196,17 +174,6 @@ def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
     hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else (
         'pip install "tipforce[report]"')  # fmt: skip
     return _Lack(f"{name} is not installed: {hint}", failed=False)
-
-
-def _observed(case: Case) -> Observed:
-    """Run a case: an exception means that it did not hold; a missing package means that it is left out."""
-    try:
-        seen = case.check()
-    except (ModuleNotFoundError, EnvironmentLackError):
-        raise
-    except Exception as error:
-        return Observed(False, f"the check itself failed: {_told(error)}")
-    return Observed(seen.held, plain(seen.figures))
 
 
 def _told(error: Exception) -> str:

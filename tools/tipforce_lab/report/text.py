@@ -6,8 +6,8 @@ from collections import Counter
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
-from tipforce_lab.report.run import Item, Judged, Report
-from tipforce_lab.report.stability.case import Outcome
+from tipforce_lab.report.cases import Case, Outcome
+from tipforce_lab.report.run import Item, Report
 from tipforce_lab.report.study import Counted, Grid, Need, Point, Study
 
 if TYPE_CHECKING:
@@ -62,7 +62,7 @@ def _advice(study: Study, need: Need) -> Advice:
 
 
 def _cases(report: Report) -> str:
-    failed = [one.case.key for one in report.cases if not one.observed.held]
+    failed = [case.key for case in report.cases if not case.held]
     if failed:
         return f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
     return f"All {len(report.cases)} claims on extreme input hold."
@@ -153,8 +153,8 @@ def headline(report: Report) -> str:
 
 def summary(report: Report) -> str:
     """Return the number of studies, of cases by outcome, and the claims that did not hold."""
-    counts = Counter(one.case.outcome for one in report.cases if one.observed.held)
-    failed = [one.case.key for one in report.cases if not one.observed.held]
+    counts = Counter(case.outcome for case in report.cases if case.held)
+    failed = [case.key for case in report.cases if not case.held]
     parts = [_counted(len(report.studies), "study", "studies"), _counted(len(report.cases), "extreme case")]
     parts += [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
     if failed:
@@ -267,19 +267,20 @@ def grid_reasons(grid: Grid) -> list[str]:
     return [f"{'; '.join(names)}: {reason}" for reason, names in found.items()]
 
 
-def _print_cases(console: Console, cases: list[Judged]) -> None:
+def _print_cases(console: Console, cases: list[Case]) -> None:
     from rich.table import Table
     from rich.text import Text
 
-    table = Table(title="Extreme cases", title_justify="left", show_lines=True)
+    table = Table(
+        title="Extreme cases, as the tests of this version recorded them", title_justify="left", show_lines=True
+    )
     table.add_column("case", overflow="fold", ratio=2)
     table.add_column("outcome", no_wrap=True)
     table.add_column("situation: claim", ratio=4)
     table.add_column("seen", overflow="fold", ratio=3)
-    for one in cases:
-        case, seen = one.case, one.observed
-        outcome = case.outcome if seen.held else Text(f"NOT {case.outcome}", "bold red")
-        table.add_row(case.key, outcome, f"{case.situation}: {case.claim}", seen.figures)
+    for case in cases:
+        outcome = case.outcome if case.held else Text(f"NOT {case.outcome}", "bold red")
+        table.add_row(case.key, outcome, f"{case.situation}: {case.claim}", case.figures)
     console.print()
     console.print(table)
 
@@ -306,15 +307,6 @@ def record(item: Item) -> dict[str, Any]:
         return {"record": "study", **asdict(item)}
     if isinstance(item, Grid):
         return {"record": "grid", **asdict(item)}
-    if isinstance(item, Judged):
-        case = item.case
-        return {
-            "record": "case",
-            "key": case.key,
-            "situation": case.situation,
-            "outcome": case.outcome,
-            "claim": case.claim,
-            "held": bool(item.observed.held),  # numpy's bool is not a bool of JSON
-            "figures": item.observed.figures,
-        }
+    if isinstance(item, Case):
+        return {"record": "case", **asdict(item)}
     return {"record": "left out", "key": item.key, "reason": item.reason, "failed": item.failed}

@@ -5,13 +5,9 @@ from __future__ import annotations
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
 
 from tipforce.errors import InputError
-
-Outcome = Literal["pass", "bounded", "flagged", "refused"]
-"""pass: the result is right to rounding. bounded: its error has a stated bound. flagged: the value is marked (NaN,
-unknown, a status bit, EMCY). refused: an error or abort code names the place, and nothing changed."""
+from tipforce_lab.report.cases import Outcome
 
 
 @dataclass(frozen=True, slots=True)

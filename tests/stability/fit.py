@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from stability.case import Case, Observed, shortened
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.fit import Fit, Model, Readings, fit_calibration
@@ -13,7 +14,6 @@ from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
-from tipforce_lab.report.stability.case import Case, Observed, shortened
 
 _NOISE = 3e-7
 _P = 4.4

@@ -6,13 +6,13 @@ import math
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.arrays import FloatArray
 from tipforce.dictionary import indices
 from tipforce.errors import InputError
 from tipforce.sensor.contact import estimate, first_order, scalar
 from tipforce.sensor.contact.force import force_vector
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _DRAWS = 40_000
 _LIMITS = estimate.Limits(0.05, 0.02, -180.0, 180.0)

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from stability.case import Case, Observed
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.model import modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce_lab.dynamics import integrators
-from tipforce_lab.report.stability.case import Case, Observed
 
 
 def cases() -> list[Case]:

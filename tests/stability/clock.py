@@ -8,6 +8,8 @@ import struct
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.device import codes, communication
 from tipforce.device.node import Device
 from tipforce.dictionary import indices
@@ -17,8 +19,6 @@ from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.logs.candump import CandumpParser
 from tipforce.host.logs.candump_format import CandumpFormat
 from tipforce.sensor.contact import scalar
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _GAUGES_COB_ID, _HEARTBEAT_COB_ID = codes.TPDO_BASES[0] + rig.NODE_ID, codes.HEARTBEAT_BASE + rig.NODE_ID
 _DAY_MS = 86_400_000

@@ -1,13 +1,15 @@
-"""The stability report's rows: each claim holds, and each area can notice a fault."""
+"""The extreme cases: each claim holds, each area can notice a fault, and the report's record is of these cases."""
 
 import re
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
+from stability.case import Case, plain, shortened
+from stability.record import AREAS, cases, recorded
 from tipforce.device.node import Device
 from tipforce.device.storage import Storage
 from tipforce.fingertip import calibration, filters
@@ -20,10 +22,10 @@ from tipforce.sensor.contact import estimate, scalar, scalar_condition, scalar_r
 from tipforce.sensor.dynamics import first_order_hold, model
 from tipforce.sensor.structure import plane_frame
 from tipforce_lab.dynamics import integrators, switched
-from tipforce_lab.report.stability.all import AREAS, cases
-from tipforce_lab.report.stability.case import Case, plain, shortened
+from tipforce_lab.report.cases import all_cases
 
 CASES = {case.key: case for case in cases()}
+RECORD = {case.key: case for case in all_cases()}
 OUTCOMES = {"pass", "bounded", "flagged", "refused"}
 
 
@@ -31,6 +33,8 @@ OUTCOMES = {"pass", "bounded", "flagged", "refused"}
 def test_claim(case: Case) -> None:
     observed = case.check()
     assert observed.held, f"{case.claim}: {observed.figures}"
+    # Times and sizes of errors vary by machine: the record has those of one.
+    assert {**recorded(case, observed), "figures": RECORD[case.key].figures} == asdict(RECORD[case.key])
     assert observed.figures
     assert "\n" not in observed.figures
     assert not re.search(r"[{}]|'\S*'|\bTrue\b|\bFalse\b|\bNone\b|(?<![\w\])])\[", plain(observed.figures))
@@ -50,6 +54,7 @@ def test_figures_are_plain_words() -> None:
 def test_rows() -> None:
     found = cases()
     assert len(found) == len(CASES)  # keys are unique
+    assert list(RECORD) == list(CASES), "make report writes the record"
     assert len(found) > 100
     for case in found:
         assert case.outcome in OUTCOMES

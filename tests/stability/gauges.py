@@ -7,6 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.source import Reading, Source
 from tipforce.sensor.calibration.grooves import paper_grooves
@@ -15,8 +17,6 @@ from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources import simulated
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _NOISE = 1e-13  # strain^2: three counts
 _HUSHED = (rig.UNKNOWN,) * 3

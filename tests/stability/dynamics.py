@@ -9,6 +9,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from stability.case import Case, Observed, refusal
 from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics import first_order_hold as stepping
@@ -17,7 +18,6 @@ from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.plane_frame import Frame
 from tipforce.sources.dynamic_load import DynamicLoad
 from tipforce_lab.dynamics.sampling import AntiAlias, sampled
-from tipforce_lab.report.stability.case import Case, Observed, refusal
 
 
 def cases() -> list[Case]:

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from stability.case import Case, Observed, refusal
 from tipforce.sensor.dynamics.first_order_hold import energy
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
@@ -13,7 +14,6 @@ from tipforce.sensor.structure.limits import closing_load
 from tipforce_lab.dynamics import integrators
 from tipforce_lab.dynamics.impact import Impact, Striker, impact, overload
 from tipforce_lab.dynamics.slit import slit_stop
-from tipforce_lab.report.stability.case import Case, Observed, refusal
 
 _STIFFNESSES = (1e5, 1e6, 1e7, 1e8)
 _MASS_KG, _SPEED = 0.02, 0.1

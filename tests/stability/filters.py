@@ -9,6 +9,8 @@ from functools import partial
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.device import codes
 from tipforce.dictionary import indices
 from tipforce.fingertip import filters
@@ -16,8 +18,6 @@ from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
 from tipforce.sources.front_end import Bridge, FrontEnd
 from tipforce.sources.simulated import SILENT, SimulatedSource
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _MOVING, _REPEATING, _FIRST_ORDER = filters.MOVING_AVERAGE, filters.REPEATING_AVERAGE, filters.FIRST_ORDER
 _HUSHED = (rig.UNKNOWN,) * 3

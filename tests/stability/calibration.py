@@ -8,13 +8,13 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.device import codes, communication
 from tipforce.dictionary import indices, table
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sensor.contact import scalar
 from tipforce.sources.simulated import SimulatedSource
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _GROUP = 4
 

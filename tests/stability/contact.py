@@ -8,10 +8,10 @@ from fractions import Fraction
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.sensor.contact import estimate, scalar
 from tipforce.sensor.contact.force import force_vector
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _SMALLEST = 5e-324
 _EPSILON = 2.0**-52

@@ -8,6 +8,8 @@ import warnings
 
 import numpy as np
 
+from stability import rig
+from stability.case import Case, Observed
 from tipforce.device import codes, communication, emcy
 from tipforce.dictionary import indices, table
 from tipforce.dictionary.rows import rows
@@ -15,8 +17,6 @@ from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.decoding import decoder as decode
 from tipforce.host.frames.frame_array import FrameArray, frame_array
-from tipforce_lab.report.stability import rig
-from tipforce_lab.report.stability.case import Case, Observed
 
 _FREE_COB_ID = codes.TIME_COB_ID + 35  # not used by any service
 _RPDO_COB_ID = codes.RPDO_BASES[0] + rig.NODE_ID
