@@ -46,20 +46,20 @@ def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 
     """Measure every part. ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts."""
     imports = import_times(scene, path)
     ladder = rungs(scene)
-    times = measure([one for _, one in ladder], path, samples, runs)
+    times = measure([step for _, step in ladder], path, samples, runs)
     work = dict(zip((name for name, _ in ladder), _differences(times), strict=True))
-    found = []
+    costs = []
     for part in parts(scene):
         us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
         import_ms = imports.get(part.name, 0.0) if part.built else None
-        found.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
-    return found
+        costs.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
+    return costs
 
 
 def _differences(times: Sequence[Measured]) -> list[tuple[float, float]]:
     """Return the time per sample (us) and per run (ms) of each step of a ladder that ends with nothing."""
     columns = []
-    for column in ([one.us_per_sample for one in times], [one.ms_per_run for one in times]):
+    for column in ([measured.us_per_sample for measured in times], [measured.ms_per_run for measured in times]):
         rising = [max(value, 0.0) for value in nondecreasing(column[::-1])]
         columns.append([after - before for before, after in pairwise([0.0, *rising])][::-1])
     return list(zip(*columns, strict=True))
@@ -85,20 +85,20 @@ def total(costs: Sequence[PartCost]) -> PartCost:
     """Sum of all parts: the cost of the whole scene, because each part was timed against the rest."""
     sums = [
         sum(value for value in column if value is not None)
-        for column in zip(*((one.us_per_sample, one.ms_per_run, one.import_ms) for one in costs), strict=True)
+        for column in zip(*((cost.us_per_sample, cost.ms_per_run, cost.import_ms) for cost in costs), strict=True)
     ]
     return PartCost("all", True, *sums)
 
 
 def rungs(scene: schema.Scene) -> list[tuple[str, schema.Scene]]:
     """Return (part, the scene with it and without all previous parts): each step removes one part, down to "nodes"."""
-    left, found = scene, []
+    left, ladder = scene, []
     built = {part.name for part in parts(scene) if part.built}
     for name, take in _TAKE:
         if name in built:
-            found.append((name, left))
+            ladder.append((name, left))
             left = take(left)
-    return [*found, ("nodes", left)]
+    return [*ladder, ("nodes", left)]
 
 
 def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
@@ -107,13 +107,13 @@ def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
 
 def _stand_still(scene: schema.Scene) -> schema.Scene:
     """Return the scene with every changing load held at its maximum."""
-    found = []
+    loads = []
     for node_id in scene.node_ids:
         load = load_of(scene, node_id)
         if load is not None:
             _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
-            found.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
-    return replace(scene, loads=tuple(found))
+            loads.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
+    return replace(scene, loads=tuple(loads))
 
 
 def _no_white(scene: schema.Scene) -> schema.Scene:
@@ -191,15 +191,15 @@ def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int)
                 elapsed_s, outcome = _timed(scene, path, _LENGTHEN * count)
                 long[k].append(elapsed_s)
                 outcomes.append(outcome)
-    found = []
+    results = []
     for k, scene in enumerate(moved):
         nodes = len(scene.node_ids)
         more = (_LENGTHEN - 1) * counts[k] * nodes
         sample_s = (min(long[k]) - min(short[k])) / more
         once_s = min(short[k]) - sample_s * counts[k] * nodes
         each = tuple(elapsed_s / (_LENGTHEN * counts[k] * nodes) for elapsed_s in long[k])
-        found.append(Measured(1e6 * sample_s, 1e3 * once_s, each, _P_rms(outcomes[k])))
-    return found
+        results.append(Measured(1e6 * sample_s, 1e3 * once_s, each, _P_rms(outcomes[k])))
+    return results
 
 
 def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]:
@@ -245,8 +245,8 @@ def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
     with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
         import msgspec
 
-        told = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
-        words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, told, str(path.parent)]
+        text = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
+        words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]
         done = subprocess.run(words, capture_output=True, text=True, check=True)
     return _attribute(done.stderr, [part for part in parts(scene) if part.built])
 
@@ -256,7 +256,7 @@ def _attribute(report: str, built: list[Part]) -> dict[str, float]:
     for part in built:
         for module in part.modules:
             owners.setdefault(module, part.name)
-    found: dict[str, float] = {}
+    ms_by_part: dict[str, float] = {}
     for line in report.splitlines():
         if not line.startswith("import time:") or "cumulative" in line:
             continue
@@ -265,8 +265,8 @@ def _attribute(report: str, built: list[Part]) -> dict[str, float]:
         if module in owners:
             # Imports of another package, including further packages, count for the module that imports it.
             us = own_us if module.startswith("tipforce") else total_us
-            found[owners[module]] = found.get(owners[module], 0.0) + 1e-3 * int(us)
-    return found
+            ms_by_part[owners[module]] = ms_by_part.get(owners[module], 0.0) + 1e-3 * int(us)
+    return ms_by_part
 
 
 SCENES = ("static", "full")
@@ -285,11 +285,11 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
         scene = read_scene(path)
         # A plot takes longer than all other parts and does not grow with the samples.
         ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
-        found = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
+        results = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
         settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
         points = [
             Point(setting, one.P_rms_newtons, quartiles(one.seconds))
-            for setting, one in zip(settings, found, strict=True)
+            for setting, one in zip(settings, results, strict=True)
         ]
         series.append(Series(name, tuple(points)))
         advance()

@@ -74,18 +74,18 @@ def run(args: argparse.Namespace) -> int:
     sensor = _sensor(args, calibration)
     loads = _loads(args, calibration, sensor.pull)
     causes = _causes(args, calibration)
-    found = budget(sensor, loads, causes)
+    error_budget = budget(sensor, loads, causes)
     if args.output:
         from tipforce_lab.design.error_budget import plot
 
-        plot(found, args.output)
-    records = _records(found)
+        plot(error_budget, args.output)
+    records = _records(error_budget)
     if args.json:
         for record in records:
             common.print_json(record)
     else:
         print(_text(records, len(loads.P_newtons) == 1))
-    _say_limits(args, found, causes)
+    _say_limits(args, error_budget, causes)
     return 0
 
 
@@ -186,14 +186,14 @@ def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes
     )
 
 
-def _records(found: Budget) -> list[dict[str, object]]:
+def _records(error_budget: Budget) -> list[dict[str, object]]:
     """Return one record per cause, the total last: root mean square and maximum over the loads, share of variance."""
     import numpy as np
 
     records: list[dict[str, object]] = []
     with np.errstate(divide="ignore", invalid="ignore"):
-        whole = np.mean(found.total.uncertainties**2, axis=0)
-        for row in [*found.rows, found.total]:
+        whole = np.mean(error_budget.total.uncertainties**2, axis=0)
+        for row in [*error_budget.rows, error_budget.total]:
             rms = np.sqrt(np.mean(row.uncertainties**2, axis=0))
             largest, share = row.uncertainties.max(axis=0), 100.0 * rms**2 / whole
             record: dict[str, object] = {"cause": row.cause}
@@ -220,7 +220,7 @@ def _text(records: list[dict[str, object]], single: bool) -> str:
     return "\n".join(lines)
 
 
-def _say_limits(args: argparse.Namespace, found: Budget, causes: Causes) -> None:
+def _say_limits(args: argparse.Namespace, error_budget: Budget, causes: Causes) -> None:
     """Print remarks on the table, on stderr."""
     from tipforce_lab.design.error_budget import gravity_residual
 
@@ -228,9 +228,9 @@ def _say_limits(args: argparse.Namespace, found: Budget, causes: Causes) -> None
         common.note(args, "gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
         shown = 100.0 * gravity_residual(causes.gravity_rad)
         common.note(args, f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
-    for cause, reason in found.left_out.items():
+    for cause, reason in error_budget.left_out.items():
         common.note(args, f"no row for {cause}: {reason}")
-    for name, holds in zip(("P", "phi", "theta"), found.holds.T, strict=True):
+    for name, holds in zip(("P", "phi", "theta"), error_budget.holds.T, strict=True):
         if not holds.all():
             common.note(
                 args,

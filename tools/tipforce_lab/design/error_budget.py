@@ -187,7 +187,7 @@ def elementary_errors(
     worst = np.hypot(sensor.A[:, 0], sensor.A[:, 2]) + np.abs(sensor.A[:, 1])
     largest = worst[:, np.newaxis] * np.hypot(F[:, 0], F[:, 2])
     common = causes.temperature_K * (causes.apparent_strain_per_K * C.sum(axis=1) + causes.sensitivity_per_K * F)
-    found = {
+    errors_by_cause = {
         "gauge noise": np.broadcast_to((C @ _factor(noise)).T[:, np.newaxis, :], per_gauge.shape),
         "quantisation": causes.resolution_strain / sqrt(12.0) * per_gauge,
         "gain": causes.gain * strain.T[:, :, np.newaxis] * per_gauge,
@@ -201,21 +201,25 @@ def elementary_errors(
     if sensor.calibrated:
         hung = groove_loads() if calibration_loads is None else calibration_loads
         turns = turn_errors(hung, F)
-        found["calibration noise"] = np.sqrt(_leverage(hung, F))[:, np.newaxis] * found["gauge noise"]
-        found["load angle"] = causes.load_angle_rad * turns
-        found["gravity"] = causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis]
-        found["gauge position"] = none
+        errors_by_cause["calibration noise"] = (
+            np.sqrt(_leverage(hung, F))[:, np.newaxis] * errors_by_cause["gauge noise"]
+        )
+        errors_by_cause["load angle"] = causes.load_angle_rad * turns
+        errors_by_cause["gravity"] = causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis]
+        errors_by_cause["gauge position"] = none
     else:
-        found["calibration noise"] = found["load angle"] = found["gravity"] = none
+        errors_by_cause["calibration noise"] = errors_by_cause["load angle"] = errors_by_cause["gravity"] = none
     if sensor.geometry is None or len(sensor.positions) != n:
         missing = ["off-axis load"] if sensor.calibrated else ["gauge position", "off-axis load"]
         left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
     else:
         if not sensor.calibrated:
             slopes = _position_slopes(sensor.geometry, sensor.positions)
-            found["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
-        found["off-axis load"] = _off_axis(sensor.geometry, sensor.positions, loads.theta_rad, causes, per_gauge)
-    return {cause: np.asarray(E, dtype=np.float64) for cause, E in found.items()}, left_out
+            errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
+        errors_by_cause["off-axis load"] = _off_axis(
+            sensor.geometry, sensor.positions, loads.theta_rad, causes, per_gauge
+        )
+    return {cause: np.asarray(E, dtype=np.float64) for cause, E in errors_by_cause.items()}, left_out
 
 
 def turn_errors(calibration_loads: Loads, F: FloatArray) -> FloatArray:
@@ -261,8 +265,8 @@ def _normal_matrix(G: FloatArray) -> FloatArray:
 
 def _along_y(loads: Loads) -> BoolArray:
     """Return which loads hang along y rather than along x."""
-    found: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
-    return found
+    along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
+    return along_y
 
 
 def _covariance(errors: FloatArray) -> FloatArray:
@@ -317,16 +321,16 @@ _QUANTITIES = (("P", "N", 1.0), ("phi", "deg", 180.0 / np.pi), ("theta", "deg", 
 _BAR, _TOTAL = "#0072b2", "#222222"
 
 
-def plot(found: Budget, path: str) -> None:
+def plot(error_budget: Budget, path: str) -> None:
     """Draw the standard uncertainty of each cause, root mean square over the loads, .png or .svg.
 
     Sorted by share of the variance of P; one colour, so that print and any colour vision show the same. Raises
     EnvironmentLackError without matplotlib, and InputError if the file cannot be written.
     """
-    sizes = np.array([np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in found.rows])
-    total = np.sqrt(np.mean(found.total.uncertainties**2, axis=0))
+    sizes = np.array([np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in error_budget.rows])
+    total = np.sqrt(np.mean(error_budget.total.uncertainties**2, axis=0))
     order = np.argsort(-sizes[:, 0], kind="stable")
-    names = [found.rows[k].cause for k in order] + ["total"]
+    names = [error_budget.rows[k].cause for k in order] + ["total"]
     with figures.plotting({"font.size": 9.0}):
         figure = figures.new_figure(9.0, 0.9 + 0.27 * len(names))
         panels = figure.subplots(1, 3, sharey=True)
@@ -335,8 +339,8 @@ def plot(found: Budget, path: str) -> None:
             places = np.arange(len(values), dtype=np.float64)
             axes.barh(places, values, color=[_BAR] * len(order) + [_TOTAL], height=0.7)
             for place, value in zip(places, values, strict=True):
-                told = f"{value:#.2g}" if value > 1e-6 * total[k] * unit else "0"  # below: rounding
-                axes.annotate(told, (value, place), (3, 0), textcoords="offset points", va="center")
+                label = f"{value:#.2g}" if value > 1e-6 * total[k] * unit else "0"  # below: rounding
+                axes.annotate(label, (value, place), (3, 0), textcoords="offset points", va="center")
             axes.set(xlabel=f"u({name}) ({symbol})", xlim=(0.0, 1.22 * max(values.max(), 1e-300)))
             axes.grid(visible=False)
             axes.tick_params(axis="y", length=0)

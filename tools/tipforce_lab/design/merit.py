@@ -184,15 +184,15 @@ def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float, clea
     an unknown point.
     """
     inset = 0.5 * gauge_length_m + clearance_m
-    found: list[Gauge] = []
+    positions: list[Gauge] = []
     for point in gauges:
         spot = nominal_position(geometry, point)
         if spot.position_m > 0.0:
-            found.append(spot._replace(position_m=spot.position_m - inset))
+            positions.append(spot._replace(position_m=spot.position_m - inset))
         else:
             beside = 0.5 * geometry.h2_m if spot.beam == "H" else 0.0
-            found.append(spot._replace(position_m=beside + inset))
-    return tuple(found)
+            positions.append(spot._replace(position_m=beside + inset))
+    return tuple(positions)
 
 
 FIGURES: dict[str, Callable[[Assessment], float]] = {

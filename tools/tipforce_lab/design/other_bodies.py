@@ -63,7 +63,7 @@ def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -
     best = best_length(geometry, gauges)
     if condition < condition_at_length(geometry, gauges, best):
         return ()
-    found = []
+    lengths = []
     for end in (-6.0, 6.0):
         near, far = 0.0, end
         for _ in range(60):
@@ -72,8 +72,8 @@ def lengths_of_condition(geometry: Geometry, gauges: Layout, condition: float) -
                 near = middle
             else:
                 far = middle
-        found.append(best * 10.0**near)
-    return tuple(found)
+        lengths.append(best * 10.0**near)
+    return tuple(lengths)
 
 
 def best_length(geometry: Geometry, gauges: Layout) -> float:
@@ -186,18 +186,19 @@ def comparators_section(geometry: Geometry) -> Section:
                 **{f"in {unit}": condition_at_length(geometry, case, length) for unit, length in units.items()},
                 "smallest": condition_at_length(geometry, case, best), "smallest_at_mm": best * MM,
                 "equal_at_mm": [
-                    [length * MM for length in lengths_of_condition(geometry, case, one.condition)]
-                    for one in COMPARATORS
+                    [length * MM for length in lengths_of_condition(geometry, case, comparator.condition)]
+                    for comparator in COMPARATORS
                 ],
             }
         )  # fmt: skip
-    for one in COMPARATORS:
+    for comparator in COMPARATORS:
         printed_in = {
-            unit: list(condition_range(one.condition, length, geometry.r_m)) for unit, length in units.items()
+            unit: list(condition_range(comparator.condition, length, geometry.r_m)) for unit, length in units.items()
         }
         records.append(
             {
-                "sensor": one.reference, "axes": one.axes, "printed": one.condition, "at_M_r_if_printed_in": printed_in,
+                "sensor": comparator.reference, "axes": comparator.axes, "printed": comparator.condition,
+                "at_M_r_if_printed_in": printed_in,
                 **{f"if in {unit}": values for unit, values in printed_in.items()},
             }
         )  # fmt: skip
@@ -235,15 +236,15 @@ def _comparators_notes(geometry: Geometry) -> list[str]:
     ]  # fmt: skip
 
 
-def _figures(found: Figures) -> Record:
+def _figures(figures: Figures) -> Record:
     return {
-        "strain_ue": found.strain_per_newton * CALIBRATION_WEIGHT_NEWTONS * MICRO,
-        "noise_gain_N_per_ue": found.noise_gain_newtons / MICRO,
-        "yield_N": found.yield_newtons,
-        "slit_N": found.slit_newtons,
-        "largest_N": found.largest_newtons,
-        "range_over_noise": found.largest_newtons / found.noise_gain_newtons * MICRO,
-        "frequency_hz": found.frequency_hz,
+        "strain_ue": figures.strain_per_newton * CALIBRATION_WEIGHT_NEWTONS * MICRO,
+        "noise_gain_N_per_ue": figures.noise_gain_newtons / MICRO,
+        "yield_N": figures.yield_newtons,
+        "slit_N": figures.slit_newtons,
+        "largest_N": figures.largest_newtons,
+        "range_over_noise": figures.largest_newtons / figures.noise_gain_newtons * MICRO,
+        "frequency_hz": figures.frequency_hz,
     }
 
 
@@ -262,10 +263,11 @@ def materials_section(geometry: Geometry) -> Section:
     """Return the body of other materials: strain, noise, and the load that yields or closes the slit."""
     records: list[Record] = [
         {
-            "material": one.name, "E_GPa": one.youngs_modulus_pascals / 1e9, "yield_MPa": one.yield_pascals / 1e6,
-            **_figures(figures_of(geometry, one, "I")),
+            "material": material.name, "E_GPa": material.youngs_modulus_pascals / 1e9,
+            "yield_MPa": material.yield_pascals / 1e6,
+            **_figures(figures_of(geometry, material, "I")),
         }
-        for one in MATERIALS
+        for material in MATERIALS
     ]  # fmt: skip
     columns = {"material": "material", "E_GPa": "E (GPa)", "yield_MPa": "yield (MPa)", **_FIGURES_COLUMNS}
     return Section(
@@ -289,15 +291,15 @@ def scaling_section(geometry: Geometry) -> Section:
     records: list[Record] = []
     for keep in (False, True):
         for scale in SCALES:
-            found = scaled(geometry, scale, "I", keep)
+            smaller = scaled(geometry, scale, "I", keep)
             records.append(
                 {
-                    "beams": "kept" if keep else "scaled", "r_mm": found.geometry.r_m * MM,
-                    "h_mm": [found.geometry.h1_m * MM, found.geometry.h2_m * MM],
-                    "slenderness": found.geometry.a_m / found.geometry.h1_m,
-                    **_figures(found.figures),
-                    "condition": found.condition, "condition_of_gauges": found.condition_of_gauges,
-                    "condition_of_shift": found.condition_of_shift,
+                    "beams": "kept" if keep else "scaled", "r_mm": smaller.geometry.r_m * MM,
+                    "h_mm": [smaller.geometry.h1_m * MM, smaller.geometry.h2_m * MM],
+                    "slenderness": smaller.geometry.a_m / smaller.geometry.h1_m,
+                    **_figures(smaller.figures),
+                    "condition": smaller.condition, "condition_of_gauges": smaller.condition_of_gauges,
+                    "condition_of_shift": smaller.condition_of_shift,
                 }
             )  # fmt: skip
     return Section("scaling", "Section 5. Smaller fingertips of AISI 4340, case I", _SCALING_COLUMNS, records, _SCALING)

@@ -52,13 +52,13 @@ def condition_against_shift(geometry: Geometry, gauges: Layout, shifts_m: npt.Ar
 def influences(geometry: Geometry, gauges: Layout, shift_m: float) -> list[Influence]:
     """Return per gauge the effect of its shift alone on the condition number. Raises as condition_against_shift()."""
     step = 1e-9
-    found = condition_against_shift(geometry, gauges, [0.0, step, shift_m])[:-1]
-    return [Influence((row[1] - row[0]) / step * 1e-3, row[2] - row[0]) for row in found.tolist()]
+    conditions = condition_against_shift(geometry, gauges, [0.0, step, shift_m])[:-1]
+    return [Influence((row[1] - row[0]) / step * 1e-3, row[2] - row[0]) for row in conditions.tolist()]
 
 
 def most_influential(geometry: Geometry, gauges: Layout, shift_m: float) -> int:
     """Return the number (1 for SG1) of the gauge whose shift changes the condition number most, up or down."""
-    changes = [abs(found.change) for found in influences(geometry, gauges, shift_m)]
+    changes = [abs(influence.change) for influence in influences(geometry, gauges, shift_m)]
     return 1 + int(np.argmax(changes))
 
 
@@ -149,9 +149,10 @@ def _calibrated(grooves: Grooves) -> npt.NDArray[np.bool_]:
 
 
 def _contact_errors(F: FloatArray, grooves: Grooves, P_newtons: float) -> FloatArray:
-    found = contacts(F, pull=True)
+    estimated = contacts(F, pull=True)
     errors = np.stack(
-        (found.P_newtons - P_newtons, found.phi_rad - grooves.phi_rad, found.theta_rad - grooves.theta_rad), axis=-1
+        (estimated.P_newtons - P_newtons, estimated.phi_rad - grooves.phi_rad, estimated.theta_rad - grooves.theta_rad),
+        axis=-1,
     )
     errors[:, 1:] = (errors[:, 1:] + np.pi) % (2.0 * np.pi) - np.pi
     result: FloatArray = errors
@@ -166,7 +167,7 @@ def figure_6_section(geometry: Geometry) -> Section:
     """Return figure 6: the condition number with one gauge, or all, shifted inward of their points."""
     records = []
     for case in CASES:
-        found = condition_against_shift(geometry, case, np.array(SHIFTS_MM) * 1e-3)
+        conditions = condition_against_shift(geometry, case, np.array(SHIFTS_MM) * 1e-3)
         slopes = [influence.slope_per_mm for influence in influences(geometry, case, 1e-3)]
         for index, moved in enumerate(("SG1", "SG2", "SG3", "all")):
             records.append(
@@ -175,7 +176,7 @@ def figure_6_section(geometry: Geometry) -> Section:
                     "moved": moved,
                     "gauge": LAYOUTS[case][index] if index < 3 else "",
                     "shift_mm": SHIFTS_MM,
-                    "condition": found[index].tolist(),
+                    "condition": conditions[index].tolist(),
                     "slope_per_mm": slopes[index] if index < 3 else sum(slopes),
                 }
             )
@@ -209,10 +210,10 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
     """Return figure 9: errors of P, phi, theta over the paper's grooves, from simulated gauge noise."""
     if not 0.0 < noise_ue < 1e4 or not 1 <= repeats <= 100_000:
         raise InputError(f"--noise {noise_ue!r} --repeats {repeats!r}: allowed are above 0 to 1e4, and 1 to 100000")
-    found = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
+    simulated = simulate_groove_errors(geometry, FIGURE_9_CASE, noise_ue * 1e-6, repeats=repeats, seed=seed)
     to_degrees = np.array([1.0, degrees(1.0), degrees(1.0)])
-    spread = found.errors.std(axis=0) * to_degrees
-    first, largest = found.standard_uncertainties * to_degrees, np.abs(found.errors).max(axis=0) * to_degrees
+    spread = simulated.errors.std(axis=0) * to_degrees
+    first, largest = simulated.standard_uncertainties * to_degrees, np.abs(simulated.errors).max(axis=0) * to_degrees
     records = [
         {
             "groove": "x" if along_x else "y",
@@ -223,7 +224,7 @@ def figure_9_section(geometry: Geometry, noise_ue: float, repeats: int, seed: in
             **{f"max_{name}": float(value) for name, value in zip(_NAMES, largest[index], strict=True)},
         }
         for index, (theta, phi, along_x) in enumerate(
-            zip(found.grooves.theta_rad, found.grooves.phi_rad, found.grooves.along_x, strict=True)
+            zip(simulated.grooves.theta_rad, simulated.grooves.phi_rad, simulated.grooves.along_x, strict=True)
         )
     ]
     return Section(

@@ -70,12 +70,12 @@ def figure_6() -> Figure:
     panels = figure.subplots(1, 3, sharey=True)
     shifts_mm = np.linspace(0.0, 5.0, 51)
     for case, axes in zip(CASES, panels, strict=True):
-        found = condition_against_shift(FABRICATED, case, shifts_mm * 1e-3)
+        conditions = condition_against_shift(FABRICATED, case, shifts_mm * 1e-3)
         for index, (colour, line, marker) in enumerate(STYLES):
             label = f"SG{index + 1} (at {LAYOUTS[case][index].removesuffix('_H')})" if index < 3 else "all three"
             axes.plot(
                 shifts_mm,
-                found[index],
+                conditions[index],
                 color=colour,
                 linestyle=line,
                 marker=marker,
@@ -93,12 +93,12 @@ def figure_6() -> Figure:
 
 def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
     """Draw errors of P, phi, theta at the grooves: one simulated run as points, 95 % bands of first order."""
-    found = simulate_groove_errors(FABRICATED, "I", noise_ue * 1e-6, repeats=repeats, seed=seed)
+    simulated = simulate_groove_errors(FABRICATED, "I", noise_ue * 1e-6, repeats=repeats, seed=seed)
     figure = new_figure(8.4, 3.2)
-    theta = np.degrees(found.grooves.theta_rad)
+    theta = np.degrees(simulated.grooves.theta_rad)
     scale = (1.0, 180.0 / np.pi, 180.0 / np.pi)
     labels = ("error of P (N)", "error of phi (degrees)", "error of theta (degrees)")
-    right, along_x = theta < 90.0, found.grooves.along_x
+    right, along_x = theta < 90.0, simulated.grooves.along_x
     kinds = (
         (along_x & right, "x-grooves", BLUE, "o"),
         (along_x & ~right, "", BLUE, "o"),
@@ -107,14 +107,14 @@ def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
     for index, axes in enumerate(figure.subplots(1, 3)):
         for chosen, name, colour, marker in kinds:
             order = np.flatnonzero(chosen)
-            band = 1.96 * scale[index] * found.standard_uncertainties[order, index]
+            band = 1.96 * scale[index] * simulated.standard_uncertainties[order, index]
             axes.fill_between(
                 theta[order], -band, band, color=colour, alpha=0.2, linewidth=0, label=name and f"95 %, {name}"
             )
             for run in range(min(3, repeats)):
                 axes.plot(
                     theta[order],
-                    scale[index] * found.errors[run, order, index],
+                    scale[index] * simulated.errors[run, order, index],
                     marker,
                     color=colour,
                     markersize=3.5,
@@ -192,10 +192,10 @@ def off_axis() -> Figure:
     ):
         for case, (colour, _, marker) in zip(CASES, STYLES, strict=False):
             for held in (True, False):
-                found = [_apparent(case, loads, held, {key: unit * value}) for value in values.tolist()]
+                apparent = [_apparent(case, loads, held, {key: unit * value}) for value in values.tolist()]
                 axes.plot(
                     values,
-                    found,
+                    apparent,
                     color=colour,
                     linestyle="-" if held else ":",
                     marker=marker,

@@ -108,12 +108,12 @@ def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ..
     faces: tuple[Literal["lower", "upper"], ...] = ("lower", "upper") if upper_face else ("lower",)
     sides: tuple[Literal["left", "right"], ...] = ("left", "right")
     slots = [Slot("H", side, face) for face in faces for side in sides] + [Slot("V", side) for side in sides]
-    found: dict[tuple[Slot, ...], None] = {}
+    sets_of_slots: dict[tuple[Slot, ...], None] = {}
     for chosen in itertools.combinations_with_replacement(slots, gauges):
         twin = tuple(sorted(slot._replace(side="left" if slot.side == "right" else "right") for slot in chosen))
-        if len({slot.beam for slot in chosen}) == 2 and twin not in found:
-            found[tuple(sorted(chosen))] = None
-    return list(found)
+        if len({slot.beam for slot in chosen}) == 2 and twin not in sets_of_slots:
+            sets_of_slots[tuple(sorted(chosen))] = None
+    return list(sets_of_slots)
 
 
 class Problem:
@@ -296,13 +296,13 @@ def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatA
     with np.errstate(all="ignore"), warnings.catch_warnings():
         # SLSQP of scipy 1.11 leaves the bounds by rounding, and clips.
         warnings.filterwarnings("ignore", "Values in x were outside bounds", RuntimeWarning)
-        found = minimize(
+        minimum = minimize(
             scored, x / scale, jac=True, method="SLSQP", bounds=problem.bounds / scale[:, np.newaxis],
             constraints=[constraint], options={"maxiter": 300, "ftol": 1e-9},
         )  # fmt: skip
-        point = np.asarray(found.x, dtype=np.float64) * scale
+        point = np.asarray(minimum.x, dtype=np.float64) * scale
         feasible = bool(np.all(problem.constraints(point[np.newaxis]) > -_FEASIBLE))
-    value = float(found.fun)
+    value = float(minimum.fun)
     return (value, point) if feasible and math.isfinite(value) and value < _FAILED else None
 
 
@@ -382,7 +382,7 @@ def trade_off(
     """
     goal, condition = score(objective, loads), score("condition", loads)
     highest, lowest = (condition(_matrix(design, limits))[0] for design in (best, least))
-    found: list[Design] = []
+    designs: list[Design] = []
     for design in (best, *others, least):
         problem = _problem(design, limits)
         x = problem.point(design)
@@ -392,8 +392,8 @@ def trade_off(
             done()
             if end:
                 x = end[1]
-                found.append(problem.design(x, objective))
-    return found
+                designs.append(problem.design(x, objective))
+    return designs
 
 
 def _below(part: Score, ceiling: float) -> Score:

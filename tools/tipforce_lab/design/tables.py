@@ -203,12 +203,12 @@ def ranked_layouts(geometry: Geometry, by: Figure = "condition") -> list[RankedL
     """Return the 28 mirrored pairs of layouts of three points, best first. Raises InputError for an unknown figure."""
     if by not in ("condition", "thin", "equilibrated", "noise"):
         raise InputError(f"rank by {by!r}: allowed are condition, thin, equilibrated, noise")
-    found: dict[frozenset[frozenset[str]], RankedLayout] = {}
+    by_mirror: dict[frozenset[frozenset[str]], RankedLayout] = {}
     for points in itertools.combinations(POINTS, 3):
         pair = frozenset((frozenset(points), frozenset(mirror(points))))
-        if pair not in found:
-            found[pair] = _ranked(geometry, points)
-    return sorted(found.values(), key=lambda row: (round(getattr(row, by), 9), row.condition))
+        if pair not in by_mirror:
+            by_mirror[pair] = _ranked(geometry, points)
+    return sorted(by_mirror.values(), key=lambda row: (round(getattr(row, by), 9), row.condition))
 
 
 def ties(rows: list[RankedLayout], by: Figure, tolerance: float = 1e-6) -> list[list[RankedLayout]]:
@@ -297,8 +297,8 @@ def shared_gauge_disagreement() -> dict[str, float]:
     rows = measured_rows()
     result = {}
     for point in ("S_H", "L", "U"):
-        found = np.array([rows[case][point] for case in CASES if point in rows[case]])
-        result[point] = float(np.ptp(found, axis=0).max() / np.abs(found).max())
+        gauge_rows = np.array([rows[case][point] for case in CASES if point in rows[case]])
+        result[point] = float(np.ptp(gauge_rows, axis=0).max() / np.abs(gauge_rows).max())
     return result
 
 

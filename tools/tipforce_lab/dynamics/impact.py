@@ -339,18 +339,18 @@ class _Run:
 
         parting.terminal = True  # type: ignore[attr-defined]
         parting.direction = turning.direction = -1.0  # type: ignore[attr-defined]
-        found = solve_ivp(
+        solution = solve_ivp(
             self._rate, (self.time_s, self._until_s), self.state, method="DOP853", events=(parting, turning),
             rtol=RELATIVE_TOLERANCE, atol=_ABSOLUTE * self._scale, dense_output=True,
         )  # fmt: skip
-        end_s, parted = float(found.t[-1]), found.status == 1
-        self._note_until(end_s, found.sol)
+        end_s, parted = float(solution.t[-1]), solution.status == 1
+        self._note_until(end_s, solution.sol)
         peak_newtons, peak_s = max(
             (self._force(X), float(time_s))
-            for time_s, X in ((end_s, found.y[:, -1]), *zip(found.t_events[1], found.y_events[1], strict=True))
+            for time_s, X in ((end_s, solution.y[:, -1]), *zip(solution.t_events[1], solution.y_events[1], strict=True))
         )
         self.touches.append(Touch(0, self.time_s, end_s if parted else math.inf, peak_newtons, peak_s))
-        self.state, self.time_s = found.y[:, -1], end_s
+        self.state, self.time_s = solution.y[:, -1], end_s
         if parted:
             self.state[self.assembly.overlap] = 0.0  # by definition, not by rounding
 

@@ -77,7 +77,7 @@ def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
     omega h = 2 sqrt(2); see rk4_stability_limit().
     """
     t = _times(times_s)
-    X, found = problem.start, [problem.output @ problem.start]
+    X, elastic = problem.start, [problem.output @ problem.start]
     with np.errstate(over="ignore", invalid="ignore"):
         for k in range(len(t) - 1):
             h, F, middle = t[k + 1] - t[k], load(t[k]), load(0.5 * (t[k] + t[k + 1]))
@@ -86,8 +86,8 @@ def runge_kutta_4(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
             k3 = problem.rate(middle, X + 0.5 * h * k2)
             k4 = problem.rate(load(t[k + 1]), X + h * k3)
             X = X + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-            found.append(problem.output @ X)
-    return Run(np.array(found), 4 * (len(t) - 1))
+            elastic.append(problem.output @ X)
+    return Run(np.array(elastic), 4 * (len(t) - 1))
 
 
 def newmark(problem: Problem, load: Load, times_s: npt.ArrayLike) -> Run:
@@ -115,13 +115,13 @@ def scipy_method(problem: Problem, load: Load, times_s: npt.ArrayLike, method: s
 
     t = _times(times_s)
     jacobian = {} if method == "DOP853" else {"jac": lambda _, X: _jacobian(problem, X)}
-    found = solve_ivp(
+    solution = solve_ivp(
         lambda time_s, X: problem.rate(load(time_s), X), (t[0], t[-1]), problem.start,
         method=method, t_eval=t, rtol=rtol, atol=rtol * problem.size, **jacobian,
     )  # fmt: skip
     elastic = np.full((len(t), 3), np.nan)
-    elastic[: found.y.shape[1]] = found.y.T @ problem.output.T
-    return Run(elastic, int(found.nfev))
+    elastic[: solution.y.shape[1]] = solution.y.T @ problem.output.T
+    return Run(elastic, int(solution.nfev))
 
 
 def rk4_stability_limit(damping_ratio: float) -> float:
@@ -167,7 +167,7 @@ def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float,
         for extra in (0.0, pressed)
     )
     a = shape @ load(t[0]) - C * v - K * d
-    found, evaluations = [output @ d], 0
+    elastic, evaluations = [output @ d], 0
     for k in range(len(t) - 1):
         F = shape @ load(f * t[k + 1] + alpha_f * t[k])
         d_free, v_free = d + h * v + h * h * (0.5 - beta) * a, v + h * (1.0 - gamma) * a
@@ -179,8 +179,8 @@ def _alpha(problem: Problem, load: Load, times_s: npt.ArrayLike, alpha_m: float,
             new = closed @ (force - pressed @ d_known)
             evaluations += 1
         d, v, a = d_free + h * h * beta * new, v_free + h * gamma * new, new
-        found.append(output @ d)
-    return Run(np.array(found), evaluations)
+        elastic.append(output @ d)
+    return Run(np.array(elastic), evaluations)
 
 
 def _second_order(
@@ -259,8 +259,8 @@ def step(modes: Modes, force: npt.ArrayLike, times_s: npt.ArrayLike) -> FloatArr
     """Return the elastic force (m, 3) after a step of the force at time 0."""
     g = modes.load_shape @ np.asarray(force, dtype=np.float64)
     z, _ = free(modes, State(-g, np.zeros_like(g)), times_s)
-    found: FloatArray = (g + z) @ modes.force_shape.T
-    return found
+    elastic: FloatArray = (g + z) @ modes.force_shape.T
+    return elastic
 
 
 def half_sine(modes: Modes, force: npt.ArrayLike, duration_s: float, times_s: npt.ArrayLike) -> FloatArray:
@@ -268,7 +268,9 @@ def half_sine(modes: Modes, force: npt.ArrayLike, duration_s: float, times_s: np
     t, F = np.asarray(times_s, dtype=np.float64), np.asarray(force, dtype=np.float64)
     during = t <= duration_s
     zero = np.zeros(3)
-    found, _ = harmonic(modes, zero, zero, F, 0.5 / duration_s, t[during]) if during.any() else (np.empty((0, 3)), None)
+    elastic, _ = (
+        harmonic(modes, zero, zero, F, 0.5 / duration_s, t[during]) if during.any() else (np.empty((0, 3)), None)
+    )
     _, end = harmonic(modes, zero, zero, F, 0.5 / duration_s, [duration_s])
     after, _ = free(modes, end, t[~during] - duration_s)
-    return np.vstack((found, after @ modes.force_shape.T))
+    return np.vstack((elastic, after @ modes.force_shape.T))

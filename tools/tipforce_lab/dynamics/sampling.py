@@ -31,8 +31,8 @@ def quasi_static_error(modes: Modes, frequency_hz: npt.ArrayLike) -> FloatArray:
     squared = ratio * ratio - 2j * modes.damping_ratio * ratio
     gain = squared / (1.0 - squared)
     error = (modes.force_shape * gain[..., np.newaxis, :]) @ modes.load_shape
-    found: FloatArray = np.linalg.norm(error, ord=2, axis=(-2, -1))
-    return found
+    largest: FloatArray = np.linalg.norm(error, ord=2, axis=(-2, -1))
+    return largest
 
 
 def frequency_of_error(modes: Modes, error: float) -> float:
@@ -102,7 +102,7 @@ def sampled(
         X[N : N + 3] = F[0]
         X[:N] = np.linalg.solve(A[:N, :N], -A[:N, N : N + 3] @ F[0]) if N else X[:N]
     moves: dict[int, FloatArray] = {}
-    end_us, now_us, found = (len(F) - 1) * step_us, 0, []
+    end_us, now_us, readings = (len(F) - 1) * step_us, 0, []
     for time_us in range(0, end_us + 1, period_us):
         while now_us < time_us:
             k = now_us // step_us
@@ -115,8 +115,8 @@ def sampled(
             now_us += gap_us
         if now_us % step_us == 0:
             X[N : N + 3] = F[now_us // step_us]  # a jump by rounding, or the first load
-        found.append(output @ X)
-    return np.array(found)
+        readings.append(output @ X)
+    return np.array(readings)
 
 
 def _system(modes: Modes | None, anti_alias: AntiAlias | None) -> tuple[FloatArray, FloatArray]:

@@ -144,10 +144,10 @@ class March:
         return tuple(sorted([*self.touches, *self._begun.values()], key=lambda touch: touch.begin_s))
 
     def _regime(self) -> _Regime:
-        found = self._regimes.get(self._closed)
-        if found is None:
-            found = self._regimes[self._closed] = _regime(self.system, self._closed)
-        return found
+        regime = self._regimes.get(self._closed)
+        if regime is None:
+            regime = self._regimes[self._closed] = _regime(self.system, self._closed)
+        return regime
 
     def _step_s(self, regime: _Regime) -> tuple[float, int]:
         """Return the length of the next step, and k if that is finest_s 2^k."""

@@ -154,19 +154,19 @@ class Outline:
         """Return the re-entrant corners by name: K, S at the joint, T, U at the foot, slit, and L, R below."""
         g, fillet, slit = self.geometry, self.fillet_m, self.slit_fillet_m
         half_h1, half_h2, leg = 0.5 * g.h1_m, 0.5 * g.h2_m, self.leg_m
-        found = {}
+        by_name = {}
         for sign, joint, foot, outer in ((-1.0, "K", "T", "L"), (1.0, "S", "U", "R")):
             side = "left" if sign < 0.0 else "right"
             # Half of the beam's thickness at most: the fillet of its other face has the other half.
-            found[joint] = Corner(sign * half_h2, -half_h1, sign, -1.0, fillet, half_h2, g.h1_m)
+            by_name[joint] = Corner(sign * half_h2, -half_h1, sign, -1.0, fillet, half_h2, g.h1_m)
             if self.fixture_depth_m > 0.0:
-                found[foot] = Corner(sign * half_h2, self.foot_m, sign, 1.0, fillet, half_h2, self.fixture_depth_m)
+                by_name[foot] = Corner(sign * half_h2, self.foot_m, sign, 1.0, fillet, half_h2, self.fixture_depth_m)
             edge = sign * g.a_m
-            found[f"slit {side} lower"] = Corner(edge, half_h1, -sign, 1.0, slit, leg, half_h1)
-            found[f"slit {side} upper"] = Corner(edge, self.tip_bottom_m, -sign, -1.0, slit, leg, self.tip_side_m)
+            by_name[f"slit {side} lower"] = Corner(edge, half_h1, -sign, 1.0, slit, leg, half_h1)
+            by_name[f"slit {side} upper"] = Corner(edge, self.tip_bottom_m, -sign, -1.0, slit, leg, self.tip_side_m)
             if self.leg_below_m > 0.0:
-                found[outer] = Corner(edge, -half_h1, -sign, -1.0, 0.0, leg, half_h1)
-        return found
+                by_name[outer] = Corner(edge, -half_h1, -sign, -1.0, 0.0, leg, half_h1)
+        return by_name
 
 
 STATED = Outline()

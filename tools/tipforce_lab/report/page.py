@@ -25,15 +25,15 @@ def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]],
     """
     items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
     records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
-    lines = "".join(json_line(one) + "\n" for one in records)
-    found = []
+    lines = "".join(json_line(record) + "\n" for record in records)
+    paths = []
     for name, content in (("index.html", html(report)), ("report.jsonl", lines)):
-        found.append(directory / name)
-        write_file(found[-1], content, HTML if name.endswith(".html") else JSON_LINES)
+        paths.append(directory / name)
+        write_file(paths[-1], content, HTML if name.endswith(".html") else JSON_LINES)
     for study in report.studies:
-        found.append(directory / f"{study.key}.svg")
-        plots.save(study, found[-1])
-    return found
+        paths.append(directory / f"{study.key}.svg")
+        plots.save(study, paths[-1])
+    return paths
 
 
 def style() -> str:
@@ -96,7 +96,7 @@ def _head(report: Report) -> list[str]:
     links += [("cases", "Extreme cases")] if report.cases else []
     links += [("left-out", "Left out")] if report.left_out else []
     entries = "".join(f'<li><a href="#{escape(key)}">{escape(title)}</a></li>' for key, title in links)
-    sentences = "".join(f"<li>{escape(one)}</li>" for one in verdict(report))
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in verdict(report))
     return [
         "<h1>tipforce: error against run time, and extreme cases</h1>",
         f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{sentences}</ul></div>',
@@ -108,14 +108,14 @@ def _head(report: Report) -> list[str]:
 
 
 def _advice(report: Report) -> list[str]:
-    found = advice(report)
-    if not found:
+    advices = advice(report)
+    if not advices:
         return []
     rows = []
-    for one in found:
-        need, method, error, time = map(escape, text.shown_advice(one))
+    for choice in advices:
+        need, method, error, time = map(escape, text.shown_advice(choice))
         rows.append(
-            f'<tr><th scope="row"><a href="#{escape(one.study)}">{need}</a></th><td>{method}</td>'
+            f'<tr><th scope="row"><a href="#{escape(choice.study)}">{need}</a></th><td>{method}</td>'
             f'<td class="number">{error}</td><td>{time}</td></tr>'
         )
     head = '<th scope="col">need</th><th scope="col">method</th><th scope="col" class="number">error</th>'
@@ -131,7 +131,7 @@ def _advice(report: Report) -> list[str]:
 def _study(study: Study) -> str:
     remarks = "".join(f"<li>{escape(remark)}</li>" for remark in study.remarks)
     absent = "".join(f"<li>left out: {escape(name)}: {escape(why)}</li>" for name, why in study.left_out.items())
-    points = sum(len(one.points) for one in study.series)
+    points = sum(len(series.points) for series in study.series)
     return "\n".join(
         (
             f'<section class="study" id="{escape(study.key)}"><h3 id="{escape(study.key)}-title">',
@@ -149,9 +149,9 @@ def _table(study: Study) -> str:
     heads += [study.work_unit.replace("s per", "time per"), "quartiles"]
     heads += ["processor", "runs"] if text.has_cpu(study) else ["runs"]
     rows = []
-    for one in study.series:
-        for number, point in enumerate(one.points):
-            method, setting, *numbers = map(escape, text.cells(study, one.method if not number else "", point))
+    for series in study.series:
+        for number, point in enumerate(series.points):
+            method, setting, *numbers = map(escape, text.cells(study, series.method if not number else "", point))
             cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
             rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
     kinds = ["", "", *[' class="number"'] * (len(heads) - 2)]
@@ -214,5 +214,5 @@ def _case_table(cases: list[Case]) -> str:
 
 
 def _left_out(lacks: list[LeftOut]) -> str:
-    rows = "".join(f"<li><b>{escape(one.key)}</b>: {escape(one.reason)}</li>" for one in lacks)
+    rows = "".join(f"<li><b>{escape(lack.key)}</b>: {escape(lack.reason)}</li>" for lack in lacks)
     return f"<ul>{rows}</ul>"

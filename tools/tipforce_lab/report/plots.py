@@ -82,13 +82,13 @@ def _folded(text: str) -> str:
 
 def _floor(study: Study) -> float:
     """Return the position of an error of zero."""
-    errors = [error for one in study.series for point in one.points for error in (point.error, point.rms_error)]
+    errors = [error for series in study.series for point in series.points for error in (point.error, point.rms_error)]
     return _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
 
 
 def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
-    one = study.series[number]
-    points = [point for point in one.points if math.isfinite(point.error)]
+    series = study.series[number]
+    points = [point for point in series.points if math.isfinite(point.error)]
     seconds = [point.timing.seconds for point in points]
     errors = [max(point.error, floor) for point in points]
     spread = [
@@ -107,7 +107,7 @@ def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
         linewidth=1.3,
         elinewidth=1.0,
         capsize=2.5,
-        label=one.method,
+        label=series.method,
     )
     for point, error in zip(points, errors, strict=True):
         if point.rms_error is not None and point.rms_error > 0.0:
@@ -137,7 +137,7 @@ def _draw_reference(axes: Axes, study: Study) -> None:
 
 
 def _draw_zero(axes: Axes, study: Study, floor: float) -> None:
-    if any(point.error == 0.0 for one in study.series for point in one.points):
+    if any(point.error == 0.0 for series in study.series for point in series.points):
         axes.axhline(floor, color=BAND, linewidth=0.8)
         axes.annotate("0", (1.0, floor), xycoords=("axes fraction", "data"), fontsize=8, va="bottom", ha="right")
 

@@ -60,16 +60,16 @@ class Report:
         return (
             all(case.held for case in self.cases)
             and all(row.held for grid in self.grids for row in grid.rows)
-            and not any(one.failed for one in self.left_out)
+            and not any(lack.failed for lack in self.left_out)
         )
 
-    def add(self, found: Iterable[Study | Grid]) -> None:
+    def add(self, results: Iterable[Study | Grid]) -> None:
         """Add the results of a module."""
-        for one in found:
-            if isinstance(one, Grid):
-                self.grids.append(one)
+        for result in results:
+            if isinstance(result, Grid):
+                self.grids.append(result)
             else:
-                self.studies.append(one)
+                self.studies.append(result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -132,21 +132,21 @@ class Run:
         yield from self.report.left_out
         for key, module in self._modules:
             before = len(self.report.left_out)
-            found = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
-            self._keep(key, found, self.report.add)
+            results = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
+            self._keep(key, results, self.report.add)
             yield from self.report.left_out[before:]
-            if not isinstance(found, _Lack):
-                yield from found
+            if not isinstance(results, _Lack):
+                yield from results
         for case in self._cases:
             self.report.cases.append(case)
             yield case
             advance()
 
-    def _keep(self, key: str, found: Any, take: Callable[[Any], object]) -> None:
-        if isinstance(found, _Lack):
-            self.report.left_out.append(LeftOut(key, found.reason, found.failed))
+    def _keep(self, key: str, result: Any, take: Callable[[Any], object]) -> None:
+        if isinstance(result, _Lack):
+            self.report.left_out.append(LeftOut(key, result.reason, result.failed))
         else:
-            take(found)
+            take(result)
 
 
 @dataclass(frozen=True, slots=True)
@@ -188,7 +188,7 @@ def machine() -> dict[str, str]:
 
     from tipforce.dictionary.table import SOFTWARE_VERSION
 
-    found = {
+    facts = {
         "processor": f"{_processor()}, {os.cpu_count()} threads",
         "system": f"{platform.system()} {platform.machine()}",
         "Python": f"{platform.python_implementation()} {platform.python_version()}",
@@ -196,10 +196,10 @@ def machine() -> dict[str, str]:
     }
     for name in _VERSIONS:
         try:
-            found[name] = version(name)
+            facts[name] = version(name)
         except PackageNotFoundError:
-            found[name] = "not installed"
-    return found
+            facts[name] = "not installed"
+    return facts
 
 
 def _processor() -> str:

@@ -98,9 +98,9 @@ class Study:
     def recommended(self, need: Need) -> tuple[Series, Point] | None:
         """Return the method and setting with the least time among those whose error is small enough; None: none is."""
         good = [
-            (one, point)
-            for one in self.series if one.method not in need.unfit
-            for point in one.points if point.error <= need.enough
+            (series, point)
+            for series in self.series if series.method not in need.unfit
+            for point in series.points if point.error <= need.enough
         ]  # fmt: skip
         return min(good, key=lambda pair: pair[1].timing.work_seconds, default=None)
 
@@ -122,13 +122,14 @@ def timed_together(
     repeats = [_repeats(work, at_least_s, warm) for work in works]
     runs: list[list[tuple[float, float]]] = [[] for _ in works]
     for _ in range(effort.pick(3, 7)):
-        for work, count, found in zip(works, repeats, runs, strict=True):
-            found.append(_elapsed(work, count))
+        for work, count, elapsed in zip(works, repeats, runs, strict=True):
+            elapsed.append(_elapsed(work, count))
     return [
         quartiles(
-            [wall_s / (count * units) for wall_s, _ in found], median([cpu_s / (count * units) for _, cpu_s in found])
+            [wall_s / (count * units) for wall_s, _ in elapsed],
+            median([cpu_s / (count * units) for _, cpu_s in elapsed]),
         )
-        for count, found in zip(repeats, runs, strict=True)
+        for count, elapsed in zip(repeats, runs, strict=True)
     ]
 
 

@@ -33,18 +33,18 @@ class Advice:
 
 def verdict(report: Report) -> list[str]:
     """Return sentences: what held, what did not, how the references were checked."""
-    found = [_cases(report)] if report.cases else []
-    found += [_grid(grid) for grid in report.grids]
+    sentences = [_cases(report)] if report.cases else []
+    sentences += [_grid(grid) for grid in report.grids]
     checked = [study.check_difference for study in report.studies if study.check_difference is not None]
     if checked:
-        found.append(
+        sentences.append(
             f"{len(checked)} references that are code of the project agree with an independent computation within "
             f"{max(checked):.1e}."
         )
     failed = [lack.key for lack in report.left_out if lack.failed]
     if failed:
-        found.append(f"Failed: {', '.join(failed)}.")
-    return found
+        sentences.append(f"Failed: {', '.join(failed)}.")
+    return sentences
 
 
 def advice(report: Report) -> list[Advice]:
@@ -53,11 +53,11 @@ def advice(report: Report) -> list[Advice]:
 
 
 def _advice(study: Study, need: Need) -> Advice:
-    found = study.recommended(need)
-    if found is None:
+    choice = study.recommended(need)
+    if choice is None:
         return Advice(study.key, need.text, "", float("nan"), need.unit, float("nan"), study.work_unit)
-    one, point = found
-    method = f"{one.method}, {point.setting}" if point.setting else one.method
+    series, point = choice
+    method = f"{series.method}, {point.setting}" if point.setting else series.method
     return Advice(study.key, need.text, method, point.error, need.unit, point.timing.work_seconds, study.work_unit)
 
 
@@ -72,12 +72,12 @@ def _grid(grid: Grid) -> str:
     sums = [sum((row.cells[k] for row in grid.rows), Counted()) for k in range(len(grid.methods))]
     broken = [row.name for row in grid.rows if not row.held]
     least = min(range(len(sums)), key=lambda k: (sums[k].wrong, -sums[k].ok))
-    told = f"Of the ways to show values, {grid.methods[least]} shows the fewest wrong ones as ok"
+    sentence = f"Of the ways to show values, {grid.methods[least]} shows the fewest wrong ones as ok"
     if broken:
-        return f"{told}. Too many, without a known reason: {'; '.join(broken)}."
+        return f"{sentence}. Too many, without a known reason: {'; '.join(broken)}."
     excused = sum(any(row.reasons) for row in grid.rows)
     return (
-        f"{told}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows more of them than "
+        f"{sentence}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows more of them than "
         "allowed (1 in 10,000, or one row); the reasons are known and listed."
     )
 
@@ -111,16 +111,16 @@ def shown_quartiles(point: Point) -> str:
 
 def has_cpu(study: Study) -> bool:
     """Return whether the processor time of any point is known beside its wall time."""
-    return any(point.timing.cpu_seconds is not None for one in study.series for point in one.points)
+    return any(point.timing.cpu_seconds is not None for series in study.series for point in series.points)
 
 
 def shown_reference(study: Study) -> str:
     """Return the reference with its own error, and how it was checked."""
     own = f"its own error is {shown_error(study.reference_error)}" if study.reference_error else "it is exact"
-    told = f"{study.reference}; {own}"
+    text = f"{study.reference}; {own}"
     if study.check_difference is not None:
-        told += f". Checked independently ({study.check}): differs by {shown_error(study.check_difference)}"
-    return told
+        text += f". Checked independently ({study.check}): differs by {shown_error(study.check_difference)}"
+    return text
 
 
 def shown_counts(cell: Counted) -> str:
@@ -128,22 +128,22 @@ def shown_counts(cell: Counted) -> str:
     return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
 
 
-def shown_advice(one: Advice) -> tuple[str, str, str, str]:
+def shown_advice(choice: Advice) -> tuple[str, str, str, str]:
     """Return need, method, error, time."""
-    if not one.method:
-        return one.need, "none is exact enough", "", ""
-    unit = one.work_unit.replace("s per", "per")
+    if not choice.method:
+        return choice.need, "none is exact enough", "", ""
+    unit = choice.work_unit.replace("s per", "per")
     return (
-        one.need,
-        one.method,
-        shown_advised_error(one.error, one.unit),
-        f"{shown_time(one.seconds)} {unit.split(' (')[0]}",
+        choice.need,
+        choice.method,
+        shown_advised_error(choice.error, choice.unit),
+        f"{shown_time(choice.seconds)} {unit.split(' (')[0]}",
     )
 
 
 def has_rms(study: Study) -> bool:
     """Return whether any point has a root mean square besides its error."""
-    return any(point.rms_error is not None for one in study.series for point in one.points)
+    return any(point.rms_error is not None for series in study.series for point in series.points)
 
 
 def headline(report: Report) -> str:
@@ -160,7 +160,7 @@ def summary(report: Report) -> str:
     if failed:
         parts.append(f"{len(failed)} NOT AS CLAIMED ({', '.join(failed)})")
     if report.left_out:
-        parts.append(f"{len(report.left_out)} left out ({', '.join(one.key for one in report.left_out)})")
+        parts.append(f"{len(report.left_out)} left out ({', '.join(lack.key for lack in report.left_out)})")
     return ", ".join(parts)
 
 
@@ -202,9 +202,9 @@ def _print_study(console: Console, study: Study) -> None:
     if has_cpu(study):
         table.add_column("processor", justify="right", no_wrap=True)
     table.add_column("runs", justify="right")
-    for one in study.series:
-        for number, point in enumerate(one.points):
-            table.add_row(*cells(study, one.method if not number else "", point))
+    for series in study.series:
+        for number, point in enumerate(series.points):
+            table.add_row(*cells(study, series.method if not number else "", point))
     console.print()
     console.print(table)
     console.print(f"reference: {shown_reference(study)}")
@@ -225,16 +225,16 @@ def cells(study: Study, method: str, point: Point) -> list[str]:
     return [*row, str(point.timing.runs)]
 
 
-def _print_advice(console: Console, found: list[Advice]) -> None:
+def _print_advice(console: Console, choices: list[Advice]) -> None:
     from rich.table import Table
 
-    if not found:
+    if not choices:
         return
     table = Table(title="Which method for which need", title_justify="left")
     for name in ("need", "method", "error", "processor time"):
         table.add_column(name, justify="right" if name == "error" else "left")
-    for one in found:
-        table.add_row(*shown_advice(one))
+    for choice in choices:
+        table.add_row(*shown_advice(choice))
     console.print()
     console.print(table)
 
@@ -260,11 +260,11 @@ def _print_grid(console: Console, grid: Grid) -> None:
 
 def grid_reasons(grid: Grid) -> list[str]:
     """Return each reason why wrong rows are shown as ok, with the cases and methods that it is for."""
-    found: dict[str, dict[str, None]] = {}
+    rows_by_reason: dict[str, dict[str, None]] = {}
     for row in grid.rows:
         for reason in filter(None, row.reasons):
-            found.setdefault(reason, {})[row.name] = None
-    return [f"{'; '.join(names)}: {reason}" for reason, names in found.items()]
+            rows_by_reason.setdefault(reason, {})[row.name] = None
+    return [f"{'; '.join(names)}: {reason}" for reason, names in rows_by_reason.items()]
 
 
 def _print_cases(console: Console, cases: list[Case]) -> None:
@@ -298,7 +298,7 @@ def head_record(report: Report) -> dict[str, Any]:
 
 def conclusions(report: Report) -> dict[str, Any]:
     """Return the verdict and the advice of a finished report, for JSON."""
-    return {"verdict": verdict(report), "advice": [shown_advice(one) for one in advice(report)]}
+    return {"verdict": verdict(report), "advice": [shown_advice(choice) for choice in advice(report)]}
 
 
 def record(item: Item) -> dict[str, Any]:

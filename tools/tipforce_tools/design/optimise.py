@@ -144,12 +144,12 @@ class _Judge:
         from tipforce.sensor.structure.layouts import LAYOUTS
         from tipforce_lab.design.merit import assess, glued
 
-        found = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in ("I", "II", "III")]
+        assessments = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in ("I", "II", "III")]
         try:
             real = glued(FABRICATED, LAYOUTS["I"], self.limits.gauge_length_m, self.limits.clearance_m)
-            return [*found, assess("I glued", FABRICATED, real, **self.options)]
+            return [*assessments, assess("I glued", FABRICATED, real, **self.options)]
         except InputError:  # gauges of this length do not fit on the paper's body
-            return found
+            return assessments
 
     def design(self, design: Design, name: str) -> Assessment:
         from tipforce_lab.design.merit import assess

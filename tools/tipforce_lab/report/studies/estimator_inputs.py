@@ -68,7 +68,7 @@ def contacts(
     if corners:
         counts = np.concatenate((counts, _corners(C)))
     exact = [_exact(C, row) for row in counts.tolist()]
-    return Contacts(C, counts, [one[0] for one in exact], [one[1] for one in exact], _full_scale(A))
+    return Contacts(C, counts, [contact[0] for contact in exact], [contact[1] for contact in exact], _full_scale(A))
 
 
 def _corners(C: FloatArray) -> IntArray:
@@ -76,8 +76,8 @@ def _corners(C: FloatArray) -> IntArray:
     signs = np.array(np.meshgrid(*[[-1, 1]] * 3)).reshape(3, -1).T
     F = signs @ C.T
     possible = np.abs(F[:, 1]) < 0.99 * np.hypot(F[:, 0], F[:, 2])
-    found: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
-    return found
+    corners: IntArray = signs[possible] * round(_FILLED * 2 ** (COUNT_BITS - 1))
+    return corners
 
 
 def _full_scale(A: FloatArray) -> float:
@@ -151,7 +151,7 @@ def _inverse_arctan(n: int) -> Decimal:
     return total
 
 
-def errors(found: FloatArray, exact: list[Decimal], period: float = 0.0) -> FloatArray:
+def errors(estimated: FloatArray, exact: list[Decimal], period: float = 0.0) -> FloatArray:
     """Return found - exact, (k,), as the difference of exact numbers; angles wrapped to half a period."""
-    difference = np.array([float(Decimal(f) - e) for f, e in zip(found.tolist(), exact, strict=True)])
+    difference = np.array([float(Decimal(f) - e) for f, e in zip(estimated.tolist(), exact, strict=True)])
     return difference - period * np.rint(difference / period) if period else difference

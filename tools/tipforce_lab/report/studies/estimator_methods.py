@@ -239,13 +239,13 @@ def on_the_node(given: Contacts, form: str) -> Method:
     return {"inside": work, "REAL32": lambda: _as_real32(work()), "INTEGER16": lambda: _as_integer16(work())}[form]
 
 
-def _as_real32(found: Estimate) -> Estimate:
-    P, theta = found
+def _as_real32(estimate: Estimate) -> Estimate:
+    P, theta = estimate
     return P.astype(np.float32).astype(np.float64), theta.astype(np.float32).astype(np.float64)
 
 
-def _as_integer16(found: Estimate) -> Estimate:
-    P, theta = found
+def _as_integer16(estimate: Estimate) -> Estimate:
+    P, theta = estimate
     return np.rint(P * 1000.0) / 1000.0, np.rint(theta * 100.0) / 100.0
 
 

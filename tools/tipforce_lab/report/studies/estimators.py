@@ -70,11 +70,11 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     k = effort.pick(400, 4000)
     usual = contacts(rng, k, near, corners=True)
     sliding = contacts(rng, k, tangent)
-    found, left_out = _run(usual, effort, advance)
-    found_sliding, _ = _run_again(sliding, effort, (found, left_out), advance)
-    angle = _angle_study(usual, found, left_out)
+    results, left_out = _run(usual, effort, advance)
+    found_sliding, _ = _run_again(sliding, effort, (results, left_out), advance)
+    angle = _angle_study(usual, results, left_out)
     return [
-        _force_study(usual, found, left_out),
+        _force_study(usual, results, left_out),
         angle,
         _tangent_study(sliding, found_sliding, left_out, angle),
     ]
@@ -82,32 +82,32 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
 
 def _run(given: Contacts, effort: Effort, advance: Callable[[], None]) -> _Ran:
     """Run all methods on these contacts, timed."""
-    found: dict[str, list[_Found]] = {}
+    results: dict[str, list[_Found]] = {}
     for method, setting, work in _prepared(given):
-        found.setdefault(method, []).append(_Found(setting, work(), timed(work, effort, units=len(given.counts))))
+        results.setdefault(method, []).append(_Found(setting, work(), timed(work, effort, units=len(given.counts))))
         advance()
     left_out = {}
     try:
-        found[MICROPYTHON] = [_Found("REAL32 C", *methods.on_micropython(given, effort))]
+        results[MICROPYTHON] = [_Found("REAL32 C", *methods.on_micropython(given, effort))]
     except EnvironmentLackError as lack:
         left_out[MICROPYTHON] = str(lack)
     advance()
-    return found, left_out
+    return results, left_out
 
 
 def _run_again(given: Contacts, effort: Effort, before: _Ran, advance: Callable[[], None]) -> _Ran:
     """Run the same methods on other contacts; the work, and so the times, are the same."""
     known, left_out = before
-    found: dict[str, list[_Found]] = {}
+    results: dict[str, list[_Found]] = {}
     for method, setting, work in _prepared(given):
-        here = found.setdefault(method, [])
+        here = results.setdefault(method, [])
         here.append(_Found(setting, work(), known[method][len(here)].timing))
         advance()
     if MICROPYTHON in known:
         estimate, _ = methods.on_micropython(given, effort)
-        found[MICROPYTHON] = [_Found("REAL32 C", estimate, known[MICROPYTHON][0].timing)]
+        results[MICROPYTHON] = [_Found("REAL32 C", estimate, known[MICROPYTHON][0].timing)]
     advance()
-    return found, left_out
+    return results, left_out
 
 
 def _prepared(given: Contacts) -> Iterator[tuple[str, str, methods.Method]]:
@@ -119,19 +119,21 @@ def _prepared(given: Contacts) -> Iterator[tuple[str, str, methods.Method]]:
             yield method, setting, methods.in_integers(given, form)
 
 
-def _series(found: dict[str, list[_Found]], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
+def _series(results: dict[str, list[_Found]], error: Callable[[methods.Estimate], FloatArray]) -> tuple[Series, ...]:
     series = []
-    for method, settings in found.items():
+    for method, settings in results.items():
         points = []
-        for one in settings:
-            off = error(one.estimate)
-            points.append(Point(one.setting, float(np.abs(off).max()), one.timing, float(np.sqrt(np.mean(off**2)))))
+        for result in settings:
+            off = error(result.estimate)
+            points.append(
+                Point(result.setting, float(np.abs(off).max()), result.timing, float(np.sqrt(np.mean(off**2))))
+            )
         series.append(Series(method, tuple(points)))
     return tuple(series)
 
 
 def _worst(series: tuple[Series, ...]) -> dict[tuple[str, str], float]:
-    return {(one.method, point.setting): point.error for one in series for point in one.points}
+    return {(method.method, point.setting): point.error for method in series for point in method.points}
 
 
 def _inputs(given: Contacts, what: str) -> str:
@@ -165,12 +167,12 @@ def _study(
     )  # fmt: skip
 
 
-def _force_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
+def _force_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
     def error(estimate: methods.Estimate) -> FloatArray:
         return errors(estimate[0], given.P_newtons) / given.full_scale_newtons
 
     # P does not depend on the arctangent: one setting of the integers is enough.
-    kept = {method: settings for method, settings in found.items() if method != INT32_TABLE}
+    kept = {method: settings for method, settings in results.items() if method != INT32_TABLE}
     series = _series({**kept, INT32: kept[INT32][-1:]}, error)
     worst = _worst(series)
     half_lsb = 2.0**-COUNT_BITS
@@ -195,8 +197,8 @@ def _angle_error(given: Contacts) -> Callable[[methods.Estimate], FloatArray]:
     return lambda estimate: errors(estimate[1], given.theta_deg, 360.0)
 
 
-def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
-    series = _series(found, _angle_error(given))
+def _angle_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str]) -> Study:
+    series = _series(results, _angle_error(given))
     worst = _worst(series)
     remarks = (
         f"From 8 to 20 CORDIC iterations the error falls from {worst[INT32, '8 iterations']:.1e} to "
@@ -205,7 +207,7 @@ def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
         f"{worst[INT32_TABLE, '256 entries']:.1e} degrees.",
         f"16-bit readings, not the arctangent, hold int16 at {worst[INT16, '16-bit C']:.2g} degrees, for the smallest "
         "loads.",
-        *_same_on_micropython(found),
+        *_same_on_micropython(results),
         _INTEGERS,
     )
     about = ("angle", "the contact angle theta", "largest error of theta (degrees)")
@@ -213,16 +215,16 @@ def _angle_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict
     return _study(about, need, _inputs(given, "at least 0.1 in |cos(delta)| from tangency"), series, left_out, remarks)
 
 
-def _same_on_micropython(found: dict[str, list[_Found]]) -> list[str]:
-    if MICROPYTHON not in found:
+def _same_on_micropython(results: dict[str, list[_Found]]) -> list[str]:
+    if MICROPYTHON not in results:
         return []
-    there, here = found[MICROPYTHON][0].estimate, found[NODE][-1].estimate
+    there, here = results[MICROPYTHON][0].estimate, results[NODE][-1].estimate
     apart = max(float(np.abs(b - a).max()) for a, b in zip(there, here, strict=True))
     return [f"The node's code gives the same under MicroPython and CPython, to {apart:.1g} N and degrees."]
 
 
-def _tangent_study(given: Contacts, found: dict[str, list[_Found]], left_out: dict[str, str], away: Study) -> Study:
-    series = _series(found, _angle_error(given))
+def _tangent_study(given: Contacts, results: dict[str, list[_Found]], left_out: dict[str, str], away: Study) -> Study:
+    series = _series(results, _angle_error(given))
     worst, worst_away = _worst(series), _worst(away.series)
     single, double, naive = (FLOAT32, "float32 C"), (FLOAT64, "float64 C"), (NAIVE32, "float32 C")
     remarks = (

@@ -66,7 +66,7 @@ def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, 
             timing = _timing(fit, rigs, effort)
             points[method].append(Point(f"{loads} loads", float(np.sqrt(np.mean(np.square(errors)))), timing))
         advance()
-    series = tuple(Series(method, tuple(found)) for method, found in points.items() if found)
+    series = tuple(Series(method, tuple(fitted_points)) for method, fitted_points in points.items() if fitted_points)
     what = f"{share:.0%} of the readings off by {OUTLIER_STRAIN * 1e6:g} microstrain" if share else "no outliers"
     return Study(
         key=key,
@@ -113,8 +113,8 @@ def _linear(rig: _Rig) -> Fitted:
 
 def _affine(rig: _Rig) -> Fitted:
     F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
-    found, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain, rcond=None)
-    return np.linalg.pinv(found[:3].T), found[3]
+    coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain, rcond=None)
+    return np.linalg.pinv(coefficients[:3].T), coefficients[3]
 
 
 def _full(rig: _Rig) -> Fitted:
@@ -125,9 +125,9 @@ def _full(rig: _Rig) -> Fitted:
 _METHODS: dict[str, Callable[[_Rig], Fitted]] = {LINEAR: _linear, AFFINE: _affine, FULL: _full}
 
 
-def _error(found: Fitted, rig: _Rig) -> float:
+def _error(fitted: Fitted, rig: _Rig) -> float:
     """Return the root mean square force error on unseen loads, newtons."""
-    C, offset = found
+    C, offset = fitted
     F = unseen_forces(np.random.default_rng(4), UNSEEN)
     off = (F @ rig.A.T + rig.offset_strain - offset) @ C.T - F
     return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
@@ -141,8 +141,8 @@ def _timing(fit: Callable[[_Rig], Fitted], rigs: list[_Rig], effort: Effort) -> 
 
 def _remarks(points: dict[str, list[Point]]) -> list[str]:
     remarks = []
-    for method, found in points.items():
-        many = {int(point.setting.split()[0]): point.error for point in found}
+    for method, fitted_points in points.items():
+        many = {int(point.setting.split()[0]): point.error for point in fitted_points}
         many = {loads: error for loads, error in many.items() if loads >= _MANY}
         if len(many) < 2:
             continue

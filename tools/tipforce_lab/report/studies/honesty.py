@@ -93,13 +93,15 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Grid]:
         if effort.quick and gauges not in QUICK_COUNTS:
             advance()
             continue
-        found = {fault: [Counted() for _ in METHODS] for fault in FAULTS}
+        counts_by_fault = {fault: [Counted() for _ in METHODS] for fault in FAULTS}
         for finger in range(effort.pick(1, 2)):
             with tempfile.TemporaryDirectory(prefix="tipforce-report-") as folder:
                 seed = effort.seed + 100 * finger + gauges
                 for fault, counts in of_finger(Path(folder), gauges, seed, effort.pick(4, 8)):
-                    found[fault] = [one + other for one, other in zip(found[fault], counts, strict=True)]
-        rows += [_row(fault, gauges, tuple(counts)) for fault, counts in found.items()]
+                    counts_by_fault[fault] = [
+                        one + other for one, other in zip(counts_by_fault[fault], counts, strict=True)
+                    ]
+        rows += [_row(fault, gauges, tuple(counts)) for fault, counts in counts_by_fault.items()]
         advance()
     return [
         Grid(
@@ -234,19 +236,19 @@ def _recorded(folder: Path, scene: schema.Scene) -> _Samples:
                          *(round(value, 1) for value in sample.microstrains)))  # fmt: skip
 
     simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
-    found = np.array(rows)
-    status, faults = found[:, 3:5].astype(np.int64).T
-    return _Samples(found[:, 0], found[:, 1:3], status, faults, found[:, 6:], found[:, 5])
+    recorded = np.array(rows)
+    status, faults = recorded[:, 3:5].astype(np.int64).T
+    return _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
 
 
 def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
     samples, load = _recorded(folder, scene), load_of(scene, NODE_ID)
     true = applied_at(load, samples.t_s)[:, 0]
-    found = []
+    counts = []
     for P, u, ok in _shown(samples, calibration):
         wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
-        found.append(Counted(len(true), int(ok.sum()), int(wrong.sum())))
-    return found
+        counts.append(Counted(len(true), int(ok.sum()), int(wrong.sum())))
+    return counts
 
 
 def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
@@ -257,17 +259,17 @@ def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatA
     yield P, u, alone & (samples.faults == 0)
     yield _decoded(samples, calibration)
     for temperature in (samples.temperature_degC, None):
-        found = tipforce.estimate(calibration, samples.microstrain, temperature_degC=temperature)
-        flagged = found.status & ~np.uint16(Status.CONTACT | Status.CALIBRATED)
-        ok = np.isfinite(found.P_newtons) & (flagged == 0) & found.has(Status.CONTACT)
-        yield found.P_newtons, found.u_P_newtons, ok
+        estimated = tipforce.estimate(calibration, samples.microstrain, temperature_degC=temperature)
+        flagged = estimated.status & ~np.uint16(Status.CONTACT | Status.CALIBRATED)
+        ok = np.isfinite(estimated.P_newtons) & (flagged == 0) & estimated.has(Status.CONTACT)
+        yield estimated.P_newtons, estimated.u_P_newtons, ok
 
 
 def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:
     """The columns of `decode --calibration` from gauges, status byte and temperature."""
     k, values = len(samples.t_s), {}
     columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(samples.microstrain.shape[1])]
-    values = {one.name: column for one, column in zip(columns, samples.microstrain.T, strict=True)}
+    values = {column_name.name: column for column_name, column in zip(columns, samples.microstrain.T, strict=True)}
     for name, bit in (("stale", scalar.STALE), ("fault", scalar.FRONT_END_FAULT), ("saturated", scalar.SATURATED)):
         columns.append(flag(name))
         values[name] = (samples.status & bit != 0).astype(np.int8)
@@ -277,8 +279,8 @@ def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, F
         (1e9 * samples.t_s).astype(np.int64), np.full(k, NODE_ID, np.uint16), np.arange(k), np.ones(k, np.bool_),
         tuple(columns), values,
     )  # fmt: skip
-    (found,) = ContactColumns({None: calibration}, None).tables([table])
-    P, u = found.values["P_N"], found.values["u_P_N"]
-    doubts = [found.values[name] == 1 for name in FLAGS if name != "contact"]
-    ok = np.isfinite(P) & (found.values["contact"] == 1) & ~np.any(doubts, axis=0)
+    (decoded,) = ContactColumns({None: calibration}, None).tables([table])
+    P, u = decoded.values["P_N"], decoded.values["u_P_N"]
+    doubts = [decoded.values[name] == 1 for name in FLAGS if name != "contact"]
+    ok = np.isfinite(P) & (decoded.values["contact"] == 1) & ~np.any(doubts, axis=0)
     return P, u, ok

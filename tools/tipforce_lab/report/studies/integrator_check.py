@@ -55,63 +55,63 @@ def body(geometry: Geometry, damping_ratio: float, beams_with_mass: bool) -> Bod
     return Body(rate, push, np.hstack([output, np.zeros((3, n))]))
 
 
-def smooth(one: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
+def smooth(driven_body: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
     """Return the elastic force (m, 3) under one raised cosine over all times."""
     w = 2.0 * math.pi / float(times_s[-1])
     # F (1 - c) / 2 with the states (1, c, s) of a generator that turns: c' = -w s, s' = w c.
     turning = np.array([[0.0, 0.0, 0.0], [0.0, 0.0, -w], [0.0, w, 0.0]])
-    return _driven(one, np.outer(F, [0.5, -0.5, 0.0]), turning, np.array([1.0, 1.0, 0.0]), times_s)[0]
+    return _driven(driven_body, np.outer(F, [0.5, -0.5, 0.0]), turning, np.array([1.0, 1.0, 0.0]), times_s)[0]
 
 
-def step(one: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
+def step(driven_body: Body, F: FloatArray, times_s: FloatArray) -> FloatArray:
     """Return the elastic force after a step of the load."""
-    return _driven(one, F[:, np.newaxis], np.zeros((1, 1)), np.ones(1), times_s)[0]
+    return _driven(driven_body, F[:, np.newaxis], np.zeros((1, 1)), np.ones(1), times_s)[0]
 
 
-def half_sine(one: Body, F: FloatArray, tap_s: float, times_s: FloatArray) -> FloatArray:
+def half_sine(driven_body: Body, F: FloatArray, tap_s: float, times_s: FloatArray) -> FloatArray:
     """Return the elastic force under half a sine, then without load; ``tap_s`` is one of the times."""
     w, touched = math.pi / tap_s, times_s <= tap_s * (1.0 + 1e-9)
     turning = np.array([[0.0, -w], [w, 0.0]])
-    under, state = _driven(one, np.outer(F, [0.0, 1.0]), turning, np.array([1.0, 0.0]), times_s[touched])
+    under, state = _driven(driven_body, np.outer(F, [0.0, 1.0]), turning, np.array([1.0, 0.0]), times_s[touched])
     after = times_s[~touched] - tap_s
-    free, _ = _driven(one, np.zeros((3, 1)), np.zeros((1, 1)), np.ones(1), np.append(0.0, after), state)
+    free, _ = _driven(driven_body, np.zeros((3, 1)), np.zeros((1, 1)), np.ones(1), np.append(0.0, after), state)
     return np.vstack([under, free[1:]])
 
 
 def _driven(
-    one: Body, shape: FloatArray, turning: FloatArray, phase: FloatArray, times_s: FloatArray,
+    driven_body: Body, shape: FloatArray, turning: FloatArray, phase: FloatArray, times_s: FloatArray,
     state: FloatArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:  # fmt: skip
     """Return (elastic force (m, 3), last state) for a load shape @ (state of a generator), at equal steps from 0."""
-    n, m = len(one.rate), len(turning)
-    together = np.block([[one.rate, one.push @ shape], [np.zeros((m, n)), turning]])
+    n, m = len(driven_body.rate), len(turning)
+    together = np.block([[driven_body.rate, driven_body.push @ shape], [np.zeros((m, n)), turning]])
     across = scipy.linalg.expm(together * float(times_s[1] - times_s[0]))
     X = np.append(np.zeros(n) if state is None else state, phase)
-    found = [one.output @ X[:n]]
+    elastic = [driven_body.output @ X[:n]]
     for _ in times_s[1:]:
         X = across @ X
-        found.append(one.output @ X[:n])
-    return np.array(found), X[:n]
+        elastic.append(driven_body.output @ X[:n])
+    return np.array(elastic), X[:n]
 
 
-def struck(one: Body, striker: Striker, times_s: FloatArray) -> FloatArray:
+def struck(struck_body: Body, striker: Striker, times_s: FloatArray) -> FloatArray:
     """Return the elastic force after a body with a linear contact meets the tip; states: (y, y', overlap, speed)."""
-    n = len(one.rate)
+    n = len(struck_body.rate)
     half = n // 2
     along = striker.direction
-    pull = one.push @ along  # of the structure, per newton of contact force
+    pull = struck_body.push @ along  # of the structure, per newton of contact force
 
     def rate(_t: float, X: FloatArray) -> FloatArray:
         force = striker.stiffness * X[n] if closed else 0.0
         tip = along @ X[half:n]
-        return np.concatenate([one.rate @ X[:n] + pull * force, [X[n + 1] - tip, -force / striker.mass_kg]])
+        return np.concatenate([struck_body.rate @ X[:n] + pull * force, [X[n + 1] - tip, -force / striker.mass_kg]])
 
     def edge(_t: float, X: FloatArray) -> float:
         return float(X[n])
 
     edge.terminal = True  # type: ignore[attr-defined]
     X, t, closed = np.append(np.zeros(n), [0.0, striker.speed_m_s]), 0.0, True
-    found = np.zeros((len(times_s), 3))
+    elastic = np.zeros((len(times_s), 3))
     scale = striker.speed_m_s * math.sqrt(striker.mass_kg / striker.stiffness)
     done = 1
     while done < len(times_s):
@@ -121,8 +121,8 @@ def struck(one: Body, striker: Striker, times_s: FloatArray) -> FloatArray:
         )
         reached = times_s <= run.t[-1] * (1.0 + 1e-15)
         for k in range(done, int(reached.sum())):
-            found[k] = one.output @ run.sol(times_s[k])[:n]
+            elastic[k] = struck_body.output @ run.sol(times_s[k])[:n]
         done = max(done, int(reached.sum()))
         t, X, closed = float(run.t[-1]), run.y[:, -1], not closed
         X[n] = 0.0
-    return found
+    return elastic

@@ -65,9 +65,9 @@ def _checked(name: str, beams_with_mass: bool, *words: object) -> FloatArray:
     from tipforce.sensor.structure.geometry import FABRICATED
     from tipforce_lab.report.studies import integrator_check
 
-    one = integrator_check.body(FABRICATED, _DAMPING, beams_with_mass)
-    found: FloatArray = getattr(integrator_check, name)(one, *words)
-    return found
+    body = integrator_check.body(FABRICATED, _DAMPING, beams_with_mass)
+    computed: FloatArray = getattr(integrator_check, name)(body, *words)
+    return computed
 
 
 def _smooth() -> _Task:
@@ -193,7 +193,7 @@ class _Job:
 
 
 def _study(task: _Task, effort: Effort) -> Study:
-    jobs = [_job(task, *one) for one in _exact_runs(task, effort)]
+    jobs = [_job(task, *run) for run in _exact_runs(task, effort)]
     for name in _FIXED:
         jobs += [_job(task, name, _setting(task, n), _fixed(task, name, n)) for n in _substeps(effort)]
     left_out, check, difference = {}, "", None
@@ -247,12 +247,12 @@ def _per_second(timing: Timing, duration_s: float) -> Timing:
     )  # fmt: skip
 
 
-def _relative(found: FloatArray, wanted: FloatArray) -> float:
+def _relative(computed: FloatArray, wanted: FloatArray) -> float:
     """Return the largest error over the largest value; of a run that grew a thousandfold it is infinite."""
     import numpy as np
 
     with np.errstate(over="ignore", invalid="ignore"):
-        error = float(np.abs(found - wanted).max() / np.abs(wanted).max())
+        error = float(np.abs(computed - wanted).max() / np.abs(wanted).max())
     return error if error < 1e3 else math.inf
 
 
@@ -304,13 +304,17 @@ def _remarks(task: _Task, series: list[Series]) -> list[str]:
     poles = np.linalg.eigvals(problem.A + contact)
     fastest = complex(poles[np.abs(poles).argmax()])
     limit_us = 1e6 * rk4_stability_limit(max(-fastest.real, 0.0) / abs(fastest)) / abs(fastest)
-    found = [f"RK4's stability limit by theory, for the fastest mode while in contact, is a step of {limit_us:.4g} us."]
+    remarks = [
+        f"RK4's stability limit by theory, for the fastest mode while in contact, is a step of {limit_us:.4g} us."
+    ]
     if problem.push is None:
-        found = [f"RK4's stability limit by theory, for the fastest mode, is a step of {limit_us:.4g} us."]
-    for one in series:
-        unstable = [point.setting for point in one.points if math.isinf(point.error)]
+        remarks = [f"RK4's stability limit by theory, for the fastest mode, is a step of {limit_us:.4g} us."]
+    for method in series:
+        unstable = [point.setting for point in method.points if math.isinf(point.error)]
         if unstable:
-            found.append(f"{one.method} is unstable at {', '.join(unstable)}: the error grows a thousandfold or more.")
+            remarks.append(
+                f"{method.method} is unstable at {', '.join(unstable)}: the error grows a thousandfold or more."
+            )
     if task.key == "integrators-step" and all(p.error < 1e-9 for p in series[0].points):
-        found.append("The held step is exact at every step: a constant load is a straight line.")
-    return found
+        remarks.append("The held step is exact at every step: a constant load is a straight line.")
+    return remarks

@@ -63,16 +63,16 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
         return [_left_out(key, title) for key, title in _TITLES.items()]
     reference = _reference(effort)
     advance()
-    found: dict[str, list[_Found]] = {}
+    results: dict[str, list[_Found]] = {}
     for method, matrix in _beam_models().items():
-        found[method] = [_Found("", matrix(), timed(matrix, effort))]
+        results[method] = [_Found("", matrix(), timed(matrix, effort))]
         advance()
     for method, grading in (("FE, uniform meshes", 1.0), ("FE, graded meshes", None)):
-        found[method] = []
+        results[method] = []
         for cells in _QUICK_CELLS if effort.quick else _FULL_CELLS:
-            found[method].append(_finite_elements(effort, cells, grading))
+            results[method].append(_finite_elements(effort, cells, grading))
             advance()
-    return [_conditions(reference, found), _matrices(reference, found)]
+    return [_conditions(reference, results), _matrices(reference, results)]
 
 
 _TITLES = {
@@ -81,7 +81,7 @@ _TITLES = {
 }
 
 
-def _conditions(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
+def _conditions(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
     """Return the error of a model: the largest of the three cases."""
 
     def error(matrix: FloatArray) -> float:
@@ -103,13 +103,13 @@ def _conditions(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
         "s per structure (mesh to strain matrix)",
         f"{_what(reference)}: {values}",
         known,
-        _series(found, error),
-        remarks=(_against_uniform(found, error), _beams_against_meshes(found, error)),
+        _series(results, error),
+        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)),
         needs=(Need("rank gauge layouts, condition number to 6 %", 0.06), Need("condition number to 0.5 %", 5e-3)),
     )
 
 
-def _matrices(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
+def _matrices(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
     def error(matrix: FloatArray) -> float:
         return _distance(matrix, reference.matrix)
 
@@ -121,8 +121,8 @@ def _matrices(reference: _Reference, found: dict[str, list[_Found]]) -> Study:
         "s per structure (mesh to strain matrix)",
         _what(reference),
         reference.matrix_error,
-        _series(found, error),
-        remarks=(_against_uniform(found, error), _beams_against_meshes(found, error)),
+        _series(results, error),
+        remarks=(_against_uniform(results, error), _beams_against_meshes(results, error)),
         needs=(Need("strain of a gauge to 5 %", 0.05), Need("strain of a gauge to 0.5 %", 5e-3)),
     )
 
@@ -132,23 +132,23 @@ def _what(reference: _Reference) -> str:
     return f"plane-stress FE of the stated outline, 1 mm gauges, graded meshes n = {levels} extrapolated"
 
 
-def _series(found: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> tuple[Series, ...]:
+def _series(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> tuple[Series, ...]:
     return tuple(
-        Series(method, tuple(Point(one.setting, error(one.matrix), one.timing) for one in points))
-        for method, points in found.items()
+        Series(method, tuple(Point(result.setting, error(result.matrix), result.timing) for result in points))
+        for method, points in results.items()
     )
 
 
-def _against_uniform(found: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
-    uniform, graded = found["FE, uniform meshes"][-1], found["FE, graded meshes"][-1]
+def _against_uniform(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
+    uniform, graded = results["FE, uniform meshes"][-1], results["FE, graded meshes"][-1]
     return (
         f"With as many unknowns ({graded.setting}) the graded mesh has an error of {error(graded.matrix):.1e}, the "
         f"uniform one {error(uniform.matrix):.1e}."
     )
 
 
-def _beams_against_meshes(found: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
-    beams = {method: error(points[0].matrix) for method, points in found.items() if not method.startswith("FE")}
+def _beams_against_meshes(results: dict[str, list[_Found]], error: Callable[[FloatArray], float]) -> str:
+    beams = {method: error(points[0].matrix) for method, points in results.items() if not method.startswith("FE")}
     best = min(beams, key=lambda method: beams[method])
     return (
         f"No beam model includes the corners: the best, {best}, is {beams[best]:.1%} off, where gauges fit; Table 1 at "
