@@ -17,7 +17,7 @@ from pathlib import Path
 from bench.fem import figures, studies, table_3
 from bench.fem.table_3 import Variant
 
-from tipforce.sensor.structure.published import CASES
+from tipforce.sensor.structure.layouts import CASES
 from tipforce_lab.fem.gauges import extrapolate_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution
 from tipforce_lab.fem.plane_stress import Model, solve

@@ -12,8 +12,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.structure.layouts import LAYOUTS
-from tipforce.sensor.structure.published import CASES
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.strain import condition_number
 from tipforce_lab.fem.gauges import Face, Limit, corner_exponent, extrapolate, face, nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import GRADING, Resolution

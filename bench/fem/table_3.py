@@ -13,8 +13,8 @@ import numpy.typing as npt
 from bench.fem.studies import GAUGES, case_conditions
 
 from tipforce.sensor.structure.gauge_shift import GaugePosition
-from tipforce.sensor.structure.layouts import LAYOUTS
-from tipforce.sensor.structure.published import CASES, GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
 from tipforce_lab.fem.gauges import nearest_place, strain_matrix
 from tipforce_lab.fem.mesh import Resolution
 from tipforce_lab.fem.outline import STATED

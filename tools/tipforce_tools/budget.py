@@ -112,13 +112,13 @@ def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor
     import numpy as np
 
     from tipforce.sensor.structure.gauge_positions import gauge_matrix, place
+    from tipforce.sensor.structure.layouts import CASE_OF_CODE
     from tipforce_lab.design.error_budget import Sensor
     from tipforce_tools.cli.layout_file import read_layout
 
-    names = {1: "I", 2: "II", 3: "III"}
     name = args.layout
     if name is None:
-        name = "I" if calibration is None else names.get(calibration.layout_code)
+        name = "I" if calibration is None else CASE_OF_CODE.get(calibration.layout_code)
     geometry, gauges = (None, ()) if name is None else read_layout(name)
     positions = tuple(place(geometry, gauge) for gauge in gauges) if geometry is not None else ()
     if calibration is None:

@@ -11,8 +11,8 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
-from tipforce.sensor.structure.published import CASES, HALF_DIGIT, MEASURED_MATRICES, TABLE_2
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
 from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_matrix
 from tipforce_lab.design.tables import (
     SYMBOLS,

@@ -19,9 +19,9 @@ from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 from tipforce.sensor.contact.force import force_from_strain, force_vector
 from tipforce.sensor.structure.gauge_shift import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, Layout, layout
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, Layout, layout
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches, off_centre_wrenches
-from tipforce.sensor.structure.published import CALIBRATION_THETA_DEG, CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
+from tipforce.sensor.structure.published import CALIBRATION_THETA_DEG, CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce_lab.design.tables import Section
 

@@ -17,9 +17,9 @@ from tipforce.output_file import make_folder, save_figure
 from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.structure.gauge_shift import nominal_position
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
-from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, CASES, GAUGE_LENGTH_M
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
 from tipforce_lab.design.paper_figures import condition_against_shift, simulate_groove_errors
 from tipforce_lab.design.tables import Section, ranked_layouts
 from tipforce_lab.plotting import new_figure, plotting
@@ -192,7 +192,10 @@ def off_axis() -> Figure:
     ):
         for case, (colour, _, marker) in zip(CASES, STYLES, strict=False):
             for held in (True, False):
-                apparent = [_apparent(case, loads, held, {key: unit * value}) for value in values.tolist()]
+                apparent = [
+                    apparent_force(FABRICATED, case, loads, warping_held=held, **{key: unit * value}).norm_newtons
+                    for value in values.tolist()
+                ]
                 axes.plot(
                     values,
                     apparent,
@@ -223,10 +226,6 @@ def draw_sweep(path: Path, section: Section) -> None:
         panels[0].set_title(section.title)
         panels[1].set_xlabel(section.columns[name])
         save_figure(figure, path)
-
-
-def _apparent(case: str, loads: np.ndarray, held: bool, placement: dict[str, float]) -> float:
-    return apparent_force(FABRICATED, case, loads, warping_held=held, **placement).norm_newtons
 
 
 MM = 1e3

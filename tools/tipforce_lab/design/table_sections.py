@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
 from tipforce.sensor.structure.published import (
     CALIBRATION_WEIGHT_NEWTONS,
-    CASES,
     MEASURED_MATRICES,
     TABLE_2,
     TABLE_3_MEASUREMENT,

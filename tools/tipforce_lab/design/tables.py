@@ -19,8 +19,8 @@ from tipforce.errors import InputError
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.gauge_shift import shifted_matrix
 from tipforce.sensor.structure.geometry import Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
-from tipforce.sensor.structure.published import CASES, HALF_DIGIT, MEASURED_MATRICES
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
+from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
 from tipforce.sensor.structure.strain import (
     calibration_matrix,
     condition_number,
@@ -232,20 +232,16 @@ def _ranked(geometry: Geometry, points: tuple[str, ...]) -> RankedLayout:
         points = LAYOUTS[case]
     matrix = strain_matrix(geometry, points)
     regular = int(np.linalg.matrix_rank(matrix)) == 3
+    thin = condition_number(thin_limit_matrix(points))
     return RankedLayout(
         points,
         mirror(points),
         case,
         condition_number(matrix) if regular else float("inf"),
-        _finite(condition_number(thin_limit_matrix(points))),
+        thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
         row_equilibrated_condition_number(matrix) if regular else float("inf"),
         noise_gain(np.linalg.pinv(matrix)) if regular else float("inf"),
     )
-
-
-def _finite(condition: float) -> float:
-    """Return infinity for a singular matrix that rounding makes barely regular."""
-    return condition if condition < 1e12 else float("inf")
 
 
 class RoundingRange(NamedTuple):

@@ -13,7 +13,7 @@ from typing import Any
 from tipforce.output_file import HTML, JSON_LINES, write_file
 from tipforce_lab.report import plots, text
 from tipforce_lab.report.cases import Case
-from tipforce_lab.report.run import Item, LeftOut, Report
+from tipforce_lab.report.run import Item, Report
 from tipforce_lab.report.study import Grid, Study
 from tipforce_lab.report.text import advice, verdict
 
@@ -73,7 +73,8 @@ def html(report: Report) -> str:
     if report.cases:
         parts += ['<h2 id="cases">Extreme cases</h2>', f'<p class="note">{_OUTCOMES}</p>', *_cases(report.cases)]
     if report.left_out:
-        parts += ['<h2 id="left-out">Left out</h2>', _left_out(report.left_out)]
+        lacks = (f"<li><b>{escape(lack.key)}</b>: {escape(lack.reason)}</li>" for lack in report.left_out)
+        parts += ['<h2 id="left-out">Left out</h2>', f"<ul>{''.join(lacks)}</ul>"]
     return "\n".join([*parts, "</main></body></html>", ""])
 
 
@@ -211,8 +212,3 @@ def _case_table(cases: list[Case]) -> str:
     head = "".join(f'<th scope="col">{name}</th>' for name in ("case", "outcome", "situation", "claim", "seen"))
     body = f'<table class="cases"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
     return f'<div class="wide">{body}</div>'
-
-
-def _left_out(lacks: list[LeftOut]) -> str:
-    rows = "".join(f"<li><b>{escape(lack.key)}</b>: {escape(lack.reason)}</li>" for lack in lacks)
-    return f"<ul>{rows}</ul>"

@@ -89,22 +89,19 @@ def selected(only: str | None) -> Selection:
         return Selection(tuple(STUDIES), ("*",))
     studies: list[str] = []
     patterns: list[str] = []
+    allowed = f"allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list"
     for word in filter(None, (part.strip() for part in only.split(","))):
         if word in STUDIES:
             studies.append(word)
         elif word == STABILITY:
             patterns.append("*")
         else:
-            _require_case(word)
             patterns += [word, f"{word}.*"]
+            if not matching(all_cases(), patterns[-2:]):
+                raise InputError(f"--only {word!r}: {allowed}")
     if not studies and not patterns:
-        raise InputError(f"--only {only!r}: allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list")
+        raise InputError(f"--only {only!r}: {allowed}")
     return Selection(tuple(key for key in STUDIES if key in studies), tuple(patterns))
-
-
-def _require_case(word: str) -> None:
-    if not matching(all_cases(), (word, f"{word}.*")):
-        raise InputError(f"--only {word!r}: allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list")
 
 
 def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
@@ -164,7 +161,7 @@ def _guarded(work: Callable[[], Any]) -> Any:
     except TipforceError as error:
         return _Lack(str(error), failed=not isinstance(error, EnvironmentLackError))
     except Exception as error:  # a fault in one study must not end the others
-        return _Lack(_told(error), failed=True)
+        return _Lack(_place_and_text(error), failed=True)
 
 
 def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
@@ -176,7 +173,7 @@ def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
     return _Lack(f"{name} is not installed: {hint}", failed=False)
 
 
-def _told(error: Exception) -> str:
+def _place_and_text(error: Exception) -> str:
     last = traceback.extract_tb(error.__traceback__)[-1]
     return f"{type(error).__name__} in {last.name}(), line {last.lineno} of {last.filename.rsplit('/')[-1]}: {error}"
 

@@ -141,10 +141,10 @@ class _Judge:
 
     def paper(self) -> list[Assessment]:
         from tipforce.sensor.structure.geometry import FABRICATED
-        from tipforce.sensor.structure.layouts import LAYOUTS
+        from tipforce.sensor.structure.layouts import CASES, LAYOUTS
         from tipforce_lab.design.merit import assess, glued
 
-        assessments = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in ("I", "II", "III")]
+        assessments = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in CASES]
         try:
             real = glued(FABRICATED, LAYOUTS["I"], self.limits.gauge_length_m, self.limits.clearance_m)
             return [*assessments, assess("I glued", FABRICATED, real, **self.options)]

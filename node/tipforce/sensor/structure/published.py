@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-CASES = ("I", "II", "III")
-
 
 class PrintedMaximum(NamedTuple):
     """One row of Table 2, in units of a P / h1^2 with h2 = 1.633 h1 (its last column)."""

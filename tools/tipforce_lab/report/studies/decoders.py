@@ -54,7 +54,7 @@ def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
     series.append(Series(OURS, tuple(points)))
     for method, decode in _others(message).items():
         rows = [decode(one) for one in data]
-        results[method] = _judge([_measured(row) for row in rows], exact, message)
+        results[method] = _judge([tuple(_known(row[name]) for name in MEASURED) for row in rows], exact, message)
         some = data[:_AT_A_TIME]
 
         def work(decode: Callable[[bytes], dict[str, Any]] = decode, some: list[bytes] = some) -> None:
@@ -95,10 +95,6 @@ def _ours(frames: FrameArray) -> Rows:
     (samples,) = Decoder(GAUGES, [NODE_ID]).decode(frames).values()
     columns = [samples.columns[name].tolist() for name in MEASURED]
     return [tuple(_known(value) for value in row) for row in zip(*columns, strict=True)]
-
-
-def _measured(row: dict[str, Any]) -> tuple[Value, ...]:
-    return tuple(_known(row[name]) for name in MEASURED)
 
 
 def _known(value: object) -> Value:

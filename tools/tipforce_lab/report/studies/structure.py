@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from tipforce.arrays import FloatArray
+from tipforce.sensor.structure.layouts import CASES
 from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, timed
 
 if TYPE_CHECKING:
@@ -17,7 +18,6 @@ if TYPE_CHECKING:
 
 Matrix = Callable[[], FloatArray]
 
-CASES = ("I", "II", "III")
 GAUGES = ("L", "R", "K_H", "S_H", "U")
 """The gauges of the three cases: the rows of the strain matrix."""
 BEAMS = 5
@@ -111,7 +111,7 @@ def _conditions(reference: _Reference, results: dict[str, list[_Found]]) -> Stud
 
 def _matrices(reference: _Reference, results: dict[str, list[_Found]]) -> Study:
     def error(matrix: FloatArray) -> float:
-        return _distance(matrix, reference.matrix)
+        return float(np.linalg.norm(matrix - reference.matrix) / np.linalg.norm(reference.matrix))
 
     key = "structure-strain"
     return Study(
@@ -162,10 +162,6 @@ def conditions(matrix: FloatArray) -> list[float]:
     from tipforce.sensor.structure.strain import condition_number
 
     return [condition_number(matrix[[GAUGES.index(point) for point in LAYOUTS[case]]]) for case in CASES]
-
-
-def _distance(matrix: FloatArray, other: FloatArray) -> float:
-    return float(np.linalg.norm(matrix - other) / np.linalg.norm(other))
 
 
 def _beam_models() -> dict[str, Matrix]:
