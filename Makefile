@@ -38,7 +38,8 @@ lint-types:
 lint-imports:
 	.venv/bin/lint-imports --no-logo
 
-report: bootstrap-report ## write build/report/index.html: error against run time, extreme cases; ten minutes
+report: bootstrap-report ## run the extreme cases, write build/report/index.html: error against run time; ten minutes
+	PYTHONPATH=tests $(PYTHON) -m stability.record
 	.venv/bin/tipforce report -o build/report
 
 docs: bootstrap-docs ## build the documentation site: build/site/index.html

@@ -15,14 +15,14 @@ from math import sqrt
 import numpy as np
 import numpy.typing as npt
 
+from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.estimate import Limits, contacts, miss_uncertainties, standard_uncertainties, status
 from tipforce.sensor.contact.first_order import first_order_holds
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.error_budget import pad_loads
-from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, noise_gain, strain_matrix
+from tipforce_lab.design.error_budget import pad_loads
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -18,11 +18,11 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding.contacts import Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
+from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.calibration.simulation import true_matrix
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.contact.redundancy import parity
 from tipforce.sensor.contact.scalar_parity import LEAST_SHARE
-from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce_tools.calibrate import fit as fit_command
 
 GAUGES = ("K_H", "S_H", "U", "L", "T", "R", "K_V", "S_V")

@@ -22,9 +22,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.design.figures_of_merit import LoadSet
-from tipforce.sensor.design.search import OBJECTIVES, Objective, score, search
-from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot
+from tipforce_lab.design.merit import LoadSet
+from tipforce_lab.design.search import OBJECTIVES, Design, Limits, Objective, Problem, Slot, score, search
 
 FloatArray = npt.NDArray[np.float64]
 

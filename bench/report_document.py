@@ -11,8 +11,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from tipforce_tools.report.study import Counted
-from tipforce_tools.report.text import shown_counts, shown_error, shown_time
+from tipforce_lab.report.study import Counted
+from tipforce_lab.report.text import shown_counts, shown_error, shown_time
 
 BEGIN, END = "<!-- begin: written by bench.report_document -->\n", "<!-- end -->\n"
 

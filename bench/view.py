@@ -186,7 +186,7 @@ def sending(receiver: socket.socket, seconds: float) -> Iterator[None]:
 
 def screenshots(browser: Browser, folder: Path) -> None:
     """The simulated hand, light on a desktop and dark on a phone, while a finger has a fault; and a recording."""
-    from tipforce_tools.cli.shipped import shipped_folder
+    from tipforce.shipped_files import shipped_folder
     from tipforce_tools.view.command import hand_source
     from tipforce_tools.view.demo import simulated_hand
     from tipforce_tools.view.scene_source import scene_source

@@ -17,10 +17,10 @@ from pathlib import Path
 from bench.fem import figures, studies, table_3
 from bench.fem.table_3 import Variant
 
-from tipforce.sensor.design.published import CASES
-from tipforce_tools.fem.limit import extrapolate_matrix
-from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.plane_stress import Model, solve
+from tipforce.sensor.structure.layouts import CASES
+from tipforce_lab.fem.gauges import extrapolate_matrix
+from tipforce_lab.fem.mesh import GRADING, Resolution
+from tipforce_lab.fem.plane_stress import Model, solve
 
 
 def table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> str:

@@ -9,10 +9,10 @@ import numpy as np
 import numpy.typing as npt
 from bench.fem.studies import Convergence
 
-from tipforce.sensor.design.published import GAUGE_LENGTH_M
-from tipforce_tools.fem.gauges import nearest_place
-from tipforce_tools.fem.mesh import Resolution, Triangles, triangulate
-from tipforce_tools.fem.outline import STATED, Outline
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
+from tipforce_lab.fem.gauges import nearest_place
+from tipforce_lab.fem.mesh import Resolution, Triangles, triangulate
+from tipforce_lab.fem.outline import STATED, Outline
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

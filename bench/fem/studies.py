@@ -12,14 +12,12 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.sensor.design.published import CASES
-from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
 from tipforce.sensor.structure.strain import condition_number
-from tipforce_tools.fem.gauges import Face, face, nearest_place, strain_matrix
-from tipforce_tools.fem.limit import Limit, corner_exponent, extrapolate
-from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.outline import STATED
-from tipforce_tools.fem.plane_stress import Model, solve
+from tipforce_lab.fem.gauges import Face, Limit, corner_exponent, extrapolate, face, nearest_place, strain_matrix
+from tipforce_lab.fem.mesh import GRADING, Resolution
+from tipforce_lab.fem.outline import STATED
+from tipforce_lab.fem.plane_stress import Model, solve
 
 FloatArray = npt.NDArray[np.float64]
 GAUGES = ("L", "R", "K_H", "S_H", "U")

@@ -12,13 +12,13 @@ import numpy as np
 import numpy.typing as npt
 from bench.fem.studies import GAUGES, case_conditions
 
-from tipforce.sensor.design.published import CASES, GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
 from tipforce.sensor.structure.gauge_shift import GaugePosition
-from tipforce.sensor.structure.layouts import LAYOUTS
-from tipforce_tools.fem.gauges import nearest_place, strain_matrix
-from tipforce_tools.fem.mesh import Resolution
-from tipforce_tools.fem.outline import STATED
-from tipforce_tools.fem.plane_stress import Model, Patch, Solution, solve
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M, TABLE_3_MEASUREMENT, TABLE_3_SIMULATION
+from tipforce_lab.fem.gauges import nearest_place, strain_matrix
+from tipforce_lab.fem.mesh import Resolution
+from tipforce_lab.fem.outline import STATED
+from tipforce_lab.fem.plane_stress import Model, Patch, Solution, solve
 
 FloatArray = npt.NDArray[np.float64]
 

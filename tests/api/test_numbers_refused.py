@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 import tipforce
+import tipforce_lab
 from tipforce import sensor
 from tipforce.host.decoding import status_words
 from tipforce.scene import beam_calibration
@@ -22,7 +23,7 @@ NAN, INF = float("nan"), float("inf")
 CALIBRATION = beam_calibration("I", pull=True)
 SQUARE = np.eye(3)
 MODES = sensor.modes(FABRICATED, 0.02)
-SLIT = sensor.slit_stop(FABRICATED, MODES)
+SLIT = tipforce_lab.slit_stop(FABRICATED, MODES)
 
 
 def readings(**factors: float) -> tipforce.Readings:
@@ -53,7 +54,7 @@ REFUSED: dict[str, tuple[Callable[[], object], str]] = {
     "gap": (lambda: sensor.closing_load(FABRICATED, 0.0, 0.0, gap_m=-1.0), "a gap above 0"),
     "wrench": (lambda: sensor.apparent_force(FABRICATED, "I", np.zeros(5)), "(1, 5): allowed is (m, 6)"),
     "layout": (lambda: sensor.layout(3), "3 is not known"),  # type: ignore[arg-type]
-    "damping": (lambda: sensor.rk4_stability_limit(-1.0), "-1.0: allowed is 0 to"),
+    "damping": (lambda: tipforce_lab.rk4_stability_limit(-1.0), "-1.0: allowed is 0 to"),
     "noise": (lambda: tipforce.simulated_finger(5, noise_microstrain=-1.0), "-1.0: allowed is 0 to"),
     "load": (lambda: tipforce.simulated_finger(5, load=(1e300, 0.0, 0.0)), "theta degrees), finite"),
     "time-out": (lambda: tipforce.open("x", "virtual", timeout_s=NAN), "timeout_s = nan: allowed is 0 s or more"),
@@ -184,7 +185,7 @@ ARRAYS: dict[str, tuple[Callable[..., object], dict[str, object]]] = {
         lambda theta_rad: sensor.off_axis_wrenches(FABRICATED, theta_rad), {"theta_rad": [0.1, 0.2]}
     ),
     "overload": (
-        lambda times_s, loads_newtons: sensor.overload(MODES, SLIT, times_s, loads_newtons),
+        lambda times_s, loads_newtons: tipforce_lab.overload(MODES, SLIT, times_s, loads_newtons),
         {"times_s": np.arange(3) * 1e-4, "loads_newtons": np.zeros((3, 3))},
     ),
     "parity": (sensor.parity, {"C": C4, "covariance_strain2": 1e-12 * np.eye(4)}),

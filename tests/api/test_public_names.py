@@ -15,7 +15,7 @@ import pytest
 ROOT = Path(__file__).parents[2]
 PARTS = ["host", "sensor", "device", "fingertip", "sources", "running", "scene", "eds", "machine", "mujoco", "learning"]
 PACKAGES = ["tipforce", *(f"tipforce.{part}" for part in PARTS)]
-TOOLS = ["tipforce_tools.fem"]  # an extra of its own
+TOOLS = ["tipforce_lab", "tipforce_lab.fem"]  # an extra of its own
 
 
 def python(code: str, *flags: str) -> str:

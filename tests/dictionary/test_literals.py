@@ -14,7 +14,7 @@ from tipforce.dictionary.rows import objects
 from tipforce.sensor.contact import scalar
 
 ROOT = Path(__file__).resolve().parents[2]
-WALKED = ("node/tipforce", "node/firmware", "tools/tipforce_tools")
+WALKED = ("node/tipforce", "node/firmware", "tools/tipforce_lab", "tools/tipforce_tools")
 
 COMMUNICATION, OWN_INDEX, IDENTIFIER = "index of the communication area", "index of the fingertip", "11-bit identifier"
 WIDE, EMCY = "flag, mask, abort code, signature or product code", "EMCY error code"

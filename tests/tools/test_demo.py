@@ -13,6 +13,7 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce_tools.cli.main import main
 from tipforce_tools.demo import job
@@ -20,7 +21,7 @@ from tipforce_tools.demo import job
 FloatArray = npt.NDArray[np.float64]
 
 QUANTITIES = ("P_N", "phi_deg", "theta_deg")
-LOADS = len(job.CASES) * 2 * len(job.grooves())
+LOADS = len(CASES) * 2 * len(job.grooves())
 
 
 def demo(capsys: pytest.CaptureFixture[str], *words: str) -> tuple[int, list[dict[str, object]], dict[str, object]]:
@@ -36,7 +37,7 @@ def test_every_estimate_is_inside_its_bound(capsys: pytest.CaptureFixture[str]) 
     assert code == 0
     assert len(rows) == summary["loads"] == LOADS == 114
     assert all(row["inside"] and row["host_agrees"] for row in rows)
-    assert {(row["case"], row["sense"]) for row in rows} == {(c, s) for c in job.CASES for s in ("pull", "push")}
+    assert {(row["case"], row["sense"]) for row in rows} == {(c, s) for c in CASES for s in ("pull", "push")}
     assert summary["ok"] is True
     assert (summary["outside"], summary["host_disagrees"]) == (0, 0)
     # The flags are what the printed numbers say.
@@ -53,7 +54,7 @@ def test_spoiled_calibrations_are_found(capsys: pytest.CaptureFixture[str]) -> N
     assert summary["ok"] is False
     outside = [row for row in rows if not row["inside"]]
     assert len(outside) == summary["outside"]
-    assert {row["case"] for row in outside} == set(job.CASES), "each node has a falsified matrix"
+    assert {row["case"] for row in outside} == set(CASES), "each node has a falsified matrix"
 
 
 def test_the_table_for_people(capsys: pytest.CaptureFixture[str]) -> None:
@@ -115,7 +116,7 @@ def simulated_errors(calibration: Calibration, applied: FloatArray, draws: int, 
     rng = np.random.default_rng(seed)
     P, phi, theta = applied[0], *np.radians(applied[1:])
     offset = np.array(job.OFFSETS_MICROSTRAIN)
-    case = job.CASES[calibration.layout_code - 1]
+    case = CASES[calibration.layout_code - 1]
     exact = 1e6 * strain_matrix(FABRICATED, case) @ force_vector(P, phi, theta) + offset
     noisy = exact + rng.normal(0.0, job.NOISE_MICROSTRAIN, (draws, 3))
     counted = np.round(noisy / job.COUNT_MICROSTRAIN) * job.COUNT_MICROSTRAIN
@@ -127,7 +128,7 @@ def simulated_errors(calibration: Calibration, applied: FloatArray, draws: int, 
     return errors
 
 
-@pytest.mark.parametrize("case", job.CASES)
+@pytest.mark.parametrize("case", CASES)
 @pytest.mark.parametrize("pull", [True, False])
 @pytest.mark.parametrize("groove", [0, 4, 9, 10, 14, 18])
 def test_the_bound_against_a_simulation(case: str, pull: bool, groove: int) -> None:
@@ -146,7 +147,7 @@ def test_the_bound_against_a_simulation(case: str, pull: bool, groove: int) -> N
     assert (np.abs(errors.mean(axis=0)) < 0.05 * expected).all(), "no bias"
 
 
-@pytest.mark.parametrize("case", job.CASES)
+@pytest.mark.parametrize("case", CASES)
 def test_host_and_node_differ_by_rounding_only(case: str) -> None:
     """The second bound has no noise in it: host and node see the same counts, the host in steps of the gauge PDO."""
     calibration = job.case_calibration(case, True)

@@ -11,7 +11,7 @@ from typing import Any
 
 import pytest
 
-from tipforce.sensor.design.comparators import condition_range
+from tipforce_lab.design.other_bodies import condition_range
 from tipforce_tools.cli.main import main
 
 DESIGN = [sys.executable, "-m", "tipforce_tools.cli.main", "design"]

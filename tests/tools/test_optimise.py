@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tipforce.sensor.design.figures_of_merit import LoadSet, merit, worst_stress
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
+from tipforce.sensor.structure.limits import worst_stress
+from tipforce_lab.design.merit import LoadSet, merit
 from tipforce_tools.cli.layout_file import read_layout
 from tipforce_tools.cli.main import main
 

@@ -14,10 +14,17 @@ import pytest
 
 from tipforce.scene.scene_parts import identifiers, parts
 from tipforce.scene.schema import read_scene
+from tipforce_lab.report.study import Effort
+from tipforce_lab.scene_cost import (
+    STEPS,
+    Measured,
+    _differences,
+    import_times,
+    nondecreasing,
+    part_costs,
+    studies,
+)
 from tipforce_tools.cli.main import main
-from tipforce_tools.report.scene_costs import STEPS, scene_costs, studies
-from tipforce_tools.report.study import Effort
-from tipforce_tools.scene.cost import Measured, _differences, import_times, nondecreasing, part_costs
 
 SCENES = Path(__file__).parents[2] / "scenes"
 SHIPPED = sorted(path.stem for path in SCENES.glob("*.toml"))
@@ -163,18 +170,6 @@ def test_import_times_go_to_the_part_that_loads() -> None:
     assert found["structure"] > 0.0  # numpy
     assert "plot" not in found
     assert "noise" not in found
-
-
-def test_the_report_has_both_scenes_part_by_part() -> None:
-    rows = scene_costs(Effort(quick=True), scenes=("static", "grasp"), samples=40)
-    by_scene = {name: {row.part: row for row in rows if row.scene == name} for name in ("static", "grasp")}
-    assert by_scene["static"].keys() == by_scene["grasp"].keys()
-    assert not by_scene["static"]["noise"].built
-    assert by_scene["grasp"]["noise"].built
-    for name in ("static", "grasp"):
-        whole = by_scene[name]["all"]
-        assert whole.us_per_sample is not None
-        assert whole.us_per_sample > 0.0
 
 
 def test_the_study_of_the_report_ends_with_the_bare_nodes() -> None:

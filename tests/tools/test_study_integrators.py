@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 
-from tipforce.sensor.dynamics.assembly import Striker
-from tipforce_tools.report.studies import integrators
-from tipforce_tools.report.study import Effort, Study, Timing
+from tipforce_lab.dynamics.impact import Striker
+from tipforce_lab.report.studies import integrators
+from tipforce_lab.report.study import Effort, Study, Timing
 
 
 def once(works: Sequence[Callable[[], object]], *_arguments: object, **named: object) -> list[Timing]:
@@ -63,7 +63,8 @@ def test_the_held_step_is_exact_for_a_step_and_rk4_is_shown_unstable(found: dict
 
 
 def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.MonkeyPatch) -> None:
-    from tipforce.sensor.dynamics import exact, mode_step
+    from tipforce.sensor.dynamics import mode_step
+    from tipforce_lab.dynamics import integrators as closed_forms
 
     right = mode_step.hold
 
@@ -71,7 +72,7 @@ def test_the_independent_check_finds_a_wrong_reference(monkeypatch: pytest.Monke
         found = right(x, zeta)
         return found._replace(p12=found.p12 * (1.0 + 1e-8))
 
-    monkeypatch.setattr(exact, "hold", wrong)
+    monkeypatch.setattr(closed_forms, "hold", wrong)
     task = integrators._tap()
     assert integrators._relative(task.check(), task.wanted) > 1e-10
 

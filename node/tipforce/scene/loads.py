@@ -118,7 +118,7 @@ def _history_knots(load: schema.History) -> list[Knot]:
 
 def _groove_knots(load: schema.Grooves) -> list[Knot]:
     """Return the knots: x-grooves pull at phi = 0, beyond theta = 90 degrees at 180; y-grooves at 90 (a rope)."""
-    from tipforce.sensor.design.published import X_GROOVES_DEG, Y_GROOVES_DEG
+    from tipforce.sensor.structure.published import X_GROOVES_DEG, Y_GROOVES_DEG
 
     directions = [(0.0 if theta < 90.0 else 180.0, float(theta)) for theta in X_GROOVES_DEG]
     directions += [(90.0, float(theta)) for theta in Y_GROOVES_DEG]

@@ -92,7 +92,7 @@ def _loads(scene: schema.Scene) -> Iterator[Part]:
         "load history",
         "[[loads]] that change" if moving else "[dynamics]" if swinging else "",
         "every load is static" if loaded else "no [[loads]]",
-        *(("tipforce.sensor.design.published",) if published else ()),
+        *(("tipforce.sensor.structure.published",) if published else ()),
     )
     yield _part(
         "dynamics",

@@ -33,7 +33,7 @@ Load = tuple[float, float, float]
 
 NO_LOAD: Load = (0.0, 0.0, 0.0)
 FAULTS = {"none": 0, "stuck": STUCK, "open": OPEN, "saturated": SATURATED, "silent": SILENT, "drift": DRIFT}
-_LARGEST_NEWTONS = 15.0  # the slit of the fabricated body closes at 15.2 N, it yields at 25 N (sensor.design.materials)
+_LARGEST_NEWTONS = 15.0  # the slit of the fabricated body closes at 15.2 N, it yields at 25 N (design table materials)
 _ROUNDING_MICROSTRAIN = 0.1
 _WAKE_COB_ID = codes.STANDARD_MASK
 _numbers = itertools.count()

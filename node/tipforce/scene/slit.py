@@ -9,8 +9,8 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray
 from tipforce.scene import schema
-from tipforce.sensor.dynamics.slit import closing_load
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.limits import closing_load
 
 
 def slit_closed(slit: schema.Slit, applied: FloatArray) -> npt.NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Physics of the sensor, without CAN: geometry, strain, force, contact, calibration, dynamics, design."""
+"""Physics of the sensor, without CAN: geometry, strain, force, contact, calibration, dynamics."""
 
 from tipforce._lazy import lazy
 
@@ -21,29 +21,16 @@ if TYPE_CHECKING:
     from tipforce.sensor.contact.force import force_vector as force_vector
     from tipforce.sensor.contact.redundancy import detect as detect
     from tipforce.sensor.contact.redundancy import parity as parity
-    from tipforce.sensor.design.error_budget import budget as budget
-    from tipforce.sensor.design.printed_matrices import shared_gauge_disagreement as shared_gauge_disagreement
-    from tipforce.sensor.design.shift_study import shift_to_reach as shift_to_reach
-    from tipforce.sensor.design.tables import condition_numbers_by_unit as condition_numbers_by_unit
-    from tipforce.sensor.design.tables import table_1 as table_1
-    from tipforce.sensor.design.tables import table_2 as table_2
-    from tipforce.sensor.design.tables import table_3 as table_3
-    from tipforce.sensor.dynamics.assembly import Striker as Striker
     from tipforce.sensor.dynamics.first_order_hold import node_coefficients as node_coefficients
     from tipforce.sensor.dynamics.first_order_hold import respond as respond
-    from tipforce.sensor.dynamics.impact import impact as impact
-    from tipforce.sensor.dynamics.impact import overload as overload
-    from tipforce.sensor.dynamics.integrators import rk4_stability_limit as rk4_stability_limit
     from tipforce.sensor.dynamics.model import STEEL_DENSITY as STEEL_DENSITY
     from tipforce.sensor.dynamics.model import modes as modes
-    from tipforce.sensor.dynamics.response import frequency_of_error as frequency_of_error
-    from tipforce.sensor.dynamics.slit import closing_load as closing_load
-    from tipforce.sensor.dynamics.slit import slit_stop as slit_stop
     from tipforce.sensor.structure.gauge_shift import strain_row as strain_row
     from tipforce.sensor.structure.geometry import FABRICATED as FABRICATED
     from tipforce.sensor.structure.geometry import Geometry as Geometry
     from tipforce.sensor.structure.layouts import LAYOUTS as LAYOUTS
     from tipforce.sensor.structure.layouts import layout as layout
+    from tipforce.sensor.structure.limits import closing_load as closing_load
     from tipforce.sensor.structure.off_axis import apparent_force as apparent_force
     from tipforce.sensor.structure.off_axis import off_axis_wrenches as off_axis_wrenches
     from tipforce.sensor.structure.strain import calibration_matrix as calibration_matrix
@@ -84,20 +71,7 @@ _MODULES = {
     "STEEL_DENSITY": "dynamics.model",
     "respond": "dynamics.first_order_hold",
     "node_coefficients": "dynamics.first_order_hold",
-    "frequency_of_error": "dynamics.response",
-    "impact": "dynamics.impact",
-    "overload": "dynamics.impact",
-    "Striker": "dynamics.assembly",
-    "slit_stop": "dynamics.slit",
-    "closing_load": "dynamics.slit",
-    "rk4_stability_limit": "dynamics.integrators",
-    "table_1": "design.tables",
-    "table_2": "design.tables",
-    "table_3": "design.tables",
-    "condition_numbers_by_unit": "design.tables",
-    "shift_to_reach": "design.shift_study",
-    "shared_gauge_disagreement": "design.printed_matrices",
-    "budget": "design.error_budget",
+    "closing_load": "structure.limits",
 }
 __all__ = [
     "FABRICATED",
@@ -108,14 +82,11 @@ __all__ = [
     "Model",
     "Prior",
     "Readings",
-    "Striker",
     "apparent_force",
     "beam_prior",
-    "budget",
     "calibration_matrix",
     "closing_load",
     "condition_number",
-    "condition_numbers_by_unit",
     "contacts",
     "covariance_of_estimate",
     "curvature",
@@ -124,28 +95,18 @@ __all__ = [
     "fit_calibration",
     "force_from_strain",
     "force_vector",
-    "frequency_of_error",
-    "impact",
     "layout",
     "linear_fit",
     "modes",
     "node_coefficients",
     "noise_gain",
     "off_axis_wrenches",
-    "overload",
     "parity",
     "respond",
-    "rk4_stability_limit",
-    "shared_gauge_disagreement",
-    "shift_to_reach",
     "simulate",
-    "slit_stop",
     "standard_uncertainties",
     "strain_matrix",
     "strain_row",
-    "table_1",
-    "table_2",
-    "table_3",
 ]
 
 if not TYPE_CHECKING:

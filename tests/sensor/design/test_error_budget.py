@@ -13,7 +13,10 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.error_budget import (
+from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
+from tipforce_lab.design.error_budget import (
     DEGREE,
     Causes,
     Loads,
@@ -24,9 +27,6 @@ from tipforce.sensor.design.error_budget import (
     groove_loads,
     pad_loads,
 )
-from tipforce.sensor.structure.gauge_shift import GaugePosition, position_matrix
-from tipforce.sensor.structure.geometry import FABRICATED
-from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, planar_part, wrench_strain_matrix
 
 FloatArray = npt.NDArray[np.float64]
 Draw = Callable[[np.random.Generator], FloatArray]

@@ -10,9 +10,10 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.contact.estimate import contacts, standard_uncertainties
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.figures_of_merit import LoadSet, merit, worst_strain, worst_stress
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.limits import worst_stress
 from tipforce.sensor.structure.strain import condition_number, noise_gain, strain_matrix
+from tipforce_lab.design.merit import LoadSet, merit, worst_strain
 
 NOISE = 0.5
 LOADS = LoadSet()

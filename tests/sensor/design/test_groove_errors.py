@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.design.groove_errors import paper_grooves, simulate_groove_errors
+from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_lab.design.paper_figures import simulate_groove_errors
 
 
 def test_grooves_pull_outward() -> None:

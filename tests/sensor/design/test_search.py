@@ -12,13 +12,24 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.sensor.design.assessment import AGREEMENT, FIGURES, Assessment, assess, glued, pareto
-from tipforce.sensor.design.figures_of_merit import LoadSet, merit, slit_closure, worst_stress
-from tipforce.sensor.design.search import OBJECTIVES, Objective, improve, score, search, trade_off
-from tipforce.sensor.design.search_problem import Design, Limits, Problem, Slot, configurations
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.limits import slit_closure, worst_stress
+from tipforce_lab.design.merit import AGREEMENT, FIGURES, Assessment, LoadSet, assess, glued, merit, pareto
+from tipforce_lab.design.search import (
+    OBJECTIVES,
+    Design,
+    Limits,
+    Objective,
+    Problem,
+    Slot,
+    configurations,
+    improve,
+    score,
+    search,
+    trade_off,
+)
 
 FloatArray = npt.NDArray[np.float64]
 

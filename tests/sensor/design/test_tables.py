@@ -10,27 +10,26 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.printed_matrices import (
-    measured_rows,
-    nearest_common_shifts,
-    rounding_range,
-    shared_gauge_disagreement,
-)
-from tipforce.sensor.design.published import CASES, HALF_DIGIT, MEASURED_MATRICES, TABLE_2
-from tipforce.sensor.design.ranking import ranked_layouts, ties
-from tipforce.sensor.design.tables import (
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, mirror
+from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES, TABLE_2
+from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_matrix
+from tipforce_lab.design.tables import (
     SYMBOLS,
     THIN_UNIT,
     condition_numbers_by_unit,
     maximum_over_contacts,
+    measured_rows,
+    nearest_common_shifts,
+    ranked_layouts,
     reading,
+    rounding_range,
+    shared_gauge_disagreement,
     table_1,
     table_2,
     table_3,
+    ties,
 )
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS, POINTS, mirror
-from tipforce.sensor.structure.strain import stress_coefficients, thin_limit_matrix
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 THETA, PHI = np.meshgrid(np.radians(np.arange(0.0, 180.5, 0.5)), np.radians(np.arange(-179.5, 180.5, 0.5)))

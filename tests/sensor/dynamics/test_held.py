@@ -10,7 +10,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics import exact
 from tipforce.sensor.dynamics.first_order_hold import (
     State,
     at_rest,
@@ -23,6 +22,7 @@ from tipforce.sensor.dynamics.first_order_hold import (
 from tipforce.sensor.dynamics.model import Modes, modes
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sources.dynamic_load import DynamicLoad
+from tipforce_lab.dynamics import integrators
 
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)
@@ -40,7 +40,7 @@ def test_a_ramp_has_its_known_solution_at_any_step(body: Modes, zeta: float, ste
     slope = body.load_shape @ F / (body.omega_rad_s * step_s)
     lag = 2.0 * zeta * slope
     t = np.arange(101) * step_s
-    z, _ = exact.free(body.with_damping(zeta), State(lag, -slope), t)
+    z, _ = integrators.free(body.with_damping(zeta), State(lag, -slope), t)
     with_lag = np.outer(np.arange(101), body.load_shape @ F) - lag + z
     wanted = with_lag @ body.force_shape.T
     # The reference itself is a difference of lag and free motion; for short steps both are far larger than the rest.
@@ -125,7 +125,7 @@ def test_smooth_loads_converge_with_order_2_to_the_closed_solution() -> None:
     for n in (200, 400, 800):
         t = np.linspace(0.0, 0.04, n + 1)
         loads = np.outer(0.5 - 0.5 * np.cos(2.0 * math.pi * t / 0.04), F)
-        wanted = exact.raised_cosine(body, F, 0.04, t)
+        wanted = integrators.raised_cosine(body, F, 0.04, t)
         errors.append(np.abs(respond(body, loads, 0.04 / n).elastic_newtons - wanted).max())
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders == pytest.approx([2.0, 2.0], abs=0.02)
@@ -133,7 +133,7 @@ def test_smooth_loads_converge_with_order_2_to_the_closed_solution() -> None:
 
 def test_a_step_overshoots_to_nearly_twice() -> None:
     t = np.linspace(0.0, 0.2, 4001)
-    wanted = exact.step(BODY, [0.0, 0.0, 1.0], t)
+    wanted = integrators.step(BODY, [0.0, 0.0, 1.0], t)
     found = respond(BODY, np.tile([0.0, 0.0, 1.0], (4001, 1)), 5e-5).elastic_newtons
     np.testing.assert_allclose(found, wanted, rtol=0.0, atol=1e-12)
     assert 1.95 < found[:, 2].max() <= 2.0 + 1e-12
@@ -142,7 +142,7 @@ def test_a_step_overshoots_to_nearly_twice() -> None:
 def test_a_jump_of_the_load_is_two_samples_at_one_time() -> None:
     body = BODY.with_damping(0.02)
     found = respond_at(body, [0.0, 1e-3, 1e-3, 2e-3], np.outer([0.0, 0.0, 1.0, 1.0], F)).elastic_newtons
-    np.testing.assert_allclose(found[3], exact.step(body, F, [1e-3])[0], rtol=0.0, atol=1e-14)
+    np.testing.assert_allclose(found[3], integrators.step(body, F, [1e-3])[0], rtol=0.0, atol=1e-14)
     assert (found[:3] == 0.0).all()
 
 

@@ -12,15 +12,14 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 from tipforce.errors import InputError
-from tipforce.sensor.design.figures_of_merit import slit_closure
-from tipforce.sensor.dynamics.assembly import Assembly, Striker
 from tipforce.sensor.dynamics.first_order_hold import energy, respond_at, settled
-from tipforce.sensor.dynamics.impact import impact, overload
 from tipforce.sensor.dynamics.model import half_cylinder, modes
-from tipforce.sensor.dynamics.slit import closing_load, slit_stop
-from tipforce.sensor.dynamics.switched import exponential
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.limits import closing_load, slit_closure
 from tipforce.sensor.structure.plane_frame import Frame
+from tipforce_lab.dynamics.impact import Assembly, Striker, impact, overload
+from tipforce_lab.dynamics.slit import slit_stop
+from tipforce_lab.dynamics.switched import exponential
 
 BODY = modes(FABRICATED)
 STIFF = modes(FABRICATED, beam_density_kg_m3=7850.0)

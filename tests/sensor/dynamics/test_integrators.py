@@ -10,11 +10,12 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.dynamics import exact
-from tipforce.sensor.dynamics.assembly import Striker
 from tipforce.sensor.dynamics.first_order_hold import respond_at
-from tipforce.sensor.dynamics.impact import impact
-from tipforce.sensor.dynamics.integrators import (
+from tipforce.sensor.dynamics.model import Modes, modes
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_lab.dynamics import integrators
+from tipforce_lab.dynamics.impact import Striker, impact
+from tipforce_lab.dynamics.integrators import (
     SCIPY_METHODS,
     Load,
     Problem,
@@ -26,8 +27,6 @@ from tipforce.sensor.dynamics.integrators import (
     runge_kutta_4,
     scipy_method,
 )
-from tipforce.sensor.dynamics.model import Modes, modes
-from tipforce.sensor.structure.geometry import FABRICATED
 
 FloatArray = npt.NDArray[np.float64]
 Fixed = Callable[[Problem, Load, FloatArray], Run]
@@ -52,7 +51,7 @@ def test_each_has_its_order(name: str, method: Fixed, order: float) -> None:
     for n in (800, 1600, 3200):
         t = np.linspace(0.0, 0.04, n + 1)
         run = method(Problem(BODY), bell, t)
-        errors.append(np.abs(run.elastic_newtons - exact.raised_cosine(BODY, F, 0.04, t)).max())
+        errors.append(np.abs(run.elastic_newtons - integrators.raised_cosine(BODY, F, 0.04, t)).max())
         assert run.evaluations == (4 * n if name == "rk4" else n)
     orders = np.log2(np.array(errors[:-1]) / errors[1:])
     assert orders == pytest.approx([order, order], abs=0.15)
@@ -61,7 +60,7 @@ def test_each_has_its_order(name: str, method: Fixed, order: float) -> None:
 @pytest.mark.parametrize("method", SCIPY_METHODS)
 def test_scipy_methods_come_as_near_as_they_are_told(method: str) -> None:
     t = np.linspace(0.0, 0.04, 41)
-    wanted = exact.raised_cosine(BODY, F, 0.04, t)
+    wanted = integrators.raised_cosine(BODY, F, 0.04, t)
     rough, fine = (scipy_method(Problem(BODY), bell, t, method, rtol) for rtol in (1e-5, 1e-9))
     errors = [np.abs(run.elastic_newtons - wanted).max() for run in (rough, fine)]
     assert errors[1] < 1e-5
@@ -73,7 +72,7 @@ def test_scipy_methods_come_as_near_as_they_are_told(method: str) -> None:
 def test_one_step_methods_of_scipy_have_their_order(method: str, order: float) -> None:
     # Error per evaluation: with steps adapted to a tolerance, error ~ steps^-order.
     t = np.linspace(0.0, 0.04, 5)
-    wanted = exact.raised_cosine(BODY, F, 0.04, t)
+    wanted = integrators.raised_cosine(BODY, F, 0.04, t)
     errors, counts = [], []
     for rtol in (1e-6, 1e-10) if method == "Radau" else (1e-5, 1e-10):
         run = scipy_method(Problem(BODY), bell, t, method, rtol)
@@ -156,7 +155,7 @@ def test_scipy_comes_to_the_exact_impact(method: str) -> None:
 def test_the_closed_solutions_agree_with_each_other() -> None:
     t = np.linspace(0.0, 0.05, 5001)
     pulse = np.outer(np.where(t <= 0.01, np.sin(math.pi * t / 0.01), 0.0), F)
-    found = exact.half_sine(BODY, F, 0.01, t)
+    found = integrators.half_sine(BODY, F, 0.01, t)
     np.testing.assert_allclose(respond_at(BODY, t, pulse).elastic_newtons, found, rtol=0.0, atol=5e-6)
 
 

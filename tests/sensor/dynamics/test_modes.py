@@ -14,12 +14,12 @@ from hypothesis import strategies as st
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.eigen import jacobi
 from tipforce.sensor.dynamics.model import Modes, RigidBody, compliances, half_cylinder, modes
-from tipforce.sensor.dynamics.response import (
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
+from tipforce_lab.dynamics.sampling import (
     frequency_of_error,
     quasi_static_error,
 )
-from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame
 
 JOINT = RigidBody(1e-9, 0.0, 1e-15)
 

@@ -10,8 +10,8 @@ import pytest
 from tipforce.errors import InputError
 from tipforce.sensor.dynamics.first_order_hold import respond
 from tipforce.sensor.dynamics.model import modes
-from tipforce.sensor.dynamics.sampling import AntiAlias, sampled
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce_lab.dynamics.sampling import AntiAlias, sampled
 
 BODY = modes(FABRICATED, 0.01)
 F = np.array([1.0, 0.5, -0.3])

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.design.shift_study import condition_against_shift, influences, most_influential, shift_to_reach
 from tipforce.sensor.structure.gauge_shift import (
     GaugePosition,
     nominal_position,
@@ -20,6 +19,7 @@ from tipforce.sensor.structure.gauge_shift import (
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
 from tipforce.sensor.structure.strain import condition_number, strain_matrix
+from tipforce_lab.design.paper_figures import condition_against_shift, influences, most_influential, shift_to_reach
 
 ODD = Geometry(0.011, 0.017, 0.019, 0.0005, 0.0007, 0.009, 2.0e11)
 

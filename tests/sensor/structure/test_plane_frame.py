@@ -10,11 +10,11 @@ import numpy.typing as npt
 import pytest
 
 from tipforce.errors import InputError
-from tipforce.sensor.design.figures_of_merit import slit_closure
 from tipforce.sensor.structure.gauge_positions import gauge_matrix
 from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, THIN_BEAM_RATIO, Geometry
 from tipforce.sensor.structure.layouts import LAYOUTS, POINTS
+from tipforce.sensor.structure.limits import slit_closure
 from tipforce.sensor.structure.plane_frame import (
     ELASTIC_ROOTS,
     EULER_BERNOULLI,

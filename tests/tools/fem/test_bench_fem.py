@@ -8,9 +8,9 @@ from bench.fem import studies, table_3
 from bench.fem.__main__ import main
 from bench.fem.figures import distance, worst_error
 
-from tipforce_tools.fem.limit import extrapolate_matrix
-from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.plane_stress import Model, Solution, solve
+from tipforce_lab.fem.gauges import extrapolate_matrix
+from tipforce_lab.fem.mesh import GRADING, Resolution
+from tipforce_lab.fem.plane_stress import Model, Solution, solve
 
 
 @pytest.fixture(scope="module")

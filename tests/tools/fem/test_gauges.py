@@ -11,11 +11,10 @@ import pytest
 
 from tipforce.errors import InputError
 from tipforce.sensor.structure.gauge_shift import GaugePosition
-from tipforce_tools.fem.gauges import face, nearest_place, strain_matrix
-from tipforce_tools.fem.limit import corner_exponent, extrapolate
-from tipforce_tools.fem.mesh import GRADING, Resolution
-from tipforce_tools.fem.outline import STATED, Outline
-from tipforce_tools.fem.plane_stress import Model, Solution, solve
+from tipforce_lab.fem.gauges import corner_exponent, extrapolate, face, nearest_place, strain_matrix
+from tipforce_lab.fem.mesh import GRADING, Resolution
+from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.plane_stress import Model, Solution, solve
 
 FloatArray = npt.NDArray[np.float64]
 GAUGES = ("S_H", "U")

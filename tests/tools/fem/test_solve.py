@@ -17,10 +17,10 @@ from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import LAYOUTS, mirror
 from tipforce.sensor.structure.strain import condition_number
-from tipforce_tools.fem.gauges import strain_matrix
-from tipforce_tools.fem.mesh import Resolution, triangulate
-from tipforce_tools.fem.outline import STATED, Outline
-from tipforce_tools.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve
+from tipforce_lab.fem.gauges import strain_matrix
+from tipforce_lab.fem.mesh import Resolution, triangulate
+from tipforce_lab.fem.outline import STATED, Outline
+from tipforce_lab.fem.plane_stress import Model, Patch, Plane, Solution, _stiffness, solve
 
 FloatArray = npt.NDArray[np.float64]
 

@@ -7,8 +7,8 @@ import sys
 import numpy as np
 import pytest
 
-from tipforce_tools.report.studies import structure
-from tipforce_tools.report.study import Effort, Study, Timing
+from tipforce_lab.report.studies import structure
+from tipforce_lab.report.study import Effort, Study, Timing
 
 
 @pytest.fixture(scope="module")

@@ -8,9 +8,9 @@ from collections.abc import Callable
 
 import pytest
 
-from tipforce_tools.report import run
-from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
+from tipforce_lab.report import run
+from tipforce_lab.report.cases import Case, Outcome
+from tipforce_lab.report.study import Counted, Effort, Grid, GridRow, Need, Point, Series, Study, Timing
 
 TIMING = Timing(2e-6, 1e-6, 4e-6, 7)
 
@@ -59,19 +59,13 @@ def grid(held: bool = True) -> Grid:
 
 
 def cases() -> list[Case]:
-    """One of each outcome, one that does not hold, one whose check breaks."""
-
-    def broken() -> Observed:
-        raise ZeroDivisionError("on purpose")
-
-    held = [
-        Case(f"area.{what}", f"load < 1e-300 N ({what})", what, "it is <said>", lambda: Observed(True, "0 & 1"))
-        for what in ("pass", "bounded", "flagged", "refused")
-    ]
+    """One of each outcome, and two that do not hold."""
+    outcomes: tuple[Outcome, ...] = ("pass", "bounded", "flagged", "refused")
+    held = [Case(f"area.{what}", f"load < 1e-300 N ({what})", what, "it is <said>", True, "0 & 1") for what in outcomes]
     return [
         *held,
-        Case("other.wrong", "a wrong value", "flagged", "it is marked", lambda: Observed(False, "it was not")),
-        Case("other.broken", "a broken check", "pass", "it runs", broken),
+        Case("other.wrong", "a wrong value", "flagged", "it is marked", False, "it was not"),
+        Case("other.broken", "a broken check", "pass", "it runs", False, "the check itself failed: ZeroDivisionError"),
     ]
 
 
@@ -88,7 +82,5 @@ def install(monkeypatch: pytest.MonkeyPatch, modules: dict[str, types.ModuleType
     for key, made in modules.items():
         monkeypatch.setitem(sys.modules, f"made_{key}", made)
     monkeypatch.setattr(run, "STUDIES", {key: (f"made_{key}", f"about {key}") for key in modules})
-    holder = types.ModuleType("made_cases")
-    holder.cases = cases if with_cases else list  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, "made_cases", holder)
-    monkeypatch.setattr(run, "CASES_MODULE", "made_cases")
+    monkeypatch.setattr(run, "all_cases", cases if with_cases else list)
+    monkeypatch.setattr("tipforce_lab.report.cases.all_cases", cases if with_cases else list)

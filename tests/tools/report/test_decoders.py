@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce_tools.report.studies import decoders
+from tipforce_lab.report.studies import decoders
 from tools.report.made import Tiny, at_once
 
 

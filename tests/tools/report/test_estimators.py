@@ -10,11 +10,10 @@ import pytest
 
 from tipforce.errors import EnvironmentLackError
 from tipforce.sensor.contact import scalar
-from tipforce_tools.report import micropython
-from tipforce_tools.report.studies import estimator_fixed as fixed
-from tipforce_tools.report.studies import estimator_inputs as inputs
-from tipforce_tools.report.studies import estimators
-from tipforce_tools.report.study import Study
+from tipforce_lab.report.studies import estimator_inputs as inputs
+from tipforce_lab.report.studies import estimator_methods as methods
+from tipforce_lab.report.studies import estimators
+from tipforce_lab.report.study import Study
 from tools.report.made import Tiny, at_once
 
 
@@ -71,18 +70,18 @@ def test_the_corners_of_the_converter_are_contacts() -> None:
 
 @pytest.mark.parametrize("value", [0, 1, 2, 3, 4, 10**15 + 7, (1 << 31) ** 2, (1 << 31) ** 2 - 1, (1 << 62) - 1])
 def test_the_integer_root_is_exact(value: int) -> None:
-    assert int(fixed.square_root(np.array([value]))[0]) == math.isqrt(value)
+    assert int(methods.square_root(np.array([value]))[0]) == math.isqrt(value)
 
 
 @pytest.mark.parametrize(
     ("arctangent", "bound"),
-    [(fixed.cordic(12), 2.0**-11), (fixed.cordic(24), 2.0**-23), (fixed.table(64), 0.65 / 8 / 64**2)],
+    [(methods.cordic(12), 2.0**-11), (methods.cordic(24), 2.0**-23), (methods.table(64), 0.65 / 8 / 64**2)],
 )
-def test_arctangents_keep_their_bound(arctangent: fixed.Arctangent, bound: float) -> None:
+def test_arctangents_keep_their_bound(arctangent: methods.Arctangent, bound: float) -> None:
     """CORDIC: the last angle, atan(2^-(n-1)); a table: h^2 / 8 times the largest |atan''| (0.65), and rounding."""
     rng = np.random.default_rng(8)
     y, x = np.rint(2.0 ** rng.uniform(10, 29, (2, 4000)) * rng.choice([-1, 1], (2, 4000))).astype(np.int64)
-    off = arctangent(y, x) * (2.0 * np.pi / fixed.TURN) - np.arctan2(y, x)
+    off = arctangent(y, x) * (2.0 * np.pi / methods.TURN) - np.arctan2(y, x)
     off -= 2.0 * np.pi * np.rint(off / (2.0 * np.pi))
     assert np.abs(off).max() < bound * 1.01 + 1e-8
 
@@ -135,7 +134,7 @@ def test_without_micropython_its_method_is_left_out(monkeypatch: pytest.MonkeyPa
     def lacking(*_args: object) -> None:
         raise EnvironmentLackError("Node.js is not installed")
 
-    monkeypatch.setattr("tipforce_tools.report.micropython.run", lacking)
+    monkeypatch.setattr("tipforce_lab.report.studies.estimator_methods.run_micropython", lacking)
     monkeypatch.setattr(estimators, "timed", at_once)
     for one in estimators.studies(Tiny(), lambda: None):
         assert one.left_out == {estimators.MICROPYTHON: "Node.js is not installed"}
@@ -150,5 +149,5 @@ def test_micropython_gives_the_same_as_the_node(found: dict[str, Study]) -> None
 
 def test_code_that_fails_on_micropython_is_told_shortly() -> None:
     with pytest.raises(EnvironmentLackError, match="ZeroDivisionError") as caught:
-        micropython.run({}, ["1 / 0"])
+        methods.run_micropython({}, ["1 / 0"])
     assert len(str(caught.value)) < 300

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from tipforce.errors import InputError
-from tipforce_tools.report.studies import fits
-from tipforce_tools.report.study import Study
+from tipforce_lab.report.studies import fits
+from tipforce_lab.report.study import Study
 from tools.report.made import Tiny, at_once
 
 

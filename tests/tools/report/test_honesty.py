@@ -9,8 +9,8 @@ import pytest
 
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.decoding import judged
-from tipforce_tools.report.studies import honesty
-from tipforce_tools.report.study import Counted
+from tipforce_lab.report.studies import honesty
+from tipforce_lab.report.study import Counted
 
 SECONDS = 3.0
 NODE, FAULTS, DECODE, ESTIMATE, BARE = range(len(honesty.METHODS))

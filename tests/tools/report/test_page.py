@@ -13,10 +13,11 @@ from pathlib import Path
 import pytest
 
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce_tools.report import page, plots
-from tipforce_tools.report.run import Judged, LeftOut, Report
-from tipforce_tools.report.study import Effort
-from tipforce_tools.report.verdict import advice, verdict
+from tipforce_lab.report import page, plots
+from tipforce_lab.report.run import LeftOut, Report
+from tipforce_lab.report.study import Effort
+from tipforce_lab.report.text import advice, verdict
+from tipforce_tools.cli.common import json_line
 from tools.report.made import cases, grid, study
 
 pytestmark = pytest.mark.skipif(
@@ -58,7 +59,7 @@ class Elements(HTMLParser):
 def report() -> Report:
     made = Report("2026-01-31", Effort(quick=True), {"processor": "<fast>"})
     made.studies += [study("near", 1e-5), study("far", 1e-30), study("known", 0.0)]
-    made.cases += [Judged(case, case.check()) for case in cases() if case.key != "other.broken"]
+    made.cases += [case for case in cases() if case.key != "other.broken"]
     made.grids += [grid()]
     made.left_out.append(LeftOut("absent", "skfem is not installed", False))
     return made
@@ -81,14 +82,14 @@ def parsed(html: str) -> Elements:
 def test_one_plot_per_study_and_one_row_per_case(parsed: Elements, report: Report) -> None:
     assert len(parsed.tags("svg")) == len(report.studies)
     rows = [row["id"] for row in parsed.tags("tr") if row.get("id", "").startswith("case-")]
-    assert rows == [f"case-{one.case.key}" for one in report.cases]
+    assert rows == [f"case-{one.key}" for one in report.cases]
     assert "NOT flagged" in "".join(parsed.text)
     assert "skfem is not installed" in "".join(parsed.text)
 
 
 def test_every_point_stands_in_a_table(parsed: Elements, report: Report) -> None:
     rows = sum(len(one.points) for study in report.studies for one in study.series)
-    areas = {one.case.key.split(".")[0] for one in report.cases}
+    areas = {one.key.split(".")[0] for one in report.cases}
     others = 1 + 2 * len(report.studies) + 2  # the advice with its head, the grid with its head
     assert len(parsed.tags("tr")) == rows + len(report.studies) + len(report.cases) + len(areas) + others
 
@@ -160,7 +161,7 @@ def test_both_lights_print_and_phones_are_provided_for(html: str, parsed: Elemen
 def test_methods_differ_without_colour(report: Report) -> None:
     from dataclasses import replace
 
-    from tipforce_tools.report.study import Series
+    from tipforce_lab.report.study import Series
 
     many = replace(
         report.studies[0],
@@ -185,7 +186,7 @@ def test_the_same_report_gives_the_same_bytes(report: Report, html: str) -> None
 
 @pytest.fixture(scope="module")
 def written(report: Report, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
-    return page.write(report, tmp_path_factory.mktemp("report"))
+    return page.write(report, tmp_path_factory.mktemp("report"), json_line)
 
 
 def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
@@ -198,7 +199,7 @@ def test_files_are_written_and_the_lines_parse(written: list[Path]) -> None:
 def test_a_place_that_is_not_there_is_said(report: Report, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(page, "html", lambda _report: "")
     with pytest.raises(InputError, match=r"index\.html"):
-        page.write(report, tmp_path / "absent")
+        page.write(report, tmp_path / "absent", json_line)
 
 
 def test_a_plot_can_be_a_file(report: Report, tmp_path: Path) -> None:

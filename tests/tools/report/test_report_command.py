@@ -11,10 +11,9 @@ from typing import Any
 
 import pytest
 
+from tipforce_lab.report import run
+from tipforce_lab.report.study import Effort, Study
 from tipforce_tools.cli.main import main
-from tipforce_tools.report import run
-from tipforce_tools.report.stability.case import Case, Observed
-from tipforce_tools.report.study import Effort, Study
 from tools.report import made
 
 
@@ -131,25 +130,6 @@ def test_a_study_that_fails_is_a_line_and_an_exit_code(
     assert (lack["record"], lack["key"], lack["failed"]) == ("left out", "bad", True)
     assert "ZeroDivisionError in failing()" in lack["reason"]
     assert study["key"] == "beta"
-
-
-def test_a_case_that_wants_a_missing_package_is_left_out(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> None:
-    made.install(monkeypatch, {}, with_cases=False)
-    monkeypatch.setitem(sys.modules, "scipy", None)
-
-    def check() -> Observed:
-        import scipy  # noqa: F401
-
-        return Observed(True, "")
-
-    case = Case("area.scipy", "", "pass", "", check)
-    monkeypatch.setattr(sys.modules["made_cases"], "cases", lambda: [case])
-    assert main(["report", "--json"]) == 0
-    (lack,) = [one for one in records(capsys) if one["record"] == "left out"]
-    assert lack["key"] == "area.scipy"
-    assert 'pip install "tipforce[science]"' in lack["reason"]
 
 
 def test_without_matplotlib_the_page_is_refused_before_anything_runs(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tipforce_tools.report.study import Effort, Timing, quartiles, timed, timed_together
+from tipforce_lab.report.study import Effort, Timing, quartiles, timed, timed_together
 
 
 class Clock:
@@ -13,8 +13,8 @@ class Clock:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.now_ns = 0
         self.calls = 0
-        monkeypatch.setattr("tipforce_tools.report.study.time.perf_counter_ns", lambda: self.now_ns)
-        monkeypatch.setattr("tipforce_tools.report.study.time.process_time_ns", lambda: self.now_ns // 2)
+        monkeypatch.setattr("tipforce_lab.report.study.time.perf_counter_ns", lambda: self.now_ns)
+        monkeypatch.setattr("tipforce_lab.report.study.time.process_time_ns", lambda: self.now_ns // 2)
 
     def work(self) -> None:
         self.calls += 1

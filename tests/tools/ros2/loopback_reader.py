@@ -16,7 +16,7 @@ from typing import Any
 
 import rosless
 
-from tipforce_tools.cli.shipped import shipped_folder
+from tipforce.shipped_files import shipped_folder
 
 WAIT_S = 120.0  # far more than on an idle machine
 _EMPTY = b"\x00\x01\x00\x00" + bytes(4)  # as rosidl sends it, padded; the encoder of rosless leaves its byte out

@@ -13,8 +13,8 @@ import rosless
 
 from tipforce.errors import InputError
 from tipforce.host.logs.reader import open_log
+from tipforce.shipped_files import shipped_folder
 from tipforce_tools.cli.main import main
-from tipforce_tools.cli.shipped import shipped_folder
 from tipforce_tools.monitor.sources import LogSource
 from tipforce_tools.ros2 import definitions
 from tipforce_tools.ros2.bridge import PERIOD_NS, Bridge

@@ -10,7 +10,7 @@ import pytest
 import rosless
 
 from tipforce.host.decoding.contacts import Status
-from tipforce_tools.cli.shipped import shipped_folder
+from tipforce.shipped_files import shipped_folder
 from tipforce_tools.ros2 import cdr, dds, definitions
 from tipforce_tools.ros2 import diagnostics as diagnosing
 from tipforce_tools.ros2.messages import TipMessages, TipSamples

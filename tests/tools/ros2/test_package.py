@@ -10,8 +10,8 @@ from xml.etree import ElementTree
 import pytest
 
 from tipforce.host.hand.file import read_hand
+from tipforce.shipped_files import shipped_folder
 from tipforce_tools.cli.main import command_parser
-from tipforce_tools.cli.shipped import shipped_folder
 
 ROOT = shipped_folder("ros2")
 PACKAGES = sorted(path.parent for path in ROOT.glob("*/package.xml"))

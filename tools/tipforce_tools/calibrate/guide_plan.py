@@ -26,9 +26,9 @@ import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.configuration.measurement_rows import LARGEST_ANGLE_DEG
+from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.calibration.identify import FORCES, require_seen
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.toml_table import convert, read_table
 
 GRAVITY = 9.80665  # m/s^2

@@ -16,8 +16,8 @@ from tipforce.host.dataset.manifest import is_dataset
 from tipforce.host.dataset.store import is_url, local_copy
 from tipforce.host.decoding.decoded_pdos import Layouts, signals_named, with_asked, with_dcf
 from tipforce.host.decoding.log_part import Reading, When, start_of
+from tipforce.shipped_files import file_or_shipped
 from tipforce_tools.cli.eds_flag import eds_files
-from tipforce_tools.cli.shipped import file_or_shipped
 
 STDIN = "-"
 _EPOCH_FROM_S = 100_000_000  # 1973: smaller numbers are seconds since the first frame

@@ -43,7 +43,8 @@ def run(args: argparse.Namespace) -> int:
     """Run the demo; return 0 if every error is inside its bound and the host agrees with the nodes, otherwise 1."""
     if args.view:
         return _view(args)
-    from tipforce_tools.demo.job import CASES, grooves, run_demo
+    from tipforce.sensor.structure.layouts import CASES
+    from tipforce_tools.demo.job import grooves, run_demo
 
     set_up_logging(args)
     started_s = time.monotonic()

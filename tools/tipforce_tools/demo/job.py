@@ -33,10 +33,10 @@ from tipforce.running.store import FileStore
 from tipforce.sensor.contact import estimate as contact_model
 from tipforce.sensor.contact.force import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.layouts import CASES
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource
 
-CASES = ("I", "II", "III")
 WEIGHT_NEWTONS = 4.4
 X_GROOVES_DEG = (5, 15, 30, 45, 60, 120, 135, 150, 165, 175)
 Y_GROOVES_DEG = (30, 45, 60, 75, 90, 105, 120, 135, 150)

@@ -11,10 +11,8 @@ from tipforce.errors import InputError
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
-    from tipforce.sensor.design.assessment import Assessment
-    from tipforce.sensor.design.figures_of_merit import LoadSet
-    from tipforce.sensor.design.search import Objective
-    from tipforce.sensor.design.search_problem import Design, Limits
+    from tipforce_lab.design.merit import Assessment, LoadSet
+    from tipforce_lab.design.search import Design, Limits, Objective
 
 _FROM = 4  # configurations from which the path to the minimum condition number starts
 
@@ -112,9 +110,8 @@ def run(args: argparse.Namespace) -> int:
 
 def optimise(args: argparse.Namespace, limits: Limits, loads: LoadSet) -> Outcome:
     """Optimise the objective and the condition number, follow the path between them, and assess all designs."""
-    from tipforce.sensor.design.assessment import FIGURES, pareto
-    from tipforce.sensor.design.search import TRADE_OFF_STEPS, search, trade_off
-    from tipforce.sensor.design.search_problem import configurations
+    from tipforce_lab.design.merit import FIGURES, pareto
+    from tipforce_lab.design.search import TRADE_OFF_STEPS, configurations, search, trade_off
 
     axis: Objective = "theta" if args.objective == "condition" else args.objective
     starts = len(configurations(args.gauges, limits.upper_face)) * max(args.starts, 0)
@@ -143,26 +140,26 @@ class _Judge:
         }  # fmt: skip
 
     def paper(self) -> list[Assessment]:
-        from tipforce.sensor.design.assessment import assess, glued
         from tipforce.sensor.structure.geometry import FABRICATED
-        from tipforce.sensor.structure.layouts import LAYOUTS
+        from tipforce.sensor.structure.layouts import CASES, LAYOUTS
+        from tipforce_lab.design.merit import assess, glued
 
-        found = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in ("I", "II", "III")]
+        assessments = [assess(case, FABRICATED, LAYOUTS[case], **self.options) for case in CASES]
         try:
             real = glued(FABRICATED, LAYOUTS["I"], self.limits.gauge_length_m, self.limits.clearance_m)
-            return [*found, assess("I glued", FABRICATED, real, **self.options)]
+            return [*assessments, assess("I glued", FABRICATED, real, **self.options)]
         except InputError:  # gauges of this length do not fit on the paper's body
-            return found
+            return assessments
 
     def design(self, design: Design, name: str) -> Assessment:
-        from tipforce.sensor.design.assessment import assess
+        from tipforce_lab.design.merit import assess
 
         return assess(name, design.geometry, design.gauges, **self.options)
 
 
 def _limits_and_loads(args: argparse.Namespace) -> tuple[Limits, LoadSet]:
-    from tipforce.sensor.design.figures_of_merit import LoadSet
-    from tipforce.sensor.design.search_problem import Limits
+    from tipforce_lab.design.merit import LoadSet
+    from tipforce_lab.design.search import Limits
 
     envelope = _pair("--envelope", args.envelope)
     loads = LoadSet(args.load, *_pair("--pad", args.pad), args.friction)

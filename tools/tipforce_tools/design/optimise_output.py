@@ -11,9 +11,8 @@ import numpy as np
 
 from tipforce.sensor.calibration.validity import FALSE_ALARM_RATE
 from tipforce.sensor.contact.redundancy import detectable_strain, parity, weighted_inverse
-from tipforce.sensor.design.assessment import AGREEMENT, Assessment
-from tipforce.sensor.design.figures_of_merit import Merit
 from tipforce.sensor.structure.gauge_positions import gauge_matrix, gauge_name
+from tipforce_lab.design.merit import AGREEMENT, Assessment, Merit
 from tipforce_tools.cli import common
 
 if TYPE_CHECKING:
@@ -143,8 +142,10 @@ def _detectable(entry: Assessment, noise_microstrain: float) -> list[float]:
     if len(entry.gauges) < 4 or not noise_microstrain > 0.0:
         return []
     A, Sigma = gauge_matrix(entry.geometry, entry.gauges), np.eye(len(entry.gauges)) * noise_microstrain**2 * 1e-12
-    found: list[float] = (1e6 * detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)).tolist()
-    return found
+    detectable: list[float] = (
+        1e6 * detectable_strain(parity(weighted_inverse(A, Sigma), Sigma), FALSE_ALARM_RATE)
+    ).tolist()
+    return detectable
 
 
 def _record(entry: Assessment) -> dict[str, object]:

@@ -10,11 +10,12 @@ from typing import TYPE_CHECKING
 
 from tipforce.errors import InputError
 from tipforce_tools.cli import common
-from tipforce_tools.design.section import Record, Section, print_section
+from tipforce_tools.design.print_section import print_section
 
 if TYPE_CHECKING:
     from tipforce.sensor.structure.gauge_shift import GaugePosition
     from tipforce.sensor.structure.geometry import Geometry
+    from tipforce_lab.design.tables import Record, Section
 
 DIMENSIONS = ("a", "d", "r", "h1", "h2", "width")
 DEFAULT_SHIFT_MM = 5.0
@@ -52,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     section = sweep_section(args, geometry, gauges)
     print_section(args, section)
     if args.output is not None:
-        from tipforce_tools.design.plots import draw_sweep
+        from tipforce_lab.design.plots import draw_sweep
 
         draw_sweep(args.output, section)
         common.note(args, f"wrote {args.output}")
@@ -62,6 +63,8 @@ def run(args: argparse.Namespace) -> int:
 def sweep_section(args: argparse.Namespace, geometry: Geometry, gauges: Sequence[str | GaugePosition]) -> Section:
     """Return one record per value. Raises InputError for an unknown name or an impossible range."""
     import numpy as np
+
+    from tipforce_lab.design.tables import Section
 
     names = [f"SG{index + 1}" for index in range(len(gauges))]
     if args.what in DIMENSIONS:
@@ -117,9 +120,9 @@ def _changed(
 def _figures(geometry: Geometry, places: list[GaugePosition]) -> Record:
     import numpy as np
 
-    from tipforce.sensor.design.tables import maximum_over_contacts
     from tipforce.sensor.structure.gauge_shift import position_matrix
     from tipforce.sensor.structure.strain import condition_number, noise_gain, row_equilibrated_condition_number
+    from tipforce_lab.design.tables import maximum_over_contacts
 
     matrix = position_matrix(geometry, places)
     regular = int(np.linalg.matrix_rank(matrix)) == 3

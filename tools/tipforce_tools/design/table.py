@@ -5,9 +5,13 @@ from __future__ import annotations
 import argparse
 from collections.abc import Callable, Iterator
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from tipforce_tools.cli import common
-from tipforce_tools.design.section import Section, print_section
+from tipforce_tools.design.print_section import print_section
+
+if TYPE_CHECKING:
+    from tipforce_lab.design.tables import Section
 
 NAMES = ("1", "2", "3", "comparators", "fig6", "fig9", "off-axis", "materials", "scaling")
 
@@ -43,9 +47,9 @@ def run(args: argparse.Namespace) -> int:
     for section in sections(args):
         print_section(args, section)
     if args.output is not None:
-        from tipforce_tools.design.plots import draw
+        from tipforce_lab.design.plots import draw
 
-        for path in draw(args):
+        for path in draw(args.what, args.output, args.format, args.noise, args.repeats, args.seed):
             common.note(args, f"wrote {path}")
     return 0
 
@@ -53,18 +57,20 @@ def run(args: argparse.Namespace) -> int:
 def sections(args: argparse.Namespace) -> Iterator[Section]:
     """Yield the requested sections, each computed when it is needed."""
     from tipforce.sensor.structure.geometry import FABRICATED
-    from tipforce_tools.design import beyond, figures, tables
+    from tipforce_lab.design import other_bodies
+    from tipforce_lab.design import paper_figures as figures
+    from tipforce_lab.design import table_sections as tables
 
     makers: dict[str, list[Callable[[], Section]]] = {
         "1": [lambda: tables.table_1_section(FABRICATED)],
         "2": [lambda: tables.table_2_section(FABRICATED)],
         "3": [lambda: tables.table_3_section(FABRICATED), lambda: tables.ranking_section(FABRICATED)],
-        "comparators": [lambda: beyond.comparators_section(FABRICATED)],
+        "comparators": [lambda: other_bodies.comparators_section(FABRICATED)],
         "fig6": [lambda: figures.figure_6_section(FABRICATED)],
         "fig9": [lambda: figures.figure_9_section(FABRICATED, args.noise, args.repeats, args.seed)],
         "off-axis": [lambda: figures.off_axis_section(FABRICATED)],
-        "materials": [lambda: beyond.materials_section(FABRICATED)],
-        "scaling": [lambda: beyond.scaling_section(FABRICATED)],
+        "materials": [lambda: other_bodies.materials_section(FABRICATED)],
+        "scaling": [lambda: other_bodies.scaling_section(FABRICATED)],
     }
     for name in NAMES if args.what == "all" else (args.what,):
         for make in makers[name]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-from tipforce_tools.cli.shipped import shipped_folder
+from tipforce.shipped_files import shipped_folder
 
 _STANDARD = {
     "builtin_interfaces/msg/Time": "int32 sec\nuint32 nanosec",

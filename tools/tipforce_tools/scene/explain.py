@@ -28,7 +28,7 @@ def run(args: argparse.Namespace) -> int:
     """Explain; 0."""
     from tipforce.scene.scene_parts import bus_load, identifiers, parts
     from tipforce.scene.schema import read_scene
-    from tipforce_tools.cli.shipped import file_or_shipped
+    from tipforce.shipped_files import file_or_shipped
 
     path = file_or_shipped(args.scene, "scenes")
     scene = read_scene(path)
@@ -69,7 +69,7 @@ def _sent(scene: Scene, one: Identifier) -> dict[str, Any]:
 
 
 def _costs(path: Path, scene: Scene) -> dict[str, dict[str, float | None]]:
-    from tipforce_tools.scene.cost import part_costs, total
+    from tipforce_lab.scene_cost import part_costs, total
 
     found = {}
     costs = part_costs(scene, path)

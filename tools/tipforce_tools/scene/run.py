@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
     from tipforce.scene.run import run_scene
     from tipforce.scene.scene_parts import bus_load
     from tipforce.scene.schema import read_scene
-    from tipforce_tools.cli.shipped import file_or_shipped
+    from tipforce.shipped_files import file_or_shipped
 
     common.set_up_logging(args)
     path = file_or_shipped(args.scene, "scenes")

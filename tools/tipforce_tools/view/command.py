@@ -125,7 +125,7 @@ def serve(args: argparse.Namespace, source: Source) -> int:
 
 @contextlib.contextmanager
 def _source(args: argparse.Namespace) -> Iterator[Source]:
-    from tipforce_tools.cli.shipped import file_or_shipped
+    from tipforce.shipped_files import file_or_shipped
 
     path = file_or_shipped(args.source, "scenes") if args.source else None
     if args.no_bring_up and (path is None or path.suffix != ".toml"):

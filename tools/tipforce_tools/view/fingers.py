@@ -10,14 +10,13 @@ from typing import Any, Literal
 import numpy as np
 
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.sensor.design.published import GAUGE_LENGTH_M
 from tipforce.sensor.structure.gauge_positions import Gauge, gauge_name, place
 from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
 from tipforce.sensor.structure.geometry import FABRICATED, Geometry
-from tipforce.sensor.structure.layouts import LAYOUTS
+from tipforce.sensor.structure.layouts import CASE_OF_CODE, LAYOUTS
+from tipforce.sensor.structure.published import GAUGE_LENGTH_M
 
 MM = 1e3
-_LAYOUT_NAMES = {1: "I", 2: "II", 3: "III"}
 
 
 @dataclass(frozen=True, slots=True)
@@ -40,7 +39,7 @@ class Finger:
 def with_layout(finger: Finger, layout: str, fallback: tuple[str, Geometry, tuple[Gauge, ...]] | None) -> Finger:
     """Return the finger with its gauges: from ``layout``, else from its calibration, else from ``fallback``."""
     if not layout and finger.calibration is not None:
-        layout = _LAYOUT_NAMES.get(finger.calibration.layout_code, "")
+        layout = CASE_OF_CODE.get(finger.calibration.layout_code, "")
     if layout:
         return replace(finger, layout=layout, gauges=LAYOUTS[layout])
     if fallback is not None:

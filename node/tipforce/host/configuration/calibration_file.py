@@ -16,6 +16,7 @@ from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration, version_2_bytes
 from tipforce.output_file import CALIBRATION, write_file
+from tipforce.sensor.structure.layouts import CASE_OF_CODE
 from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
@@ -125,7 +126,7 @@ def fit_record(fit: Fit, **facts: object) -> FitRecord:
     return msgspec.convert({**values, **facts}, FitRecord)
 
 
-_LAYOUT_CODES = {"I": 1, "II": 2, "III": 3, "custom": table.CUSTOM_LAYOUT}
+_LAYOUT_CODES = {**{name: code for code, name in CASE_OF_CODE.items()}, "custom": table.CUSTOM_LAYOUT}
 _SENSES = {"push": False, "pull": True}
 
 

@@ -20,7 +20,7 @@ from tipforce.sensor.contact import scalar_parity, scalar_redundancy
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 LARGEST_STRAIN = 0.03
 """Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
-``sensor.design.materials`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
+``tipforce_lab.design.other_bodies`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
 RELEASE = 0.95
 """Of the overload force: an overload ends below."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from tipforce.arrays import BoolArray, FloatArray
+from tipforce.sensor.calibration.grooves import paper_grooves
 from tipforce.sensor.calibration.regressors import grooves
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.groove_errors import paper_grooves
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.layouts import Layout
 from tipforce.sensor.structure.strain import strain_matrix

@@ -8,8 +8,8 @@ from tipforce.arrays import FloatArray
 from tipforce.errors import InputError
 from tipforce.sensor.calibration.distributions import f_quantile, variance_factors
 from tipforce.sensor.contact.force import force_vector
-from tipforce.sensor.design.figures_of_merit import PAPER_SLIT_M, slit_closure, worst_stress
 from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.limits import PAPER_SLIT_M, slit_closure, worst_stress
 
 FALSE_ALARM_RATE = 1e-6
 """Of the redundancy check, per sample."""

@@ -30,7 +30,11 @@ LAYOUTS = {
 """Named layouts: the cases of Table 3 (SG1, SG2, SG3 in this order), and with a prime their mirrors."""
 
 CUSTOM_LAYOUT_CODE = 255
-_CODES: dict[tuple[str, ...], int] = {LAYOUTS["I"]: 1, LAYOUTS["II"]: 2, LAYOUTS["III"]: 3}
+CASE_OF_CODE = {1: "I", 2: "II", 3: "III"}
+"""Layout code of a calibration -> name; all others have CUSTOM_LAYOUT_CODE."""
+CASES = tuple(CASE_OF_CODE.values())
+"""The cases of Table 3."""
+_CODES: dict[tuple[str, ...], int] = {LAYOUTS[name]: code for code, name in CASE_OF_CODE.items()}
 
 Layout = str | Sequence[str]
 """A name of LAYOUTS, or the gauge points themselves in the order of the gauges."""

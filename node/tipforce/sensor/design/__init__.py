@@ -1,1 +1,0 @@
-"""Design studies: the paper's tables and figures, the error budget, the search for better structures."""

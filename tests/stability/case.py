@@ -1,0 +1,65 @@
+"""One extreme case: input, claim and observation."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+
+from tipforce.errors import InputError
+from tipforce_lab.report.cases import Outcome
+
+
+@dataclass(frozen=True, slots=True)
+class Observed:
+    """Result of a check: whether the claim held, and one line of figures."""
+
+    held: bool
+    figures: str
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """An extreme case. ``check`` runs it and tests ``claim``; it must be able to fail."""
+
+    key: str
+    """"area.what", unique: "contact.denormal_load"."""
+    situation: str
+    """The extreme input, with its numbers."""
+    outcome: Outcome
+    claim: str
+    """The claim, one sentence that ``check`` tests."""
+    check: Callable[[], Observed]
+
+
+def refusal(act: Callable[[], object]) -> str:
+    """Return the text of the InputError that an action raises; empty if it raises none."""
+    try:
+        act()
+    except InputError as error:
+        return str(error)
+    return ""
+
+
+_PLAIN = (
+    (r"(?<![\w\])])\[([^\[\]]*)\]", r"\1"),  # lists, but not the indices of strain[17, 1]
+    (r"\{([^{}]*)\}", r"\1"),
+    (r"(?<![\w])\((-?[\w.]+(?:, -?[\w.]+)*),?\)", r"\1"),  # tuples, but not remarks of several words
+    (r"'([^'\s]*)'", r"\1"),
+    (r"\bTrue\b", "yes"), (r"\bFalse\b", "no"), (r"\bNone\b", "none"),
+    (r"\bnan\b", "NaN"), (r"(?<![\w/])inf\b", "infinity"), (r"\b0\.0e\+00\b", "0"),
+)  # fmt: skip
+
+
+def plain(figures: str) -> str:
+    """Return figures without Python's brackets, quotes and names of values."""
+    for pattern, words in _PLAIN:
+        figures = re.sub(pattern, words, figures)
+    return figures
+
+
+def shortened(text: str, length: int = 120) -> str:
+    """Return the beginning of a message, up to the end of a word."""
+    if len(text) <= length:
+        return text
+    return text[: text.rindex(" ", 0, length)].rstrip(" ,;:(") + " ..."

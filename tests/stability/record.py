@@ -1,0 +1,37 @@
+"""Write the record of all extreme cases, which `tipforce report` shows (`make report`)."""
+
+from __future__ import annotations
+
+import importlib
+import json
+from pathlib import Path
+
+from stability.case import Case, Observed, plain
+
+AREAS = (
+    "contact", "uncertainty", "layout", "gauges", "filters", "calibration", "fit", "wire", "clock", "dynamics",
+    "integrators", "impact",
+)  # fmt: skip
+"""Modules of this folder, in the order of the report."""
+RECORD = Path(__file__).parents[2] / "tools" / "tipforce_lab" / "report" / "cases.jsonl"
+
+
+def cases() -> list[Case]:
+    """Return all cases by area."""
+    return [case for area in AREAS for case in importlib.import_module(f"stability.{area}").cases()]
+
+
+def recorded(case: Case, observed: Observed) -> dict[str, object]:
+    """Return the record of one case, as ``tipforce_lab.report.cases.Case`` reads it."""
+    return {
+        "key": case.key,
+        "situation": case.situation,
+        "outcome": case.outcome,
+        "claim": case.claim,
+        "held": bool(observed.held),  # numpy's bool is not a bool of JSON
+        "figures": plain(observed.figures),
+    }
+
+
+if __name__ == "__main__":
+    RECORD.write_text("".join(json.dumps(recorded(case, case.check())) + "\n" for case in cases()), encoding="utf-8")

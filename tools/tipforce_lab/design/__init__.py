@@ -1,0 +1,1 @@
+"""The structure: the paper's tables and figures, other designs, and error budgets."""

@@ -1,0 +1,349 @@
+"""Error budget of P, phi, theta: each cause propagated through C, the calibration and the contact to first order.
+
+A cause is a set of independent elementary errors; each moves the estimated force by a vector that depends on the load.
+The covariance of F is the sum of their outer products; standard_uncertainties() converts it to P, phi, theta.
+A fixed offset, gain, shift or angle is not noise: its row is the scatter of the estimates of many such sensors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import pi, sqrt
+
+import numpy as np
+
+from tipforce.arrays import BoolArray, FloatArray
+from tipforce.errors import InputError
+from tipforce.output_file import save_figure
+from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.contact.estimate import standard_uncertainties
+from tipforce.sensor.contact.first_order import first_order_holds
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.gauge_shift import GaugePosition, strain_row
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.off_axis import PlacedGauge, off_axis_wrenches, wrench_strain_matrix
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS
+from tipforce_lab import plotting as figures
+
+DEGREE = pi / 180.0
+_SHIFT_STEP = 1e-3  # of a beam's length: the strain is linear along it, any step gives the derivative
+_PLACEMENT_STEP = 1e-6  # metres and radians
+
+
+@dataclass(frozen=True, slots=True)
+class Causes:
+    """Standard uncertainties of the causes. The defaults are assumptions to be replaced."""
+
+    noise_strain: float | None = None
+    """White noise of each gauge; None: the covariance of the sensor."""
+    resolution_strain: float = 0.1e-6
+    """One step of the gauge's converter (INTEGER16 in 0.1 microstrain)."""
+    gain: float = 1e-3
+    """Relative drift of each gauge's sensitivity since the calibration."""
+    offset_strain: float = 1e-6
+    """Drift of each gauge's zero since the last tare."""
+    temperature_K: float = 1.0
+    """Away from the temperature of the last tare."""
+    apparent_strain_per_K: float = 1e-6
+    """Apparent strain that all gauges share."""
+    mismatch_strain_per_K: float = 0.2e-6
+    """Apparent strain of each gauge in addition."""
+    sensitivity_per_K: float = 3e-4
+    """Relative change of all strains: Young's modulus of steel, and the gauge factor."""
+    hysteresis: float = 5e-4
+    """Of each gauge, relative to its largest strain under a load of the same size in any direction: half the width of
+    the loop between loading and unloading, as a standard uncertainty. The load before is unknown."""
+    creep: float = 5e-4
+    """Relative growth of all strains while a load is held: structure, adhesive and backing of one batch of gauges."""
+    load_angle_rad: float = 0.5 * DEGREE
+    """Scatter of the direction of each calibration load."""
+    gravity_rad: float = 0.5 * DEGREE
+    """Angle between the two set-ups for the x-loads and the y-loads: all y-loads rotate by it."""
+    gauge_shift_m: float = 0.2e-3
+    """Of each gauge along its beam; only if C comes from theory, because a calibration removes it."""
+    off_axis_newtons: float = 0.5
+    """Load along the width of the beams."""
+    lateral_offset_m: float = 0.3e-3
+    """Of each gauge off the centre line of its beam, for the off-axis load."""
+    misalignment_rad: float = 2.0 * DEGREE
+    """Of each gauge's axis, for the off-axis load."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sensor:
+    """Properties of a sensor for the budget."""
+
+    C: FloatArray
+    """(3, n), newtons per unit strain."""
+    A: FloatArray
+    """(n, 3), strain per newton."""
+    covariance_strain2: FloatArray
+    """(n, n), noise of the gauges."""
+    pull: bool
+    """Load sense of the readings."""
+    calibrated: bool
+    """True: C was fitted to loads. False: it comes from theory, with gauges at their nominal places."""
+    geometry: Geometry | None = None
+    positions: tuple[GaugePosition, ...] = ()
+    """Positions of the gauges; without them (or the geometry) shift and off-axis load are unknown."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Loads:
+    """Loads P, phi, theta, each of shape (m,)."""
+
+    P_newtons: FloatArray
+    phi_rad: FloatArray
+    theta_rad: FloatArray
+
+    @property
+    def F(self) -> FloatArray:
+        """(m, 3), newtons."""
+        return force_vector(self.P_newtons, self.phi_rad, self.theta_rad)
+
+    @property
+    def turned(self) -> FloatArray:
+        """dF / dphi with the contact held, (m, 3), newtons per radian."""
+        return force_vector(self.P_newtons, self.phi_rad + 0.5 * np.pi, self.theta_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Row:
+    """Contribution of one cause to m loads."""
+
+    cause: str
+    covariance_F: FloatArray
+    """(m, 3, 3), N^2."""
+    uncertainties: FloatArray
+    """(m, 3): standard uncertainties of P (N), phi, theta (rad)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Budget:
+    """The rows, their sum, and the omitted causes."""
+
+    rows: list[Row]
+    total: Row
+    holds: BoolArray
+    """(m, 3): first_order_holds() of the total, for P, phi, theta."""
+    left_out: dict[str, str]
+    """Cause -> reason why it has no row."""
+
+
+def groove_loads(P_newtons: float = CALIBRATION_WEIGHT_NEWTONS) -> Loads:
+    """Return the pulls of the paper's 19 grooves."""
+    grooves = paper_grooves()
+    return Loads(np.full(grooves.theta_rad.shape, P_newtons), grooves.phi_rad, grooves.theta_rad)
+
+
+def pad_loads(
+    P_newtons: float, theta_min_deg: float, theta_max_deg: float, *, pull: bool, largest_delta_deg: float = 45.0
+) -> Loads:
+    """Return loads over a whole pad, every 5 degrees of theta and 15 of delta = phi - theta (friction up to 1)."""
+    theta_deg, delta_deg = np.meshgrid(
+        np.arange(theta_min_deg, theta_max_deg + 1e-9, 5.0),
+        np.arange(-largest_delta_deg, largest_delta_deg + 1e-9, 15.0),
+    )
+    theta = np.radians(theta_deg.ravel())
+    phi = theta + np.radians(delta_deg.ravel()) + (0.0 if pull else np.pi)
+    return Loads(np.full(theta.shape, P_newtons), phi, theta)
+
+
+def budget(sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Loads | None = None) -> Budget:
+    """Return the budget of some loads.
+
+    calibration_loads: those that C was fitted to, one reading each and as many unloaded (default: the paper's
+    grooves). Repetitions lower the calibration's noise, not its angles, as a groove keeps its angle. Raises
+    InputError where the shapes do not fit.
+    """
+    n = sensor.C.shape[1] if sensor.C.ndim == 2 else 0
+    if sensor.C.shape != (3, n) or sensor.A.shape != (n, 3) or sensor.covariance_strain2.shape != (n, n):
+        raise InputError(
+            f"C {sensor.C.shape}, A {sensor.A.shape}, covariance {sensor.covariance_strain2.shape}: "
+            "allowed are (3, n), (n, 3), (n, n)"
+        )
+    errors, left_out = elementary_errors(sensor, loads, causes, calibration_loads)
+    rows = [
+        _row(cause, E.transpose(1, 2, 0) @ E.transpose(1, 0, 2), loads.F, sensor.pull) for cause, E in errors.items()
+    ]
+    covariance = np.asarray(np.sum([row.covariance_F for row in rows], axis=0), dtype=np.float64)
+    total = _row("total", covariance, loads.F, sensor.pull)
+    return Budget(rows, total, first_order_holds(loads.F, total.covariance_F), left_out)
+
+
+def elementary_errors(
+    sensor: Sensor, loads: Loads, causes: Causes, calibration_loads: Loads | None = None
+) -> tuple[dict[str, FloatArray], dict[str, str]]:
+    """Return (cause -> errors of F, (q, m, 3) newtons, one for each of q independent standard deviations; left out).
+
+    A cause without effect has zeros: a calibration removes gauge positions, and C from theory has no
+    loads. The second gives the reason for each cause that cannot be computed.
+    """
+    C, F, n = sensor.C, loads.F, sensor.C.shape[1]
+    strain = F @ sensor.A.T
+    per_gauge = np.broadcast_to(C.T[:, np.newaxis, :], (n, len(F), 3))  # error of F per unit strain in each gauge
+    noise = sensor.covariance_strain2 if causes.noise_strain is None else causes.noise_strain**2 * np.eye(n)
+    # Over all directions and contacts: hypot(A1, A3) + |A2| times P, as in worst_strain(); P = hypot(F1, F3).
+    worst = np.hypot(sensor.A[:, 0], sensor.A[:, 2]) + np.abs(sensor.A[:, 1])
+    largest = worst[:, np.newaxis] * np.hypot(F[:, 0], F[:, 2])
+    common = causes.temperature_K * (causes.apparent_strain_per_K * C.sum(axis=1) + causes.sensitivity_per_K * F)
+    errors_by_cause = {
+        "gauge noise": np.broadcast_to((C @ _factor(noise)).T[:, np.newaxis, :], per_gauge.shape),
+        "quantisation": causes.resolution_strain / sqrt(12.0) * per_gauge,
+        "gain": causes.gain * strain.T[:, :, np.newaxis] * per_gauge,
+        "offset": causes.offset_strain * per_gauge,
+        "temperature, common": common[np.newaxis],
+        "temperature, mismatch": causes.temperature_K * causes.mismatch_strain_per_K * per_gauge,
+        "hysteresis": causes.hysteresis * largest[:, :, np.newaxis] * per_gauge,
+        "creep": causes.creep * F[np.newaxis],
+    }
+    none, left_out = np.zeros((1, *F.shape)), {}
+    if sensor.calibrated:
+        hung = groove_loads() if calibration_loads is None else calibration_loads
+        turns = turn_errors(hung, F)
+        errors_by_cause["calibration noise"] = (
+            np.sqrt(_leverage(hung, F))[:, np.newaxis] * errors_by_cause["gauge noise"]
+        )
+        errors_by_cause["load angle"] = causes.load_angle_rad * turns
+        errors_by_cause["gravity"] = causes.gravity_rad * turns[_along_y(hung)].sum(axis=0)[np.newaxis]
+        errors_by_cause["gauge position"] = none
+    else:
+        errors_by_cause["calibration noise"] = errors_by_cause["load angle"] = errors_by_cause["gravity"] = none
+    if sensor.geometry is None or len(sensor.positions) != n:
+        missing = ["off-axis load"] if sensor.calibrated else ["gauge position", "off-axis load"]
+        left_out = dict.fromkeys(missing, "the positions of the gauges are unknown")
+    else:
+        if not sensor.calibrated:
+            slopes = _position_slopes(sensor.geometry, sensor.positions)
+            errors_by_cause["gauge position"] = causes.gauge_shift_m * (F @ slopes.T).T[:, :, np.newaxis] * per_gauge
+        errors_by_cause["off-axis load"] = _off_axis(
+            sensor.geometry, sensor.positions, loads.theta_rad, causes, per_gauge
+        )
+    return {cause: np.asarray(E, dtype=np.float64) for cause, E in errors_by_cause.items()}, left_out
+
+
+def turn_errors(calibration_loads: Loads, F: FloatArray) -> FloatArray:
+    """Return the errors of F, (r, m, 3), newtons per radian, from turning each of r calibration loads.
+
+    The fit uses F_i for the load F_i + angle F'_i: its strain is wrong by A F'_i, the fit by
+    A F'_i G_i^T N^-1 and a reading by -F'_i (G_i^T N^-1 G), for any A. The rows of N: the loads, and as many
+    unloaded readings.
+    """
+    G = _with_one(calibration_loads.F)
+    weights = G @ np.linalg.solve(_normal_matrix(G), _with_one(F).T)
+    return np.asarray(-weights[:, :, np.newaxis] * calibration_loads.turned[:, np.newaxis, :], dtype=np.float64)
+
+
+def gravity_residual(angle_rad: float, calibration_loads: Loads | None = None) -> float:
+    """Return the RMS over the load of such an angle between x-loads and y-loads in the residuals of the fit.
+
+    Compare it with the resulting error of P, angle / 2 at phi = 45 degrees: the residuals hardly show it.
+    """
+    hung = groove_loads() if calibration_loads is None else calibration_loads
+    turned = hung.turned * (angle_rad * _along_y(hung))[:, np.newaxis]
+    rows = np.vstack([turned, np.zeros_like(turned)])
+    G = np.vstack([_with_one(hung.F), _with_one(np.zeros_like(hung.F))])
+    residual = (rows - G @ np.linalg.lstsq(G, rows, rcond=None)[0])[: len(turned)]
+    return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)) / np.mean(hung.P_newtons**2)))
+
+
+def _leverage(calibration_loads: Loads, F: FloatArray) -> FloatArray:
+    """Return G^T N^-1 G, (m,): the part of the variance of one calibration reading that propagates to F."""
+    G = _with_one(F)
+    N = _normal_matrix(_with_one(calibration_loads.F))
+    return np.asarray(np.einsum("mi,mi->m", G, np.linalg.solve(N, G.T).T), dtype=np.float64)
+
+
+def _with_one(F: FloatArray) -> FloatArray:
+    return np.column_stack([F, np.ones(len(F))])
+
+
+def _normal_matrix(G: FloatArray) -> FloatArray:
+    """Return N: the loads, and as many unloaded readings."""
+    return np.asarray(G.T @ G + np.diag([0.0, 0.0, 0.0, float(len(G))]), dtype=np.float64)
+
+
+def _along_y(loads: Loads) -> BoolArray:
+    """Return which loads hang along y rather than along x."""
+    along_y: BoolArray = np.abs(np.sin(loads.phi_rad)) > np.abs(np.cos(loads.phi_rad))
+    return along_y
+
+
+def _covariance(errors: FloatArray) -> FloatArray:
+    """Return the sum of outer products, (m, 3, 3), of errors (q, m, 3)."""
+    by_load = errors.transpose(1, 2, 0)
+    return np.asarray(by_load @ by_load.transpose(0, 2, 1), dtype=np.float64)
+
+
+def _row(cause: str, covariance_F: FloatArray, F: FloatArray, pull: bool) -> Row:
+    return Row(cause, covariance_F, standard_uncertainties(F, covariance_F, pull=pull))
+
+
+def _factor(covariance: FloatArray) -> FloatArray:
+    """Return B with B B^T = covariance, also for a singular one."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)), dtype=np.float64)
+
+
+def _position_slopes(geometry: Geometry, positions: tuple[GaugePosition, ...]) -> FloatArray:
+    """Return strain per newton and metre of shift along the beam, (n, 3)."""
+    slopes = []
+    for place in positions:
+        length = geometry.a_m if place.beam == "H" else geometry.d_m
+        step = _SHIFT_STEP * length * (1.0 if place.position_m < 0.5 * length else -1.0)
+        moved = strain_row(geometry, place.beam, place.side, place.position_m + step, place.face)
+        slopes.append((moved - strain_row(geometry, *place)) / step)
+    return np.array(slopes)
+
+
+def _off_axis(
+    geometry: Geometry,
+    positions: tuple[GaugePosition, ...],
+    theta_rad: FloatArray,
+    causes: Causes,
+    per_gauge: FloatArray,
+) -> FloatArray:
+    """Return errors of F from an off-axis load by each gauge's lateral offset, then by each gauge's misalignment."""
+    wrenches = causes.off_axis_newtons * off_axis_wrenches(geometry, theta_rad)
+    centred = wrench_strain_matrix(geometry, [PlacedGauge(place) for place in positions])
+    errors = []
+    for offset_m, angle_rad, size in (
+        (_PLACEMENT_STEP, 0.0, causes.lateral_offset_m),
+        (0.0, _PLACEMENT_STEP, causes.misalignment_rad),
+    ):
+        moved = wrench_strain_matrix(geometry, [PlacedGauge(place, offset_m, angle_rad) for place in positions])
+        strain = wrenches @ ((moved - centred) / _PLACEMENT_STEP * size).T
+        errors.append(strain.T[:, :, np.newaxis] * per_gauge)
+    return np.concatenate(errors)
+
+
+_QUANTITIES = (("P", "N", 1.0), ("phi", "deg", 180.0 / np.pi), ("theta", "deg", 180.0 / np.pi))
+_BAR, _TOTAL = "#0072b2", "#222222"
+
+
+def plot(error_budget: Budget, path: str) -> None:
+    """Draw the standard uncertainty of each cause, root mean square over the loads, .png or .svg.
+
+    Sorted by share of the variance of P; one colour, so that print and any colour vision show the same. Raises
+    EnvironmentLackError without matplotlib, and InputError if the file cannot be written.
+    """
+    sizes = np.array([np.sqrt(np.mean(row.uncertainties**2, axis=0)) for row in error_budget.rows])
+    total = np.sqrt(np.mean(error_budget.total.uncertainties**2, axis=0))
+    order = np.argsort(-sizes[:, 0], kind="stable")
+    names = [error_budget.rows[k].cause for k in order] + ["total"]
+    with figures.plotting({"font.size": 9.0}):
+        figure = figures.new_figure(9.0, 0.9 + 0.27 * len(names))
+        panels = figure.subplots(1, 3, sharey=True)
+        for k, (axes, (name, symbol, unit)) in enumerate(zip(panels, _QUANTITIES, strict=True)):
+            values = unit * np.append(sizes[order, k], total[k])
+            places = np.arange(len(values), dtype=np.float64)
+            axes.barh(places, values, color=[_BAR] * len(order) + [_TOTAL], height=0.7)
+            for place, value in zip(places, values, strict=True):
+                label = f"{value:#.2g}" if value > 1e-6 * total[k] * unit else "0"  # below: rounding
+                axes.annotate(label, (value, place), (3, 0), textcoords="offset points", va="center")
+            axes.set(xlabel=f"u({name}) ({symbol})", xlim=(0.0, 1.22 * max(values.max(), 1e-300)))
+            axes.grid(visible=False)
+            axes.tick_params(axis="y", length=0)
+        panels[0].set_yticks(range(len(names)), names)
+        panels[0].invert_yaxis()
+        save_figure(figure, path, dpi=130)

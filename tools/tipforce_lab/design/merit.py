@@ -1,0 +1,224 @@
+"""Figures of merit of a structure, by beam theory and by the frame, and the designs that no other dominates.
+
+The figures by beam theory are closed formulas of Table 1; optimise any of them, report the others beside it. The
+condition number alone does not contain noise: it is unchanged if every gauge reads half as much.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import InputError
+from tipforce.sensor.structure.gauge_positions import Gauge, gauge_matrix
+from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.limits import slit_closure, worst_stress
+from tipforce.sensor.structure.plane_frame import ELASTIC_ROOTS, Frame, FrameModel
+from tipforce.sensor.structure.strain import condition_number, noise_gain
+
+PAPER_LOAD_NEWTONS = 4.4
+_CONTACTS, _DIRECTIONS = 61, 9  # midpoints over pad and friction cone; twice as many change u by less than 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class LoadSet:
+    """The loads over which uncertainties are averaged: contacts on the pad, pushes within the friction cone.
+
+    Uniform in theta over the pad and in the angle between push and inward normal. Raises InputError for a load,
+    pad or friction coefficient out of range.
+    """
+
+    load_newtons: float = PAPER_LOAD_NEWTONS
+    theta_min_deg: float = 0.0
+    theta_max_deg: float = 180.0
+    friction: float = 0.5
+    """Coefficient of friction: the push stays within atan(friction) of the normal."""
+
+    def __post_init__(self) -> None:
+        if not 0.0 < self.load_newtons < math.inf:
+            raise InputError(f"load = {self.load_newtons!r} N: allowed is a positive finite number")
+        if not -360.0 <= self.theta_min_deg <= self.theta_max_deg <= 360.0:
+            raise InputError(
+                f"pad from {self.theta_min_deg!r} to {self.theta_max_deg!r} degrees: allowed is -360 to 360, rising"
+            )
+        if not 0.0 <= self.friction <= 10.0:
+            raise InputError(f"friction = {self.friction!r}: allowed is 0 to 10")
+
+    def angles(self) -> tuple[FloatArray, FloatArray]:
+        """Return (phi_rad, theta_rad), each (k,): the directions and contacts of the set."""
+        theta = math.radians(self.theta_min_deg) + math.radians(self.theta_max_deg - self.theta_min_deg) * (
+            (np.arange(_CONTACTS) + 0.5) / _CONTACTS
+        )
+        cone = math.atan(self.friction) * (2.0 * (np.arange(_DIRECTIONS) + 0.5) / _DIRECTIONS - 1.0)
+        theta, cone = (grid.ravel() for grid in np.meshgrid(theta, cone))
+        return theta + math.pi + cone, theta
+
+    def weights(self) -> FloatArray:
+        """Return W_P, W_phi, W_theta, shape (3, 3, 3): means of j j^T, j the gradient of P, phi or theta by F.
+
+        First order: the mean variance of the quantity is tr(W C Sigma_V C^T). Units 1, (rad/N)^2, (rad/N)^2.
+        """
+        phi, theta = self.angles()
+        s, c, zero = np.sin(phi), np.cos(phi), np.zeros_like(phi)
+        delta = phi - theta
+        gradient_P = np.stack((s, zero, c), axis=-1)
+        gradient_phi = np.stack((c, zero, -s), axis=-1) / self.load_newtons
+        # sin(delta) = F2 / P: d(delta) = (dF2 - sin(delta) dP) / (P cos(delta)), and theta = phi - delta.
+        slope_2 = np.stack((zero, 1.0 / np.cos(delta), zero), axis=-1) / self.load_newtons
+        slope_P = np.tan(delta)[:, np.newaxis] * gradient_P / self.load_newtons
+        gradients = (gradient_P, gradient_phi, gradient_phi - slope_2 + slope_P)
+        return np.stack([j.T @ j / len(phi) for j in gradients])
+
+
+@dataclass(frozen=True, slots=True)
+class Merit:
+    """Figures of a strain matrix at a given gauge noise and load set."""
+
+    u_P_newtons: float
+    """Standard uncertainties: RMS over the load set, from gauge noise alone, first order."""
+    u_phi_deg: float
+    u_theta_deg: float
+    noise_gain_newtons: float
+    """sqrt(trace(C C^T)) in newtons per microstrain."""
+    smallest_singular_value: float
+    """Of the strain matrix, in microstrain per newton: the smallest reading of the gauges for a unit force."""
+    condition_number: float
+
+
+def merit(strain_matrix: npt.ArrayLike, noise_microstrain: float, loads: LoadSet) -> Merit:
+    """Return the figures of a strain matrix (n, 3), strain per newton; equal white noise on every gauge.
+
+    A matrix of rank below 3 gives infinite uncertainties. Raises InputError for a noise that is negative or not
+    finite, or another shape.
+    """
+    A = 1e6 * np.asarray(strain_matrix, dtype=np.float64)
+    if A.ndim != 2 or A.shape[1] != 3 or A.shape[0] < 3:
+        raise InputError(f"strain matrix of shape {A.shape}: allowed is (n, 3), n at least 3")
+    if not 0.0 <= noise_microstrain < math.inf:
+        raise InputError(f"noise = {noise_microstrain!r} microstrain: allowed is 0 or more, finite")
+    if np.linalg.matrix_rank(A) < 3:
+        return Merit(math.inf, math.inf, math.inf, math.inf, 0.0, math.inf)
+    C = np.linalg.pinv(A)
+    u = [noise_microstrain * math.sqrt(np.trace(W @ C @ C.T)) for W in loads.weights()]
+    return Merit(
+        u[0], math.degrees(u[1]), math.degrees(u[2]), noise_gain(C),
+        float(np.linalg.svd(A, compute_uv=False)[-1]), condition_number(A),
+    )  # fmt: skip
+
+
+def worst_strain(strain_matrix: npt.ArrayLike, load_newtons: float) -> float:
+    """Return the largest reading of any gauge (strain), over the same loads, from a strain matrix (n, 3)."""
+    A = np.asarray(strain_matrix, dtype=np.float64)
+    return float(np.max(np.hypot(A[:, 0], A[:, 2]) + np.abs(A[:, 1]))) * load_newtons
+
+
+AGREEMENT = 0.03
+"""Relative difference of beam theory and frame above which a design counts as not proven."""
+
+
+@dataclass(frozen=True, slots=True)
+class Assessment:
+    """Assessment of a structure: by beam theory, and by the frame with shear and elastic roots."""
+
+    name: str
+    geometry: Geometry
+    gauges: tuple[Gauge, ...]
+    theory: Merit
+    frame: Merit
+    frame_finite_joint: Merit
+    """The frame with the joint as a block of width h2: shows the effect of the joint's size."""
+    worst_stress_pascals: float
+    worst_strain: float
+    """The largest reading of a gauge."""
+    slit_load_newtons: float
+    """The load that closes the slit."""
+
+    @property
+    def disagreement(self) -> float:
+        """The largest relative difference of frame and beam theory, over every field of Merit."""
+        return max(_relative(getattr(self.frame, f.name), getattr(self.theory, f.name)) for f in fields(Merit))
+
+    @property
+    def agrees(self) -> bool:
+        """True if beam theory and the frame agree within AGREEMENT."""
+        return self.disagreement <= AGREEMENT
+
+
+def assess(
+    name: str,
+    geometry: Geometry,
+    gauges: Sequence[Gauge],
+    *,
+    loads: LoadSet,
+    noise_microstrain: float,
+    gauge_length_m: float,
+    slit_m: float,
+) -> Assessment:
+    """Return the figures of one structure, stresses at loads.load_newtons.
+
+    Points of Table 1 are read at the point itself: a gauge there would reach beyond the beam. Raises InputError
+    for gauges that are not usable.
+    """
+    A = gauge_matrix(geometry, gauges)
+    length_m = 0.0 if any(isinstance(gauge, str) for gauge in gauges) else gauge_length_m
+    block = FrameModel(shear=True, root=ELASTIC_ROOTS.root, finite_joint=True)
+    matrices = [Frame(geometry, model).strain_matrix(gauges, length_m) for model in (ELASTIC_ROOTS, block)]
+    theory, frame, finite = (merit(matrix, noise_microstrain, loads) for matrix in (A, *matrices))
+    return Assessment(
+        name, geometry, tuple(gauges), theory, frame, finite,
+        worst_stress(geometry, loads.load_newtons), worst_strain(A, loads.load_newtons),
+        slit_m / slit_closure(geometry, 1.0),
+    )  # fmt: skip
+
+
+def glued(geometry: Geometry, gauges: Sequence[str], gauge_length_m: float, clearance_m: float) -> tuple[Gauge, ...]:
+    """Return gauges of that length as near to the points of Table 1 as the body allows.
+
+    At the joint a gauge of the arms begins beside the vertical beam, h2 / 2 from the middle. Raises InputError for
+    an unknown point.
+    """
+    inset = 0.5 * gauge_length_m + clearance_m
+    positions: list[Gauge] = []
+    for point in gauges:
+        spot = nominal_position(geometry, point)
+        if spot.position_m > 0.0:
+            positions.append(spot._replace(position_m=spot.position_m - inset))
+        else:
+            beside = 0.5 * geometry.h2_m if spot.beam == "H" else 0.0
+            positions.append(spot._replace(position_m=beside + inset))
+    return tuple(positions)
+
+
+FIGURES: dict[str, Callable[[Assessment], float]] = {
+    "theta": lambda entry: entry.theory.u_theta_deg,
+    "noise": lambda entry: entry.theory.noise_gain_newtons,
+    "singular": lambda entry: 1.0 / entry.theory.smallest_singular_value,
+    "condition": lambda entry: entry.theory.condition_number,
+}
+"""The quantities that the search's objectives minimise."""
+
+
+def pareto(entries: Sequence[Assessment], figures: Sequence[Callable[[Assessment], float]]) -> list[Assessment]:
+    """Return the entries that no other dominates in every figure (smaller is better), the best in the first one first.
+
+    An entry that is better by less than one percent counts as dominated.
+    """
+    kept: list[Assessment] = []
+    for entry in sorted(entries, key=lambda e: tuple(figure(e) for figure in figures)):
+        values = [figure(entry) for figure in figures]
+        others = ([figure(other) for figure in figures] for other in kept)
+        if not any(all(o <= v * 1.01 for o, v in zip(other, values, strict=True)) for other in others):
+            kept.append(entry)
+    return kept
+
+
+def _relative(value: float, reference: float) -> float:
+    if value == reference:
+        return 0.0
+    return abs(value / reference - 1.0) if reference and math.isfinite(reference) else math.inf

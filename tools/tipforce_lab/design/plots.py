@@ -1,0 +1,399 @@
+"""The figures of `tipforce design`. Deterministic: the same numbers and matplotlib give the same bytes.
+
+The text of the paper does not define the outline of its figure 2. Assumed: the tip is a half disc, flat side down, with
+two legs down to the outer ends of the horizontal beam; the vertical beam is between the joint and a block, the fixture.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.output_file import make_folder, save_figure
+from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.structure.gauge_shift import nominal_position
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS
+from tipforce.sensor.structure.off_axis import apparent_force, off_axis_wrenches
+from tipforce.sensor.structure.published import CALIBRATION_WEIGHT_NEWTONS, GAUGE_LENGTH_M
+from tipforce_lab.design.paper_figures import condition_against_shift, simulate_groove_errors
+from tipforce_lab.design.tables import Section, ranked_layouts
+from tipforce_lab.plotting import new_figure, plotting
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+# Okabe and Ito's palette, for any colour vision. Line style or marker differ too, for black and white.
+BLUE, VERMILLION, GREEN, GREY = "#0072B2", "#D55E00", "#009E73", "#555555"
+STYLE = {
+    "font.size": 9.0,
+    "grid.color": "#dddddd",
+    "legend.edgecolor": "none",
+    "legend.framealpha": 1.0,
+    "savefig.dpi": 150,
+}
+STYLES = ((BLUE, "-", "o"), (VERMILLION, "--", "s"), (GREEN, "-.", "^"), (GREY, ":", "D"))
+
+
+def draw(what: str, directory: Path, kind: str, noise: float, repeats: int, seed: int) -> Iterator[Path]:
+    """Draw the sections of `design table` named ``what``, or "all"; yield each path after writing it.
+
+    kind: svg or png. noise (microstrain), repeats, seed: of figure 9. Raises EnvironmentLackError without matplotlib,
+    InputError if the directory cannot be written.
+    """
+
+    makers: dict[str, list[tuple[str, Callable[[], Figure]]]] = {
+        "1": [("cross-section", cross_section)],
+        "2": [],
+        "3": [("condition-and-noise", condition_and_noise)],
+        "fig6": [("figure-6", figure_6)],
+        "fig9": [("grooves", groove_directions), ("figure-9", lambda: figure_9(noise, repeats, seed))],
+        "off-axis": [("off-axis", off_axis)],
+    }
+    make_folder(directory)
+    for name in makers if what == "all" else (what,):
+        for stem, make in makers[name]:
+            path = directory / f"{stem}.{kind}"
+            with plotting(STYLE):
+                save_figure(make(), path)
+            yield path
+
+
+def figure_6() -> Figure:
+    """Draw condition number against gauge shift, one panel per case."""
+    figure = new_figure(8.4, 3.2)
+    panels = figure.subplots(1, 3, sharey=True)
+    shifts_mm = np.linspace(0.0, 5.0, 51)
+    for case, axes in zip(CASES, panels, strict=True):
+        conditions = condition_against_shift(FABRICATED, case, shifts_mm * 1e-3)
+        for index, (colour, line, marker) in enumerate(STYLES):
+            label = f"SG{index + 1} (at {LAYOUTS[case][index].removesuffix('_H')})" if index < 3 else "all three"
+            axes.plot(
+                shifts_mm,
+                conditions[index],
+                color=colour,
+                linestyle=line,
+                marker=marker,
+                markevery=10,
+                markersize=4,
+                label=label,
+            )
+        axes.axvline(0.5, color=GREY, linewidth=0.8)
+        axes.annotate("middle of a 1 mm gauge\nthat begins at the corner", (0.55, 2.05), fontsize=7, color=GREY)
+        axes.set(title=f"case {case}", xlabel="shift inward along the beam (mm)", xlim=(0, 5), ylim=(2, 5))
+        axes.legend(fontsize=7.5, loc="upper left", title="moved gauge", title_fontsize=7.5)
+    panels[0].set_ylabel("condition number")
+    return figure
+
+
+def figure_9(noise_ue: float, repeats: int, seed: int) -> Figure:
+    """Draw errors of P, phi, theta at the grooves: one simulated run as points, 95 % bands of first order."""
+    simulated = simulate_groove_errors(FABRICATED, "I", noise_ue * 1e-6, repeats=repeats, seed=seed)
+    figure = new_figure(8.4, 3.2)
+    theta = np.degrees(simulated.grooves.theta_rad)
+    scale = (1.0, 180.0 / np.pi, 180.0 / np.pi)
+    labels = ("error of P (N)", "error of phi (degrees)", "error of theta (degrees)")
+    right, along_x = theta < 90.0, simulated.grooves.along_x
+    kinds = (
+        (along_x & right, "x-grooves", BLUE, "o"),
+        (along_x & ~right, "", BLUE, "o"),
+        (~along_x, "y-grooves", VERMILLION, "s"),
+    )
+    for index, axes in enumerate(figure.subplots(1, 3)):
+        for chosen, name, colour, marker in kinds:
+            order = np.flatnonzero(chosen)
+            band = 1.96 * scale[index] * simulated.standard_uncertainties[order, index]
+            axes.fill_between(
+                theta[order], -band, band, color=colour, alpha=0.2, linewidth=0, label=name and f"95 %, {name}"
+            )
+            for run in range(min(3, repeats)):
+                axes.plot(
+                    theta[order],
+                    scale[index] * simulated.errors[run, order, index],
+                    marker,
+                    color=colour,
+                    markersize=3.5,
+                    markerfacecolor=colour if run == 0 else "none",
+                    label=f"{name}, 3 runs" if name and run == 0 else "",
+                )
+        axes.axvline(90.0, color=GREY, linewidth=0.8)
+        axes.set(xlabel="contact angle theta (degrees)", ylabel=labels[index], xticks=range(0, 181, 45))
+        low, high = axes.get_ylim()
+        axes.set_ylim(1.25 * min(low, -high), 1.25 * max(high, -low))
+        axes.text(88, axes.get_ylim()[0] * 0.97, "calibrated", ha="right", fontsize=7, color=GREY)
+    figure.legend(
+        *axes.get_legend_handles_labels(),
+        loc="outside upper center",
+        ncols=4,
+        fontsize=8,
+        title=f"case I, {CALIBRATION_WEIGHT_NEWTONS:g} N, gauge noise {noise_ue:g} microstrain",
+    )
+    return figure
+
+
+def condition_and_noise() -> Figure:
+    """Draw all regular layouts of three points: condition number against noise gain."""
+    figure = new_figure(5.6, 3.8)
+    axes = figure.subplots()
+    rows = [row for row in ranked_layouts(FABRICATED) if row.condition < 20.0]
+    axes.loglog(
+        [1e-6 * row.noise for row in rows],
+        [row.condition for row in rows],
+        "o",
+        color=GREY,
+        markersize=4,
+        label="other layouts (mirrors coincide)",
+    )
+    for row in rows:
+        if row.case:
+            colour, _, marker = STYLES[CASES.index(row.case)]
+            axes.plot(1e-6 * row.noise, row.condition, marker, color=colour, markersize=8, label=f"case {row.case}")
+    axes.annotate(
+        "L, T, S_H (2.622)",
+        (1e-6 * rows[2].noise, rows[2].condition),
+        (10, -14),
+        textcoords="offset points",
+        arrowprops={"arrowstyle": "-", "color": GREY},
+        fontsize=8,
+    )
+    axes.annotate(
+        "L or R, with T or U and K_V or S_V",
+        (1e-6 * rows[4].noise, rows[4].condition),
+        (12, -6),
+        textcoords="offset points",
+        fontsize=8,
+    )
+    axes.set(
+        xlabel="noise gain sqrt(trace(C C^T))  (N per microstrain)",
+        ylabel="condition number",
+        xticks=(0.015, 0.02, 0.03, 0.04),
+        xticklabels=("0.015", "0.02", "0.03", "0.04"),
+        yticks=(2.5, 3, 4, 6, 9),
+        yticklabels=("2.5", "3", "4", "6", "9"),
+    )
+    axes.minorticks_off()
+    axes.legend(loc="upper left")
+    return figure
+
+
+def off_axis() -> Figure:
+    """Draw the apparent force per newton along z against lateral offset and misalignment of the gauges."""
+    figure = new_figure(8.4, 3.4)
+    left, right = figure.subplots(1, 2)
+    loads = off_axis_wrenches(FABRICATED, np.radians(np.arange(0.0, 181.0, 5.0)))
+    for axes, key, unit, values in (
+        (left, "lateral_offset_m", 1e-3, np.linspace(0.0, 1.0, 6)),
+        (right, "misalignment_rad", np.pi / 180.0, np.linspace(0.0, 5.0, 6)),
+    ):
+        for case, (colour, _, marker) in zip(CASES, STYLES, strict=False):
+            for held in (True, False):
+                apparent = [
+                    apparent_force(FABRICATED, case, loads, warping_held=held, **{key: unit * value}).norm_newtons
+                    for value in values.tolist()
+                ]
+                axes.plot(
+                    values,
+                    apparent,
+                    color=colour,
+                    linestyle="-" if held else ":",
+                    marker=marker,
+                    markersize=4,
+                    label=f"case {case}, warping {'held' if held else 'free'}",
+                )
+        axes.set(ylim=(0, None), ylabel="apparent |F| (N per N along z)")
+    left.set_xlabel("lateral offset of every gauge (mm)")
+    right.set_xlabel("misalignment of every gauge (degrees)")
+    figure.legend(*left.get_legend_handles_labels(), loc="outside upper center", ncols=3, fontsize=8)
+    return figure
+
+
+def draw_sweep(path: Path, section: Section) -> None:
+    """Draw a sweep: condition number and noise gain, one above the other. Raises as draw() does."""
+    with plotting(STYLE):
+        figure = new_figure(5.6, 4.6)
+        name, *_ = section.columns
+        values = [record[name] for record in section.records]
+        keys = ("condition", "noise_gain_N_per_ue")
+        panels: list[Axes] = list(figure.subplots(2, 1, sharex=True))
+        for axes, key, (colour, line, _) in zip(panels, keys, STYLES, strict=False):
+            axes.plot(values, [record[key] for record in section.records], color=colour, linestyle=line)
+            axes.set_ylabel(section.columns[key])
+        panels[0].set_title(section.title)
+        panels[1].set_xlabel(section.columns[name])
+        save_figure(figure, path)
+
+
+MM = 1e3
+LEG_MM, LEG_TOP_MM, SLIT_MM = 2.0, 2.5, 0.25
+"""Legs: assumed, outside of a because a = r leaves no space for them. The slit is the paper's cutting line."""
+BODY, BEAM = "#d9d9d9", "#8c8c8c"
+
+
+def cross_section() -> Figure:
+    """Draw the body to scale with the gauge points, and the sign conventions of load and angles."""
+    figure = new_figure(8.4, 4.6)
+    left, right = figure.subplots(1, 2, width_ratios=(1.25, 1.0))
+    for axes in (left, right):
+        axes.set_aspect("equal")
+        axes.axis("off")
+    _body(left, FABRICATED)
+    _gauge_points(left, FABRICATED)
+    _dimensions(left, FABRICATED)
+    _load_signs(right, FABRICATED)
+    return figure
+
+
+def groove_directions() -> Figure:
+    """Draw the 19 grooves: the contact of the rope and its direction."""
+    figure = new_figure(6.2, 3.4)
+    axes = figure.subplots()
+    axes.set_aspect("equal")
+    axes.axis("off")
+    _tip(axes, FABRICATED)
+    grooves, r = paper_grooves(), FABRICATED.r_m * MM
+    for theta, phi, along_x in zip(grooves.theta_rad, grooves.phi_rad, grooves.along_x, strict=True):
+        x, y = r * np.cos(theta), r * np.sin(theta)
+        colour = BLUE if along_x else VERMILLION
+        tip = (x + 5.0 * np.cos(phi), y + 5.0 * np.sin(phi))
+        axes.annotate("", tip, (x, y), arrowprops={"arrowstyle": "->", "color": colour, "shrinkA": 0, "shrinkB": 0})
+        axes.plot(x, y, "o" if along_x else "s", color=colour, markersize=3.5)
+        inner = 0.87 if along_x else 0.74
+        axes.text(inner * x, inner * y, f"{np.degrees(theta):.0f}", color=colour, fontsize=7, ha="center", va="center")
+    axes.text(r + 6.0, 15.0, "y-grooves pull\nat phi = 90", color=VERMILLION, fontsize=8)
+    axes.text(r + 6.0, 4.0, "x-grooves pull\nat phi = 0", color=BLUE, fontsize=8)
+    axes.text(-r - 6.0, 4.0, "x-grooves pull\nat phi = 180", color=BLUE, fontsize=8, ha="right")
+    axes.text(0, 1.0, "numbers: theta in degrees", fontsize=7.5, color=GREY, ha="center")
+    axes.set(xlim=(-r - 15, r + 15), ylim=(-1, r + 7))
+    return figure
+
+
+def _tip(axes: Axes, geometry: Geometry) -> None:
+    angle = np.linspace(0.0, np.pi, 91)
+    r = geometry.r_m * MM
+    axes.fill(r * np.cos(angle), r * np.sin(angle), facecolor=BODY, edgecolor=GREY, linewidth=0.8)
+
+
+def _body(axes: Axes, geometry: Geometry) -> None:
+    a, d, r, h1, h2 = (MM * value for value in (geometry.a_m, geometry.d_m, geometry.r_m, geometry.h1_m, geometry.h2_m))
+    slit, bottom = 0.5 * h1 + SLIT_MM, -0.5 * h1 - d
+    start = np.arcsin(LEG_TOP_MM / r)
+    arc = np.linspace(start, np.pi - start, 91)
+    right = [(a, slit), (a, -0.5 * h1), (a + LEG_MM, -0.5 * h1), (a + LEG_MM, LEG_TOP_MM)]
+    outline = [*right, *zip(r * np.cos(arc), r * np.sin(arc), strict=True), *((-x, y) for x, y in reversed(right))]
+    axes.fill(*zip(*outline, strict=True), facecolor=BODY, edgecolor=GREY, linewidth=0.8)
+    for left, low, width, height, colour in (
+        (-a, -0.5 * h1, 2.0 * a, h1, BEAM),
+        (-0.5 * h2, bottom, h2, d, BEAM),
+        (-9.0, bottom - 4.0, 18.0, 4.0, BODY),
+    ):
+        corners_x, corners_y = [left, left + width, left + width, left], [low, low, low + height, low + height]
+        axes.fill(corners_x, corners_y, facecolor=colour, edgecolor=GREY, linewidth=0.5)
+    axes.text(0.0, 0.62 * r, "tip (rigid)", ha="center")
+    axes.text(0.0, bottom - 5.6, "orange: gauges of the cases I, II, III", color=VERMILLION, fontsize=8, ha="center")
+    axes.text(0.0, bottom - 2.0, "fixture (rigid)", ha="center", va="center")
+    axes.set(xlim=(-a - 5.0, a + 5.0), ylim=(bottom - 6.5, r + 2.0))
+
+
+def _gauge_points(axes: Axes, geometry: Geometry) -> None:
+    """Draw the gauges as bars of their length, from the fixed end, with the names of their points."""
+    half_h1, half_h2, length = 0.5 * geometry.h1_m * MM, 0.5 * geometry.h2_m * MM, GAUGE_LENGTH_M * MM
+    cases = {point: case for case in ("III", "II", "I") for point in LAYOUTS[case]}
+    for point in POINTS:
+        place = nominal_position(geometry, point)
+        sign = -1.0 if place.side == "left" else 1.0
+        at_joint = place.position_m == 0.0
+        along = (0.0, length) if at_joint else (place.position_m * MM - length, place.position_m * MM)
+        colour = VERMILLION if point in cases else BLUE
+        if place.beam == "H":
+            # Drawn beside the vertical beam; the beam model measures from its axis.
+            shift = half_h2 if at_joint else 0.0
+            xs, ys = [sign * (shift + s) for s in along], [-half_h1 - 0.25] * 2
+            label = (sign * 4.5, -3.2) if at_joint else (sign * 12.0, -3.2)
+        else:
+            xs, ys = [sign * (half_h2 + 0.25)] * 2, [-half_h1 - s for s in along]
+            label = (sign * 5.5, -6.2) if at_joint else (sign * 4.5, ys[1] + 1.5)
+        axes.plot(xs, ys, color=colour, linewidth=2.6, solid_capstyle="butt")
+        axes.annotate(
+            point,
+            (sum(xs) / 2.0, sum(ys) / 2.0),
+            label,
+            ha="center",
+            va="center",
+            color=colour,
+            fontsize=9,
+            arrowprops={"arrowstyle": "-", "color": colour, "linewidth": 0.7, "shrinkB": 2},
+        )
+
+
+def _dimensions(axes: Axes, geometry: Geometry) -> None:
+    a, d, r, h1, h2 = (MM * value for value in (geometry.a_m, geometry.d_m, geometry.r_m, geometry.h1_m, geometry.h2_m))
+    arrow = {"arrowstyle": "<->", "color": "black", "linewidth": 0.8, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (0.0, 2.2), (a, 2.2), arrowprops=arrow)
+    axes.text(0.5 * a, 2.6, f"a = {a:g}", ha="center", fontsize=8)
+    axes.annotate("", (-9.5, -0.5 * h1), (-9.5, -0.5 * h1 - d), arrowprops=arrow)
+    axes.text(-9.9, -0.5 * d, f"d = {d:g}", ha="right", fontsize=8)
+    angle = np.radians(125.0)
+    axes.annotate("", (0.0, 0.0), (r * np.cos(angle), r * np.sin(angle)), arrowprops={**arrow, "arrowstyle": "<-"})
+    axes.text(-6.6, 7.6, f"r = {r:g}", ha="right", fontsize=8)
+    axes.text(
+        a + 4.8, -8.4, f"h1 = {h1:g}\nh2 = {h2:g}\nwidth = {geometry.width_m * MM:g}\n(mm)", ha="right", fontsize=8
+    )
+
+
+def _load_signs(axes: Axes, geometry: Geometry) -> None:
+    """Draw one force vector and the two contacts that give the same F: a rope that pulls, a body that pushes."""
+    r = geometry.r_m * MM
+    _tip(axes, geometry)
+    theta, phi = np.radians(50.0), np.radians(15.0)
+    direction = np.array([np.cos(phi), np.sin(phi)])
+    pull = r * np.array([np.cos(theta), np.sin(theta)])
+    push = pull - 2.0 * (pull @ direction) * direction
+    _line(axes, push, pull, ":")
+    _arrow(axes, pull, pull + 8.0 * direction, VERMILLION, 1.8)
+    _arrow(axes, push - 8.0 * direction, push, BLUE, 1.8)
+    _label(
+        axes,
+        pull + 8.0 * direction + np.array([-1.0, 1.2]),
+        "P: a rope\npulls here",
+        VERMILLION,
+        ha="center",
+        va="bottom",
+    )
+    _label(
+        axes,
+        push - 8.0 * direction + np.array([1.0, 2.6]),
+        "the same F:\na contact\npushes here",
+        BLUE,
+        ha="center",
+        va="bottom",
+    )
+    for end, name in ((np.array([r + 4.0, 0.0]), "x"), (np.array([0.0, r + 4.0]), "y")):
+        _arrow(axes, np.zeros(2), end, "black", 0.8)
+        _label(axes, end * (1.0 + 1.0 / (r + 4.0)), name, "black", ha="center", va="center")
+    _line(axes, np.zeros(2), pull, "-")
+    _line(axes, pull, pull + np.array([7.0, 0.0]), ":")
+    for centre, radius, angle in ((np.zeros(2), 5.0, theta), (pull, 6.0, phi)):
+        arc = np.linspace(0.0, angle, 31)
+        axes.plot(centre[0] + radius * np.cos(arc), centre[1] + radius * np.sin(arc), color=GREEN, linewidth=1.2)
+    _label(axes, np.array([5.4, 2.0]), "theta", GREEN, ha="left", va="center")
+    _label(axes, pull + np.array([6.4, -1.0]), "phi", GREEN, ha="left", va="center")
+    _label(axes, np.array([0.0, -3.0]), "angles from the x-axis; tension is positive on every gauge", GREY, ha="center")
+    axes.set(xlim=(-r - 11.0, r + 8.0), ylim=(-6.0, r + 7.0))
+
+
+def _arrow(axes: Axes, start: FloatArray, end: FloatArray, colour: str, width: float) -> None:
+    style = {"arrowstyle": "->", "color": colour, "linewidth": width, "shrinkA": 0, "shrinkB": 0}
+    axes.annotate("", (float(end[0]), float(end[1])), (float(start[0]), float(start[1])), arrowprops=style)
+
+
+def _line(axes: Axes, start: FloatArray, end: FloatArray, line: str) -> None:
+    axes.plot([start[0], end[0]], [start[1], end[1]], color="black", linewidth=0.8, linestyle=line)
+
+
+def _label(axes: Axes, at: FloatArray, text: str, colour: str, **where: Any) -> None:
+    axes.text(float(at[0]), float(at[1]), text, color=colour, fontsize=8.5, **where)

@@ -1,0 +1,416 @@
+"""Search for better structures: multi-start over dimensions and gauge places, within limits set by the manufacturer.
+
+Every distribution of the gauges over the faces of the beams is one configuration (mirror images count once). In
+one configuration, all variables are continuous: sequential quadratic programming (scipy's SLSQP) from several random
+starts, with exact derivatives (a complex step through the formulas of Table 1, made continuous).
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+import warnings
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.sensor.structure.gauge_shift import GaugePosition
+from tipforce.sensor.structure.geometry import FABRICATED, Geometry
+from tipforce.sensor.structure.limits import PAPER_SLIT_M, AnyArray, slit_compliance, worst_stress
+from tipforce_lab.design.merit import PAPER_LOAD_NEWTONS, LoadSet
+
+UNIT_M = 1e-3  # the search uses millimetres and microstrain
+_DIMENSIONS = 6  # a, d, r, h1, h2, width; then the positions of the gauges
+_SCALE = np.array([15.0, 15.0, 15.0, 0.4, 0.65, 10.0])
+_PLACE_SCALE = 15.0
+
+
+@dataclass(frozen=True, slots=True)
+class Limits:
+    """Limits of a structure, lengths in metres; the defaults are the paper's fabricated body and its stress.
+
+    Raises InputError for a value out of range, naming it.
+    """
+
+    envelope_x_m: float = 2.0 * FABRICATED.r_m
+    """Across: 2 r."""
+    envelope_y_m: float = FABRICATED.r_m + 0.5 * FABRICATED.h1_m + FABRICATED.d_m
+    """From the fixture to the top of the tip: d + h1 / 2 + r."""
+    width_m: float = FABRICATED.width_m
+    free_width: bool = False
+    """True: the width may also be smaller, down to a tenth."""
+    radius_m: float | None = None
+    """Of the tip, if given; None: free."""
+    min_thickness_m: float = 0.2e-3
+    """Of either beam. The paper names no limit; its thinner beam has 0.4 mm."""
+    slenderness: float = 10.0
+    """Least length over thickness of each beam (of an arm between joint and tip): the validity of beam theory."""
+    wall_m: float = 0.0
+    """Least r - a, the wall between the beam's ends and the tip's surface; the paper has a = r."""
+    gauge_length_m: float = 1e-3
+    clearance_m: float = 0.0
+    """Between a gauge and a corner, a beam's end, or another gauge; the paper names none."""
+    slit_m: float = PAPER_SLIT_M
+    """The load must not close it."""
+    load_newtons: float = PAPER_LOAD_NEWTONS
+    max_stress_pascals: float | None = None
+    """Anywhere on the beams at load_newtons, at the worst angle; None: that of the paper's body."""
+    youngs_modulus_pascals: float = FABRICATED.youngs_modulus_pascals
+    upper_face: bool = False
+    """True: gauges may also be inside the slit, on the upper face of the horizontal beam."""
+
+    def __post_init__(self) -> None:
+        zero_allowed = {"wall_m", "clearance_m", "slenderness"}
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if value is None or isinstance(value, bool):
+                continue
+            if not (0.0 < value < math.inf or (value == 0.0 and field.name in zero_allowed)):
+                raise InputError(f"limit {field.name} = {value!r}: allowed is a positive finite number in SI units")
+        if self.radius_m is not None and self.radius_m > 0.5 * self.envelope_x_m:
+            raise InputError(f"limit radius_m = {self.radius_m!r}: allowed is half of envelope_x_m at most")
+
+    @property
+    def stress_pascals(self) -> float:
+        """max_stress_pascals, or its default."""
+        if self.max_stress_pascals is None:
+            return worst_stress(FABRICATED, self.load_newtons)
+        return self.max_stress_pascals
+
+
+class Slot(NamedTuple):
+    """One face of one beam that can carry gauges; the fields of a GaugePosition without the position."""
+
+    beam: Literal["H", "V"]
+    side: Literal["left", "right"]
+    face: Literal["lower", "upper"] = "lower"
+
+
+class Design(NamedTuple):
+    """A structure with its gauges, and the minimised value."""
+
+    geometry: Geometry
+    gauges: tuple[GaugePosition, ...]
+    objective: str
+
+
+def configurations(gauges: int, upper_face: bool = False) -> list[tuple[Slot, ...]]:
+    """Return the distributions of n gauges over the faces, at least one on each beam, mirror images once.
+
+    Raises InputError for fewer than 3 or more than 5 gauges.
+    """
+    if not 3 <= gauges <= 5:
+        raise InputError(f"{gauges} gauges: allowed are 3 to 5")
+    faces: tuple[Literal["lower", "upper"], ...] = ("lower", "upper") if upper_face else ("lower",)
+    sides: tuple[Literal["left", "right"], ...] = ("left", "right")
+    slots = [Slot("H", side, face) for face in faces for side in sides] + [Slot("V", side) for side in sides]
+    sets_of_slots: dict[tuple[Slot, ...], None] = {}
+    for chosen in itertools.combinations_with_replacement(slots, gauges):
+        twin = tuple(sorted(slot._replace(side="left" if slot.side == "right" else "right") for slot in chosen))
+        if len({slot.beam for slot in chosen}) == 2 and twin not in sets_of_slots:
+            sets_of_slots[tuple(sorted(chosen))] = None
+    return list(sets_of_slots)
+
+
+class Problem:
+    """One configuration: variables -> strain matrix and constraints, for many points at once, real or complex."""
+
+    def __init__(self, slots: Sequence[Slot], limits: Limits) -> None:
+        self.slots, self.limits = tuple(slots), limits
+        self.horizontal = np.array([slot.beam == "H" for slot in slots])
+        self.side = np.array([-1.0 if slot.side == "left" else 1.0 for slot in slots])
+        self.bend = np.array([-1.0 if slot.face == "upper" else 1.0 for slot in slots])
+        self.scale = np.concatenate([_SCALE, np.full(len(slots), _PLACE_SCALE)])
+        self._stress = limits.stress_pascals * 1e-6  # N/mm^2
+        self._modulus = limits.youngs_modulus_pascals * 1e-6
+        self._gap_slopes, self._gap_least = self._gaps()
+        self.bounds = self._bounds()
+
+    def rows(self, x: AnyArray) -> AnyArray:
+        """Strain matrices (m, n, 3) in microstrain per newton of points (m, 6 + n), lengths in millimetres."""
+        a, _, r, h1, h2, b = (x[:, k : k + 1] for k in range(_DIMENSIONS))
+        s = x[:, _DIMENSIONS:]
+        H, side, bend = self.horizontal, self.side, self.bend
+        per_h1, per_h2, place = 1.0 / h1**2, 1.0 / h2**2, s / a
+        stress = np.empty((*s.shape, 3), dtype=x.dtype)
+        stress[..., 0] = np.where(H, bend * (1.5 * a * per_h1 * (1.0 - 2.0 * place)), 1.0 / h2)
+        stress[..., 1] = np.where(H, bend * side * (3.0 * r * per_h1 * (1.0 - 1.5 * place)), side * (6.0 * r * per_h2))
+        stress[..., 2] = side * np.where(H, 0.5 / h1, -6.0 * (s + 0.5 * h1) * per_h2)
+        stress *= (1e6 / (b * self._modulus))[..., np.newaxis]
+        return stress
+
+    def constraints(self, x: AnyArray) -> AnyArray:
+        """Return the constraints, not negative, (m, k): stress, slit, envelope, wall, slenderness, gauge spacing."""
+        limits = self.limits
+        a, d, r, h1, h2, b = x[:, :_DIMENSIONS].T
+        load, wall = limits.load_newtons, limits.wall_m / UNIT_M
+        horizontal = np.sqrt((1.5 * a / h1**2) ** 2 + (0.5 / h1) ** 2) + 3.0 * r / h1**2
+        vertical = np.sqrt((6.0 * (d + 0.5 * h1) / h2**2) ** 2 + 1.0 / h2**2) + 6.0 * r / h2**2
+        closure = slit_compliance(a, r, h1) * load / (b * self._modulus)
+        columns = [np.log(self._stress * b / (load * stress)) for stress in (horizontal, vertical)]
+        columns.append(np.log(limits.slit_m / UNIT_M / closure))
+        columns.append((limits.envelope_y_m / UNIT_M - r - d - 0.5 * h1) / _PLACE_SCALE)
+        columns.append((r - a - wall) / _PLACE_SCALE)
+        columns.append((a - 0.5 * h2 - limits.slenderness * h1) / _PLACE_SCALE)
+        columns.append((d - limits.slenderness * h2) / _PLACE_SCALE)
+        gaps: AnyArray = (x @ self._gap_slopes - self._gap_least) / _PLACE_SCALE
+        return np.concatenate((np.stack(columns, axis=-1), gaps), axis=-1)
+
+    def design(self, x: FloatArray, objective: str) -> Design:
+        """Return the point (6 + n,) as a design."""
+        a, d, r, h1, h2, b = (float(value) for value in x[:_DIMENSIONS] * UNIT_M)
+        geometry = Geometry(a, d, r, h1, h2, b, self.limits.youngs_modulus_pascals)
+        places = zip(self.slots, x[_DIMENSIONS:], strict=True)
+        gauges = (GaugePosition(slot.beam, slot.side, float(s) * UNIT_M, slot.face) for slot, s in places)
+        return Design(geometry, tuple(gauges), objective)
+
+    def point(self, design: Design) -> FloatArray:
+        """Return the variables (6 + n,) of a design of this configuration."""
+        g = design.geometry
+        lengths = [g.a_m, g.d_m, g.r_m, g.h1_m, g.h2_m, g.width_m, *(gauge.position_m for gauge in design.gauges)]
+        return np.array(lengths) / UNIT_M
+
+    def start(self, rng: np.random.Generator) -> FloatArray:
+        """Return a random point, near or inside the limits."""
+        limits = self.limits
+        reach = 0.5 * limits.envelope_x_m / UNIT_M
+        height = limits.envelope_y_m / UNIT_M
+        least = limits.min_thickness_m / UNIT_M
+        r = rng.uniform(0.5, 1.0) * min(reach, 0.8 * height)
+        if limits.radius_m is not None:
+            r = limits.radius_m / UNIT_M
+        a = rng.uniform(0.4, 1.0) * (r - limits.wall_m / UNIT_M)
+        d = rng.uniform(0.5, 1.0) * (height - r)
+        b = limits.width_m / UNIT_M
+        strength = self._stress * b / limits.load_newtons
+        h1 = max(least, math.sqrt((1.5 * a + 3.0 * r) / strength)) * rng.uniform(1.0, 1.3)
+        h2 = max(least, math.sqrt(6.0 * (d + r) / strength)) * rng.uniform(1.0, 1.3)
+        lengths = np.where(self.horizontal, a, d)
+        places = rng.uniform(0.1, 0.9, len(self.slots)) * lengths
+        for slot in set(self.slots):
+            same = [k for k, other in enumerate(self.slots) if other == slot]
+            places[same] = np.sort(places[same])
+        x = np.concatenate([[a, d, r, h1, h2, b], places])
+        result: FloatArray = np.clip(x, self.bounds[:, 0], self.bounds[:, 1])
+        return result
+
+    def _gaps(self) -> tuple[FloatArray, FloatArray]:
+        """Return the spacing on each face, x @ slopes (6 + n, k) - least (k,): corner, gauges in order, corner."""
+        length, clearance = self.limits.gauge_length_m / UNIT_M, self.limits.clearance_m / UNIT_M
+        unit = np.eye(_DIMENSIONS + len(self.slots))
+        a, d, _, _, h2, _ = unit[:_DIMENSIONS]
+        slopes, least = list[FloatArray](), list[float]()
+        for slot in dict.fromkeys(self.slots):
+            places = [unit[_DIMENSIONS + k] for k, other in enumerate(self.slots) if other == slot]
+            # The vertical beam covers h2 / 2 on either side of the middle, and above it there is no bending.
+            inner, end = (0.5 * h2, a) if slot.beam == "H" else (0.0 * h2, d)
+            slopes += [after - before for before, after in itertools.pairwise((inner, *places, end))]
+            least += [0.5 * length + clearance, *[length + clearance] * (len(places) - 1), 0.5 * length + clearance]
+        return np.stack(slopes, axis=-1), np.array(least)
+
+    def _bounds(self) -> FloatArray:
+        limits = self.limits
+        reach, height = 0.5 * limits.envelope_x_m / UNIT_M, limits.envelope_y_m / UNIT_M
+        thin, b = limits.min_thickness_m / UNIT_M, limits.width_m / UNIT_M
+        longest = max(reach, height)
+        radius = (1e-3 * reach, reach) if limits.radius_m is None else (limits.radius_m / UNIT_M,) * 2
+        dimensions = [
+            (1e-3 * reach, reach), (1e-3 * height, height), radius,
+            (thin, max(thin, longest)), (thin, max(thin, longest)), (0.1 * b if limits.free_width else b, b),
+        ]  # fmt: skip
+        return np.array(dimensions + [(0.0, longest)] * len(self.slots))
+
+
+Objective = Literal["theta", "noise", "singular", "condition"]
+OBJECTIVES: tuple[Objective, ...] = ("theta", "noise", "singular", "condition")
+
+TRADE_OFF_STEPS = tuple((np.arange(1, 10) / 10).tolist())
+"""Fractions of the way from the objective's optimum to the least condition number, on a logarithmic scale."""
+
+_POWER = 32  # of the norm that replaces the largest or smallest singular value: within 3.5 %, and smooth
+_PENALTY = 30.0  # on the square of log(condition number / ceiling): a ceiling is met within a few percent
+_TIE_BREAK = 1e-3  # weight of the noise, because the condition number alone does not determine the thickness
+_FEASIBLE = 1e-7
+_FAILED = 1e3
+
+Score = Callable[[FloatArray], tuple[float, FloatArray]]
+"""Strain matrix (n, 3) in microstrain per newton -> the minimised value, and its derivative by the matrix (n, 3)."""
+
+
+def score(objective: Objective, loads: LoadSet) -> Score:
+    """Return the logarithm of an objective: u_theta, sqrt(trace(C C^T)), 1 / smallest singular value, or condition.
+
+    The condition number alone does not determine the beams' thickness, since it is unchanged when all gauges read
+    less; a thousandth of the noise is added to determine it. Raises InputError for an unknown objective.
+    """
+    if objective not in OBJECTIVES:
+        raise InputError(f"objective {objective!r} is not known: allowed are {', '.join(OBJECTIVES)}")
+    if objective in ("theta", "noise"):
+        W = loads.weights()[2] * loads.load_newtons**2 if objective == "theta" else np.eye(3)
+        return lambda A: _trace(A, W)
+    if objective == "singular":
+        return lambda A: _extreme(A, -1.0)
+    return mixed([(1.0, lambda A: _extreme(A, 1.0)), (1.0, lambda A: _extreme(A, -1.0)),
+                  (_TIE_BREAK, lambda A: _trace(A, np.eye(3)))])  # fmt: skip
+
+
+def mixed(parts: Sequence[tuple[float, Score]]) -> Score:
+    """Return the weighted sum of scores."""
+
+    def total(A: FloatArray) -> tuple[float, FloatArray]:
+        values = [(weight, *part(A)) for weight, part in parts]
+        return sum(w * v for w, v, _ in values), np.sum([w * g for w, _, g in values], axis=0)
+
+    return total
+
+
+def improve(problem: Problem, goal: Score, x: FloatArray) -> tuple[float, FloatArray] | None:
+    """Return the local optimum near x as (score, point), or None if it violates a limit.
+
+    Raises EnvironmentLackError if scipy is missing.
+    """
+    try:
+        from scipy.optimize import minimize
+    except ImportError:
+        raise EnvironmentLackError("scipy is not installed: pip install 'tipforce[science]'") from None
+    scale = problem.scale
+    step = 1e-30j * np.diag(scale)
+
+    def scored(z: FloatArray) -> tuple[float, FloatArray]:
+        A = problem.rows((z * scale)[np.newaxis])[0].real
+        if not np.isfinite(A).all():
+            return _FAILED, np.zeros_like(z)
+        value, by_matrix = goal(np.asarray(A, dtype=np.float64))
+        slopes = problem.rows(z * scale + step).imag / 1e-30
+        return value, np.tensordot(slopes, by_matrix, axes=([1, 2], [0, 1]))
+
+    constraint = {
+        "type": "ineq",
+        "fun": lambda z: problem.constraints((z * scale)[np.newaxis])[0],
+        "jac": lambda z: problem.constraints(z * scale + step).imag.T / 1e-30,
+    }
+    with np.errstate(all="ignore"), warnings.catch_warnings():
+        # SLSQP of scipy 1.11 leaves the bounds by rounding, and clips.
+        warnings.filterwarnings("ignore", "Values in x were outside bounds", RuntimeWarning)
+        minimum = minimize(
+            scored, x / scale, jac=True, method="SLSQP", bounds=problem.bounds / scale[:, np.newaxis],
+            constraints=[constraint], options={"maxiter": 300, "ftol": 1e-9},
+        )  # fmt: skip
+        point = np.asarray(minimum.x, dtype=np.float64) * scale
+        feasible = bool(np.all(problem.constraints(point[np.newaxis]) > -_FEASIBLE))
+    value = float(minimum.fun)
+    return (value, point) if feasible and math.isfinite(value) and value < _FAILED else None
+
+
+def _trace(A: FloatArray, W: FloatArray) -> tuple[float, FloatArray]:
+    """Return log sqrt(tr(W (A^T A)^-1)) and its derivative."""
+    try:
+        inverse = np.linalg.inv(A.T @ A)
+    except np.linalg.LinAlgError:
+        return _FAILED, np.zeros_like(A)
+    weighted = inverse @ W @ inverse
+    trace = float(np.trace(W @ inverse))
+    if not 0.0 < trace < math.inf:
+        return _FAILED, np.zeros_like(A)
+    return 0.5 * math.log(trace), -(A @ weighted) / trace
+
+
+def _extreme(A: FloatArray, sign: float) -> tuple[float, FloatArray]:
+    """Return log of the largest singular value (sign +1), or of 1 / the smallest (-1), as a smooth norm of all."""
+    U, values, V = np.linalg.svd(A, full_matrices=False)
+    if not values[-1] > 0.0:
+        return _FAILED, np.zeros_like(A)
+    reference = values[0] if sign > 0.0 else values[-1]
+    powers = (values / reference) ** (sign * _POWER)
+    total = float(powers.sum())
+    return sign * math.log(reference) + math.log(total) / _POWER, sign * (U * (powers / total / values)) @ V
+
+
+def search(
+    gauges: int,
+    objective: Objective,
+    limits: Limits,
+    loads: LoadSet,
+    *,
+    starts: int = 4,
+    seed: int = 0,
+    done: Callable[[], None] = lambda: None,
+) -> list[Design]:
+    """Return the best design of each configuration that has one within the limits, the best first.
+
+    starts: random starts per configuration; done is called after each. The same seed gives the same designs.
+    Raises InputError for values out of range or if no start ends within the limits, EnvironmentLackError
+    if scipy is missing.
+    """
+    if starts < 1:
+        raise InputError(f"{starts} starts: allowed is 1 or more")
+    goal = score(objective, loads)
+    best: list[tuple[float, Design]] = []
+    for number, slots in enumerate(configurations(gauges, limits.upper_face)):
+        problem, rng = Problem(slots, limits), np.random.default_rng((seed, number))
+        ends: list[tuple[float, FloatArray]] = []
+        for _ in range(starts):
+            end = improve(problem, goal, problem.start(rng))
+            ends += [end] if end else []
+            done()
+        if ends:
+            value, x = min(ends, key=lambda end: end[0])
+            best.append((value, problem.design(x, objective)))
+    if not best:
+        raise InputError("no design found within the limits: increase envelope, stress, slit or the number of starts")
+    return [design for _, design in sorted(best, key=lambda item: item[0])]
+
+
+def trade_off(
+    best: Design,
+    others: Sequence[Design],
+    least: Design,
+    objective: Objective,
+    loads: LoadSet,
+    limits: Limits,
+    done: Callable[[], None] = lambda: None,
+) -> list[Design]:
+    """Return designs between the best one for an objective and the one of the least condition number.
+
+    The condition number has a ceiling (TRADE_OFF_STEPS of the way from best to least, as a penalty). Each
+    optimum is the start of the next: downwards from best and from each of others, upwards from least. done is
+    called after each. Raises as search() does.
+    """
+    goal, condition = score(objective, loads), score("condition", loads)
+    highest, lowest = (condition(_matrix(design, limits))[0] for design in (best, least))
+    designs: list[Design] = []
+    for design in (best, *others, least):
+        problem = _problem(design, limits)
+        x = problem.point(design)
+        for step in reversed(TRADE_OFF_STEPS) if design is least else TRADE_OFF_STEPS:
+            held = mixed([(1.0, goal), (1.0, _below(condition, highest + step * (lowest - highest)))])
+            end = improve(problem, held, x)
+            done()
+            if end:
+                x = end[1]
+                designs.append(problem.design(x, objective))
+    return designs
+
+
+def _below(part: Score, ceiling: float) -> Score:
+    """Return a penalty for a score above its ceiling; much smoother for the search than a constraint."""
+
+    def penalty(A: FloatArray) -> tuple[float, FloatArray]:
+        value, slope = part(A)
+        excess = max(value - ceiling, 0.0)
+        return _PENALTY * excess * excess, 2.0 * _PENALTY * excess * slope
+
+    return penalty
+
+
+def _problem(design: Design, limits: Limits) -> Problem:
+    return Problem([Slot(gauge.beam, gauge.side, gauge.face) for gauge in design.gauges], limits)
+
+
+def _matrix(design: Design, limits: Limits) -> FloatArray:
+    problem = _problem(design, limits)
+    return np.asarray(problem.rows(problem.point(design)[np.newaxis])[0], dtype=np.float64)

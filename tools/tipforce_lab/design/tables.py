@@ -1,0 +1,327 @@
+"""Tables 1, 2 and 3 of the paper, recomputed: coefficients, largest stresses and places, condition numbers by unit.
+
+Tension is positive everywhere, except in table_1(), which keeps the paper's signs. Angles are in degrees here, because
+the tables print degrees.
+"""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import dataclass, field
+from math import atan2, cos, degrees, hypot, pi, radians, sin
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import InputError
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.gauge_shift import shifted_matrix
+from tipforce.sensor.structure.geometry import Geometry
+from tipforce.sensor.structure.layouts import CASES, LAYOUTS, POINTS, VERTICAL_POINTS, Layout, mirror
+from tipforce.sensor.structure.published import HALF_DIGIT, MEASURED_MATRICES
+from tipforce.sensor.structure.strain import (
+    calibration_matrix,
+    condition_number,
+    noise_gain,
+    row_equilibrated_condition_number,
+    strain_matrix,
+    stress_coefficients,
+    thin_limit_matrix,
+)
+
+Record = dict[str, Any]
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A table with its notes. Records have the same keys; some may be missing."""
+
+    name: str
+    """Name in `tipforce design table`."""
+    title: str
+    columns: dict[str, str]
+    """Heading per key of a record, in order; keys that are not here are for JSON only. "key.2" is an item of a list."""
+    records: list[Record]
+    notes: list[str] = field(default_factory=list)
+    """Differences from the paper's numbers, with reasons."""
+
+
+SYMBOLS = {
+    "L": ("-3/2 * a/h1^2", "3/2 * r/h1^2", "-1/(2*h1)"),
+    "R": ("-3/2 * a/h1^2", "-3/2 * r/h1^2", "1/(2*h1)"),
+    "T": ("-1/h2", "6*r/h2^2", "-6/h2^2 * (d + h1/2)"),
+    "U": ("-1/h2", "-6*r/h2^2", "6/h2^2 * (d + h1/2)"),
+    "K_H": ("3/2 * a/h1^2", "-3*r/h1^2", "-1/(2*h1)"),
+    "S_H": ("3/2 * a/h1^2", "3*r/h1^2", "1/(2*h1)"),
+    "K_V": ("-1/h2", "6*r/h2^2", "-3*h1/h2^2"),
+    "S_V": ("-1/h2", "-6*r/h2^2", "3*h1/h2^2"),
+}
+"""Table 1 as formulas for (g1, g2, g3), stress times width per newton; ^ is a power."""
+
+THIN_UNIT = 1.5
+"""thin_limit_matrix() has the unit 3/2 a / h1^2, Table 2 the unit a / h1^2."""
+
+
+class Table1Row(NamedTuple):
+    """One gauge point of Table 1."""
+
+    point: str
+    symbols: tuple[str, str, str]
+    per_metre: tuple[float, float, float]
+    """g1, g2, g3 in 1/m, the paper's signs."""
+    strain_per_newton: tuple[float, float, float]
+    """Tension positive, divided by width and Young's modulus."""
+
+
+class Maximum(NamedTuple):
+    """Largest value of P (g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi)) for P = 1, and its angles."""
+
+    value: float
+    theta_deg: float
+    """0 to 180. NaN: reached at every theta."""
+    phi_deg: float
+    """In (-180, 180]; phi + 180 gives the same with the opposite sign. For theta = NaN: phi - theta."""
+
+
+class Table2Row(NamedTuple):
+    """One gauge point of Table 2, all stresses in units of a P / h1^2."""
+
+    point: str
+    thin: Maximum
+    fabricated: Maximum
+    strain_per_newton: float
+    """The largest, in the actual dimensions."""
+
+
+class Table3Row(NamedTuple):
+    """The theory column of Table 3 for one layout."""
+
+    thin: float
+    """Condition number in the thin-beam limit, as printed in the paper."""
+    actual: float
+    row_equilibrated: float
+    noise_gain_newtons: float
+    """sqrt(trace(C C^T)), newtons per unit strain, in the actual dimensions."""
+
+
+def table_1(geometry: Geometry) -> list[Table1Row]:
+    """Return Table 1 for all eight gauge points. Raises InputError for beams too thin for floating point."""
+    strains = strain_matrix(geometry, POINTS).tolist()
+    stresses = stress_coefficients(geometry)
+    return [
+        Table1Row(point, SYMBOLS[point], stresses[point], (row[0], row[1], row[2]))
+        for point, row in zip(POINTS, strains, strict=True)
+    ]
+
+
+def maximum_over_contacts(g: tuple[float, float, float]) -> Maximum:
+    """Return the largest reading over theta in [0, 180] and all phi, in closed form.
+
+    For fixed theta the reading is a sine of phi with the squared amplitude g1^2 + g2^2 + g3^2 + 2 g2 (g1
+    cos(theta) - g3 sin(theta)): a cosine of theta, largest at one angle, or at an end of the range.
+    """
+    g1, g2, g3 = g
+    if g2 == 0.0 or hypot(g1, g3) < 1e-12 * abs(g2):
+        value = abs(g2) if g2 != 0.0 else hypot(g1, g3)
+        return Maximum(value, float("nan"), (90.0 if g2 > 0.0 else -90.0) if g2 else degrees(atan2(g1, g3)))
+    theta = atan2(-g2 * g3, g2 * g1)
+    if not 0.0 <= theta <= pi:
+        theta = 0.0 if abs(theta) < 0.5 * pi else pi
+    up, along = g1 + g2 * cos(theta), g3 - g2 * sin(theta)
+    # Rounded: sin(180 degrees) is not exactly zero, and -0 or 180 - 1e-14 degrees print badly.
+    return Maximum(hypot(up, along), round(degrees(theta), 9) + 0.0, round(degrees(atan2(up, along)), 9) + 0.0)
+
+
+def reading(g: tuple[float, float, float], theta_deg: float, phi_deg: float) -> float:
+    """Return g1 sin(phi) + g2 sin(phi - theta) + g3 cos(phi)."""
+    return float(np.dot(g, force_vector(1.0, radians(phi_deg), radians(theta_deg))))
+
+
+def table_2(geometry: Geometry) -> list[Table2Row]:
+    """Return the largest stress at every gauge point, thin limit and actual. Raises InputError as table_1()."""
+    unit = geometry.h1_m**2 / geometry.a_m
+    rows = []
+    for point, thin, row in zip(POINTS, thin_limit_matrix(POINTS).tolist(), table_1(geometry), strict=True):
+        sign = -unit if point in VERTICAL_POINTS else unit
+        g1, g2, g3 = row.per_metre
+        rows.append(
+            Table2Row(
+                point,
+                maximum_over_contacts((thin[0] * THIN_UNIT, thin[1] * THIN_UNIT, thin[2] * THIN_UNIT)),
+                maximum_over_contacts((sign * g1, sign * g2, sign * g3)),
+                maximum_over_contacts(row.strain_per_newton).value,
+            )
+        )
+    return rows
+
+
+def table_3(geometry: Geometry, gauges: Layout) -> Table3Row:
+    """Return the theory of one layout. Raises InputError for an unusable layout or one of rank below 3."""
+    matrix = strain_matrix(geometry, gauges)
+    return Table3Row(
+        condition_number(thin_limit_matrix(gauges)),
+        condition_number(matrix),
+        row_equilibrated_condition_number(matrix),
+        noise_gain(calibration_matrix(geometry, gauges)),
+    )
+
+
+def condition_numbers_by_unit(geometry: Geometry, gauges: Layout) -> dict[str, float]:
+    """Return the condition number with F2 as the force M / r (the paper's), and with the moment in N mm and N m.
+
+    A number in the unit M / u is F2 r / u, so its column of the strain matrix shrinks by r / u. Raises InputError
+    for an unusable layout.
+    """
+    matrix = strain_matrix(geometry, gauges)
+    metres = {"M/r": geometry.r_m, "N mm": 1e-3, "N m": 1.0}
+    return {unit: condition_number(matrix * np.array([1.0, u / geometry.r_m, 1.0])) for unit, u in metres.items()}
+
+
+Figure = Literal["condition", "thin", "equilibrated", "noise"]
+
+
+class RankedLayout(NamedTuple):
+    """One pair of mirrored layouts, which share every figure. Infinite if they cannot separate the three forces."""
+
+    points: tuple[str, ...]
+    mirrored: tuple[str, ...]
+    """The same points if a layout is its own mirror (none of three points is)."""
+    case: str
+    """I, II, III, or empty."""
+    condition: float
+    thin: float
+    """Condition number in the thin-beam limit."""
+    equilibrated: float
+    """Condition number with every row scaled to unit length."""
+    noise: float
+    """sqrt(trace(C C^T)), newtons per unit strain."""
+
+
+def ranked_layouts(geometry: Geometry, by: Figure = "condition") -> list[RankedLayout]:
+    """Return the 28 mirrored pairs of layouts of three points, best first. Raises InputError for an unknown figure."""
+    if by not in ("condition", "thin", "equilibrated", "noise"):
+        raise InputError(f"rank by {by!r}: allowed are condition, thin, equilibrated, noise")
+    by_mirror: dict[frozenset[frozenset[str]], RankedLayout] = {}
+    for points in itertools.combinations(POINTS, 3):
+        pair = frozenset((frozenset(points), frozenset(mirror(points))))
+        if pair not in by_mirror:
+            by_mirror[pair] = _ranked(geometry, points)
+    return sorted(by_mirror.values(), key=lambda row: (round(getattr(row, by), 9), row.condition))
+
+
+def ties(rows: list[RankedLayout], by: Figure, tolerance: float = 1e-6) -> list[list[RankedLayout]]:
+    """Return the groups of rows whose figures agree within a relative tolerance, in order; infinite ones left out."""
+    groups: list[list[RankedLayout]] = []
+    for row in rows:
+        value = getattr(row, by)
+        if not np.isfinite(value):
+            continue
+        if groups and abs(value - getattr(groups[-1][0], by)) <= tolerance * value:
+            groups[-1].append(row)
+        else:
+            groups.append([row])
+    return [group for group in groups if len(group) > 1]
+
+
+def _ranked(geometry: Geometry, points: tuple[str, ...]) -> RankedLayout:
+    names = {frozenset(LAYOUTS[name]): name.rstrip("'") for name in LAYOUTS}
+    case = names.get(frozenset(points), "")
+    if case:
+        points = LAYOUTS[case]
+    matrix = strain_matrix(geometry, points)
+    regular = int(np.linalg.matrix_rank(matrix)) == 3
+    thin = condition_number(thin_limit_matrix(points))
+    return RankedLayout(
+        points,
+        mirror(points),
+        case,
+        condition_number(matrix) if regular else float("inf"),
+        thin if thin < 1e12 else float("inf"),  # singular: rounding makes it barely regular
+        row_equilibrated_condition_number(matrix) if regular else float("inf"),
+        noise_gain(np.linalg.pinv(matrix)) if regular else float("inf"),
+    )
+
+
+class RoundingRange(NamedTuple):
+    """Range of the condition numbers of matrices that print as the given one."""
+
+    printed: float
+    """Of the printed entries themselves."""
+    low: float
+    high: float
+
+
+class CommonShifts(NamedTuple):
+    """The gauge shifts that best fit three measured condition numbers at once."""
+
+    shifts_m: dict[str, float]
+    """Per gauge point, inward along its beam, the same in every case that uses the point."""
+    conditions: dict[str, float]
+    worst_miss: float
+    """Largest difference from the wanted condition numbers."""
+
+
+def rounding_range(matrix: npt.ArrayLike, half_digit: float = HALF_DIGIT) -> RoundingRange:
+    """Return the range of condition numbers over all matrices (3, 3) whose entries round to the given ones.
+
+    All 512 corners of the box of entries. The condition number is smooth here and the box small (curvature adds
+    under 1e-4), so its extremes are at corners.
+    """
+    centre = np.asarray(matrix, dtype=np.float64)
+    signs = np.array(list(itertools.product((-1.0, 1.0), repeat=centre.size))).reshape(-1, *centre.shape)
+    singular = np.linalg.svd(centre + half_digit * signs, compute_uv=False)
+    conditions = singular[:, 0] / singular[:, -1]
+    return RoundingRange(condition_number(centre), float(conditions.min()), float(conditions.max()))
+
+
+def measured_rows() -> dict[str, dict[str, FloatArray]]:
+    """Return per case and gauge point the row of the inverted matrix: the gauge's reading per F, shape (3,)."""
+    rows: dict[str, dict[str, FloatArray]] = {}
+    for case in CASES:
+        inverse = np.linalg.inv(np.array(MEASURED_MATRICES[case], dtype=np.float64))
+        rows[case] = dict(zip(LAYOUTS[case], inverse, strict=True))
+    return rows
+
+
+def shared_gauge_disagreement() -> dict[str, float]:
+    """Return per gauge of several cases the difference of its rows, relative to the longest of them.
+
+    The same gauge on the same body must have one row; the largest entry of the difference counts.
+    """
+    rows = measured_rows()
+    result = {}
+    for point in ("S_H", "L", "U"):
+        gauge_rows = np.array([rows[case][point] for case in CASES if point in rows[case]])
+        result[point] = float(np.ptp(gauge_rows, axis=0).max() / np.abs(gauge_rows).max())
+    return result
+
+
+def nearest_common_shifts(
+    geometry: Geometry, conditions: dict[str, float], largest_shift_m: float = 6e-3, steps: int = 25
+) -> CommonShifts:
+    """Return the shifts of K, S, L, R, U, one set for all three cases, that best fit the condition numbers.
+
+    Every combination of `steps` shifts from 0 to largest_shift_m; the largest miss counts. Case I holds K, S and
+    U, case II L, S and U, case III L, R and U, so K and R can be chosen last, each alone.
+    """
+    grid = np.linspace(0.0, largest_shift_m, steps)
+    shifts = np.stack(np.meshgrid(grid, grid, grid, indexing="ij"), axis=-1)
+    missed = {}
+    for case in CASES:
+        singular = np.linalg.svd(shifted_matrix(geometry, case, shifts), compute_uv=False)
+        missed[case] = np.abs(singular[..., 0] / singular[..., -1] - conditions[case])
+    first, third = missed["I"].min(axis=0), missed["III"].min(axis=1)  # [S, U] over K, [L, U] over R
+    worst = np.maximum(missed["II"], np.maximum(first[np.newaxis], third[:, np.newaxis]))  # [L, S, U]
+    L, S, U = (int(index) for index in np.unravel_index(int(worst.argmin()), worst.shape))
+    K, R = int(missed["I"][:, S, U].argmin()), int(missed["III"][L, :, U].argmin())
+    chosen = {"K_H": grid[K], "S_H": grid[S], "L": grid[L], "R": grid[R], "U": grid[U]}
+    return CommonShifts(
+        {point: float(value) for point, value in chosen.items()},
+        {
+            case: condition_number(shifted_matrix(geometry, case, [chosen[point] for point in LAYOUTS[case]]))
+            for case in CASES
+        },
+        float(worst.min()),
+    )

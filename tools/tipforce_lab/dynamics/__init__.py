@@ -1,0 +1,1 @@
+"""Impacts, integrators and sampling: what the simulated node does not need."""

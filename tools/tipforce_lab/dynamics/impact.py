@@ -1,0 +1,383 @@
+"""Impact of a body on the tip, or of the finger on a stop: contact force, contact times, and the gauges' readings.
+
+Linear contact: exact, each phase a linear system (switched.py). Hertzian contact: scipy's DOP853 in contact, matrix
+exponentials in free flight; the end of contact and the peak are events on its dense output.
+Contact starts at time 0 and may open and close again, because the tip vibrates. The contact itself is lossless.
+
+States: a = omega q and q' of every mode (mass-normalised), overlap and speed of the body, the load and its rate, and a
+constant. They are scaled so that energy is half the sum of their squares: without damping and load the matrix is
+skew-symmetric, and its exponential keeps lengths.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.arrays import FloatArray, floats
+from tipforce.errors import EnvironmentLackError, InputError
+from tipforce.sensor.dynamics.first_order_hold import State, checked_loads
+from tipforce.sensor.dynamics.model import Modes
+from tipforce_lab.dynamics.slit import SlitStop
+from tipforce_lab.dynamics.switched import March, Switched, Touch
+
+
+@dataclass(frozen=True, slots=True)
+class Striker:
+    """A body that strikes the tip. Raises InputError for values out of range."""
+
+    mass_kg: float
+    """inf: a stop that the finger hits at constant speed."""
+    speed_m_s: float
+    """Towards the tip, relative to the fixture."""
+    stiffness: float
+    """Of the contact: N/m for exponent 1, N/m^1.5 for 1.5 (Hertz)."""
+    exponent: float = 1.0
+    theta_rad: float = 0.5 * math.pi
+    """Place on the tip."""
+    phi_rad: float | None = None
+    """Direction of the contact force on the tip; None is a push along the inward normal, theta + pi."""
+
+    def __post_init__(self) -> None:
+        if not self.mass_kg > 0.0:
+            raise InputError(f"mass_kg = {self.mass_kg!r}: allowed is above 0; inf is a stop that does not yield")
+        for name, value in (("speed_m_s", self.speed_m_s), ("contact stiffness", self.stiffness)):
+            if not 0.0 < value < math.inf:
+                raise InputError(f"{name} = {value!r}: allowed is a positive finite number")
+        if self.exponent not in (1.0, 1.5):
+            raise InputError(f"contact exponent = {self.exponent!r}: allowed is 1 (linear) or 1.5 (Hertz)")
+        if not math.isfinite(self.theta_rad) or not (self.phi_rad is None or math.isfinite(self.phi_rad)):
+            raise InputError("theta_rad and phi_rad: allowed are finite angles")
+
+    @property
+    def direction(self) -> FloatArray:
+        """F per newton of contact force, (3,)."""
+        phi = self.theta_rad + math.pi if self.phi_rad is None else self.phi_rad
+        return np.array([math.sin(phi), math.sin(phi - self.theta_rad), math.cos(phi)])
+
+
+class Assembly:
+    """The system and the meaning of its states. modes None is rigid ground."""
+
+    def __init__(self, modes: Modes | None, striker: Striker | None = None, slit: SlitStop | None = None) -> None:
+        self.modes, self.striker, self.slit = modes, striker, slit
+        n = self.n = 0 if modes is None else len(modes.omega_rad_s)
+        self.overlap, self.speed, self.load, self.rate, self.one = 2 * n, 2 * n + 1, 2 * n + 2, 2 * n + 5, 2 * n + 8
+        self.size = 2 * n + 9
+        A = np.zeros((self.size, self.size))
+        A[self.load : self.rate, self.rate : self.one] = np.eye(3)
+        self._shape = np.zeros((0, 3)) if modes is None else modes.load_shape
+        if modes is not None:
+            omega = modes.omega_rad_s
+            A[:n, n : 2 * n], A[n : 2 * n, :n] = np.diag(omega), -np.diag(omega)
+            A[n : 2 * n, n : 2 * n] = -2.0 * np.diag(modes.damping_ratio * omega)
+            A[n : 2 * n, self.load : self.rate] = modes.load_shape
+        rows: list[tuple[FloatArray, FloatArray]] = []
+        if striker is not None:
+            rows.append(self._striker_rows(A, striker))
+        if slit is not None:
+            rows += self._slit_rows(slit)
+        push = np.array([row[0] for row in rows]).reshape(-1, self.size).T
+        closure = np.array([row[1] for row in rows]).reshape(-1, self.size)
+        self.system = Switched(A, push, closure, self._compliance())
+
+    def start(self, structure: State | None = None) -> FloatArray:
+        """Return the state at the moment of contact: structure at rest if None, no load."""
+        X = np.zeros(self.size)
+        if self.modes is not None and structure is not None:
+            X[: self.n] = structure.position / self.modes.omega_rad_s
+            X[self.n : 2 * self.n] = structure.velocity / self.modes.omega_rad_s
+        if self.striker is not None:
+            X[self.speed] = self.striker.speed_m_s * self._speed_scale
+        if self.slit is not None:
+            X[self.one] = self.slit.gap_m / self._gap_unit
+        return X
+
+    def structure(self, X: FloatArray) -> State:
+        """Return the state of the modes within X."""
+        if self.modes is None:
+            return State(np.zeros(0), np.zeros(0))
+        omega = self.modes.omega_rad_s
+        return State(X[: self.n] * omega, X[self.n : 2 * self.n] * omega)
+
+    def body_speed(self, X: FloatArray) -> float:
+        """Return the speed of the body towards the tip, m/s."""
+        return float(X[self.speed]) / self._speed_scale
+
+    def elastic(self, X: FloatArray, contact_newtons: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the elastic force (3,) in the arms and in the vertical beam."""
+        if self.modes is None:
+            return np.zeros(3), np.zeros(3)
+        z = X[: self.n] * self.modes.omega_rad_s
+        arms, vertical = self.modes.force_shape @ z, self.modes.vertical_force_shape @ z
+        if self.slit is not None:
+            stops = contact_newtons[-len(self.slit.closure_per_newton) :]
+            arms, vertical = arms + self.slit.arms_per_newton @ stops, vertical + self.slit.vertical_per_newton @ stops
+        return arms, vertical
+
+    @property
+    def _speed_scale(self) -> float:
+        striker = self.striker
+        if striker is None or not math.isfinite(striker.mass_kg):
+            return 1.0
+        return math.sqrt(striker.mass_kg)
+
+    @property
+    def _gap_unit(self) -> float:
+        return 1.0 if self.slit is None else math.sqrt(float(self.slit.compliance[0, 0]))
+
+    def _striker_rows(self, A: FloatArray, striker: Striker) -> tuple[FloatArray, FloatArray]:
+        """Set the rates of overlap and speed; return (push, closure) of the contact."""
+        n, root = self.n, math.sqrt(striker.stiffness)
+        along = self._shape @ striker.direction
+        A[self.overlap, self.speed] = root / self._speed_scale
+        A[self.overlap, n : 2 * n] = -root * along
+        push, closure = np.zeros(self.size), np.zeros(self.size)
+        push[n : 2 * n] = along
+        push[self.speed] = 0.0 if math.isinf(striker.mass_kg) else -1.0 / self._speed_scale
+        closure[self.overlap] = 1.0 / root
+        return push, closure
+
+    def _slit_rows(self, slit: SlitStop) -> list[tuple[FloatArray, FloatArray]]:
+        if self.modes is None:
+            raise InputError("a slit on rigid ground: allowed with the modes of a structure only")
+        rows = []
+        for per_newton in slit.closure_per_newton:
+            push, closure = np.zeros(self.size), np.zeros(self.size)
+            closure[: self.n] = per_newton @ self.modes.force_shape * self.modes.omega_rad_s
+            closure[self.one] = -self._gap_unit
+            push[self.n : 2 * self.n] = -closure[: self.n] * self.modes.omega_rad_s
+            rows.append((push, closure))
+        return rows
+
+    def _compliance(self) -> FloatArray:
+        blocks = []
+        if self.striker is not None:
+            blocks.append(np.array([[1.0 / self.striker.stiffness]]))
+        if self.slit is not None:
+            blocks.append(self.slit.compliance)
+        size = sum(len(block) for block in blocks)
+        C, at = np.zeros((size, size)), 0
+        for block in blocks:
+            C[at : at + len(block), at : at + len(block)] = block
+            at += len(block)
+        return C
+
+
+class Impact(NamedTuple):
+    """Results between 0 and the end of a run."""
+
+    touches: tuple[Touch, ...]
+    """Contact 0 is the body's, if there is one; the next two are the stops of the left and right arm."""
+    elastic_newtons: FloatArray
+    """(m, 3): F in the arms at the sample times: the gauges measure it, plus local bending near a closed stop."""
+    vertical_newtons: FloatArray
+    """(m, 3): F in the vertical beam."""
+    contact_newtons: FloatArray
+    """(m, n): force of each contact at the sample times."""
+    body_speed_m_s: float
+    """At the end, towards the tip: negative after a rebound."""
+    structure: State
+    """At the end."""
+
+
+def impact(
+    modes: Modes | None,
+    striker: Striker,
+    until_s: float,
+    times_s: npt.ArrayLike = (),
+    slit: SlitStop | None = None,
+    start: State | None = None,
+) -> Impact:
+    """Return the course of an impact that starts at 0, structure at rest unless ``start`` says otherwise.
+
+    modes: None is rigid ground. times_s: (m,) rising, from 0 to until_s. Raises InputError for times out of range,
+    a run that needs too many steps, a Hertzian contact with a slit; EnvironmentLackError for a Hertzian contact
+    without scipy.
+    """
+    t = _checked_times(times_s, until_s)
+    if striker.exponent != 1.0:
+        if slit is not None:
+            raise InputError("a Hertzian contact and a slit in one run: allowed is a linear contact with a slit")
+
+        return Impact(*hertz_impact(modes, striker, until_s, t, start))
+    assembly = Assembly(modes, striker, slit)
+    march = touching(assembly, assembly.start(start))
+    rows = _Rows(assembly, march)
+    for time_s in t:
+        march.advance(float(time_s))
+        rows.note()
+    march.advance(until_s)
+    return rows.result()
+
+
+def overload(
+    modes: Modes,
+    slit: SlitStop,
+    times_s: npt.ArrayLike,
+    loads_newtons: npt.ArrayLike,
+    start: State | None = None,
+) -> Impact:
+    """Return the response of a structure with a stop to a load that is linear between its samples, (m,) and (m, 3).
+
+    The sample times are those of the load and must rise strictly. Raises InputError for times or shapes that do
+    not fit, or loads that are not finite.
+    """
+    t, F = floats("times_s", times_s), checked_loads(loads_newtons)
+    if t.shape != (len(F),) or not (np.diff(t) > 0.0).all() or not np.isfinite(t).all():
+        raise InputError(f"times of shape {t.shape}: allowed are {len(F)} finite numbers that rise strictly")
+    if not np.isfinite(F).all():
+        raise InputError("loads: allowed are finite numbers")
+    assembly = Assembly(modes, None, slit)
+    march = March(assembly.system, assembly.start(start), float(t[0]))
+    rows = _Rows(assembly, march)
+    for k in range(len(t)):
+        march.state[assembly.load : assembly.rate] = F[k]
+        rows.note()
+        if k + 1 < len(t):
+            march.state[assembly.rate : assembly.one] = (F[k + 1] - F[k]) / (t[k + 1] - t[k])
+            march.disturbed()
+            march.advance(float(t[k + 1]))
+    return rows.result()
+
+
+def touching(assembly: Assembly, state: FloatArray) -> March:
+    """Return a run that starts with the body's contact just closed."""
+    march = March(assembly.system, state)
+    march.close(0)
+    return march
+
+
+class _Rows:
+    """Samples of a run."""
+
+    def __init__(self, assembly: Assembly, march: March) -> None:
+        self.assembly, self.march = assembly, march
+        self.arms: list[FloatArray] = []
+        self.vertical: list[FloatArray] = []
+        self.contact: list[FloatArray] = []
+
+    def note(self) -> None:
+        forces = self.march.forces_newtons
+        arms, vertical = self.assembly.elastic(self.march.state, forces)
+        self.arms.append(arms)
+        self.vertical.append(vertical)
+        self.contact.append(forces)
+
+    def result(self) -> Impact:
+        n, march, assembly = len(self.march.system.closure), self.march, self.assembly
+        return Impact(
+            march.finish(), np.array(self.arms).reshape(-1, 3), np.array(self.vertical).reshape(-1, 3),
+            np.array(self.contact).reshape(-1, n),
+            assembly.body_speed(march.state) if assembly.striker else 0.0, assembly.structure(march.state),
+        )  # fmt: skip
+
+
+def _checked_times(times_s: npt.ArrayLike, until_s: float) -> FloatArray:
+    t = floats("times_s", times_s).reshape(-1)
+    if not 0.0 < until_s < math.inf:
+        raise InputError(f"until_s = {until_s!r}: allowed is a positive finite number")
+    if not ((t >= 0.0) & (t <= until_s)).all() or (np.diff(t) < 0.0).any():
+        raise InputError(f"times: allowed are rising numbers from 0 to until_s, {until_s!r}")
+    return t
+
+
+RELATIVE_TOLERANCE = 1e-13
+_ABSOLUTE = 1e-16
+"""Relative to the square root of twice the impact's energy, the scale of the states."""
+
+
+def hertz_impact(
+    modes: Modes | None, striker: Striker, until_s: float, times_s: FloatArray, start: State | None
+) -> tuple[tuple[Touch, ...], FloatArray, FloatArray, FloatArray, float, State]:
+    """Return the fields of ``impact.Impact``; see there. Raises EnvironmentLackError without scipy."""
+    run = _Run(modes, striker, start, times_s, until_s)
+    while run.time_s < until_s:
+        run.contact()
+        run.free()
+    rows = np.array(run.rows).reshape(-1, 7)
+    body_speed, structure = run.assembly.body_speed(run.state), run.assembly.structure(run.state)
+    return tuple(run.touches), rows[:, :3], rows[:, 3:6], rows[:, 6:], body_speed, structure
+
+
+class _Run:
+    """States as in Assembly, whose linear contact computes the free flight."""
+
+    def __init__(
+        self, modes: Modes | None, striker: Striker, start: State | None, times_s: FloatArray, until_s: float
+    ) -> None:
+        along = np.zeros(0) if modes is None else modes.load_shape @ striker.direction
+        mass = 1.0 / (1.0 / striker.mass_kg + float(along @ along))
+        self._stiffness, self._until_s, self._samples = striker.stiffness, until_s, times_s
+        # On rigid ground the square of this is the largest overlap.
+        deepest = (1.25 * mass * striker.speed_m_s**2 / striker.stiffness) ** 0.2
+        self.assembly = Assembly(modes, replace(striker, exponent=1.0, stiffness=striker.stiffness * deepest))
+        self._A, self._push = self.assembly.system.A, self.assembly.system.push[:, 0]
+        self._overlap = self.assembly.system.closure[0]
+        self._scale = math.sqrt(mass) * striker.speed_m_s
+        self.state, self.time_s = self.assembly.start(start), 0.0
+        self.touches: list[Touch] = []
+        self.rows: list[FloatArray] = []
+
+    def contact(self) -> None:
+        """Integrate from contact to separation, or to the end of the run."""
+        try:
+            from scipy.integrate import solve_ivp
+        except ImportError as error:
+            raise EnvironmentLackError('Hertzian contact needs scipy: pip install "tipforce[science]"') from error
+
+        def parting(_: float, X: FloatArray) -> float:
+            return float(self._overlap @ X)
+
+        def turning(_: float, X: FloatArray) -> float:
+            return float(self._overlap @ (self._A @ X))
+
+        parting.terminal = True  # type: ignore[attr-defined]
+        parting.direction = turning.direction = -1.0  # type: ignore[attr-defined]
+        solution = solve_ivp(
+            self._rate, (self.time_s, self._until_s), self.state, method="DOP853", events=(parting, turning),
+            rtol=RELATIVE_TOLERANCE, atol=_ABSOLUTE * self._scale, dense_output=True,
+        )  # fmt: skip
+        end_s, parted = float(solution.t[-1]), solution.status == 1
+        self._note_until(end_s, solution.sol)
+        peak_newtons, peak_s = max(
+            (self._force(X), float(time_s))
+            for time_s, X in ((end_s, solution.y[:, -1]), *zip(solution.t_events[1], solution.y_events[1], strict=True))
+        )
+        self.touches.append(Touch(0, self.time_s, end_s if parted else math.inf, peak_newtons, peak_s))
+        self.state, self.time_s = solution.y[:, -1], end_s
+        if parted:
+            self.state[self.assembly.overlap] = 0.0  # by definition, not by rounding
+
+    def free(self) -> None:
+        """Step from separation to the next contact, or to the end of the run."""
+        march = March(self.assembly.system, self.state, self.time_s)
+        march.part(0)
+        touched = False
+        while march.time_s < self._until_s and not touched:
+            touched = march.advance(min([*self._samples[:1], self._until_s]), stop_at_event=True)
+            if not touched:
+                self._note_until(march.time_s, lambda _: march.state)
+        self.state, self.time_s = march.state, march.time_s
+        if touched:
+            self.state[self.assembly.overlap] = 0.0
+
+    def _rate(self, _: float, X: FloatArray) -> FloatArray:
+        rate: FloatArray = self._A @ X + self._push * self._force(X)
+        return rate
+
+    def _force(self, X: FloatArray) -> float:
+        return self._stiffness * math.pow(max(float(self._overlap @ X), 0.0), 1.5)
+
+    def _note_until(self, end_s: float, state_at: Callable[[float], FloatArray]) -> None:
+        """Add the samples up to a time."""
+        due = int(np.searchsorted(self._samples, end_s, side="right"))
+        for time_s in self._samples[:due]:
+            X = state_at(float(time_s))
+            self.rows.append(np.concatenate((*self.assembly.elastic(X, np.zeros(1)), [self._force(X)])))
+        self._samples = self._samples[due:]

@@ -1,0 +1,1 @@
+"""Error against run time, and the behaviour in extreme cases."""

@@ -1,0 +1,214 @@
+"""The report as one self-contained HTML page: no script, no network, readable on a phone and on paper."""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from collections.abc import Callable
+from html import escape
+from importlib import resources
+from pathlib import Path
+from typing import Any
+
+from tipforce.output_file import HTML, JSON_LINES, write_file
+from tipforce_lab.report import plots, text
+from tipforce_lab.report.cases import Case
+from tipforce_lab.report.run import Item, Report
+from tipforce_lab.report.study import Grid, Study
+from tipforce_lab.report.text import advice, verdict
+
+
+def write(report: Report, directory: Path, json_line: Callable[[dict[str, Any]], str]) -> list[Path]:
+    """Write index.html, report.jsonl and a KEY.svg for each study. Raises InputError, WriteError.
+
+    json_line: from a record to its line of report.jsonl, without the newline.
+    """
+    items: list[Item] = [*report.studies, *report.grids, *report.cases, *report.left_out]
+    records = [text.head_record(report) | text.conclusions(report), *map(text.record, items)]
+    lines = "".join(json_line(record) + "\n" for record in records)
+    paths = []
+    for name, content in (("index.html", html(report)), ("report.jsonl", lines)):
+        paths.append(directory / name)
+        write_file(paths[-1], content, HTML if name.endswith(".html") else JSON_LINES)
+    for study in report.studies:
+        paths.append(directory / f"{study.key}.svg")
+        plots.save(study, paths[-1])
+    return paths
+
+
+def style() -> str:
+    """Return the style sheet of the page, with the colours of the plots for light and dark mode."""
+    light = [*((name, pair[0]) for name, pair in plots.COLOURS.items()), ("grid", plots.GRID), ("band", plots.BAND)]
+    dark = [*((name, pair[1]) for name, pair in plots.COLOURS.items()), ("grid", "#3a4046"), ("band", "#9aa3ab")]
+    rules = "".join(_colour_rules(name, value) for name, value in light)
+    night = "".join(_colour_rules(name, value) for name, value in dark)
+    paper = ".f-paper{fill:var(--paper)}.s-paper{stroke:var(--paper)}.label{fill:var(--ink)}"
+    sheets = resources.files(__package__)
+    always, dark_paper = (sheets.joinpath(name).read_text(encoding="utf-8") for name in ("style.css", "dark.css"))
+    return f"{always}{rules}{paper}\n@media screen and (prefers-color-scheme:dark){{{dark_paper}{night}}}\n"
+
+
+def _colour_rules(name: str, value: str) -> str:
+    return f".f-{name}{{fill:{value}}}.s-{name}{{stroke:{value}}}"
+
+
+def html(report: Report) -> str:
+    """Return the page. Raises EnvironmentLackError without matplotlib."""
+    sheet = style()
+    digest = base64.b64encode(hashlib.sha256(sheet.encode()).digest()).decode()
+    policy = f"default-src 'none'; style-src 'sha256-{digest}'; base-uri 'none'; form-action 'none'"
+    parts = [
+        "<!DOCTYPE html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        f'<meta http-equiv="Content-Security-Policy" content="{policy}">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f"<title>tipforce report, {escape(report.date)}</title>",
+        f"<style>{sheet}</style></head><body><main>",
+        *_head(report),
+    ]
+    if report.studies:
+        parts += ['<h2 id="studies">Error against run time</h2>', f'<p class="note">{_HOW_TO_READ}</p>']
+        parts += [_study(study) for study in report.studies]
+    parts += [_grid(grid) for grid in report.grids]
+    if report.cases:
+        parts += ['<h2 id="cases">Extreme cases</h2>', f'<p class="note">{_OUTCOMES}</p>', *_cases(report.cases)]
+    if report.left_out:
+        lacks = (f"<li><b>{escape(lack.key)}</b>: {escape(lack.reason)}</li>" for lack in report.left_out)
+        parts += ['<h2 id="left-out">Left out</h2>', f"<ul>{''.join(lacks)}</ul>"]
+    return "\n".join([*parts, "</main></body></html>", ""])
+
+
+_HOW_TO_READ = (
+    "Down is more exact, left is faster. Each point is a setting of a method, at the median wall time of its runs, all "
+    "warm; the bar across it spans the quartiles. The table has the processor time beside it, which other load on the "
+    "machine changes less. A dotted line leads from the largest error down to the root mean square. Errors within a "
+    "shaded band are not distinguishable from that of the reference; without a band it is far below the plot."
+)
+_OUTCOMES = (
+    "pass: right to rounding. bounded: the error has a stated bound. flagged: the value is marked as unknown. refused: "
+    "an error or abort code names the place, and nothing changed. The tests of this version recorded them."
+)
+
+
+def _head(report: Report) -> list[str]:
+    machine = "".join(f"<dt>{escape(name)}</dt><dd>{escape(value)}</dd>" for name, value in report.machine.items())
+    links = [(study.key, study.title) for study in report.studies]
+    links += [(grid.key, grid.title) for grid in report.grids]
+    links += [("cases", "Extreme cases")] if report.cases else []
+    links += [("left-out", "Left out")] if report.left_out else []
+    entries = "".join(f'<li><a href="#{escape(key)}">{escape(title)}</a></li>' for key, title in links)
+    sentences = "".join(f"<li>{escape(sentence)}</li>" for sentence in verdict(report))
+    return [
+        "<h1>tipforce: error against run time, and extreme cases</h1>",
+        f'<div class="summary"><p>{escape(text.summary(report))}</p><ul>{sentences}</ul></div>',
+        *_advice(report),
+        f"<nav><h2>Contents</h2><ul>{entries}</ul></nav>",
+        f"<details><summary>Run of {escape(text.headline(report))}: machine and versions</summary><dl>{machine}</dl>",
+        "</details>",
+    ]
+
+
+def _advice(report: Report) -> list[str]:
+    advices = advice(report)
+    if not advices:
+        return []
+    rows = []
+    for choice in advices:
+        need, method, error, time = map(escape, text.shown_advice(choice))
+        rows.append(
+            f'<tr><th scope="row"><a href="#{escape(choice.study)}">{need}</a></th><td>{method}</td>'
+            f'<td class="number">{error}</td><td>{time}</td></tr>'
+        )
+    head = '<th scope="col">need</th><th scope="col">method</th><th scope="col" class="number">error</th>'
+    head += '<th scope="col">processor time</th>'
+    table = f'<table class="advice"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    return [
+        '<h2 id="advice">Which method for which need</h2>',
+        '<p class="note">The least processor time among those whose error is small enough for the need.</p>',
+        f'<div class="wide">{table}</div>',
+    ]
+
+
+def _study(study: Study) -> str:
+    remarks = "".join(f"<li>{escape(remark)}</li>" for remark in study.remarks)
+    absent = "".join(f"<li>left out: {escape(name)}: {escape(why)}</li>" for name, why in study.left_out.items())
+    points = sum(len(series.points) for series in study.series)
+    return "\n".join(
+        (
+            f'<section class="study" id="{escape(study.key)}"><h3 id="{escape(study.key)}-title">',
+            f"{escape(study.title)}</h3>",
+            f"<figure>{plots.svg(study)}</figure>",
+            f"<ul>{remarks}{absent}</ul>" if remarks or absent else "",
+            f"<details><summary>All {points} points as a table</summary>{_table(study)}</details>",
+            f'<p class="reference">Reference: {escape(text.shown_reference(study))}.</p></section>',
+        )
+    )
+
+
+def _table(study: Study) -> str:
+    heads = ["method", "setting", study.error_unit, *(["root mean square"] if text.has_rms(study) else [])]
+    heads += [study.work_unit.replace("s per", "time per"), "quartiles"]
+    heads += ["processor", "runs"] if text.has_cpu(study) else ["runs"]
+    rows = []
+    for series in study.series:
+        for number, point in enumerate(series.points):
+            method, setting, *numbers = map(escape, text.cells(study, series.method if not number else "", point))
+            cells = "".join(f'<td class="number">{value}</td>' for value in numbers)
+            rows.append(f'<tr><th scope="row">{method}</th><td>{setting}</td>{cells}</tr>')
+    kinds = ["", "", *[' class="number"'] * (len(heads) - 2)]
+    head = "".join(f'<th scope="col"{kind}>{escape(name)}</th>' for name, kind in zip(heads, kinds, strict=True))
+    return f'<div class="wide"><table><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table></div>'
+
+
+def _grid(grid: Grid) -> str:
+    rows = []
+    for row in grid.rows:
+        cells = []
+        for name, cell, reason, over in zip(grid.methods, row.cells, row.reasons, row.over, strict=True):
+            kind = ("doubt" if reason else "broken") if over else "held" if not cell.wrong else ""
+            note = f' title="{escape(reason)}"' if reason else ""
+            told = f"<b>{escape(text.shown_counts(cell))}</b>" if over else escape(text.shown_counts(cell))
+            cells.append(f'<td data-name="{escape(name)}" class="{kind}"{note}>{told}</td>')
+        rows.append(f'<tr><th scope="row" class="key">{escape(row.name)}</th>{"".join(cells)}</tr>')
+    head = "".join(f'<th scope="col">{escape(name)}</th>' for name in (grid.corner, *grid.methods))
+    told = "".join(f"<li>{escape(one)}</li>" for one in [*grid.remarks, *text.grid_reasons(grid)])
+    return "\n".join(
+        (
+            f'<section id="{escape(grid.key)}"><h2>{escape(grid.title)}</h2><ul>{told}</ul>',
+            '<p class="note">Share of the rows that are shown as ok, and how many of those are wrong. Bold: more than '
+            "1 in 10,000; the list above has the reason where the data cannot tell.</p>",
+            f'<div class="wide"><table class="cases grid"><thead><tr>{head}</tr></thead>',
+            f"<tbody>{''.join(rows)}</tbody></table></div></section>",
+        )
+    )
+
+
+def _cases(cases: list[Case]) -> list[str]:
+    """Return one table per area, folded unless a claim of it does not hold."""
+    areas: dict[str, list[Case]] = {}
+    for case in cases:
+        areas.setdefault(case.key.split(".")[0], []).append(case)
+    parts = []
+    for area, cases_of_area in areas.items():
+        broken, count = sum(not case.held for case in cases_of_area), len(cases_of_area)
+        result = f"{broken} of {count} do NOT hold" if broken else f"all {count} hold"
+        opened = " open" if broken else ""
+        parts.append(
+            f"<details{opened}><summary>{escape(area)}: {result}</summary>{_case_table(cases_of_area)}</details>"
+        )
+    return parts
+
+
+def _case_table(cases: list[Case]) -> str:
+    rows = []
+    for case in cases:
+        texts = {"situation": case.situation, "claim": case.claim, "seen": case.figures}
+        cells = "".join(f'<td data-name="{name}" class="seen">{escape(text)}</td>' for name, text in texts.items())
+        outcome = escape(case.outcome) if case.held else f"NOT {escape(case.outcome)}"
+        rows.append(
+            f'<tr id="case-{escape(case.key)}"><th scope="row" class="key">{escape(case.key)}</th>'
+            f'<td class="outcome {"held" if case.held else "broken"}">{outcome}</td>{cells}</tr>'
+        )
+    head = "".join(f'<th scope="col">{name}</th>' for name in ("case", "outcome", "situation", "claim", "seen"))
+    body = f'<table class="cases"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+    return f'<div class="wide">{body}</div>'

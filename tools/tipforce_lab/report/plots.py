@@ -1,0 +1,193 @@
+"""One work-precision plot per study, as SVG to embed in an HTML page: no script, no style, no URL."""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+from contextlib import AbstractContextManager
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce.output_file import save_figure
+from tipforce_lab import plotting as figures
+from tipforce_lab.report.study import Study
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.figure import Figure
+
+INK, GRID, PAPER, BAND = "#222222", "#d4d4d4", "#ffffff", "#8a8a8a"
+# Okabe and Ito's palette, for any colour vision; yellow is too pale on white. Each with its shade on black.
+COLOURS = {
+    "blue": ("#0072b2", "#4fb3f0"),
+    "vermillion": ("#d55e00", "#ff8b3d"),
+    "green": ("#009e73", "#2fd6a5"),
+    "purple": ("#b65f97", "#e79ccb"),
+    "brown": ("#8a6000", "#e6b84a"),
+    "sky": ("#2f8fc4", "#9bd8ff"),
+    "ink": (INK, "#e8e8e8"),
+}
+_HUES = tuple(light for light, _ in COLOURS.values())
+_LINES = ("-", "--", "-.", ":")
+_MARKERS = ("o", "s", "^", "D", "v", "P", "X", "<", "*", ">", "h")
+CLASSES = {light: name for name, (light, _) in COLOURS.items()} | {GRID: "grid", PAPER: "paper", BAND: "band"}
+"""Colour in the SVG -> class, so that the page can change it in dark mode."""
+_WIDTH_INCH, _AXES_INCH, _LEGEND_LINE_INCH = 4.6, 3.6, 0.21
+_ZERO_BELOW = 0.1  # an error of zero is drawn at this fraction of the smallest other
+_KEPT_STYLE = {"fill", "stroke"}
+
+
+_STYLE = {
+    "font.size": 10.0,
+    **dict.fromkeys(("text.color", "axes.labelcolor", "axes.edgecolor", "xtick.color", "ytick.color"), INK),
+    "grid.color": GRID,
+    "grid.linewidth": 0.6,
+    "legend.frameon": False,
+    "savefig.transparent": True,
+    "savefig.dpi": 130,
+}
+
+
+def plotting() -> AbstractContextManager[None]:
+    """Apply the style of the report. Raises EnvironmentLackError without matplotlib, on entry."""
+    return figures.plotting(_STYLE, "report")
+
+
+def figure(study: Study) -> Figure:
+    """Draw error against time, both logarithmic, with quartiles, the error of the reference, and a legend below."""
+    from matplotlib.figure import Figure
+
+    lines = len(study.series) + 1  # and the band
+    drawn = Figure(figsize=(_WIDTH_INCH, _AXES_INCH + _LEGEND_LINE_INCH * lines))
+    axes = drawn.subplots()
+    axes.set(xscale="log", yscale="log", xlabel=f"time, {study.work_unit}", ylabel=_folded(study.error_unit))
+    floor = _floor(study)
+    for number in range(len(study.series)):
+        _draw_series(axes, study, number, floor)
+    _widen(axes)
+    _draw_reference(axes, study)
+    _draw_zero(axes, study, floor)
+    drawn.legend(loc="outside lower left", ncols=1, fontsize=9.5, handlelength=3.2, labelspacing=0.35)
+    return drawn
+
+
+def _folded(text: str) -> str:
+    """Split a title longer than the axis into two lines."""
+    if len(text) < 46:
+        return text
+    middle = min((match.start() for match in re.finditer(" ", text)), key=lambda at: abs(at - len(text) / 2))
+    return f"{text[:middle]}\n{text[middle + 1 :]}"
+
+
+def _floor(study: Study) -> float:
+    """Return the position of an error of zero."""
+    errors = [error for series in study.series for point in series.points for error in (point.error, point.rms_error)]
+    return _ZERO_BELOW * min((error for error in errors if error and math.isfinite(error)), default=1.0)
+
+
+def _draw_series(axes: Axes, study: Study, number: int, floor: float) -> None:
+    series = study.series[number]
+    points = [point for point in series.points if math.isfinite(point.error)]
+    seconds = [point.timing.seconds for point in points]
+    errors = [max(point.error, floor) for point in points]
+    spread = [
+        [point.timing.seconds - point.timing.first_quartile_s for point in points],
+        [point.timing.third_quartile_s - point.timing.seconds for point in points],
+    ]
+    colour = _HUES[number % len(_HUES)]
+    axes.errorbar(
+        seconds,
+        errors,
+        xerr=spread,
+        color=colour,
+        linestyle=_LINES[(number + 2 * (number // len(_HUES))) % len(_LINES)],
+        marker=_MARKERS[number % len(_MARKERS)],
+        markersize=5,
+        linewidth=1.3,
+        elinewidth=1.0,
+        capsize=2.5,
+        label=series.method,
+    )
+    for point, error in zip(points, errors, strict=True):
+        if point.rms_error is not None and point.rms_error > 0.0:
+            at = [point.timing.seconds] * 2
+            axes.plot(at, [point.rms_error, error], color=colour, linewidth=0.8, linestyle=":")
+            axes.plot(at[:1], [point.rms_error], "_", color=colour, markersize=5)
+
+
+def _widen(axes: Axes) -> None:
+    """Show at least two decades on each axis: a shorter log axis has almost no labels."""
+    for low_high, set_limits in ((axes.get_xlim(), axes.set_xlim), (axes.get_ylim(), axes.set_ylim)):
+        low, high = low_high
+        short = 2.0 - math.log10(high / low)
+        if short > 0.0:
+            set_limits(low * 10 ** (-short / 2), high * 10 ** (short / 2))
+
+
+def _draw_reference(axes: Axes, study: Study) -> None:
+    """Draw a band up to the error of the reference, unless that is too far below the points."""
+    own = study.reference_error
+    low, high = axes.get_ylim()
+    if own < low / 1e3:
+        return
+    bottom = min(low, own / 3.0)
+    axes.axhspan(bottom / 10.0, own, color=BAND, alpha=0.35, linewidth=0, label="error of the reference")
+    axes.set_ylim(bottom, high)
+
+
+def _draw_zero(axes: Axes, study: Study, floor: float) -> None:
+    if any(point.error == 0.0 for series in study.series for point in series.points):
+        axes.axhline(floor, color=BAND, linewidth=0.8)
+        axes.annotate("0", (1.0, floor), xycoords=("axes fraction", "data"), fontsize=8, va="bottom", ha="right")
+
+
+def svg(study: Study) -> str:
+    """Return the plot as an <svg> element; identifiers contain the study's key, so that a page can hold many."""
+    with plotting():
+        drawn = figure(study)
+        out = io.StringIO()
+        drawn.savefig(out, format="svg", metadata={"Date": None, "Creator": None, "Format": None, "Type": None})
+    return _inlined(out.getvalue(), study.key)
+
+
+def save(study: Study, path: Path) -> None:
+    """Write the plot to a file, .svg or .png. Raises InputError if it cannot be written."""
+    with plotting():
+        save_figure(figure(study), path, transparent=False, facecolor=PAPER)
+
+
+def _inlined(text: str, key: str) -> str:
+    """Return the SVG without its file header, with attributes instead of styles, which a strict CSP forbids."""
+    text = text[text.index("<svg") :]
+    text = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->|<style.*?</style>", "", text, flags=re.DOTALL)
+    head, body = text.split(">", 1)
+    box = re.search(r'viewBox="[^"]*"', head)
+    assert box is not None
+    body = re.sub(r'\sstyle="([^"]*)"', _attributes, body)
+    body = body.replace("xlink:href=", "href=")
+    body = re.sub(r'id="([^"]*)"', rf'id="{key}-\1"', body)
+    body = re.sub(r'href="#([^"]*)"', rf'href="#{key}-\1"', body)
+    body = re.sub(r"url\(#([^)]*)\)", rf"url(#{key}-\1)", body)
+    body = re.sub(r"\n\s*", "\n", body)
+    return f'<svg {box[0]} role="img" aria-labelledby="{key}-title">{body}'
+
+
+def _attributes(style: re.Match[str]) -> str:
+    """Convert `style="fill: #abc; stroke-width: 2"` to presentation attributes, with a class for each known colour."""
+    attributes: dict[str, str] = {}
+    classes: list[str] = []
+    for declaration in style[1].split(";"):
+        name, _, value = (part.strip() for part in declaration.partition(":"))
+        if name == "font":  # "9px 'DejaVu Sans', sans-serif": the family is the page's
+            size = re.search(r"([\d.]+)px", value)
+            attributes["font-size"] = size[1] if size else "9"
+        elif name in _KEPT_STYLE and value in CLASSES:
+            attributes[name] = value
+            classes.append(f"{name[0]}-{CLASSES[value]}")
+        elif name:
+            attributes[name] = value
+    if "text-anchor" in attributes or "font-size" in attributes:
+        classes.append("label")
+    shown = "".join(f' {name}="{value}"' for name, value in attributes.items())
+    return shown + (f' class="{" ".join(classes)}"' if classes else "")

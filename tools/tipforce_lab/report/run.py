@@ -1,0 +1,209 @@
+"""Run the studies and read the extreme cases. A missing package or a failure is a line in the report, not its end."""
+
+from __future__ import annotations
+
+import importlib
+import platform
+import traceback
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from fnmatch import fnmatchcase
+from typing import Any
+
+from tipforce.errors import EnvironmentLackError, InputError, TipforceError
+from tipforce_lab.report.cases import Case, all_cases
+from tipforce_lab.report.study import Effort, Grid, Study
+
+STUDIES: dict[str, tuple[str, str]] = {
+    "structure": ("tipforce_lab.report.studies.structure", "structure models: beams, frame, finite elements"),
+    "integrators": ("tipforce_lab.report.studies.integrators", "integrators: smooth load, step, tap, stiff impact"),
+    "estimators": ("tipforce_lab.report.studies.estimators", "arithmetic of the estimator"),
+    "fits": ("tipforce_lab.report.studies.fits", "calibration fits against the number of loads"),
+    "decoders": ("tipforce_lab.report.studies.decoders", "decoders of CAN frames"),
+    "honesty": ("tipforce_lab.report.studies.honesty", "wrong values shown as ok: every fault by every method"),
+    "scenes": ("tipforce_lab.scene_cost", "cost of each part of a scene"),
+}
+"""Key -> (module with STEPS and studies(effort, advance), subject)."""
+STABILITY = "stability"
+_EXTRAS = {"scipy": "science", "matplotlib": "plot", "skfem": "fem"}
+_VERSIONS = ("numpy", "scipy", "scikit-fem", "matplotlib", "python-can", "canopen", "cantools")
+
+Advance = Callable[[], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOut:
+    """A part that did not run; ``failed``: because of a fault, not a missing package."""
+
+    key: str
+    reason: str
+    failed: bool
+
+
+Item = Study | Grid | Case | LeftOut
+
+
+@dataclass(slots=True)
+class Report:
+    """The content of a report."""
+
+    date: str
+    effort: Effort
+    machine: dict[str, str]
+    studies: list[Study] = field(default_factory=list)
+    grids: list[Grid] = field(default_factory=list)
+    cases: list[Case] = field(default_factory=list)
+    left_out: list[LeftOut] = field(default_factory=list)
+
+    def sound(self) -> bool:
+        """Whether every claim held and nothing failed; parts left out for a missing package do not count."""
+        return (
+            all(case.held for case in self.cases)
+            and all(row.held for grid in self.grids for row in grid.rows)
+            and not any(lack.failed for lack in self.left_out)
+        )
+
+    def add(self, results: Iterable[Study | Grid]) -> None:
+        """Add the results of a module."""
+        for result in results:
+            if isinstance(result, Grid):
+                self.grids.append(result)
+            else:
+                self.studies.append(result)
+
+
+@dataclass(frozen=True, slots=True)
+class Selection:
+    """Selection: keys of STUDIES, and patterns of case keys (none: no cases)."""
+
+    studies: tuple[str, ...]
+    cases: tuple[str, ...]
+
+
+def selected(only: str | None) -> Selection:
+    """``only``: study keys, "stability", case keys, areas of cases and patterns of them, with commas; None for all.
+
+    Raises InputError for an unknown word.
+    """
+    if only is None:
+        return Selection(tuple(STUDIES), ("*",))
+    studies: list[str] = []
+    patterns: list[str] = []
+    allowed = f"allowed are {', '.join([*STUDIES, STABILITY])} and the cases of --list"
+    for word in filter(None, (part.strip() for part in only.split(","))):
+        if word in STUDIES:
+            studies.append(word)
+        elif word == STABILITY:
+            patterns.append("*")
+        else:
+            patterns += [word, f"{word}.*"]
+            if not matching(all_cases(), patterns[-2:]):
+                raise InputError(f"--only {word!r}: {allowed}")
+    if not studies and not patterns:
+        raise InputError(f"--only {only!r}: {allowed}")
+    return Selection(tuple(key for key in STUDIES if key in studies), tuple(patterns))
+
+
+def matching(cases: Iterable[Case], patterns: Iterable[str]) -> list[Case]:
+    """Return the cases that match one of the patterns."""
+    wanted = tuple(patterns)
+    return [case for case in cases if any(fnmatchcase(case.key, pattern) for pattern in wanted)]
+
+
+class Run:
+    """One run: first the list of steps (the length of the progress bar), then ``report``."""
+
+    def __init__(self, selection: Selection, effort: Effort, date: str) -> None:
+        self.report = Report(date, effort, machine())
+        self._modules: list[tuple[str, Any]] = []
+        self._cases: list[Case] = []
+        for key in selection.studies:
+            with_lack = _guarded(lambda key=key: importlib.import_module(STUDIES[key][0]))  # type: ignore[misc]
+            self._keep(key, with_lack, lambda module, key=key: self._modules.append((key, module)))  # type: ignore[misc]
+        if selection.cases:
+            self._cases = matching(all_cases(), selection.cases)
+        self.steps = sum(int(module.STEPS) for _, module in self._modules) + len(self._cases)
+
+    def items(self, advance: Advance) -> Iterator[Item]:
+        """Run all; yield each study and case when done. The studies run first and alone, because they are timed."""
+        yield from self.report.left_out
+        for key, module in self._modules:
+            before = len(self.report.left_out)
+            results = _guarded(lambda module=module: module.studies(self.report.effort, advance))  # type: ignore[misc]
+            self._keep(key, results, self.report.add)
+            yield from self.report.left_out[before:]
+            if not isinstance(results, _Lack):
+                yield from results
+        for case in self._cases:
+            self.report.cases.append(case)
+            yield case
+            advance()
+
+    def _keep(self, key: str, result: Any, take: Callable[[Any], object]) -> None:
+        if isinstance(result, _Lack):
+            self.report.left_out.append(LeftOut(key, result.reason, result.failed))
+        else:
+            take(result)
+
+
+@dataclass(frozen=True, slots=True)
+class _Lack:
+    reason: str
+    failed: bool
+
+
+def _guarded(work: Callable[[], Any]) -> Any:
+    """Return the result of ``work``, or the lack that prevented it."""
+    try:
+        return work()
+    except ModuleNotFoundError as error:
+        return _lack_of_module(error)
+    except TipforceError as error:
+        return _Lack(str(error), failed=not isinstance(error, EnvironmentLackError))
+    except Exception as error:  # a fault in one study must not end the others
+        return _Lack(_place_and_text(error), failed=True)
+
+
+def _lack_of_module(error: ModuleNotFoundError) -> _Lack:
+    name = (error.name or "").split(".")[0]
+    if name in ("tipforce", "tipforce_lab"):
+        return _Lack(f"not part of this installation ({error.name})", failed=True)
+    hint = f'pip install "tipforce[{_EXTRAS[name]}]", or "tipforce[report]" for all' if name in _EXTRAS else (
+        'pip install "tipforce[report]"')  # fmt: skip
+    return _Lack(f"{name} is not installed: {hint}", failed=False)
+
+
+def _place_and_text(error: Exception) -> str:
+    last = traceback.extract_tb(error.__traceback__)[-1]
+    return f"{type(error).__name__} in {last.name}(), line {last.lineno} of {last.filename.rsplit('/')[-1]}: {error}"
+
+
+def machine() -> dict[str, str]:
+    """Return what the times depend on: processor, system, versions."""
+    import os
+    from importlib.metadata import PackageNotFoundError, version
+
+    from tipforce.dictionary.table import SOFTWARE_VERSION
+
+    facts = {
+        "processor": f"{_processor()}, {os.cpu_count()} threads",
+        "system": f"{platform.system()} {platform.machine()}",
+        "Python": f"{platform.python_implementation()} {platform.python_version()}",
+        "tipforce": SOFTWARE_VERSION,
+    }
+    for name in _VERSIONS:
+        try:
+            facts[name] = version(name)
+        except PackageNotFoundError:
+            facts[name] = "not installed"
+    return facts
+
+
+def _processor() -> str:
+    """Return the name in /proc/cpuinfo if present: platform.processor() is often empty on Linux."""
+    try:
+        with open("/proc/cpuinfo", encoding="utf-8", errors="replace") as lines:
+            names = [line.split(":", 1)[1].strip() for line in lines if line.startswith("model name")]
+    except OSError:
+        names = []
+    return names[0] if names else platform.processor() or platform.machine()

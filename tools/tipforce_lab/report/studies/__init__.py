@@ -1,0 +1,1 @@
+"""One module per study: STEPS, and studies(effort, advance)."""

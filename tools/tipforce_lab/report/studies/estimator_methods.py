@@ -1,0 +1,304 @@
+"""Methods to compute P and theta from counts: each prepared once, then timed as a function without arguments.
+
+In integers, as on a microcontroller without a floating-point unit: int64 arrays represent the registers, the sum in a
+narrower register wraps as in hardware, and angles are binary, 2^32 per turn. In MicroPython: its WebAssembly build
+under Node.js, if both are installed.
+"""
+
+from __future__ import annotations
+
+import binascii
+import json
+import shutil
+import struct
+import subprocess
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from math import pi
+from pathlib import Path
+
+import numpy as np
+
+from tipforce.arrays import FloatArray, IntArray
+from tipforce.errors import EnvironmentLackError
+from tipforce.fingertip.active_calibration import Active
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.estimate import estimate as estimate_in_bulk
+from tipforce_lab.report.studies.estimator_inputs import COUNT_BITS, LSB_MICROSTRAIN, Contacts
+from tipforce_lab.report.study import Effort, Timing, quartiles
+
+MODULE = Path(sys.prefix) / "micropython/node_modules/@micropython/micropython-webassembly-pyscript/micropython.mjs"
+HEAP_BYTES = 64 << 20  # this build collects garbage only between runs
+TIMEOUT_S = 120
+_LAST_CHARACTERS = 200
+_LAUNCHER = """
+import { readFileSync } from "node:fs";
+import { pathToFileURL } from "node:url";
+const job = JSON.parse(readFileSync(0, "utf8"));
+const { loadMicroPython } = await import(pathToFileURL(job.module).href);
+const lines = [];
+const stdout = (line) => lines.push(line);
+const python = await loadMicroPython({ heapsize: job.heap, pystack: 16384, stdout, linebuffer: true });
+for (const [path, text] of Object.entries(job.files)) python.FS.writeFile(path, text);
+try {
+    for (const call of job.calls) python.runPython(call);
+} catch (error) {
+    process.stderr.write(`${error.message}\\n`);
+    process.exitCode = 1;
+}
+process.stdout.write(lines.map((line) => line + "\\n").join(""));
+"""
+
+
+def run_micropython(files: Mapping[str, str], calls: Sequence[str]) -> list[str]:
+    """Run ``calls`` in sequence with ``files`` in the root of the file system; return the lines printed.
+
+    Raises EnvironmentLackError if Node.js or MicroPython is missing, or the code fails.
+    """
+    node = shutil.which("node")
+    if node is None:
+        raise EnvironmentLackError("Node.js, which runs MicroPython here, is not installed (apt: nodejs)")
+    if not MODULE.exists():
+        raise EnvironmentLackError("MicroPython is not installed in this environment: run tools/bootstrap.sh test")
+    job = {"files": dict(files), "calls": list(calls), "heap": HEAP_BYTES, "module": str(MODULE)}
+    command = [node, "--input-type=module", "-e", _LAUNCHER]
+    try:
+        done = subprocess.run(
+            command, input=json.dumps(job), capture_output=True, text=True, timeout=TIMEOUT_S, check=False
+        )
+    except subprocess.TimeoutExpired:
+        raise EnvironmentLackError(f"MicroPython did not finish within {TIMEOUT_S} s") from None
+    if done.returncode:
+        raise EnvironmentLackError(f"MicroPython failed: {done.stderr.strip()[-_LAST_CHARACTERS:]}")
+    return done.stdout.splitlines()
+
+
+Arctangent = Callable[[IntArray, IntArray], IntArray]
+
+TURN = 1 << 32
+_RATIO_BITS = 30
+
+
+@dataclass(frozen=True, slots=True)
+class Format:
+    """Widths in bits of the coefficients, the readings and the accumulator, and the arctangent."""
+
+    coefficient_bits: int
+    reading_bits: int
+    accumulator_bits: int
+    arctangent: Arctangent
+
+
+def prepared(C: FloatArray, form: Format) -> tuple[IntArray, float]:
+    """Return (coefficients, newtons per unit of their sum with readings): the largest coefficient fills the format."""
+    per_count = C * (LSB_MICROSTRAIN * 1e-6 * 2.0 ** (COUNT_BITS - form.reading_bits))
+    unit = float(np.abs(per_count).max()) / ((1 << form.coefficient_bits - 1) - 1)
+    return np.rint(per_count / unit).astype(np.int64), unit
+
+
+def estimate(coefficients: IntArray, unit_newtons: float, counts: IntArray, form: Format) -> Estimate:
+    """Return P in newtons and theta in degrees of counts (k, 3) of the 24-bit converter, for a push."""
+    readings = _shifted(counts, COUNT_BITS - form.reading_bits)
+    sums = readings @ coefficients.T
+    if form.accumulator_bits == 32:
+        sums = sums.astype(np.int32).astype(np.int64)  # wraps, as the register does
+    # Sums of three products, cut to 30 bits: then the sum of two squares stays in 63.
+    shift = max(0, form.coefficient_bits + form.reading_bits - 30)
+    F1, F2, F3 = np.moveaxis(_shifted(sums, shift), -1, 0)
+    a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
+    large, small = np.maximum(a1, a3), np.minimum(a1, a3)
+    hypotenuse = square_root(large * large + small * small)
+    cosine_squared = (large - a2) * (large + a2) + small * small
+    P = np.where(cosine_squared >= 0, hypotenuse, (hypotenuse + a2) >> 1)
+    cosine = square_root(np.maximum(cosine_squared, 0))
+    theta = form.arctangent(F1, F3) - form.arctangent(F2, -cosine)
+    theta = (theta + TURN // 2) % TURN - TURN // 2
+    P_newtons: FloatArray = P.astype(np.float64) * (unit_newtons * 2.0**shift)
+    theta_deg: FloatArray = theta.astype(np.float64) * (360.0 / TURN)
+    return P_newtons, theta_deg
+
+
+def square_root(value: IntArray) -> IntArray:
+    """Return the integer square root of (k,) numbers from 0 to 2^62, rounded down."""
+    root: IntArray = np.sqrt(value.astype(np.float64)).astype(np.int64)
+    root -= root * root > value
+    root += (root + 1) * (root + 1) <= value
+    return root
+
+
+def cordic(iterations: int) -> Arctangent:
+    """Compute atan2 by shifts and additions only: each iteration rotates by atan(2^-k) towards the x-axis."""
+    angles = [round(np.arctan(2.0**-k) * TURN / (2.0 * np.pi)) for k in range(iterations)]
+
+    def arctangent(y: IntArray, x: IntArray) -> IntArray:
+        x, y = _normalised(x, y)
+        angle = np.where(x < 0, TURN // 2, 0)
+        x, y = np.abs(x), np.where(x < 0, -y, y)
+        for k, step in enumerate(angles):
+            down = y > 0
+            turn = np.where(down, 1, -1)
+            x, y = x + turn * (y >> k), y - turn * (x >> k)
+            angle = angle + turn * step
+        return angle
+
+    return arctangent
+
+
+def table(size: int) -> Arctangent:
+    """Compute atan2 from a table of size + 1 angles over one octant, with linear interpolation."""
+    entries = np.rint(np.arctan(np.arange(size + 1) / size) * TURN / (2.0 * np.pi)).astype(np.int64)
+    step_bits = _RATIO_BITS - (size.bit_length() - 1)  # size is a power of two
+
+    def arctangent(y: IntArray, x: IntArray) -> IntArray:
+        x, y = _normalised(x, y)
+        ax, ay = np.abs(x), np.abs(y)
+        large, small = np.maximum(ax, ay), np.minimum(ax, ay)
+        ratio = (small << _RATIO_BITS) // np.maximum(large, 1)
+        entry = np.minimum(ratio >> step_bits, size - 1)
+        past = ratio - (entry << step_bits)
+        angle = entries[entry] + ((entries[entry + 1] - entries[entry]) * past >> step_bits)
+        angle = np.where(ay > ax, TURN // 4 - angle, angle)
+        angle = np.where(x < 0, TURN // 2 - angle, angle)
+        signed: IntArray = np.where(y < 0, -angle, angle)
+        return signed
+
+    return arctangent
+
+
+def _normalised(x: IntArray, y: IntArray) -> tuple[IntArray, IntArray]:
+    """Shift both left until the larger fills 29 bits: CORDIC lengthens its vector by 1.65, and a register has 32."""
+    exponent = np.frexp(np.maximum(np.abs(x), np.abs(y)).astype(np.float64))[1]
+    shift = np.maximum(0, 29 - exponent)
+    return x << shift, y << shift
+
+
+def _shifted(value: IntArray, bits: int) -> IntArray:
+    """Return value / 2^bits, rounded to the nearest."""
+    return (value + (1 << bits - 1)) >> bits if bits else value
+
+
+Estimate = tuple[FloatArray, FloatArray]
+"""P in newtons and theta in degrees, (k,) each."""
+Method = Callable[[], Estimate]
+
+PULL = False
+
+
+def bulk_float64(given: Contacts) -> Method:
+    """``sensor.contact.estimate``."""
+
+    def work() -> Estimate:
+        _, contact = estimate_in_bulk(given.C, given.counts * (LSB_MICROSTRAIN * 1e-6), pull=PULL)
+        return contact.P_newtons, np.degrees(contact.theta_rad)
+
+    return work
+
+
+def single_precision(given: Contacts, factored: bool) -> Method:
+    """Return the bare formula in float32, without scaling and checks.
+
+    factored: c^2 = (L - |F2|)(L + |F2|) + S^2, L and S the larger and smaller of |F1|, |F3|; else P^2 - F2^2.
+    """
+    real = np.float32
+    C = given.C.T.astype(real)
+    counts = given.counts.astype(real)
+    lsb, turn, degree = real(LSB_MICROSTRAIN * 1e-6), real(2.0 * pi), real(180.0 / pi)
+
+    def work() -> Estimate:
+        F1, F2, F3 = np.moveaxis((counts * lsb) @ C, -1, 0)
+        a1, a2, a3 = np.abs(F1), np.abs(F2), np.abs(F3)
+        P = np.sqrt(F1 * F1 + F3 * F3)
+        if factored:
+            large, small = np.maximum(a1, a3), np.minimum(a1, a3)
+            squared = (large - a2) * (large + a2) + small * small
+        else:
+            squared = P * P - F2 * F2
+        theta = np.arctan2(F1, F3) - np.arctan2(F2, -np.sqrt(np.maximum(squared, real(0.0))))
+        theta = theta - turn * np.rint(theta / turn)
+        return P.astype(np.float64), (theta * degree).astype(np.float64)
+
+    return work
+
+
+def on_the_node(given: Contacts, form: str) -> Method:
+    """Return the computation of a node under CPython per sample: REAL32 C, doubles, and the object in ``form``."""
+    values = [*np.float32(given.C).ravel().tolist(), *[0.0] * 3, *[0.0] * 4, *[0.0] * 6]
+    active = Active(b"", [*values, 0.015, -180.0, 180.0, 0.0, 0.0, 0.0, *[0.0] * 13], 3)
+    gain, counts = LSB_MICROSTRAIN, given.counts.tolist()
+
+    def work() -> Estimate:
+        found = []
+        for row in counts:
+            F1, F2, F3 = active.force(active.C, [gain * c for c in row])
+            P, _phi, theta, _miss = scalar.contact(F1, F2, F3, PULL)
+            found.append((P, theta * scalar.DEGREES))
+        P_column, theta_column = np.array(found).T
+        return P_column, theta_column
+
+    return {"inside": work, "REAL32": lambda: _as_real32(work()), "INTEGER16": lambda: _as_integer16(work())}[form]
+
+
+def _as_real32(estimate: Estimate) -> Estimate:
+    P, theta = estimate
+    return P.astype(np.float32).astype(np.float64), theta.astype(np.float32).astype(np.float64)
+
+
+def _as_integer16(estimate: Estimate) -> Estimate:
+    P, theta = estimate
+    return np.rint(P * 1000.0) / 1000.0, np.rint(theta * 100.0) / 100.0
+
+
+def in_integers(given: Contacts, form: Format) -> Method:
+    """``estimator_fixed``."""
+    coefficients, unit = prepared(given.C, form)
+    return lambda: estimate(coefficients, unit, given.counts, form)
+
+
+_ON_MICROPYTHON = """
+import struct, binascii, time
+import scalar
+def told(path):
+    with open(path, 'rb') as f:
+        return binascii.a2b_base64(f.read())
+C = struct.unpack("<9f", told("/C"))
+C = [list(C[k:k + 3]) for k in (0, 3, 6)]
+counts = told("/counts")
+counts = [struct.unpack("<3i", counts[k:k + 12]) for k in range(0, len(counts), 12)]
+def work():
+    contact, found, offsets = scalar.contact, [], [0.0, 0.0, 0.0]
+    for row in counts:
+        V = [s - o for s, o in zip([1e-6 * (LSB * c) for c in row], offsets)]
+        F1, F2, F3 = [sum([c * v for c, v in zip(r, V)]) for r in C]
+        found.append(contact(F1, F2, F3, False))
+    return found
+"""
+_TIMED = """
+started = time.ticks_ms()
+for _ in range(REPEATS): work()
+print("ms", time.ticks_diff(time.ticks_ms(), started))
+"""
+_SHOWN = 'print("out", binascii.hexlify(b"".join([struct.pack("<2d", f[0], f[2]) for f in work()])).decode())'
+
+
+def on_micropython(given: Contacts, effort: Effort) -> tuple[Estimate, Timing]:
+    """Return the node's scalar estimator on MicroPython, REAL32 C, doubles. Raises EnvironmentLackError without it."""
+    counts = given.counts
+    repeats = max(1, 2000 // len(counts))  # its clock has a resolution of 1 ms, and a sample takes about 30 us
+    files = {
+        "/scalar.py": Path(scalar.__file__).read_text(encoding="utf-8"),
+        "/C": _base64(np.float32(given.C).astype("<f4").tobytes()),
+        "/counts": _base64(counts.astype("<i4").tobytes()),
+    }
+    runs = effort.pick(3, 7)
+    program = _ON_MICROPYTHON.replace("LSB", repr(LSB_MICROSTRAIN))
+    lines = run_micropython(files, [program, "work()", *[_TIMED.replace("REPEATS", str(repeats))] * runs, _SHOWN])
+    seconds = [float(line[3:]) * 1e-3 / (repeats * len(counts)) for line in lines if line.startswith("ms ")]
+    (shown,) = [line[4:] for line in lines if line.startswith("out ")]
+    raw = binascii.unhexlify(shown)
+    P, theta_rad = np.array(struct.unpack(f"<{len(raw) // 8}d", raw)).reshape(-1, 2).T
+    return (P, np.degrees(theta_rad)), quartiles(seconds)
+
+
+def _base64(data: bytes) -> str:
+    return binascii.b2a_base64(data, newline=False).decode()

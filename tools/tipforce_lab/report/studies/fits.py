@@ -1,0 +1,154 @@
+"""Calibration fits against the number of loads: the paper's, the plain affine one, and the product's."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from tipforce.arrays import FloatArray
+from tipforce.errors import InputError
+from tipforce.sensor.calibration.fit import Model, Readings, fit_calibration, linear_fit
+from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.calibration.simulation import true_matrix, unseen_forces
+from tipforce.sensor.contact.force import force_vector
+from tipforce_lab.report.study import Effort, Need, Point, Series, Study, Timing, quartiles, timed
+
+LOADS = (6, 12, 25, 50, 100, 200)
+NOISE_STRAIN, OFFSET_STRAIN, OUTLIER_STRAIN = 1e-6, 30e-6, 200e-6
+OUTLIER_SHARE = 0.04
+UNSEEN = 500
+LINEAR, AFFINE, FULL = "F on V, no offset (the paper's)", "V on F with offset, least squares", "tipforce, full fit"
+STEPS = 2 * len(LOADS)
+_MANY = 25
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Rig:
+    """One simulated calibration."""
+
+    strain: FloatArray
+    P_newtons: FloatArray
+    phi_rad: FloatArray
+    theta_rad: FloatArray
+    A: FloatArray
+    offset_strain: FloatArray
+
+
+Fitted = tuple[FloatArray, FloatArray]
+"""C (3, n) and the offsets (n,)."""
+
+
+def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
+    """Return two studies: noise and offset only; and with outliers."""
+    found = []
+    for share, key, title in (
+        (0.0, "fits", "Calibration fits: noise and offset"),
+        (OUTLIER_SHARE, "fits-outliers", "Calibration fits: noise, offset and outliers"),
+    ):
+        found.append(_study(effort, advance, share, key, title))
+    return found
+
+
+def _study(effort: Effort, advance: Callable[[], None], share: float, key: str, title: str) -> Study:
+    points: dict[str, list[Point]] = {LINEAR: [], AFFINE: [], FULL: []}
+    refused: dict[str, str] = {}
+    repeats = effort.pick(8, 100)
+    for loads in LOADS:
+        rigs = [_rig(np.random.default_rng([effort.seed, 3, loads, seed]), loads, share) for seed in range(repeats)]
+        for method, fit in _METHODS.items():
+            try:
+                errors = [_error(fit(rig), rig) for rig in rigs]
+            except InputError as error:
+                refused[f"{method}, {loads} loads"] = f"refused: {error}"
+                continue
+            timing = _timing(fit, rigs, effort)
+            points[method].append(Point(f"{loads} loads", float(np.sqrt(np.mean(np.square(errors)))), timing))
+        advance()
+    series = tuple(Series(method, tuple(fitted_points)) for method, fitted_points in points.items() if fitted_points)
+    what = f"{share:.0%} of the readings off by {OUTLIER_STRAIN * 1e6:g} microstrain" if share else "no outliers"
+    return Study(
+        key=key,
+        title=title,
+        error_unit="root mean square force error (N)",
+        work_unit="s per fit",
+        reference=(
+            f"the true matrix and offset of {repeats} simulated sensors, each fit judged by {UNSEEN} unseen loads of "
+            f"0.3 to 4.4 N without noise; x- and y-grooves of the paper's rig in turn, weights at random, a tare for "
+            f"every three loads, noise {NOISE_STRAIN * 1e6:g} and offset {OFFSET_STRAIN * 1e6:g} microstrain, {what}"
+        ),
+        reference_error=1e-15,
+        series=series,
+        left_out=refused,
+        remarks=tuple(_remarks(points)),
+        needs=(
+            Need("calibrate, " + ("some readings wrong" if share else "clean readings") + ", to 0.02 N", 0.02, "N"),
+        ),
+    )
+
+
+def _rig(rng: np.random.Generator, loads: int, share: float) -> _Rig:
+    """Return ``loads`` grooves, alternately x and y, with random weights; a tare per three loads; in random order."""
+    grooves = paper_grooves()
+    along_x, along_y = (rng.permutation(np.flatnonzero(kind)) for kind in (grooves.along_x, ~grooves.along_x))
+    groove = np.stack((np.resize(along_x, loads), np.resize(along_y, loads)), axis=-1).ravel()[:loads]
+    m = loads + loads // 3
+    P, phi, theta = np.zeros(m), np.zeros(m), np.zeros(m)
+    P[:loads] = rng.choice([1.1, 2.2, 4.4], loads)
+    phi[:loads], theta[:loads] = grooves.phi_rad[groove], grooves.theta_rad[groove]
+    A = true_matrix("I", rng)
+    offset = OFFSET_STRAIN * rng.normal(size=len(A))
+    strain = force_vector(P, phi, theta) @ A.T + offset + NOISE_STRAIN * rng.normal(size=(m, len(A)))
+    odd = rng.random(m) < share
+    strain[odd, rng.integers(len(A), size=m)[odd]] += rng.choice([-1.0, 1.0], m)[odd] * OUTLIER_STRAIN
+    order = rng.permutation(m)
+    return _Rig(strain[order], P[order], phi[order], theta[order], A, offset)
+
+
+def _linear(rig: _Rig) -> Fitted:
+    F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
+    return linear_fit(rig.strain, F), np.zeros(len(rig.A))
+
+
+def _affine(rig: _Rig) -> Fitted:
+    F = force_vector(rig.P_newtons, rig.phi_rad, rig.theta_rad)
+    coefficients, *_ = np.linalg.lstsq(np.column_stack((F, np.ones(len(F)))), rig.strain, rcond=None)
+    return np.linalg.pinv(coefficients[:3].T), coefficients[3]
+
+
+def _full(rig: _Rig) -> Fitted:
+    fit = fit_calibration(Readings(rig.strain, rig.P_newtons, rig.phi_rad, rig.theta_rad), Model())
+    return fit.C, fit.offset_strain
+
+
+_METHODS: dict[str, Callable[[_Rig], Fitted]] = {LINEAR: _linear, AFFINE: _affine, FULL: _full}
+
+
+def _error(fitted: Fitted, rig: _Rig) -> float:
+    """Return the root mean square force error on unseen loads, newtons."""
+    C, offset = fitted
+    F = unseen_forces(np.random.default_rng(4), UNSEEN)
+    off = (F @ rig.A.T + rig.offset_strain - offset) @ C.T - F
+    return float(np.sqrt(np.mean(np.sum(off**2, axis=1))))
+
+
+def _timing(fit: Callable[[_Rig], Fitted], rigs: list[_Rig], effort: Effort) -> Timing:
+    """Time the fits of several sensors: the time of the full fit depends on the data."""
+    each = [timed(lambda rig=rig: fit(rig), effort, at_least_s=0.002).seconds for rig in rigs[: effort.pick(2, 9)]]  # type: ignore[misc]
+    return quartiles(each)
+
+
+def _remarks(points: dict[str, list[Point]]) -> list[str]:
+    remarks = []
+    for method, fitted_points in points.items():
+        many = {int(point.setting.split()[0]): point.error for point in fitted_points}
+        many = {loads: error for loads, error in many.items() if loads >= _MANY}
+        if len(many) < 2:
+            continue
+        order = np.polyfit(np.log(list(many)), np.log(list(many.values())), 1)[0]
+        remarks.append(
+            f"{method}: {many[max(many)]:.2g} N with {max(many)} loads; from {_MANY} loads on the error goes as "
+            f"N^{order:.2f}, where independent noise alone gives N^-0.5."
+        )
+    return remarks

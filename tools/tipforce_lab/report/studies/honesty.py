@@ -1,0 +1,286 @@
+"""Which way of showing a value says ok and is wrong: every fault that a scene can name, by number of gauges.
+
+Each simulated finger is calibrated by `tipforce calibrate fit`, and one scene per fault runs the node's code. Every
+method then reads the same log. A row is wrong if its P is off by more than five of its own standard uncertainties.
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import subprocess
+import sys
+import tempfile
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+import tipforce
+from tipforce.arrays import BoolArray, FloatArray, IntArray
+from tipforce.device import codes
+from tipforce.fingertip.application import Fingertip
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.decoding.contact_columns import FLAGS, ContactColumns
+from tipforce.host.decoding.contacts import Status
+from tipforce.host.decoding.sample_table import Table, computed, flag
+from tipforce.scene import schema
+from tipforce.scene.build import build
+from tipforce.scene.loads import load_of
+from tipforce.scene.results import applied_at
+from tipforce.scene.simulate import simulate
+from tipforce.sensor.calibration.grooves import paper_grooves
+from tipforce.sensor.contact import scalar
+from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.structure.geometry import FABRICATED
+from tipforce.sensor.structure.strain import strain_matrix
+from tipforce_lab.report.study import Counted, Effort, Grid, GridRow
+
+GAUGES = ("K_H", "S_H", "U", "L", "T", "R", "K_V", "S_V")
+COUNTS = (3, 4, 5, 8)
+QUICK_COUNTS = (3, 5)
+STEPS = len(COUNTS)
+NOISE_MICROSTRAIN = 1.0
+NODE_ID, SYNC_HZ = 5, 50.0
+LARGEST_NEWTONS = 4.4
+FAULT_FROM = 0.3
+"""Share of the scene before its fault."""
+TOO_FAR = 5.0
+"""Own standard uncertainties."""
+ALLOWED_WRONG_SHARE = 1e-4
+COLD_DEGC, WARM_DEGC = 23.0, ((0.0, 23.0), (1.0, 43.0))
+
+NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE = (
+    "node, contact PDO alone", "node, contact PDO and 2124h", "tipforce decode --calibration", "tipforce estimate",
+    "tipforce estimate, no temperature",
+)  # fmt: skip
+METHODS = (NODE, NODE_FAULTS, DECODE, ESTIMATE, BARE)
+KINDS: tuple[Literal["stuck", "open", "saturate", "silent", "drift"], ...] = (
+    "stuck", "open", "saturate", "silent", "drift",
+)  # fmt: skip
+FAULTS = ("none", *KINDS, "warm", "overload", "1/f noise", "vibration")
+"""The kinds of [[faults]], and what other tables of a scene do to the reading."""
+
+_SPARE = "three gauges fit every reading: none is spare to contradict them"
+_ONE_SPARE = "one spare gauge: a fault that is small beside the force cannot be told from noise"
+_ELASTIC = "gauges measure the elastic force, not the load: docs/dynamics.md"
+_WANDERS = "the zero wanders after the tare: tare again, or state a drift rate"
+CANNOT_TELL: dict[tuple[str, int], str] = {
+    ("drift", 3): _SPARE,
+    ("drift", 4): _ONE_SPARE,
+    ("stuck", 3): _SPARE + "; a frozen one shows after 32 equal readings",
+    ("stuck", 4): _ONE_SPARE,
+    **{("vibration", n): _ELASTIC for n in COUNTS},
+    **{("1/f noise", n): _WANDERS for n in COUNTS},
+}
+"""(fault, gauges) -> why the data cannot always tell."""
+_NOT_IN_PDO = "bits 13 to 15 are in 2124h, not in the contact PDO"
+NOT_TOLD: dict[tuple[str, str], str] = {
+    ("warm", NODE): _NOT_IN_PDO,
+    ("overload", NODE): _NOT_IN_PDO,
+    ("warm", BARE): "no temperature is given, so none is judged",
+}
+"""(fault, method) -> what the method is not told."""
+
+
+def studies(effort: Effort, advance: Callable[[], None]) -> list[Grid]:
+    """Return one table: faults and numbers of gauges down, methods across."""
+    rows = []
+    for gauges in COUNTS:
+        if effort.quick and gauges not in QUICK_COUNTS:
+            advance()
+            continue
+        counts_by_fault = {fault: [Counted() for _ in METHODS] for fault in FAULTS}
+        for finger in range(effort.pick(1, 2)):
+            with tempfile.TemporaryDirectory(prefix="tipforce-report-") as folder:
+                seed = effort.seed + 100 * finger + gauges
+                for fault, counts in of_finger(Path(folder), gauges, seed, effort.pick(4, 8)):
+                    counts_by_fault[fault] = [
+                        one + other for one, other in zip(counts_by_fault[fault], counts, strict=True)
+                    ]
+        rows += [_row(fault, gauges, tuple(counts)) for fault, counts in counts_by_fault.items()]
+        advance()
+    return [
+        Grid(
+            "honesty", "Wrong values shown as ok: P off by more than five of its own standard uncertainties",
+            "fault, gauges", METHODS, tuple(rows), _remarks(rows),
+        )
+    ]  # fmt: skip
+
+
+def _row(fault: str, gauges: int, counts: tuple[Counted, ...]) -> GridRow:
+    reasons = []
+    for method, count in zip(METHODS, counts, strict=True):
+        known = NOT_TOLD.get((fault, method), "") or CANNOT_TELL.get((fault, gauges), "")
+        reasons.append(known if _is_wrong(count) else "")
+    return GridRow(f"{fault}, {gauges}", counts, tuple(reasons), tuple(map(_is_wrong, counts)))
+
+
+def _is_wrong(count: Counted) -> bool:
+    """Whether more rows are wrong than allowed; one alone may be chance."""
+    return count.wrong > max(1.0, ALLOWED_WRONG_SHARE * count.ok)
+
+
+def _remarks(rows: list[GridRow]) -> tuple[str, ...]:
+    sums = [sum((row.cells[k] for row in rows), Counted()) for k in range(len(METHODS))]
+    clean = sum((cell for row in rows if row.name.startswith("none") for cell in row.cells), Counted())
+    least = min(range(len(METHODS)), key=lambda k: (sums[k].wrong, -sums[k].ok))
+    told = "; ".join(f"{name} {one.wrong} of {one.ok}" for name, one in zip(METHODS, sums, strict=True))
+    return (
+        f"Wrong among the rows shown as ok, over all faults: {told}.",
+        f"Fewest: {METHODS[least]}.",
+        f"Fingers without a fault are shown as ok in {100.0 * clean.ok / max(clean.rows, 1):.1f} % of the rows.",
+        "tipforce read, hand and view show the node's values; the exported C judges as the node (tests/export_c).",
+    )
+
+
+def of_finger(
+    folder: Path, gauges: int, seed: int, seconds: float, faults: tuple[str, ...] = FAULTS
+) -> Iterator[tuple[str, list[Counted]]]:
+    """Yield (fault, counts of each method) of one finger, calibrated once by the command."""
+    rng = np.random.default_rng([seed, gauges])
+    calibration = calibrated(folder, gauges, rng)
+    for fault in faults:
+        yield fault, _counts(folder, _scene(fault, gauges, seconds, rng), calibration)
+
+
+def calibrated(folder: Path, gauges: int, rng: np.random.Generator) -> Calibration:
+    """Return what `tipforce calibrate fit` writes for the 19 grooves with three weights, in ``folder``/cal.toml."""
+    A, grooves = strain_matrix(FABRICATED, GAUGES[:gauges]), paper_grooves()
+    rows: list[list[float]] = []
+    for phi, theta in zip(grooves.phi_rad, grooves.theta_rad, strict=True):
+        for P in (1.1, 2.2, LARGEST_NEWTONS, 0.0):
+            V = 1e6 * force_vector(P, phi, theta) @ A.T + NOISE_MICROSTRAIN * rng.normal(size=gauges)
+            rows.append([10.0 * len(rows), *np.round(V, 1), P, math.degrees(phi), math.degrees(theta), COLD_DEGC])
+    table, path = folder / "grooves.csv", folder / "cal.toml"
+    with table.open("w", newline="", encoding="utf-8") as file:
+        writer = csv.writer(file)
+        names = [f"SG{k + 1}" for k in range(gauges)]
+        writer.writerow(["t_s", *names, "P_N", "phi_deg", "theta_deg", "temperature_degC"])
+        writer.writerows(rows)
+    words = ["calibrate", "fit", str(table), "-o", str(path), "--saturation", "3276.7", "--sense", "push"]
+    command = [sys.executable, "-m", "tipforce_tools.cli.main", *words, "--date", "2026-01-31"]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode:
+        reason = f"exit code {done.returncode}: {(done.stdout + done.stderr)[-300:]}"
+        raise tipforce.TipforceError(f"calibrate fit of simulated grooves: {reason}")
+    return read_calibration(path, with_fit=True)
+
+
+def _scene(fault: str, gauges: int, seconds: float, rng: np.random.Generator) -> schema.Scene:
+    largest = 3.0 * LARGEST_NEWTONS if fault == "overload" else LARGEST_NEWTONS
+    least = LARGEST_NEWTONS if fault == "overload" else 0.3
+    knots = int(2.0 * seconds) + 1
+    t, P, theta = np.linspace(0.0, seconds, knots), rng.uniform(least, largest, knots), rng.uniform(10.0, 170.0, knots)
+    phi = theta + rng.uniform(-45.0, 45.0, knots) - 180.0
+    if fault == "vibration":  # steps, after which the tip rings
+        t, P, phi, theta = np.repeat(t, 2)[1:], *(np.repeat(one, 2)[:-1] for one in (P, phi, theta))
+    load = schema.History(
+        t_s=tuple(t.tolist()), P_N=tuple(P.tolist()), phi_deg=tuple(phi.tolist()), theta_deg=tuple(theta.tolist())
+    )
+    injected: tuple[schema.Fault, ...] = ()
+    for kind in (one for one in KINDS if one == fault):
+        gauge = int(rng.integers(gauges)) + 1
+        per_s = 50.0 * float(rng.choice([-1.0, 1.0])) if fault == "drift" else 0.0
+        injected = (schema.Fault(kind=kind, nodes=(NODE_ID,), at_s=FAULT_FROM * seconds, gauge=gauge,
+                                 microstrain_per_s=per_s),)  # fmt: skip
+    front_end = schema.FrontEnd(
+        temperature_degC=WARM_DEGC if fault == "warm" else COLD_DEGC,
+        apparent_microstrain_per_degC=tuple(np.round(3.0 * rng.normal(size=gauges), 3).tolist()),
+        gain_drift_ppm_per_degC=300.0,
+    )
+    return schema.Scene(
+        duration_s=seconds, sync_hz=SYNC_HZ, seed=int(rng.integers(1 << 30)),
+        nodes=(schema.Nodes(ids=(NODE_ID,), pdos=("gauges", "contact", "health"), layout=GAUGES[:gauges],
+                            calibration="cal.toml"),),
+        loads=(load,), faults=injected, front_end=front_end,
+        noise=schema.Noise(gauge_microstrain=NOISE_MICROSTRAIN,
+                           one_over_f_microstrain=5.0 if fault == "1/f noise" else None),
+        dynamics=schema.Dynamics() if fault == "vibration" else None,
+    )  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Samples:
+    """What the node had at each SYNC; k samples."""
+
+    t_s: FloatArray
+    contact: FloatArray
+    """(k, 2): P and its standard uncertainty as the node computes them, newtons; NaN where it says unknown."""
+    status: IntArray
+    """2120h."""
+    faults: IntArray
+    """2124h."""
+    microstrain: FloatArray
+    """(k, n) as sent."""
+    temperature_degC: FloatArray
+
+
+def _recorded(folder: Path, scene: schema.Scene) -> _Samples:
+    """Run the scene's node in simulated time, and keep its sample at each SYNC."""
+    (finger,) = build(scene, folder, [])
+    application = finger.device.application
+    assert isinstance(application, Fingertip)
+    rows: list[tuple[float, ...]] = []
+
+    def keep(t_us: int, can_id: int, _data: bytes) -> None:
+        if can_id == codes.TPDO_BASES[0] + NODE_ID:  # the first PDO of the sample; its values are those of the wire
+            sample = application.sample
+            hidden = sample.unknown() & scalar.UNKNOWN_FORCE
+            P = math.nan if hidden else round(sample.contact()[0], 3)
+            temperature = math.nan if sample.reading is None else sample.reading.temperature / 100.0
+            rows.append((1e-6 * t_us, P, sample.uncertainty()[0], sample.status(), sample.faults, temperature,
+                         *(round(value, 1) for value in sample.microstrains)))  # fmt: skip
+
+    simulate(scene, [finger], scene.duration_s, keep, lambda _t_us: None)
+    recorded = np.array(rows)
+    status, faults = recorded[:, 3:5].astype(np.int64).T
+    return _Samples(recorded[:, 0], recorded[:, 1:3], status, faults, recorded[:, 6:], recorded[:, 5])
+
+
+def _counts(folder: Path, scene: schema.Scene, calibration: Calibration) -> list[Counted]:
+    samples, load = _recorded(folder, scene), load_of(scene, NODE_ID)
+    true = applied_at(load, samples.t_s)[:, 0]
+    counts = []
+    for P, u, ok in _shown(samples, calibration):
+        wrong = ok & ~(np.abs(P - true) <= TOO_FAR * u)
+        counts.append(Counted(len(true), int(ok.sum()), int(wrong.sum())))
+    return counts
+
+
+def _shown(samples: _Samples, calibration: Calibration) -> Iterator[tuple[FloatArray, FloatArray, BoolArray]]:
+    """Yield P, u(P) and what says ok by each of METHODS."""
+    P, u = samples.contact.T
+    alone = np.isfinite(P) & (samples.status == scalar.CONTACT_PRESENT | scalar.CALIBRATED)
+    yield P, u, alone
+    yield P, u, alone & (samples.faults == 0)
+    yield _decoded(samples, calibration)
+    for temperature in (samples.temperature_degC, None):
+        estimated = tipforce.estimate(calibration, samples.microstrain, temperature_degC=temperature)
+        flagged = estimated.status & ~np.uint16(Status.CONTACT | Status.CALIBRATED)
+        ok = np.isfinite(estimated.P_newtons) & (flagged == 0) & estimated.has(Status.CONTACT)
+        yield estimated.P_newtons, estimated.u_P_newtons, ok
+
+
+def _decoded(samples: _Samples, calibration: Calibration) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """The columns of `decode --calibration` from gauges, status byte and temperature."""
+    k, values = len(samples.t_s), {}
+    columns = [computed(f"SG{gauge + 1}", "microstrain", 1) for gauge in range(samples.microstrain.shape[1])]
+    values = {column_name.name: column for column_name, column in zip(columns, samples.microstrain.T, strict=True)}
+    for name, bit in (("stale", scalar.STALE), ("fault", scalar.FRONT_END_FAULT), ("saturated", scalar.SATURATED)):
+        columns.append(flag(name))
+        values[name] = (samples.status & bit != 0).astype(np.int8)
+    columns.append(computed("temperature", ""))
+    values["temperature"] = samples.temperature_degC
+    table = Table(
+        (1e9 * samples.t_s).astype(np.int64), np.full(k, NODE_ID, np.uint16), np.arange(k), np.ones(k, np.bool_),
+        tuple(columns), values,
+    )  # fmt: skip
+    (decoded,) = ContactColumns({None: calibration}, None).tables([table])
+    P, u = decoded.values["P_N"], decoded.values["u_P_N"]
+    doubts = [decoded.values[name] == 1 for name in FLAGS if name != "contact"]
+    ok = np.isfinite(P) & (decoded.values["contact"] == 1) & ~np.any(doubts, axis=0)
+    return P, u, ok

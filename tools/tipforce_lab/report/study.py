@@ -1,0 +1,199 @@
+"""Error against run time: the data of a study, and the timing of a method."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from statistics import median, quantiles
+
+
+@dataclass(frozen=True, slots=True)
+class Effort:
+    """Effort of a study: ``quick`` (all studies together within a minute) or full (ten minutes, two cores)."""
+
+    quick: bool = False
+    seed: int = 20261121
+
+    def pick(self, quick: int, full: int) -> int:
+        """Return the count for this effort."""
+        return quick if self.quick else full
+
+
+@dataclass(frozen=True, slots=True)
+class Timing:
+    """Seconds per unit of work: the median of several runs, and the first and third quartile."""
+
+    seconds: float
+    first_quartile_s: float
+    third_quartile_s: float
+    runs: int
+    cpu_seconds: float | None = None
+    """Median processor time of the same runs: above ``seconds`` with several threads, below it where the work waits."""
+
+    @property
+    def work_seconds(self) -> float:
+        """Processor time where it is known: other load on the machine does not change it."""
+        return self.seconds if self.cpu_seconds is None else self.cpu_seconds
+
+
+@dataclass(frozen=True, slots=True)
+class Point:
+    """One setting of one method: its error against the reference, and its time."""
+
+    setting: str
+    error: float
+    timing: Timing
+    rms_error: float | None = None
+    """Root mean square, if ``error`` is the maximum."""
+
+
+@dataclass(frozen=True, slots=True)
+class Series:
+    """One method, from coarse to fine. A method without a setting has one point."""
+
+    method: str
+    points: tuple[Point, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Need:
+    """What somebody wants to do, and the error that is small enough for it."""
+
+    text: str
+    enough: float
+    """In the unit of the study's errors."""
+    unit: str = ""
+    """That unit: "N"; "" for a relative error."""
+    unfit: tuple[str, ...] = ()
+    """Methods that are not for it whatever their error here: a remark of one of the studies says why."""
+
+
+@dataclass(frozen=True, slots=True)
+class Study:
+    """Methods for one task, side by side. Errors and times have one unit throughout the study."""
+
+    key: str
+    title: str
+    error_unit: str
+    """The kind of error, with its unit: "relative error of the condition number"."""
+    work_unit: str
+    """The unit of time: "s per load case"."""
+    reference: str
+    """The reference of the errors."""
+    reference_error: float
+    """The error of the reference itself, in the same unit: points below it are not significant."""
+    series: tuple[Series, ...]
+    left_out: dict[str, str] = field(default_factory=dict)
+    """Methods that did not run, with the reason and what to install."""
+    remarks: tuple[str, ...] = ()
+    """Conclusions, one sentence each, supported by these numbers."""
+    needs: tuple[Need, ...] = ()
+    """The needs that this study answers."""
+    check: str = ""
+    """An independent computation of the reference, where that is code of the project; "" for none."""
+    check_difference: float | None = None
+    """Largest difference of reference and check, in ``error_unit``."""
+
+    def recommended(self, need: Need) -> tuple[Series, Point] | None:
+        """Return the method and setting with the least time among those whose error is small enough; None: none is."""
+        good = [
+            (series, point)
+            for series in self.series if series.method not in need.unfit
+            for point in series.points if point.error <= need.enough
+        ]  # fmt: skip
+        return min(good, key=lambda pair: pair[1].timing.work_seconds, default=None)
+
+
+def timed(work: Callable[[], object], effort: Effort, units: int = 1, at_least_s: float = 0.02) -> Timing:
+    """Time ``work``, which does ``units`` units of work: several runs, each long enough for the clock."""
+    return timed_together([work], effort, units, at_least_s)[0]
+
+
+def timed_together(
+    works: Sequence[Callable[[], object]], effort: Effort, units: int = 1, at_least_s: float = 0.02, warm: bool = False
+) -> list[Timing]:
+    """Time several methods against each other: each run calls all of them in turn, so that a change of the machine's
+    speed or load meets all alike.
+
+    One call of each goes first, untimed, unless the works are ``warm``. A run repeats a call until it has taken
+    ``at_least_s``.
+    """
+    repeats = [_repeats(work, at_least_s, warm) for work in works]
+    runs: list[list[tuple[float, float]]] = [[] for _ in works]
+    for _ in range(effort.pick(3, 7)):
+        for work, count, elapsed in zip(works, repeats, runs, strict=True):
+            elapsed.append(_elapsed(work, count))
+    return [
+        quartiles(
+            [wall_s / (count * units) for wall_s, _ in elapsed],
+            median([cpu_s / (count * units) for _, cpu_s in elapsed]),
+        )
+        for count, elapsed in zip(repeats, runs, strict=True)
+    ]
+
+
+def quartiles(seconds: Sequence[float], cpu_seconds: float | None = None) -> Timing:
+    """Return the timing of several runs, at least two, per unit of work."""
+    first, middle, third = quantiles(seconds, n=4, method="inclusive")
+    return Timing(middle, first, third, len(seconds), cpu_seconds)
+
+
+def _repeats(work: Callable[[], object], at_least_s: float, warm: bool) -> int:
+    if not warm:
+        work()
+    repeats = 1
+    while True:
+        elapsed_s, _ = _elapsed(work, repeats)
+        if elapsed_s >= at_least_s:
+            return repeats
+        repeats = max(repeats * 2, int(repeats * at_least_s / max(elapsed_s, 1e-9)))
+
+
+def _elapsed(work: Callable[[], object], repeats: int) -> tuple[float, float]:
+    """Return wall time and processor time, seconds."""
+    started, started_cpu = time.perf_counter_ns(), time.process_time_ns()
+    for _ in range(repeats):
+        work()
+    return (time.perf_counter_ns() - started) * 1e-9, (time.process_time_ns() - started_cpu) * 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Counted:
+    """Rows of one case by one method: all, those that say ok, and those of them that are wrong."""
+
+    rows: int = 0
+    ok: int = 0
+    wrong: int = 0
+
+    def __add__(self, other: Counted) -> Counted:
+        return Counted(self.rows + other.rows, self.ok + other.ok, self.wrong + other.wrong)
+
+
+@dataclass(frozen=True, slots=True)
+class GridRow:
+    """One case by every method."""
+
+    name: str
+    cells: tuple[Counted, ...]
+    reasons: tuple[str, ...]
+    """For each method: why the data cannot tell where too many rows are wrong, or ""."""
+    over: tuple[bool, ...]
+    """For each method: more rows are wrong than allowed."""
+
+    @property
+    def held(self) -> bool:
+        """No method has too many wrong rows without a known reason."""
+        return all(reason or not over for reason, over in zip(self.reasons, self.over, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Cases by methods: how often each says ok and is wrong."""
+
+    key: str
+    title: str
+    corner: str
+    methods: tuple[str, ...]
+    rows: tuple[GridRow, ...]
+    remarks: tuple[str, ...] = ()

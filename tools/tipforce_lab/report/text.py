@@ -1,0 +1,312 @@
+"""The report as text and as JSON records."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+from tipforce_lab.report.cases import Case, Outcome
+from tipforce_lab.report.run import Item, Report
+from tipforce_lab.report.study import Counted, Grid, Need, Point, Study
+
+if TYPE_CHECKING:
+    from rich.console import Console
+
+
+@dataclass(frozen=True, slots=True)
+class Advice:
+    """One need and the method for it."""
+
+    study: str
+    """Key of the study that says so."""
+    need: str
+    method: str
+    """With its setting; "" where no method is exact enough."""
+    error: float
+    unit: str
+    """Of the error; "" for a relative one."""
+    seconds: float
+    """Processor time where it is known."""
+    work_unit: str
+
+
+def verdict(report: Report) -> list[str]:
+    """Return sentences: what held, what did not, how the references were checked."""
+    sentences = [_cases(report)] if report.cases else []
+    sentences += [_grid(grid) for grid in report.grids]
+    checked = [study.check_difference for study in report.studies if study.check_difference is not None]
+    if checked:
+        sentences.append(
+            f"{len(checked)} references that are code of the project agree with an independent computation within "
+            f"{max(checked):.1e}."
+        )
+    failed = [lack.key for lack in report.left_out if lack.failed]
+    if failed:
+        sentences.append(f"Failed: {', '.join(failed)}.")
+    return sentences
+
+
+def advice(report: Report) -> list[Advice]:
+    """Return for each need of the studies the method with the least processor time whose error is small enough."""
+    return [_advice(study, need) for study in report.studies if study.series for need in study.needs]
+
+
+def _advice(study: Study, need: Need) -> Advice:
+    choice = study.recommended(need)
+    if choice is None:
+        return Advice(study.key, need.text, "", float("nan"), need.unit, float("nan"), study.work_unit)
+    series, point = choice
+    method = f"{series.method}, {point.setting}" if point.setting else series.method
+    return Advice(study.key, need.text, method, point.error, need.unit, point.timing.work_seconds, study.work_unit)
+
+
+def _cases(report: Report) -> str:
+    failed = [case.key for case in report.cases if not case.held]
+    if failed:
+        return f"{len(failed)} of {len(report.cases)} claims on extreme input do NOT hold: {', '.join(failed)}."
+    return f"All {len(report.cases)} claims on extreme input hold."
+
+
+def _grid(grid: Grid) -> str:
+    sums = [sum((row.cells[k] for row in grid.rows), Counted()) for k in range(len(grid.methods))]
+    broken = [row.name for row in grid.rows if not row.held]
+    least = min(range(len(sums)), key=lambda k: (sums[k].wrong, -sums[k].ok))
+    sentence = f"Of the ways to show values, {grid.methods[least]} shows the fewest wrong ones as ok"
+    if broken:
+        return f"{sentence}. Too many, without a known reason: {'; '.join(broken)}."
+    excused = sum(any(row.reasons) for row in grid.rows)
+    return (
+        f"{sentence}. In {excused} of {len(grid.rows)} cases of fault and gauges at least one shows more of them than "
+        "allowed (1 in 10,000, or one row); the reasons are known and listed."
+    )
+
+
+OUTCOMES: tuple[Outcome, ...] = ("pass", "bounded", "flagged", "refused")
+_TIME_UNITS = ((1.0, "s"), (1e-3, "ms"), (1e-6, "us"), (0.0, "ns"))
+
+
+def shown_time(seconds: float) -> str:
+    """Format seconds with three digits and a suitable unit: 4.57 us."""
+    unit, name = next((unit, name) for unit, name in _TIME_UNITS if seconds >= unit)
+    return f"{seconds / (unit or 1e-9):.3g} {name}"
+
+
+def shown_error(error: float) -> str:
+    """Format with two digits: 4.2e-12, 0."""
+    return f"{error:.1e}" if error else "0"
+
+
+def shown_advised_error(error: float, unit: str) -> str:
+    """Format with its unit, a relative error from 1e-5 on in percent: 0.011 N, 5.3 %."""
+    if unit:
+        return f"{error:.2g} {unit}"
+    return f"{100.0 * error:.2g} %" if error >= 1e-5 else shown_error(error)
+
+
+def shown_quartiles(point: Point) -> str:
+    """Return the interquartile range of the runs."""
+    return f"{shown_time(point.timing.first_quartile_s)} - {shown_time(point.timing.third_quartile_s)}"
+
+
+def has_cpu(study: Study) -> bool:
+    """Return whether the processor time of any point is known beside its wall time."""
+    return any(point.timing.cpu_seconds is not None for series in study.series for point in series.points)
+
+
+def shown_reference(study: Study) -> str:
+    """Return the reference with its own error, and how it was checked."""
+    own = f"its own error is {shown_error(study.reference_error)}" if study.reference_error else "it is exact"
+    text = f"{study.reference}; {own}"
+    if study.check_difference is not None:
+        text += f". Checked independently ({study.check}): differs by {shown_error(study.check_difference)}"
+    return text
+
+
+def shown_counts(cell: Counted) -> str:
+    """Return a cell of a grid: the share that says ok, and the wrong ones among them."""
+    return f"{100.0 * cell.ok / max(cell.rows, 1):.0f} % ok, {cell.wrong} wrong"
+
+
+def shown_advice(choice: Advice) -> tuple[str, str, str, str]:
+    """Return need, method, error, time."""
+    if not choice.method:
+        return choice.need, "none is exact enough", "", ""
+    unit = choice.work_unit.replace("s per", "per")
+    return (
+        choice.need,
+        choice.method,
+        shown_advised_error(choice.error, choice.unit),
+        f"{shown_time(choice.seconds)} {unit.split(' (')[0]}",
+    )
+
+
+def has_rms(study: Study) -> bool:
+    """Return whether any point has a root mean square besides its error."""
+    return any(point.rms_error is not None for series in study.series for point in series.points)
+
+
+def headline(report: Report) -> str:
+    """Return date and effort."""
+    return f"{report.date}, {'quick' if report.effort.quick else 'full'} run, seed {report.effort.seed}"
+
+
+def summary(report: Report) -> str:
+    """Return the number of studies, of cases by outcome, and the claims that did not hold."""
+    counts = Counter(case.outcome for case in report.cases if case.held)
+    failed = [case.key for case in report.cases if not case.held]
+    parts = [_counted(len(report.studies), "study", "studies"), _counted(len(report.cases), "extreme case")]
+    parts += [f"{counts[outcome]} {outcome}" for outcome in OUTCOMES if counts[outcome]]
+    if failed:
+        parts.append(f"{len(failed)} NOT AS CLAIMED ({', '.join(failed)})")
+    if report.left_out:
+        parts.append(f"{len(report.left_out)} left out ({', '.join(lack.key for lack in report.left_out)})")
+    return ", ".join(parts)
+
+
+def _counted(count: int, one: str, many: str = "") -> str:
+    return f"{count} {one if count == 1 else many or one + 's'}"
+
+
+def print_report(console: Console, report: Report) -> None:
+    """Print the whole report."""
+    console.print("tipforce report", style="bold", end="")
+    console.print(f", {headline(report)}")
+    console.print(", ".join(f"{name} {value}" for name, value in report.machine.items()))
+    for sentence in verdict(report):
+        console.print(sentence)
+    _print_advice(console, advice(report))
+    for study in report.studies:
+        _print_study(console, study)
+    for grid in report.grids:
+        _print_grid(console, grid)
+    if report.cases:
+        _print_cases(console, report.cases)
+    for lack in report.left_out:
+        console.print("left out", style="bold", end="")
+        console.print(f" {lack.key}: {lack.reason}")
+    console.print(summary(report))
+
+
+def _print_study(console: Console, study: Study) -> None:
+    from rich.table import Table
+
+    table = Table(title=f"{study.title} ({study.key})", title_justify="left")
+    table.add_column("method", ratio=4)
+    table.add_column("setting", ratio=3)
+    table.add_column(study.error_unit, ratio=2, justify="right")
+    if has_rms(study):
+        table.add_column("root mean square", justify="right")
+    table.add_column(study.work_unit.replace("s per", "time per"), justify="right", no_wrap=True)
+    table.add_column("quartiles", no_wrap=True)
+    if has_cpu(study):
+        table.add_column("processor", justify="right", no_wrap=True)
+    table.add_column("runs", justify="right")
+    for series in study.series:
+        for number, point in enumerate(series.points):
+            table.add_row(*cells(study, series.method if not number else "", point))
+    console.print()
+    console.print(table)
+    console.print(f"reference: {shown_reference(study)}")
+    for remark in study.remarks:
+        console.print(f"- {remark}")
+    for method, reason in study.left_out.items():
+        console.print(f"- left out: {method}: {reason}")
+
+
+def cells(study: Study, method: str, point: Point) -> list[str]:
+    """Return one row of a study's table."""
+    row = [method, point.setting, shown_error(point.error)]
+    if has_rms(study):
+        row.append("" if point.rms_error is None else shown_error(point.rms_error))
+    row += [shown_time(point.timing.seconds), shown_quartiles(point)]
+    if has_cpu(study):
+        row.append("" if point.timing.cpu_seconds is None else shown_time(point.timing.cpu_seconds))
+    return [*row, str(point.timing.runs)]
+
+
+def _print_advice(console: Console, choices: list[Advice]) -> None:
+    from rich.table import Table
+
+    if not choices:
+        return
+    table = Table(title="Which method for which need", title_justify="left")
+    for name in ("need", "method", "error", "processor time"):
+        table.add_column(name, justify="right" if name == "error" else "left")
+    for choice in choices:
+        table.add_row(*shown_advice(choice))
+    console.print()
+    console.print(table)
+
+
+def _print_grid(console: Console, grid: Grid) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(title=grid.title, title_justify="left")
+    for name in (grid.corner, *grid.methods):
+        table.add_column(name)
+    for row in grid.rows:
+        cells: list[str | Text] = []
+        for cell, reason, over in zip(row.cells, row.reasons, row.over, strict=True):
+            told = shown_counts(cell)
+            cells.append(Text(told, "bold red") if over and not reason else told)
+        table.add_row(row.name, *cells)
+    console.print()
+    console.print(table)
+    for remark in [*grid.remarks, *grid_reasons(grid)]:
+        console.print(f"- {remark}")
+
+
+def grid_reasons(grid: Grid) -> list[str]:
+    """Return each reason why wrong rows are shown as ok, with the cases and methods that it is for."""
+    rows_by_reason: dict[str, dict[str, None]] = {}
+    for row in grid.rows:
+        for reason in filter(None, row.reasons):
+            rows_by_reason.setdefault(reason, {})[row.name] = None
+    return [f"{'; '.join(names)}: {reason}" for reason, names in rows_by_reason.items()]
+
+
+def _print_cases(console: Console, cases: list[Case]) -> None:
+    from rich.table import Table
+    from rich.text import Text
+
+    table = Table(
+        title="Extreme cases, as the tests of this version recorded them", title_justify="left", show_lines=True
+    )
+    table.add_column("case", overflow="fold", ratio=2)
+    table.add_column("outcome", no_wrap=True)
+    table.add_column("situation: claim", ratio=4)
+    table.add_column("seen", overflow="fold", ratio=3)
+    for case in cases:
+        outcome = case.outcome if case.held else Text(f"NOT {case.outcome}", "bold red")
+        table.add_row(case.key, outcome, f"{case.situation}: {case.claim}", case.figures)
+    console.print()
+    console.print(table)
+
+
+def head_record(report: Report) -> dict[str, Any]:
+    """Return the first JSON line: date, effort and machine."""
+    return {
+        "record": "report",
+        "date": report.date,
+        "quick": report.effort.quick,
+        "seed": report.effort.seed,
+        "machine": report.machine,
+    }
+
+
+def conclusions(report: Report) -> dict[str, Any]:
+    """Return the verdict and the advice of a finished report, for JSON."""
+    return {"verdict": verdict(report), "advice": [shown_advice(choice) for choice in advice(report)]}
+
+
+def record(item: Item) -> dict[str, Any]:
+    """Return a study, a case, or a part left out as a JSON record."""
+    if isinstance(item, Study):
+        return {"record": "study", **asdict(item)}
+    if isinstance(item, Grid):
+        return {"record": "grid", **asdict(item)}
+    if isinstance(item, Case):
+        return {"record": "case", **asdict(item)}
+    return {"record": "left out", "key": item.key, "reason": item.reason, "failed": item.failed}

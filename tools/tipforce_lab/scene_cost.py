@@ -1,0 +1,308 @@
+"""Run time and import time of each part of a scene: the scene with the part against the scene without it.
+
+A part that others depend on is timed without them, so that each cost is counted once.
+"""
+
+from __future__ import annotations
+
+import math
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+from msgspec.structs import replace
+
+from tipforce.scene import schema
+from tipforce.scene.loads import load_of
+from tipforce.scene.run import Options, Outcome, run_scene
+from tipforce.scene.scene_parts import Part, parts
+from tipforce.shipped_files import shipped_folder
+from tipforce_lab.report.study import Effort, Point, Series, Study, quartiles
+
+_LENGTHEN = 4  # ratio of the long run to the short run of a pair: their difference excludes the set-up
+
+
+@dataclass(frozen=True, slots=True)
+class PartCost:
+    """One part of one scene. A sample is one node at one SYNC."""
+
+    part: str
+    built: bool
+    us_per_sample: float | None
+    """Difference with and without the part; for "nodes" the rest without all other parts. Never negative: see
+    ``nondecreasing``. None if it is left out, or cannot be removed alone."""
+    ms_per_run: float | None
+    """The same for work that does not grow with the samples: set-up, opening, drawing."""
+    import_ms: float | None
+    """Import time of the modules that no earlier part imports. None if it is left out."""
+
+
+def part_costs(scene: schema.Scene, path: Path, samples: int = 300, runs: int = 3) -> list[PartCost]:
+    """Measure every part. ``samples``: of a short run; ``runs``: repetitions, of which the minimum counts."""
+    imports = import_times(scene, path)
+    ladder = rungs(scene)
+    times = measure([step for _, step in ladder], path, samples, runs)
+    work = dict(zip((name for name, _ in ladder), _differences(times), strict=True))
+    costs = []
+    for part in parts(scene):
+        us_per_sample, ms_per_run = work.get(part.name, (None, None)) if part.built else (None, None)
+        import_ms = imports.get(part.name, 0.0) if part.built else None
+        costs.append(PartCost(part.name, part.built, us_per_sample, ms_per_run, import_ms))
+    return costs
+
+
+def _differences(times: Sequence[Measured]) -> list[tuple[float, float]]:
+    """Return the time per sample (us) and per run (ms) of each step of a ladder that ends with nothing."""
+    columns = []
+    for column in ([measured.us_per_sample for measured in times], [measured.ms_per_run for measured in times]):
+        rising = [max(value, 0.0) for value in nondecreasing(column[::-1])]
+        columns.append([after - before for before, after in pairwise([0.0, *rising])][::-1])
+    return list(zip(*columns, strict=True))
+
+
+def nondecreasing(values: Sequence[float]) -> list[float]:
+    """Return the nearest sequence (least squares) that does not fall: runs that fall are replaced by their mean.
+
+    A scene with one more part cannot take less time. Where it seems to, the difference is below the scatter of the
+    clock, and the part reads zero. The sum of all values does not change.
+    """
+    blocks: list[tuple[float, int]] = []
+    for value in values:
+        blocks.append((value, 1))
+        while len(blocks) > 1 and blocks[-2][0] > blocks[-1][0]:
+            (mean, count), (before, count_before) = blocks.pop(), blocks.pop()
+            both = count + count_before
+            blocks.append(((mean * count + before * count_before) / both, both))
+    return [mean for mean, count in blocks for _ in range(count)]
+
+
+def total(costs: Sequence[PartCost]) -> PartCost:
+    """Sum of all parts: the cost of the whole scene, because each part was timed against the rest."""
+    sums = [
+        sum(value for value in column if value is not None)
+        for column in zip(*((cost.us_per_sample, cost.ms_per_run, cost.import_ms) for cost in costs), strict=True)
+    ]
+    return PartCost("all", True, *sums)
+
+
+def rungs(scene: schema.Scene) -> list[tuple[str, schema.Scene]]:
+    """Return (part, the scene with it and without all previous parts): each step removes one part, down to "nodes"."""
+    left, ladder = scene, []
+    built = {part.name for part in parts(scene) if part.built}
+    for name, take in _TAKE:
+        if name in built:
+            ladder.append((name, left))
+            left = take(left)
+    return [*ladder, ("nodes", left)]
+
+
+def _nodes(scene: schema.Scene, **changes: object) -> schema.Scene:
+    return replace(scene, nodes=tuple(replace(group, **changes) for group in scene.nodes))
+
+
+def _stand_still(scene: schema.Scene) -> schema.Scene:
+    """Return the scene with every changing load held at its maximum."""
+    loads = []
+    for node_id in scene.node_ids:
+        load = load_of(scene, node_id)
+        if load is not None:
+            _, P, phi, theta = max(load.knots, key=lambda knot: knot[1])
+            loads.append(schema.Static(nodes=(node_id,), P_N=P, phi_deg=phi, theta_deg=theta))
+    return replace(scene, loads=tuple(loads))
+
+
+def _no_white(scene: schema.Scene) -> schema.Scene:
+    noise = scene.noise or schema.Noise()
+    return replace(scene, noise=replace(noise, gauge_microstrain=None))
+
+
+def _no_pink(scene: schema.Scene) -> schema.Scene:
+    noise = scene.noise or schema.Noise()
+    return replace(scene, noise=replace(noise, one_over_f_microstrain=None))
+
+
+def _no_temperature(scene: schema.Scene) -> schema.Scene:
+    front = scene.front_end or schema.FrontEnd()
+    cold = replace(front, temperature_degC=None, apparent_microstrain_per_degC=None, gain_drift_ppm_per_degC=None)
+    return replace(scene, front_end=cold)
+
+
+def _no_output(name: str) -> Callable[[schema.Scene], schema.Scene]:
+    return lambda scene: replace(scene, outputs=replace(scene.outputs, **{name: None}))
+
+
+# In order of removal: dependent parts first, then the most expensive of the rest, so that small costs are differences
+# of small numbers. The cost of a filter is that the converter runs continuously and not only at SYNCs.
+_TAKE: tuple[tuple[str, Callable[[schema.Scene], schema.Scene]], ...] = (
+    ("plot", _no_output("plot")),
+    ("filter", lambda scene: _nodes(scene, filter=None)),
+    ("dynamics", lambda scene: replace(scene, dynamics=None)),
+    ("table", _no_output("table")),
+    ("log", _no_output("log")),
+    ("expectations", lambda scene: replace(scene, expect=())),
+    ("slit", lambda scene: replace(scene, slit=None)),
+    ("faults", lambda scene: replace(scene, faults=())),
+    # An uncalibrated node sends the same PDOs and computes neither force nor contact.
+    ("contact in the node", lambda scene: _nodes(scene, calibration="none")),
+    ("decoder", lambda scene: _nodes(scene, pdos=())),
+    ("temperature", _no_temperature),
+    ("1/f noise", _no_pink),
+    ("front end", lambda scene: replace(scene, front_end=None)),
+    ("noise", _no_white),
+    ("load history", _stand_still),
+    ("structure", lambda scene: replace(scene, loads=())),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Measured:
+    """One scene, timed. Processor time."""
+
+    us_per_sample: float
+    ms_per_run: float
+    seconds: tuple[float, ...]
+    """Time per sample of each long run, with set-up: their spread is that of the machine."""
+    P_rms_newtons: float
+    """RMS error of P over the samples of all nodes with a known P; NaN without any."""
+
+
+def measure(scenes: Sequence[schema.Scene], path: Path, samples: int, runs: int) -> list[Measured]:
+    """Time scenes of the file ``path`` without their bus; output files go to a separate folder.
+
+    The runs are interleaved and the minimum counts: other load on the machine only adds time.
+    """
+    short: list[list[float]] = [[] for _ in scenes]
+    long: list[list[float]] = [[] for _ in scenes]
+    outcomes: list[Outcome] = []
+    with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
+        moved = [_in_folder(replace(scene, bus=None), Path(folder)) for scene in scenes]
+        counts = [max(1, samples // len(scene.node_ids)) for scene in moved]
+        for scene in moved:
+            _timed(scene, path, 1)  # exclude imports and set-up done once per process
+        for _ in range(runs):
+            outcomes.clear()
+            for k, (scene, count) in enumerate(zip(moved, counts, strict=True)):
+                short[k].append(_timed(scene, path, count)[0])
+                elapsed_s, outcome = _timed(scene, path, _LENGTHEN * count)
+                long[k].append(elapsed_s)
+                outcomes.append(outcome)
+    results = []
+    for k, scene in enumerate(moved):
+        nodes = len(scene.node_ids)
+        more = (_LENGTHEN - 1) * counts[k] * nodes
+        sample_s = (min(long[k]) - min(short[k])) / more
+        once_s = min(short[k]) - sample_s * counts[k] * nodes
+        each = tuple(elapsed_s / (_LENGTHEN * counts[k] * nodes) for elapsed_s in long[k])
+        results.append(Measured(1e6 * sample_s, 1e3 * once_s, each, _P_rms(outcomes[k])))
+    return results
+
+
+def _timed(scene: schema.Scene, path: Path, syncs: int) -> tuple[float, Outcome]:
+    options = Options(duration_s=syncs / (scene.sync_hz or 100.0))
+    started_ns = time.process_time_ns()
+    outcome = run_scene(scene, path.parent, options)
+    return 1e-9 * (time.process_time_ns() - started_ns), outcome
+
+
+def _P_rms(outcome: Outcome) -> float:
+    known = [(finger.known[0], finger.rms_error[0]) for finger in outcome.fingers if finger.known[0]]
+    total = sum(count for count, _ in known)
+    return math.sqrt(sum(count * rms * rms for count, rms in known) / total) if total else math.nan
+
+
+def _in_folder(scene: schema.Scene, folder: Path) -> schema.Scene:
+    """Return the scene with its output files in another folder."""
+    given = scene.outputs
+    moved = {
+        name: str(folder / Path(value).name)
+        for name, value in (("log", given.log), ("table", given.table), ("plot", given.plot))
+        if value is not None
+    }
+    return replace(scene, outputs=replace(given, **moved))
+
+
+_IMPORT_RUN = """
+import sys
+from pathlib import Path
+import msgspec
+from tipforce.scene.schema import Scene
+from tipforce.scene.run import Options, Outcome, run_scene
+scene = msgspec.json.decode(sys.argv[1], type=Scene)
+run_scene(scene, Path(sys.argv[2]), Options(duration_s=1.5 / (scene.sync_hz or 1.0)))
+"""
+
+
+def import_times(scene: schema.Scene, path: Path) -> dict[str, float]:
+    """Return the milliseconds of each part's imports, in a separate Python process; by part.
+
+    A module counts for the first part that lists it; a package of others counts with all its own imports.
+    """
+    with tempfile.TemporaryDirectory(prefix="tipforce-cost-") as folder:
+        import msgspec
+
+        text = msgspec.json.encode(_in_folder(replace(scene, bus=None), Path(folder))).decode()
+        words = [sys.executable, "-X", "importtime", "-c", _IMPORT_RUN, text, str(path.parent)]
+        done = subprocess.run(words, capture_output=True, text=True, check=True)
+    return _attribute(done.stderr, [part for part in parts(scene) if part.built])
+
+
+def _attribute(report: str, built: list[Part]) -> dict[str, float]:
+    owners: dict[str, str] = {}
+    for part in built:
+        for module in part.modules:
+            owners.setdefault(module, part.name)
+    ms_by_part: dict[str, float] = {}
+    for line in report.splitlines():
+        if not line.startswith("import time:") or "cumulative" in line:
+            continue
+        own_us, total_us, name = line.removeprefix("import time:").split("|")
+        module = name.strip()
+        if module in owners:
+            # Imports of another package, including further packages, count for the module that imports it.
+            us = own_us if module.startswith("tipforce") else total_us
+            ms_by_part[owners[module]] = ms_by_part.get(owners[module], 0.0) + 1e-3 * int(us)
+    return ms_by_part
+
+
+SCENES = ("static", "full")
+STEPS = len(SCENES)
+
+
+def studies(effort: Effort, advance: Callable[[], None]) -> list[Study]:
+    """Return the study of the report: each scene with its parts removed in sequence, down to the bare nodes."""
+    from msgspec.structs import replace
+
+    from tipforce.scene.schema import read_scene
+
+    series = []
+    for name in SCENES:
+        path = shipped_folder("scenes") / f"{name}.toml"
+        scene = read_scene(path)
+        # A plot takes longer than all other parts and does not grow with the samples.
+        ladder = rungs(replace(scene, outputs=replace(scene.outputs, plot=None)))
+        results = measure([scene for _, scene in ladder], path, effort.pick(100, 300), effort.pick(3, 7))
+        settings = ["all parts", *(f"less {part}" for part, _ in ladder[:-1])]
+        points = [
+            Point(setting, one.P_rms_newtons, quartiles(one.seconds))
+            for setting, one in zip(settings, results, strict=True)
+        ]
+        series.append(Series(name, tuple(points)))
+        advance()
+    whole, least = (one.points[0].timing.seconds for one in (series[1], series[0]))
+    return [
+        Study(
+            "scenes", "What a scene builds: run time and error of P, part by part", "RMS error of P, N",
+            "s per sample", "the load that the scene applies", 0.0, tuple(series),
+            remarks=(
+                f"The scene that names everything takes {whole / least:.0f} times as long per sample as the static.",
+                "A sample is one node at one SYNC; processor time of a whole run, building included.",
+                "Each row takes one more part away. Without the contact in the nodes there is no P, so no error.",
+                "With a filter the converter runs continuously, not only at SYNCs: its own step includes that.",
+            ),
+        )
+    ]  # fmt: skip

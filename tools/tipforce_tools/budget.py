@@ -1,0 +1,239 @@
+"""`tipforce budget`: the error budget of P, phi, theta by cause, as a table, JSON lines and a plot."""
+
+from __future__ import annotations
+
+import argparse
+from typing import TYPE_CHECKING
+
+from tipforce.errors import InputError
+from tipforce.output_file import check_output, figure_kind
+from tipforce.sensor.contact.scalar import DEGREES
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce.arrays import FloatArray
+    from tipforce.host.configuration.calibration import Calibration
+    from tipforce_lab.design.error_budget import Budget, Causes, Loads, Sensor
+
+
+_FLAGS = (
+    ("--noise", "UE", "gauge noise, microstrain (default: the file's covariance; 1 without a file)"),
+    ("--resolution", "UE", "one step of the gauge's converter, microstrain (default 0.1)"),
+    ("--gain", "%", "drift of each gauge's sensitivity, percent (default 0.1)"),
+    ("--offset", "UE", "drift of each gauge's zero, microstrain (default 1)"),
+    ("--temperature", "K", "change since the last tare, kelvin (default 1)"),
+    ("--hysteresis", "%", "of each gauge, percent of its largest strain under such a load (default 0.05)"),
+    ("--creep", "%", "growth of all strains while a load is held, percent (default 0.05)"),
+    ("--load-angle", "DEG", "scatter of each calibration load's direction, degrees (default 0.5)"),
+    ("--gravity", "DEG", "misalignment between x-loads and y-loads, degrees (default 0.5)"),
+    ("--gauge-shift", "MM", "shift of each gauge along its beam, millimetres, if C comes from theory (default 0.2)"),
+    ("--off-axis", "N", "load along the width of the beams, newtons (default 0.5)"),
+)
+_MOST = 1e9
+"""Limit of each cause in the unit of its flag, and of the load in newtons: its squares stay in range."""
+_QUANTITIES = (("P", "N", 1.0), ("phi", "deg", DEGREES), ("theta", "deg", DEGREES))
+_EPILOG = """\
+All values are standard uncertainties. The calibration is assumed to be one reading in each of the 19 grooves of
+section 4.1, with as many tares. Without CAL.toml: the paper's case I (or --layout), calibrated in this way; with
+--uncalibrated C comes from Table 1 and the gauge positions matter. A gravity misalignment leaves almost no residuals
+in a calibration; this table shows its effect.
+One load: --phi and --theta. Default: loads over the whole pad, every 5 degrees of theta, up to 45 degrees to either
+side of the surface normal; the table then shows the root mean square and the maximum.
+  tipforce budget finger.toml --load 2 --phi -80 --theta 100
+  tipforce budget --layout II --gravity 1 -o budget.png"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce budget`."""
+    parser.epilog = _EPILOG
+    parser.add_argument("file", nargs="?", metavar="CAL.toml")
+    parser.add_argument("--layout", metavar="NAME|FILE", help="gauge layout: I, II, III or a layout file")
+    parser.add_argument("--uncalibrated", action="store_true", help="C from theory, without a calibration")
+    parser.add_argument("--load", type=float, default=4.4, metavar="N", help="P in newtons (default %(default)s)")
+    parser.add_argument("--phi", type=float, metavar="DEG", help="with --theta: one load instead of the pad")
+    parser.add_argument("--theta", type=float, metavar="DEG")
+    parser.add_argument("--sense", choices=("push", "pull"), help="of the loads (default: that of the file, else push)")
+    sizes = parser.add_argument_group("causes")
+    for flag, unit, text in _FLAGS:
+        sizes.add_argument(flag, type=float, metavar=unit.replace("%", "PERCENT"), help=text)
+    parser.add_argument("-o", "--output", metavar="FILE", help="a plot, .png or .svg")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the budget; return 0."""
+    from tipforce_lab.design.error_budget import budget
+
+    common.set_up_logging(args)
+    _check(args)
+    calibration = None
+    if args.file is not None:
+        from tipforce.host.configuration.calibration_file import read_calibration
+
+        calibration = read_calibration(args.file)
+    sensor = _sensor(args, calibration)
+    loads = _loads(args, calibration, sensor.pull)
+    causes = _causes(args, calibration)
+    error_budget = budget(sensor, loads, causes)
+    if args.output:
+        from tipforce_lab.design.error_budget import plot
+
+        plot(error_budget, args.output)
+    records = _records(error_budget)
+    if args.json:
+        for record in records:
+            common.print_json(record)
+    else:
+        print(_text(records, len(loads.P_newtons) == 1))
+    _say_limits(args, error_budget, causes)
+    return 0
+
+
+def _check(args: argparse.Namespace) -> None:
+    for flag, _, _ in _FLAGS:
+        value = getattr(args, flag[2:].replace("-", "_"))
+        if value is not None and not 0.0 <= value <= _MOST:
+            raise InputError(f"{flag} {value}: allowed is 0 to {_MOST:g}")
+    if not 1.0 / _MOST <= args.load <= _MOST:
+        raise InputError(f"--load {args.load}: allowed is {1.0 / _MOST:g} to {_MOST:g} N")
+    if args.uncalibrated and args.file:
+        raise InputError("--uncalibrated: not allowed with a calibration file; remove one of them")
+    if (args.phi is None) != (args.theta is None):
+        raise InputError("--phi and --theta: one load needs both; omit both for loads over the whole pad")
+    for name in ("phi", "theta"):
+        value = getattr(args, name)
+        if value is not None and not -360.0 <= value <= 360.0:
+            raise InputError(f"--{name} {value}: allowed are degrees from -360 to 360")
+    if args.output:
+        check_output(args.output, figure_kind(args.output))
+
+
+def _sensor(args: argparse.Namespace, calibration: Calibration | None) -> Sensor:
+    import numpy as np
+
+    from tipforce.sensor.structure.gauge_positions import gauge_matrix, place
+    from tipforce.sensor.structure.layouts import CASE_OF_CODE
+    from tipforce_lab.design.error_budget import Sensor
+    from tipforce_tools.cli.layout_file import read_layout
+
+    name = args.layout
+    if name is None:
+        name = "I" if calibration is None else CASE_OF_CODE.get(calibration.layout_code)
+    geometry, gauges = (None, ()) if name is None else read_layout(name)
+    positions = tuple(place(geometry, gauge) for gauge in gauges) if geometry is not None else ()
+    if calibration is None:
+        assert geometry is not None
+        A = gauge_matrix(geometry, gauges)
+        if np.linalg.matrix_rank(A) < 3:
+            raise InputError(f"--layout {name}: its gauges cannot distinguish the three forces")
+        pull = args.sense == "pull"
+        C = np.asarray(np.linalg.pinv(A), dtype=np.float64)
+        return Sensor(C, A, 1e-12 * np.eye(len(A)), pull, not args.uncalibrated, geometry, positions)
+    if positions and len(positions) != calibration.gauges:
+        raise InputError(f"--layout {name}: it has {len(positions)} gauges, the calibration {calibration.gauges}")
+    pull = calibration.pull if args.sense is None else args.sense == "pull"
+    A = _structure(args.file, calibration)
+    return Sensor(calibration.C, A, calibration.covariance_strain2, pull, True, geometry, positions)
+
+
+def _structure(path: str, calibration: Calibration) -> FloatArray:
+    """Return A of a calibration. Raises InputError if the rank of C is not 3."""
+    import numpy as np
+
+    from tipforce.sensor.contact.redundancy import structure_matrix
+
+    covariance = calibration.covariance_strain2
+    if not covariance.any():
+        covariance = np.eye(calibration.gauges)  # noise not stated: equal for all gauges
+    try:
+        return structure_matrix(calibration.C, covariance)
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+
+
+def _loads(args: argparse.Namespace, calibration: Calibration | None, pull: bool) -> Loads:
+    import numpy as np
+
+    from tipforce_lab.design.error_budget import Loads, pad_loads
+
+    if args.phi is not None:
+        return Loads(*(np.array([value]) for value in (args.load, np.radians(args.phi), np.radians(args.theta))))
+    pad = (0.0, 180.0) if calibration is None else (calibration.theta_min_deg, calibration.theta_max_deg)
+    return pad_loads(args.load, *pad, pull=pull)
+
+
+def _causes(args: argparse.Namespace, calibration: Calibration | None) -> Causes:
+    from tipforce_lab.design.error_budget import DEGREE, Causes
+
+    defaults = Causes()
+
+    def size(value: float | None, unit: float, default: float) -> float:
+        return default if value is None else value * unit
+
+    noise = 1.0 if args.noise is None and calibration is None else args.noise
+    return Causes(
+        noise_strain=None if noise is None else noise * 1e-6,
+        resolution_strain=size(args.resolution, 1e-6, defaults.resolution_strain),
+        gain=size(args.gain, 1e-2, defaults.gain),
+        offset_strain=size(args.offset, 1e-6, defaults.offset_strain),
+        temperature_K=size(args.temperature, 1.0, defaults.temperature_K),
+        hysteresis=size(args.hysteresis, 1e-2, defaults.hysteresis),
+        creep=size(args.creep, 1e-2, defaults.creep),
+        load_angle_rad=size(args.load_angle, DEGREE, defaults.load_angle_rad),
+        gravity_rad=size(args.gravity, DEGREE, defaults.gravity_rad),
+        gauge_shift_m=size(args.gauge_shift, 1e-3, defaults.gauge_shift_m),
+        off_axis_newtons=size(args.off_axis, 1.0, defaults.off_axis_newtons),
+    )
+
+
+def _records(error_budget: Budget) -> list[dict[str, object]]:
+    """Return one record per cause, the total last: root mean square and maximum over the loads, share of variance."""
+    import numpy as np
+
+    records: list[dict[str, object]] = []
+    with np.errstate(divide="ignore", invalid="ignore"):
+        whole = np.mean(error_budget.total.uncertainties**2, axis=0)
+        for row in [*error_budget.rows, error_budget.total]:
+            rms = np.sqrt(np.mean(row.uncertainties**2, axis=0))
+            largest, share = row.uncertainties.max(axis=0), 100.0 * rms**2 / whole
+            record: dict[str, object] = {"cause": row.cause}
+            for k, (name, unit, size) in enumerate(_QUANTITIES):
+                record |= {f"u_{name}_{unit}": float(rms[k] * size), f"u_{name}_{unit}_max": float(largest[k] * size)}
+                record[f"share_{name}_percent"] = float(share[k])
+            records.append(record)
+    return records
+
+
+def _text(records: list[dict[str, object]], single: bool) -> str:
+    """Print the table."""
+    widest = max(len(str(record["cause"])) for record in records)
+    most = "" if single else f"{'max':>9}"
+    heads = (f"{f'u({name}) {unit}':>14}{most}{'share':>8}" for name, unit, _ in _QUANTITIES)
+    lines = [f"{'cause':<{widest}}" + "".join(heads)]
+    for record in records:
+        line = f"{record['cause']:<{widest}}"
+        for name, unit, _ in _QUANTITIES:
+            key = f"u_{name}_{unit}"
+            most = "" if single else f"{record[f'{key}_max']:>9.3g}"
+            line += f"{record[key]:>14.4g}{most}{record[f'share_{name}_percent']:>7.1f}%"
+        lines.append(line)
+    return "\n".join(lines)
+
+
+def _say_limits(args: argparse.Namespace, error_budget: Budget, causes: Causes) -> None:
+    """Print remarks on the table, on stderr."""
+    from tipforce_lab.design.error_budget import gravity_residual
+
+    if not args.uncalibrated:
+        common.note(args, "gauge position: no contribution, the calibration removes it (--uncalibrated shows it)")
+        shown = 100.0 * gravity_residual(causes.gravity_rad)
+        common.note(args, f"gravity: visible in the calibration's residuals as {shown:.2g} % of the load")
+    for cause, reason in error_budget.left_out.items():
+        common.note(args, f"no row for {cause}: {reason}")
+    for name, holds in zip(("P", "phi", "theta"), error_budget.holds.T, strict=True):
+        if not holds.all():
+            common.note(
+                args,
+                f"first order does not hold for {name} at {int((~holds).sum())} of {len(holds)} loads "
+                "(small load or near-tangential contact): an interval from this uncertainty is wrong there",
+            )

@@ -1,1 +1,0 @@
-"""`tipforce budget`: the error budget."""

@@ -1,0 +1,109 @@
+"""`tipforce report`: error against run time, and the behaviour in extreme cases."""
+
+from __future__ import annotations
+
+import argparse
+import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from tipforce_tools.cli import common
+
+if TYPE_CHECKING:
+    from tipforce_lab.report.run import Run
+
+EPILOG = """\
+Error against run time compares methods for one task with a reference of stated error. A time is the median of several
+runs with its quartiles: compare times within one run, on an otherwise idle machine. The extreme cases state what holds
+where numbers can go bad: pass (right to rounding), bounded (error below a stated bound), flagged (marked as unknown),
+refused (an error names the place). The tests of this version recorded them. Some studies need optional packages;
+without them they are left out, and the report names them: pip install "tipforce[report]" installs all.
+
+examples:
+  tipforce report --quick
+  tipforce report -o report           # report/index.html, report.jsonl, a plot of each study
+  tipforce report --only decoders,contact --json
+exit codes: 0 every claim held, 1 a claim did not hold or a study failed, 2 usage
+"""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Add the flags of `tipforce report`."""
+    parser.epilog = EPILOG
+    parser.add_argument("--quick", action="store_true", help="run under a minute, with fewer samples and runs")
+    parser.add_argument("--only", metavar="KEY[,KEY]", help="studies, stability, or cases by key, area or pattern")
+    parser.add_argument("--list", action="store_true", help="list studies and cases without running them")
+    parser.add_argument("-o", "--output", type=Path, metavar="DIR", help="write a page, report.jsonl and plots there")
+    parser.add_argument(
+        "--seed", type=common.seed, default=None, metavar="N", help="of all random numbers (default: fixed)"
+    )
+    parser.add_argument("--date", metavar="TEXT", help="date printed in the report (default: now)")
+    common.add_output_arguments(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run and print; return 1 if a claim did not hold. Raises EnvironmentLackError for -o without matplotlib."""
+    from tipforce_lab.report.run import Run, selected
+    from tipforce_lab.report.study import Effort
+
+    common.set_up_logging(args)
+    if args.list:
+        _print_list(args)
+        return 0
+    effort = Effort(args.quick) if args.seed is None else Effort(args.quick, args.seed)
+    if args.output is not None:
+        _require_output(args.output)
+    date = args.date or datetime.datetime.now().astimezone().strftime("%Y-%m-%d %H:%M %Z")
+    job = Run(selected(args.only), effort, date)
+    _carry_out(job, args)
+    if args.output is not None:
+        _write(job, args)
+    return 0 if job.report.sound() else 1
+
+
+def _print_list(args: argparse.Namespace) -> None:
+    from tipforce_lab.report.cases import all_cases
+    from tipforce_lab.report.run import STABILITY, STUDIES
+
+    rows = [(key, "study", what) for key, (_, what) in STUDIES.items()]
+    rows.append((STABILITY, "cases", "all cases below"))
+    rows += [(case.key, case.outcome, case.situation) for case in all_cases()]
+    for key, kind, what in rows:
+        if args.json:
+            common.print_json({"key": key, "kind": kind, "what": what})
+        else:
+            print(f"{key:36} {kind:8} {what}")
+
+
+def _require_output(directory: Path) -> None:
+    """Check, before minutes of work, matplotlib and the folder of the page. Raises the errors of plots and mkdir."""
+    from tipforce.output_file import make_folder
+    from tipforce_lab.report.plots import plotting
+
+    with plotting():
+        pass
+    make_folder(directory)
+
+
+def _carry_out(job: Run, args: argparse.Namespace) -> None:
+    from tipforce_lab.report import text
+
+    if args.json:
+        common.print_json(text.head_record(job.report))
+    # The bar is drawn in a thread: two updates a second do not disturb the timings.
+    with common.progress(args, "report", job.steps, refresh_hz=2.0) as advance:
+        for item in job.items(advance):
+            if args.json:
+                common.print_json(text.record(item))
+    if args.json:
+        common.print_json({"record": "verdict", **text.conclusions(job.report)})
+        common.note(args, text.summary(job.report))
+    else:
+        text.print_report(common.console(args), job.report)
+
+
+def _write(job: Run, args: argparse.Namespace) -> None:
+    from tipforce_lab.report.page import write
+
+    page, *others = write(job.report, args.output, common.json_line)
+    common.note(args, f"written: {page}, and {len(others)} more files")
