@@ -28,7 +28,7 @@ def control(bus: can.BusABC, seconds: float, paced: bool = True) -> tuple[list[H
         hand.start()
         grip_newtons, next_s = APPROACH_NEWTONS, time.monotonic()
         for _ in range(round(seconds / PERIOD_S)):
-            row = hand.sample(timeout_s=0.5)
+            row = hand.sample(timeout_s=0.5 if paced else 30.0)
             force_newtons = row.P_newtons.mean()  # NaN where a finger does not know its force: the grip stays
             if force_newtons > 0.1:  # before the contact the approach goes on
                 grip_newtons += GAIN_PER_S * PERIOD_S * (ASKED_NEWTONS - force_newtons)
