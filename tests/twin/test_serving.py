@@ -114,6 +114,9 @@ def test_it_follows_the_clock_and_says_what_it_lost(
 
 def test_the_grasp_holds_the_asked_force_within_its_uncertainty_the_same_each_time() -> None:
     gripper, rows, u_P_newtons = grasp.grasp(2.0)
+    assert [k for k, row in enumerate(rows) if row.missing.any()] == []
+    unknown = [(k, row.messages) for k, row in enumerate(rows) if np.isnan(row.P_newtons).any()]
+    assert unknown == []
     for k, finger in enumerate(gripper.tips.node_ids):
         assert 0.003 < u_P_newtons[k] < 0.02
         assert abs(gripper.held(finger) - ASKED_NEWTONS) < u_P_newtons[k]
