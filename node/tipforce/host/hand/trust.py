@@ -305,6 +305,8 @@ class Trust:
         """Process an SDO request to a finger: a download, or a part of one, makes what it may change unsure."""
         first, specifier = word & 0xFF, word >> 5 & 7
         in_block = now_s < finger.block_until_s  # a segment of a block may begin with any byte
+        if specifier in (3, 5) or (specifier == 2 and _place(word) not in finger.known):
+            finger.due_s = max(finger.due_s, now_s + DECIDE_S)  # a long upload, which a reading would end
         if in_block and first == _ABORT:
             finger.block_until_s = -math.inf
         elif in_block or specifier == 0:
