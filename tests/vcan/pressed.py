@@ -10,6 +10,7 @@ import gc
 import socket
 import struct
 import time
+from contextlib import suppress
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -47,6 +48,7 @@ def force_newtons(sync_ns: npt.ArrayLike, node_id: int) -> npt.NDArray[np.float6
 
 def change_as_another_master(channel: str, node_id: int, what: str, when: Synchronized[float]) -> None:
     """A process: another master that changes a finger; ``when`` gets the time (ns since 1970) after which it holds."""
+    from tipforce.errors import RefusedError, SdoAbortError
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger import FingertipClient
 
@@ -60,7 +62,8 @@ def change_as_another_master(channel: str, node_id: int, what: str, when: Synchr
         elif what == "calibration":
             calibration = client.calibration()
             assert calibration is not None
-            client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False)
+            with suppress(SdoAbortError, RefusedError):  # the hand may undo it before it was read back
+                client.apply_calibration(replace(calibration, C=1.5 * calibration.C), store=False)
         elif what == "mapping":
             cob_id = sdo.read(objects.TPDO2_COB_ID)
             sdo.write(objects.TPDO2_COB_ID, cob_id | codes.COB_ID_INVALID)
