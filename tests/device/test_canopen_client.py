@@ -12,8 +12,9 @@ import pytest
 from bench.fuzz import STRAIN_PER_NEWTON
 from canopen.sdo.exceptions import SdoAbortedError
 
-from device.tiny import Memory, dictionary
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
+from canopen_device.testing import MemoryStore
+from device.tiny import dictionary
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
@@ -64,7 +65,7 @@ class Client:
 
     def __init__(self, node_id: int = 5, device: Device | None = None) -> None:
         self.network = canopen.Network()
-        store, source = Memory(), SimulatedSource(STRAIN_PER_NEWTON)
+        store, source = MemoryStore(), SimulatedSource(STRAIN_PER_NEWTON)
         self.device = device or fingertip_node(node_id, source, 3, 0x1234, store.save, store.load, EDS.read_bytes())
         self.bus = DirectBus(self.device, self.network)
         self.network.bus = self.bus  # type: ignore[assignment]

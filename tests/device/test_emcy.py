@@ -1,13 +1,20 @@
-"""EMCY producer (CiA 301, 7.2.7): messages, error register 1001h, history 1003h, inhibit time 1015h, COB-ID 1014h."""
+"""EMCY (CiA 301, 7.2.7): messages, 1001h, 1003h, 1014h, 1015h; bus faults and nodes with the same identifiers."""
 
 import pytest
 
-from device.conversation import Conversation
-from device.services import serving
-from tipforce.device import codes, emcy
-from tipforce.device.emcy import COMMUNICATION, MAX_WAITING, PROFILE
-
-VALUE = 0x06090030
+from canopen_device.core import codes, emcy
+from canopen_device.core.codes import ERROR_FLAG, OPERATIONAL, PRE_OPERATIONAL
+from canopen_device.core.emcy import (
+    COMMUNICATION,
+    FIRST_RESTART_US,
+    LAST_RESTART_US,
+    MAX_WAITING,
+    OVERRUN_QUIET_US,
+    PROFILE,
+    TRANSMIT_OVERFLOW,
+)
+from canopen_device.testing import Conversation
+from device.tiny import serving
 
 
 def raised(talk: Conversation, code: int, detail: int = 0, bits: int = PROFILE) -> None:
@@ -23,36 +30,12 @@ def test_an_error_is_said_once_and_cured_once() -> None:
     raised(talk, 0x5030, 9)
     talk.say("+ 1000")
     assert talk.get("B", 0x1001) == 0x21
+    assert talk.get("I", 0x1003, 1) == 0x00095030
     talk.device.emcy.cure(0x5030, 9)
     talk.device.emcy.cure(0x5030, 9)
     talk.step()
     talk.say("< 085#0000003050090000\n+ 1000")
     assert talk.get("B", 0x1001) == 0
-
-
-def test_the_register_joins_the_bits_of_all_active_errors() -> None:
-    talk = serving()
-    raised(talk, 0x5030)
-    raised(talk, 0x8130, 7, COMMUNICATION)
-    talk.say("< 085#3050210000000000\n< 085#3081310700000000")
-    talk.device.emcy.cure(0x5030)
-    talk.step()
-    talk.say("< 085#0000113050000000")
-
-
-def test_the_history_keeps_eight_newest_first() -> None:
-    talk = serving()
-    for k in range(10):
-        raised(talk, 0x5000 + k, k)
-    talk.advance(1000)
-    assert len(talk.take()) == 10
-    assert talk.get("B", 0x1003) == 8
-    assert talk.get("I", 0x1003, 1) == 0x00095009
-    assert talk.get("I", 0x1003, 8) == 0x00025002
-    assert talk.put("B", 0x1003, 0, 1) == VALUE
-    assert talk.put("B", 0x1003, 0, 0) == 0
-    assert talk.get("B", 0x1003) == 0
-    assert talk.upload(0x1003, 1) == codes.NO_DATA
 
 
 def test_the_inhibit_time_separates_messages_and_loses_none() -> None:
@@ -71,13 +54,6 @@ def test_the_inhibit_time_separates_messages_and_loses_none() -> None:
     """)
 
 
-def test_nothing_is_said_in_stopped_and_all_of_it_after() -> None:
-    talk = serving()
-    talk.say("> 000#0205")
-    raised(talk, 0x5030)
-    talk.say("+ 100000\n> 000#8005\n< 085#3050210000000000")
-
-
 def test_what_waits_is_bounded() -> None:
     talk = serving()
     talk.say("> 000#0205")
@@ -90,24 +66,12 @@ def test_what_waits_is_bounded() -> None:
 
 def test_an_invalid_cob_id_holds_messages_back() -> None:
     talk = serving()
+    assert talk.put("I", 0x1014, 0, 0x85) == 0  # the same once more is no change
     assert talk.put("I", 0x1014, 0, 0x80000085) == 0
     raised(talk, 0x5030)
     talk.say("+ 1000")
     assert talk.put("I", 0x1014, 0, 0x90) == 0
     assert talk.take() == [(0x090, bytes.fromhex("3050210000000000"))]
-
-
-@pytest.mark.parametrize("cob_id", [0x86, 0x601, 0x20000085, 0x40000085, 0x80000885])
-def test_a_cob_id_that_is_refused(cob_id: int) -> None:
-    talk = serving()
-    assert talk.put("I", 0x1014, 0, cob_id) == VALUE
-    assert talk.put("I", 0x1014, 0, 0x85) == 0  # the same once more is no change
-
-
-def test_a_restricted_identifier_is_refused_from_invalid_as_well() -> None:
-    talk = serving()
-    assert talk.put("I", 0x1014, 0, 0x80000085) == 0
-    assert talk.put("I", 0x1014, 0, 0x601) == VALUE
 
 
 def test_a_reset_of_communication_keeps_what_the_application_reported() -> None:
@@ -134,20 +98,6 @@ def test_nothing_is_lost_while_the_bus_is_off() -> None:
     talk.say("< 085#3050210000000000\n+ 1\n< 085#4081210000000000")
 
 
-@pytest.mark.parametrize(("data", "event"), [("11", "1082"), ("", "1082")])
-def test_the_length_error_of_an_rpdo_ends_with_the_next_good_one(data: str, event: str) -> None:
-    talk = serving()
-    assert talk.put("I", 0x1400, 1, 0x205) == 0
-    talk.say(f"""
-        > 000#0105
-        > 205#{data}
-        < 085#{event}110502000000
-        > 205#{data}
-        > 205#110000
-        < 085#0000001082050200
-    """)
-
-
 def test_an_error_of_an_rpdo_ends_when_the_rpdo_does() -> None:
     talk = serving()
     assert talk.put("I", 0x1400, 1, 0x205) == talk.put("H", 0x1400, 5, 10) == 0
@@ -158,6 +108,110 @@ def test_an_error_of_an_rpdo_ends_when_the_rpdo_does() -> None:
     assert talk.get("B", 0x1001) == 0
 
 
-def test_a_sync_of_the_wrong_length() -> None:
+BUS_OFF, RESTARTED = (ERROR_FLAG | 0x40, bytes(8)), (ERROR_FLAG | 0x100, bytes(8))
+
+
+def controller(detail: int) -> tuple[int, bytes]:
+    """A controller error frame."""
+    return ERROR_FLAG | 0x4, bytes((0, detail, 0, 0, 0, 0, 0, 0))
+
+
+def said(talk: Conversation, frame: tuple[int, bytes]) -> list[str]:
+    """What the device says to an error frame."""
+    talk.step([frame])
+    return [data.hex() for _, data in talk.take()]
+
+
+@pytest.mark.parametrize("end", [controller(0x40), controller(0x08), controller(0x04), RESTARTED])
+def test_error_passive_is_said_once_and_its_end(end: tuple[int, bytes]) -> None:
     talk = serving()
-    talk.say("> 080#01\n< 085#4082110000000000\n> 080#02\n> 080#\n< 085#0000004082000000")
+    assert said(talk, controller(0x10)) == ["2081110000000000"]
+    assert said(talk, controller(0x20)) == []
+    assert said(talk, end) == ["0000002081000000"]
+    assert said(talk, end) == []
+
+
+@pytest.mark.parametrize("frame", [controller(0x01), controller(0x02), TRANSMIT_OVERFLOW])
+def test_an_overrun_is_over_when_none_came_for_a_while(frame: tuple[int, bytes]) -> None:
+    talk = serving()
+    assert said(talk, frame) == ["1081110000000000"]
+    talk.advance(OVERRUN_QUIET_US - 1)
+    assert said(talk, frame) == []
+    talk.say(f"+ {OVERRUN_QUIET_US - 1}\n+ 1\n< 085#0000001081000000")
+
+
+@pytest.mark.parametrize("frame", [(ERROR_FLAG | 0x8, bytes(8)), (ERROR_FLAG | 0x4, b""), (ERROR_FLAG | 0x4, bytes(8))])
+def test_other_error_frames_say_nothing(frame: tuple[int, bytes]) -> None:
+    assert said(serving(), frame) == []
+
+
+def test_bus_off_asks_for_a_restart_ever_more_rarely() -> None:
+    talk = serving()
+    assert said(talk, BUS_OFF) == said(talk, BUS_OFF) == []
+    waits: list[int] = []
+    wait_us = FIRST_RESTART_US
+    while len(waits) < 9:
+        talk.say(f"+ {wait_us - 1}")
+        assert talk.device.requests == []
+        talk.say("+ 1")
+        assert talk.device.requests.pop() == ("bus-restart", 0, 0)
+        waits.append(wait_us)
+        wait_us = min(2 * wait_us, LAST_RESTART_US)
+    assert waits[-1] == waits[-2] == LAST_RESTART_US
+
+
+@pytest.mark.parametrize("back", [RESTARTED, controller(0x40), controller(0x08)])
+def test_recovery_is_said_and_ends_the_requests(back: tuple[int, bytes]) -> None:
+    talk = serving()
+    talk.step([BUS_OFF])
+    talk.say("+ 50000")
+    assert said(talk, back) == ["4081000000000000"]
+    talk.say("+ 100000000")
+    assert talk.device.requests == []
+
+
+def test_a_frame_that_is_heard_shows_that_the_bus_is_back() -> None:
+    talk = serving()
+    talk.step([BUS_OFF])
+    talk.say("> 605#4000100000000000\n< 585#4300100094010200\n< 085#4081000000000000")
+
+
+def test_what_falls_due_while_the_bus_is_off_is_not_sent_later() -> None:
+    talk = serving()
+    assert talk.put("H", 0x1017, 0, 10) == 0
+    talk.step([BUS_OFF])
+    talk.say("+ 95000")
+    assert said(talk, RESTARTED) == ["4081000000000000"]
+    talk.say("+ 5000\n< 705#7F")
+
+
+@pytest.mark.parametrize(("quiet_us", "wait_us"), [(1_000_000, 2 * FIRST_RESTART_US), (60_000_000, FIRST_RESTART_US)])
+def test_the_back_off_ends_when_the_bus_was_well_for_long(quiet_us: int, wait_us: int) -> None:
+    talk = serving()
+    talk.advance(60_000_000)
+    talk.step([BUS_OFF])
+    talk.advance(FIRST_RESTART_US)
+    assert talk.device.requests.pop() == ("bus-restart", 0, 0)
+    assert said(talk, RESTARTED) == ["4081000000000000"]
+    talk.advance(quiet_us)
+    talk.step([BUS_OFF])
+    talk.advance(wait_us - 1)
+    assert talk.device.requests == []
+    talk.advance(1)
+    assert talk.device.requests == [("bus-restart", 0, 0)]
+
+
+@pytest.mark.parametrize(("behaviour", "state"), [(0, PRE_OPERATIONAL), (1, OPERATIONAL)])
+def test_bus_off_has_the_error_behaviour_of_1029h(behaviour: int, state: int) -> None:
+    talk = serving()
+    assert talk.put("B", 0x1029, 1, behaviour) == 0
+    talk.say("> 000#0105")
+    talk.step([BUS_OFF])
+    assert talk.device.nmt.state == state
+
+
+@pytest.mark.parametrize("can_id", [0x585, 0x705])
+def test_another_node_with_this_node_id_is_said_once(can_id: int) -> None:
+    talk = serving()
+    answer = f"< 085#508111{can_id & 0xFF:02X}{can_id >> 8:02X}000000"
+    talk.say(f"> {can_id:03X}#00\n{answer}\n> {can_id:03X}#00")

@@ -4,14 +4,13 @@ import struct
 
 import pytest
 from bench import fuzz
-from bench.fuzz_frames import Step
-from bench.fuzz_services import Frame
+from bench.fuzz_frames import Frame, Step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from device.tiny import Memory, tiny
-from tipforce.device import codes, storage
-from tipforce.device.node import Device
+from canopen_device.core import codes, storage
+from canopen_device.core.node import Device
+from device.tiny import tiny
 from tipforce.fingertip.calibration import Calibration
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
@@ -67,7 +66,7 @@ def test_an_exception_is_reported_with_its_frame(monkeypatch: pytest.MonkeyPatch
     def receive(_data: bytes) -> None:
         raise ZeroDivisionError
 
-    monkeypatch.setattr("tipforce.device.sync.SyncConsumer.receive", lambda _self, data: receive(data))
+    monkeypatch.setattr("canopen_device.core.sync.SyncConsumer.receive", lambda _self, data: receive(data))
     assert "ZeroDivisionError" in fuzz.rounds(1, range(1), measure=False)[2]
 
 
@@ -89,27 +88,6 @@ def test_any_stored_bytes_leave_a_working_node(blob: bytes, checked: bool) -> No
 def record(index: int, sub: int, data: bytes) -> bytes:
     """A record as 1010h stores it."""
     return struct.pack("<HBH", index, sub, len(data)) + data
-
-
-@pytest.mark.parametrize(
-    "blob",
-    [
-        record(0x6001, 0, struct.pack("<f", 1.0))[:-2],  # its end is missing
-        record(0x6001, 0, struct.pack("<f", float("nan"))),
-        record(0x6001, 0, struct.pack("<f", 5.0)),  # above its limit
-        record(0x6002, 0, b"\1"),  # no such object
-        record(0x6001, 0, b"\1"),  # of another length
-        record(0x2000, 0, b"\1"),  # of another group
-        b"\0\x60",
-    ],
-)
-def test_a_record_that_does_not_fit_is_passed_over(blob: bytes) -> None:
-    store = Memory()
-    store.groups["application"] = storage.with_crc(record(0x6000, 0, b"\7\0") + blob)
-    talk = tiny(store)
-    assert talk.get("H", 0x6000) == 7
-    assert talk.get("f", 0x6001) == 0.5
-    assert talk.get("B", 0x2000) == 0x11
 
 
 def test_a_stored_string_that_is_no_text_is_passed_over() -> None:

@@ -8,13 +8,12 @@ import tracemalloc
 from collections.abc import Callable, Iterable
 
 import pytest
-from bench import fuzz_sdo
+from bench import fuzz, fuzz_sdo
 from bench.fuzz_sdo import DEADLINE_US, INDEX, LIMIT_BYTES, TIMEOUT_US, Response, play
 
-from tipforce.device import codes
-from tipforce.device.crc16 import crc16
-from tipforce.device.sdo_client import Download, Transfer, Upload
-from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
+from canopen_device.core import codes
+from canopen_device.core.sdo_block import crc16
+from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Download, Transfer, Upload
 
 PLACE = struct.pack("<HB", INDEX, 0)
 OTHER = struct.pack("<HB", 0x1018, 4)
@@ -323,5 +322,5 @@ def test_the_fuzzer_notices_a_transfer_that_does_not_end(monkeypatch: pytest.Mon
         original(self, now_us if response is not None or self._due_us < 0 else min(now_us, TIMEOUT_US - 1), response)
 
     monkeypatch.setattr(Transfer, "_advance", deaf)
-    with pytest.raises(fuzz_sdo.BrokenError, match=r"--seed 2 --only \d+: BrokenError: no end after"):
+    with pytest.raises(fuzz.BrokenError, match=r"--seed 2 --only \d+: BrokenError: no end after"):
         fuzz_sdo.rounds(2, range(200))

@@ -6,10 +6,10 @@ from hypothesis import settings
 from hypothesis import strategies as st
 from hypothesis.stateful import RuleBasedStateMachine, invariant, precondition, rule
 
-from device.conversation import Conversation
+from canopen_device.core import codes
+from canopen_device.core.sdo_block import crc16
+from canopen_device.testing import Conversation
 from device.tiny import booted
-from tipforce.device import codes
-from tipforce.device.crc16 import crc16
 
 FEW = settings(derandomize=True, max_examples=120, stateful_step_count=40, deadline=None)
 TIMEOUT_US = 1_000_000

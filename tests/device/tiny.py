@@ -1,29 +1,11 @@
-"""A device with a dictionary made by hand, as small as each service allows; node-id 5."""
+"""Devices with a dictionary made by hand, as small as each service allows; node-id 5."""
 
-from device.conversation import Conversation
-from tipforce.device.node import Application, Device
-from tipforce.device.object_dictionary import ADD_NODE_ID, ANY_FLOAT, NOT_STORED, RPDO, TPDO, ObjectDictionary
+from canopen_device.core.node import Application, Device
+from canopen_device.core.object_dictionary import ADD_NODE_ID, ANY_FLOAT, NOT_STORED, RPDO, TPDO, ObjectDictionary
+from canopen_device.testing import Conversation, MemoryStore
 
 Value = int | float | str | bytes
 Number = int | float | None
-
-
-class Memory:
-    """A store in memory; ``refuses`` makes it a broken one."""
-
-    def __init__(self) -> None:
-        self.groups: dict[str, bytes] = {}
-        self.refuses = False
-
-    def save(self, group: str, data: bytes) -> bool:
-        """Keep a group."""
-        if not self.refuses:
-            self.groups[group] = data
-        return not self.refuses
-
-    def load(self, group: str) -> bytes | None:
-        """What was kept."""
-        return self.groups.get(group)
 
 
 class Recorder(Application):
@@ -107,7 +89,7 @@ def _pdo(
         od.add(index + 0x200, sub, ("I", "rw", 0, words[sub - 1] if sub <= len(words) else 0, None, None))
 
 
-def tiny(store: Memory | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
+def tiny(store: MemoryStore | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
     """A conversation with a device that has just booted; its boot-up message is still to be named."""
     store_hooks = (store.save, store.load) if store is not None else (None, None)
     device = Device(dictionary(node_id), *store_hooks)
@@ -115,15 +97,52 @@ def tiny(store: Memory | None = None, node_id: int = 5, application: Application
     return Conversation(device)
 
 
-def booted(store: Memory | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
+def booted(store: MemoryStore | None = None, node_id: int = 5, application: Application | None = None) -> Conversation:
     """The same, boot-up heard: PRE-OPERATIONAL."""
     talk = tiny(store, node_id, application)
     talk.say(f"< 70{node_id:X}#00")
     return talk
 
 
-def operational(store: Memory | None = None, application: Application | None = None) -> Conversation:
+def operational(store: MemoryStore | None = None, application: Application | None = None) -> Conversation:
     """The same, started by the NMT master."""
     talk = booted(store, application=application)
     talk.say("> 000#0105")
+    return talk
+
+
+VENDOR, PRODUCT, REVISION, SERIAL = 0x11, 0x22334455, 0x00010002, 0x80000001
+
+
+def service_dictionary(node_id: int = 5) -> ObjectDictionary:
+    """The dictionary of tiny.py and what these services need."""
+    od = dictionary(node_id)
+    for index, sub, kind, access, flags, default in (
+        (0x1001, 0, "B", "ro", 0, 0),
+        (0x1003, 0, "B", "rw", NOT_STORED, 0),
+        *[(0x1003, sub, "I", "ro", 0, 0) for sub in range(1, 9)],
+        (0x1007, 0, "I", "rw", 0, 0),
+        (0x100C, 0, "H", "rw", 0, 0),
+        (0x100D, 0, "B", "rw", 0, 0),
+        (0x1012, 0, "I", "rw", 0, 0x80000100),
+        (0x1013, 0, "I", "rw", NOT_STORED, 0),
+        (0x1014, 0, "I", "rw", ADD_NODE_ID, 0x80),
+        (0x1015, 0, "H", "rw", 0, 0),
+        (0x1016, 0, "B", "const", 0, 4),
+        *[(0x1016, sub, "I", "rw", 0, 0) for sub in range(1, 5)],
+        (0x1018, 0, "B", "const", 0, 4),
+        *[(0x1018, sub + 1, "I", "ro", 0, (VENDOR, PRODUCT, REVISION, SERIAL)[sub]) for sub in range(4)],
+        (0x1029, 0, "B", "const", 0, 1),
+        (0x1029, 1, "B", "rw", 0, 0),
+    ):
+        od.add(index, sub, (kind, access, flags, default, None, None))
+    od.add(0x1400, 5, ("H", "rw", 0, 0, None, None))
+    return od
+
+
+def serving(node_id: int = 5, store: MemoryStore | None = None) -> Conversation:
+    """A conversation with a device that has just booted; what it said at boot is taken."""
+    device = Device(service_dictionary(node_id), store.save if store else None, store.load if store else None)
+    talk = Conversation(device, emcy=True)
+    talk.take()
     return talk

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import re
-import struct
 from pathlib import Path
 
-from device.conversation import Conversation
-from tipforce.device.node import Device
-from tipforce.eds import Description, read_eds
-from tipforce.eds.load import device_of
+from canopen_device.eds import Description, read_eds
+from canopen_device.eds.load import device_of
+from canopen_device.testing import Conversation, MemoryStore
 
 INFO = """\
 [FileInfo]
@@ -101,54 +99,9 @@ def described(folder: Path, content: str | bytes, node_id: int | None = 5, name:
 
 
 class Talk(Conversation):
-    """A conversation with a device from its EDS, node-id 5."""
+    """A conversation with a device from its EDS, node-id 5, its boot-up heard."""
 
-    def __init__(self, found: Description, store: dict[str, bytes] | None = None) -> None:
-        def save(group: str, data: bytes) -> bool:
-            if store is not None:
-                store[group] = data
-            return store is not None
-
-        self.description = found
-        device: Device = device_of(found, save if store is not None else None, None if store is None else store.get)
-        super().__init__(device)
-        self.sent.clear()
-
-    def ask(self, data: bytes) -> bytes:
-        """One SDO request, and its answer."""
-        sent = [frame[1] for frame in self.step([(0x605, data.ljust(8, b"\0"))]) if frame[0] == 0x585]
-        self.sent.clear()
-        return sent[0]
-
-    def read(self, index: int, sub: int = 0) -> bytes | int:
-        """Upload: the bytes, or the abort code."""
-        first = self.ask(struct.pack("<BHB", 0x40, index, sub))
-        if first[0] == 0x80:
-            return int.from_bytes(first[4:], "little")
-        if first[0] & 2:
-            return first[4 : 8 - (first[0] >> 2 & 3)]
-        data, toggle, last = b"", 0x60, 0
-        while not last:
-            part = self.ask(bytes((toggle,)))
-            data += part[1 : 8 - (part[0] >> 1 & 7)]
-            last, toggle = part[0] & 1, toggle ^ 0x10
-        return data
-
-    def write(self, index: int, sub: int, data: bytes) -> int:
-        """Download: 0, or the abort code."""
-        if 0 < len(data) <= 4:
-            answer = self.ask(struct.pack("<BHB", 0x23 | 4 - len(data) << 2, index, sub) + data)
-        else:
-            answer = self.ask(struct.pack("<BHBI", 0x21, index, sub, len(data)))
-            for offset in range(0, max(len(data), 1), 7):
-                if answer[0] == 0x80:
-                    break
-                part = data[offset : offset + 7]
-                command = (offset // 7 & 1) << 4 | 7 - len(part) << 1 | (offset + 7 >= len(data))
-                answer = self.ask(bytes((command,)) + part)
-        return int.from_bytes(answer[4:], "little") if answer[0] == 0x80 else 0
-
-    def start(self) -> None:
-        """NMT start; what the PDOs send then is dropped."""
-        self.step([(0, b"\x01\x05")])
-        self.sent.clear()
+    def __init__(self, description: Description, store: MemoryStore | None = None) -> None:
+        hooks = (store.save, store.load) if store else (None, None)
+        super().__init__(device_of(description, *hooks))
+        self.take()

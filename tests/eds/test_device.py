@@ -5,10 +5,10 @@ from __future__ import annotations
 import struct
 from pathlib import Path
 
-from device.conversation import Conversation
+from canopen_device.core import codes
+from canopen_device.core.emcy import GENERIC
+from canopen_device.testing import Conversation, MemoryStore
 from eds.samples import Talk, described, pdo, record, text, var
-from tipforce.device import codes
-from tipforce.device.emcy import GENERIC
 
 SYNC = var("1005", 7, "rw", "0x80")
 
@@ -25,12 +25,12 @@ def test_bits_are_packed_and_unpacked(tmp_path: Path) -> None:
     )  # fmt: skip
     assert found.warnings == []
     talk = Talk(found)
-    talk.start()
+    talk.nmt(1)
     word = 1 | 0 << 1 | 0x8001 << 2 | 1 << 18
     assert talk.step([(0x80, b"")]) == [(0x185, word.to_bytes(4, "little"))]
     talk.sent.clear()
     talk.step([(0x205, (2 | 0x1234 << 2 | 0 << 18).to_bytes(4, "little"))])
-    assert [talk.read(0x2000 + k) for k in range(4)] == [b"\0", b"\1", b"\x34\x12", b"\0"]
+    assert [talk.upload(0x2000 + k) for k in range(4)] == [b"\0", b"\1", b"\x34\x12", b"\0"]
 
 
 def test_wide_integers_reals_and_strings_in_pdos(tmp_path: Path) -> None:
@@ -44,7 +44,7 @@ def test_wide_integers_reals_and_strings_in_pdos(tmp_path: Path) -> None:
     )  # fmt: skip
     assert found.warnings == []
     talk = Talk(found)
-    talk.start()
+    talk.nmt(1)
     assert talk.step([(0x80, b"")]) == [
         (0x185, b"\xfe\xff\xff" + struct.pack("<f", 1.5)), (0x285, struct.pack("<Q", 258)), (0x385, b"ab\0\0"),
     ]  # fmt: skip
@@ -115,18 +115,18 @@ def test_parameters_are_stored_in_their_groups(tmp_path: Path) -> None:
     stores = record("1010", var("1010sub0", 5, "ro", "4"), *(var(f"1010sub{k}", 7, "rw", "1") for k in (1, 2, 3, 4)))
     content = text(stores, var("2000", 5, "rw", "1"), var("6000", 5, "rw", "1"), var("1017", 6, "rw", "0"))
     found = described(tmp_path, content)
-    assert Talk(found).write(0x1010, 1, b"save") == codes.HARDWARE  # nowhere to store
-    store: dict[str, bytes] = {}
+    assert Talk(found).download(0x1010, 1, b"save") == codes.HARDWARE  # nowhere to store
+    store = MemoryStore()
     talk = Talk(found, store)
-    assert talk.read(0x1010, 0) == b"\4"  # ro in the file, as in most files
-    assert talk.read(0x1010, 4) == b"\1\0\0\0"
+    assert talk.upload(0x1010, 0) == b"\4"  # ro in the file, as in most files
+    assert talk.upload(0x1010, 4) == b"\1\0\0\0"
     for index in (0x2000, 0x6000):
-        assert talk.write(index, 0, b"\x09") == 0
-    assert talk.write(0x1010, 4, b"save") == 0
+        assert talk.download(index, 0, b"\x09") == 0
+    assert talk.download(0x1010, 4, b"save") == 0
     talk.step([(0, b"\x81\x05")])
     talk.sent.clear()
-    assert talk.read(0x2000) == b"\x09"
-    assert talk.read(0x6000) == b"\1"
+    assert talk.upload(0x2000) == b"\x09"
+    assert talk.upload(0x6000) == b"\1"
 
 
 def test_the_error_history_is_as_long_as_1003h(tmp_path: Path) -> None:
@@ -134,21 +134,21 @@ def test_the_error_history_is_as_long_as_1003h(tmp_path: Path) -> None:
     talk = Talk(described(tmp_path, text(history)))
     for code in range(0xFF00, 0xFF20):
         talk.device.emcy.raise_error(code, GENERIC)
-    assert talk.read(0x1003, 0) == b"\x14"
-    assert talk.read(0x1003, 20) == struct.pack("<I", 0xFF0C)
-    assert talk.write(0x1003, 0, b"\0") == 0
-    assert talk.read(0x1003, 20) == codes.NO_DATA
-    assert talk.read(0x1003, 21) == codes.NO_SUB
+    assert talk.upload(0x1003, 0) == b"\x14"
+    assert talk.upload(0x1003, 20) == struct.pack("<I", 0xFF0C)
+    assert talk.download(0x1003, 0, b"\0") == 0
+    assert talk.upload(0x1003, 20) == codes.NO_DATA
+    assert talk.upload(0x1003, 21) == codes.NO_SUB
 
 
 def test_a_tpdo_that_allows_remote_requests_can_be_reconfigured(tmp_path: Path) -> None:
     talk = Talk(described(tmp_path, text(var("2000", 5), pdo(0x1800, "$NODEID+0x180", 255, 0x20000008))))
-    assert talk.write(0x1800, 1, struct.pack("<I", 0x80000185)) == 0
-    assert talk.write(0x1800, 1, struct.pack("<I", 0x185)) == 0
+    assert talk.download(0x1800, 1, struct.pack("<I", 0x80000185)) == 0
+    assert talk.download(0x1800, 1, struct.pack("<I", 0x185)) == 0
 
 
 def test_an_object_of_ten_kilobytes_is_downloaded(tmp_path: Path) -> None:
     talk = Talk(described(tmp_path, text(var("2000", 15, "rw"))))
     data = bytes(range(256)) * 40
-    assert talk.write(0x2000, 0, data) == 0
-    assert talk.read(0x2000) == data
+    assert talk.download(0x2000, 0, data) == 0
+    assert talk.upload(0x2000) == data

@@ -8,12 +8,13 @@ from pathlib import Path
 
 import pytest
 
-import tipforce
+import canopen_device
+from canopen_device.core import codes
+from canopen_device.eds.dcf import dcf_text
+from canopen_device.errors import InputError
+from canopen_device.testing import MemoryStore
+from canopen_device.types import Value
 from eds.samples import INFO, Talk, described, pdo, record, text, var
-from tipforce.device import codes
-from tipforce.dictionary.types import Value
-from tipforce.eds.dcf import dcf_text
-from tipforce.errors import InputError
 
 EVERY_TYPE = (
     (0x01, "1", "01"), (0x02, "-2", "fe"), (0x03, "0xFFFE", "feff"), (0x04, "-3", "fdffffff"), (0x05, "0xA5", "a5"),
@@ -34,11 +35,11 @@ def test_every_data_type_is_read_and_written(tmp_path: Path) -> None:
     talk = Talk(found)
     for k, (_, _, wire) in enumerate(EVERY_TYPE):
         index, data = 0x2000 + k, bytes.fromhex(wire)
-        assert talk.read(index) == data, f"{index:04X}"
-        assert talk.write(index, 0, bytes(len(data))) == 0
-        assert talk.read(index) == bytes(len(data))
+        assert talk.upload(index) == data, f"{index:04X}"
+        assert talk.download(index, 0, bytes(len(data))) == 0
+        assert talk.upload(index) == bytes(len(data))
         fixed = found.objects[index].entries[0].type.size is not None
-        assert (talk.write(index, 0, data + b"\0") == codes.TOO_LONG) is fixed
+        assert (talk.download(index, 0, data + b"\0") == codes.TOO_LONG) is fixed
 
 
 @pytest.mark.parametrize(
@@ -68,9 +69,9 @@ def test_compact_arrays_have_names_values_and_denotations(tmp_path: Path) -> Non
     assert [entries[k].initial for k in range(5)] == [4, 7, 7, 0x33, 9]
     assert entries[1].denotation == "left"
     talk = Talk(found)
-    assert talk.read(0x2100, 0) == b"\4"
-    assert talk.read(0x2100, 4) == b"\x09\0"
-    assert talk.write(0x2100, 0, b"\1") == codes.READ_ONLY
+    assert talk.upload(0x2100, 0) == b"\4"
+    assert talk.upload(0x2100, 4) == b"\x09\0"
+    assert talk.download(0x2100, 0, b"\1") == codes.READ_ONLY
 
 
 def test_compact_pdos_are_made_from_their_count(tmp_path: Path) -> None:
@@ -85,10 +86,10 @@ def test_compact_pdos_are_made_from_their_count(tmp_path: Path) -> None:
     assert found.find((0x1804, 1)).default == 0x80000000
     talk = Talk(found)
     for sub, kind, value in ((1, "I", 0xC0000185), (2, "B", 1)):
-        assert talk.write(0x1800, sub, struct.pack("<" + kind, value)) == 0
-    assert talk.write(0x1A00, 1, struct.pack("<I", 0x20000010)) == talk.write(0x1A00, 0, b"\1") == 0
-    assert talk.write(0x1800, 1, struct.pack("<I", 0x40000185)) == 0
-    talk.start()
+        assert talk.download(0x1800, sub, struct.pack("<" + kind, value)) == 0
+    assert talk.download(0x1A00, 1, struct.pack("<I", 0x20000010)) == talk.download(0x1A00, 0, b"\1") == 0
+    assert talk.download(0x1800, 1, struct.pack("<I", 0x40000185)) == 0
+    talk.nmt(1)
     assert talk.step([(0x80, b"")]) == [(0x185, b"\x34\x12")]
 
 
@@ -108,9 +109,9 @@ def test_dummy_usage_decides_what_an_rpdo_may_skip(tmp_path: Path) -> None:
         found = described(tmp_path, f"[DummyUsage]\nDummy0005={allowed}\n" + objects)
         assert len(found.warnings) == 1 - allowed
         talk = Talk(found)
-        talk.start()
+        talk.nmt(1)
         talk.step([(0x205, b"\x11\x22")])
-        assert talk.read(0x2000) == (b"\x22" if allowed else b"\0")
+        assert talk.upload(0x2000) == (b"\x22" if allowed else b"\0")
 
 
 DCF = "[DeviceComissioning]\nNodeID=0x0B\nNodeName=axis\nBaudrate=500\nLSS_SerialNumber=77\n"
@@ -128,7 +129,7 @@ def test_a_dcf_names_its_node_and_starts_with_its_values(tmp_path: Path) -> None
     found = described(tmp_path, DCF + text(*objects), None, "axis.dcf")
     assert found.warnings == []
     assert (found.node_id, found.node_name, found.bit_rate) == (11, "axis", 500_000)
-    store: dict[str, bytes] = {}
+    store = MemoryStore()
     talk = Talk(found, store)
     od = talk.device.od
     assert od.values[0x200000] == 500
@@ -151,7 +152,7 @@ def test_a_dcf_reads_no_file_outside_its_folder(tmp_path: Path) -> None:
         found = described(tmp_path / "in", text(var("2001", 15, "rw", "", UploadFile=name)))
         assert len(found.warnings) == 1
         assert f"UploadFile={name}" in found.warnings[0]
-        assert Talk(found).read(0x2001) == b""
+        assert Talk(found).upload(0x2001) == b""
 
 
 def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
@@ -162,8 +163,8 @@ def test_limits_are_enforced_signed_ones_too(tmp_path: Path) -> None:
     assert found.warnings == []
     talk = Talk(found)
     for value, abort in ((-11, codes.TOO_LOW), (-10, 0), (10, 0), (11, codes.TOO_HIGH)):
-        assert talk.write(0x2000, 0, struct.pack("<h", value)) == abort
-    assert talk.write(0x2001, 0, struct.pack("<f", 1.6)) == codes.TOO_HIGH
+        assert talk.download(0x2000, 0, struct.pack("<h", value)) == abort
+    assert talk.download(0x2001, 0, struct.pack("<f", 1.6)) == codes.TOO_HIGH
 
 
 def test_access_types_and_their_pdo_direction(tmp_path: Path) -> None:
@@ -171,10 +172,10 @@ def test_access_types_and_their_pdo_direction(tmp_path: Path) -> None:
     found = described(tmp_path, text(*(var(f"200{k}", 5, access) for k, access in enumerate(kinds))))
     assert [found.find(0x2000 + k).directions for k in range(6)] == [1, 2, 3, 1, 2, 1]
     talk = Talk(found)
-    assert [talk.write(0x2000 + k, 0, b"\1") for k in range(6)] == [
+    assert [talk.download(0x2000 + k, 0, b"\1") for k in range(6)] == [
         codes.READ_ONLY, 0, 0, 0, 0, codes.READ_ONLY
     ]  # fmt: skip
-    assert talk.read(0x2001) == codes.WRITE_ONLY
+    assert talk.upload(0x2001) == codes.WRITE_ONLY
 
 
 def test_type_definitions_are_no_objects_and_name_a_type(tmp_path: Path) -> None:
@@ -182,12 +183,12 @@ def test_type_definitions_are_no_objects_and_name_a_type(tmp_path: Path) -> None
     found = described(tmp_path, text(definition, var("2000", 0x40, "rw", "-1")))
     assert found.warnings == []
     assert 0x40 not in found.objects
-    assert Talk(found).read(0x2000) == b"\xff"
+    assert Talk(found).upload(0x2000) == b"\xff"
 
 
 def test_1021h_is_the_file_itself(tmp_path: Path) -> None:
     content = text(var("1021", 15, "ro"))
-    assert Talk(described(tmp_path, content)).read(0x1021) == content.encode()
+    assert Talk(described(tmp_path, content)).upload(0x1021) == content.encode()
 
 
 def test_lss_only_where_the_file_has_it(tmp_path: Path) -> None:
@@ -202,20 +203,20 @@ def test_lss_only_where_the_file_has_it(tmp_path: Path) -> None:
 def test_identity_comes_from_device_info_where_1018h_has_none(tmp_path: Path) -> None:
     found = described(tmp_path, text().replace("DefaultValue=0x12\n", "", 1))
     assert found.warnings == []
-    assert Talk(found).read(0x1018, 1) == b"\x12\0\0\0"
+    assert Talk(found).upload(0x1018, 1) == b"\x12\0\0\0"
 
 
 def test_the_front_door_warns_and_returns_a_device(tmp_path: Path) -> None:
     path = tmp_path / "odd.eds"
     path.write_text(text(var("2000", 5, "rw", "300")))
     with pytest.warns(
-        tipforce.EdsWarning, match=r"odd\.eds:\d+: \[2000\] DefaultValue=300: not in UNSIGNED8"
+        canopen_device.EdsWarning, match=r"odd\.eds:\d+: \[2000\] DefaultValue=300: not in UNSIGNED8"
     ) as caught:
-        device = tipforce.device_from_eds(path, 5)
+        device = canopen_device.device_from_eds(path, 5)
     assert device.node_id == 5
     assert all(Path(one.filename).name == "test_features.py" for one in caught)
     for node_id in (0, 128, -1, True, None):
         with pytest.raises(InputError, match="node-id"), warnings.catch_warnings():
-            tipforce.device_from_eds(path, node_id)
+            canopen_device.device_from_eds(path, node_id)
     with pytest.raises(InputError, match="No such file"):
-        tipforce.device_from_eds(tmp_path / "none.eds", 5)
+        canopen_device.device_from_eds(tmp_path / "none.eds", 5)

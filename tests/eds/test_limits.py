@@ -10,12 +10,14 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.eds import Description, description, objects, sections
+from canopen_device.eds import xdd as xdd_module
+from canopen_device.eds.dcf import dcf_text
+from canopen_device.eds.load import device_of
+from canopen_device.eds.xdd import DEEPEST
+from canopen_device.errors import InputError
+from canopen_device.types import TYPES
 from eds.samples import INFO, MANDATORY, described, record, text, var
-from tipforce.dictionary.types import TYPES
-from tipforce.eds import Description, description, sections, uploads, xdd_reader
-from tipforce.eds.dcf import dcf_text
-from tipforce.eds.load import device_of
-from tipforce.errors import InputError
 from tipforce.host.decoding.pdo_layout import dcf_layout
 
 ENTRIES, LINES, FINDINGS, CHARACTERS, LONGEST = 1000, 10_000, 1000, 400_000, 4096
@@ -31,7 +33,7 @@ def small(monkeypatch: pytest.MonkeyPatch) -> None:
     for module, name, value in (
         (description, "MOST_ENTRIES", ENTRIES), (description, "MOST_VALUE_BYTES", CHARACTERS),
         (sections, "MOST_LINES", LINES), (sections, "MOST_FINDINGS", FINDINGS), (sections, "LONGEST_TEXT", LONGEST),
-        (sections, "MOST_CHARACTERS", CHARACTERS), (xdd_reader, "MOST_LINES", LINES),
+        (sections, "MOST_CHARACTERS", CHARACTERS), (xdd_module, "MOST_LINES", LINES),
     ):  # fmt: skip
         monkeypatch.setattr(module, name, value)
 
@@ -187,8 +189,8 @@ def test_files_of_domains_are_read_up_to_the_limit(tmp_path: Path, monkeypatch: 
         read += 1
         return file_content(eds, name)
 
-    file_content = uploads.file_content
-    monkeypatch.setattr("tipforce.eds.entries.file_content", content)
+    file_content = objects.file_content
+    monkeypatch.setattr("canopen_device.eds.objects.file_content", content)
     monkeypatch.setattr(description, "MOST_VALUE_BYTES", 1 << 20)
     (tmp_path / "large.bin").write_bytes(bytes(1 << 18))
     entries = [var(f"{0x2000 + k:04X}", 0xF, UploadFile="large.bin") for k in range(50)]
@@ -217,7 +219,7 @@ def test_the_largest_file_within_the_limits_is_read(tmp_path: Path) -> None:
     assert len(plain.objects) == 2003
     value = "x" * (sections.LONGEST_TEXT - 1)
     assert described(tmp_path, text(var("2000", 9, default=value))).find(0x2000).default == value
-    nested = "<a>" * (xdd_reader.DEEPEST - 1) + "</a>" * (xdd_reader.DEEPEST - 1)
+    nested = "<a>" * (DEEPEST - 1) + "</a>" * (DEEPEST - 1)
     assert len(described(tmp_path, xdd(references(3, "7") + nested), name="a.xdd").objects) == 6
 
 

@@ -6,13 +6,13 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.eds import read_eds
+from canopen_device.eds.dcf import dcf_text
+from canopen_device.eds.xdd import xdd_text
+from canopen_device.errors import InputError
+from canopen_device.machine import shipped_eds
 from eds.samples import Talk, described
-from eds.test_canopen_reads import GENERATED
-from tipforce.eds import read_eds
-from tipforce.eds.dcf import dcf_text
-from tipforce.eds.xdd import xdd_text
-from tipforce.errors import InputError
-from tipforce.machine import shipped_eds
+from eds.test_canopen import GENERATED
 
 ROOT = Path(__file__).parents[2]
 SAME = ("letter", "name", "default", "low", "high", "directions", "has_node_id")
@@ -74,7 +74,7 @@ def test_parameters_of_an_editor(tmp_path: Path) -> None:
         frozenset({5}),
     )
     talk = Talk(found)
-    assert [talk.read(0x1000), talk.read(0x1014), talk.read(0x1018, 1), talk.read(0x2000)] == [
+    assert [talk.upload(0x1000), talk.upload(0x1014), talk.upload(0x1018, 1), talk.upload(0x2000)] == [
         b"\x92\1\0\0", b"\x85\0\0\0", b"\x12\0\0\0", b"\xfb\xff"
     ]  # fmt: skip
     force = found.find("Force")

@@ -9,8 +9,9 @@ import os
 import struct
 import sys
 
+from canopen_device.running.store import FileStore
+from canopen_device.testing import Conversation
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running.store import FileStore
 from tipforce.sources.simulated import SimulatedSource
 
 ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))
@@ -29,29 +30,13 @@ def main(path: str, first: int) -> None:
     """Commit and store over SDO frames; ends by SIGKILL, or when nobody reads any more."""
     store = FileStore(path)
     device = fingertip_node(5, SimulatedSource(ROWS), save=store.save, load=store.load)
-    device.step(0)
-
-    def request(data: bytes) -> bytes:
-        sent, _ = device.step(0, [(0x605, data)])
-        answer = sent[-1][1]
-        if answer[0] == 0x80:
-            sys.exit(f"refused: {answer.hex()}")
-        return answer
-
-    def write(index: int, sub: int, value: int) -> None:
-        request(struct.pack("<BHBI", 0x23, index, sub, value))
-
-    k = first
+    talk, k = Conversation(device), first
     while True:
         data = record(k)
-        request(struct.pack("<BHBI", 0x21, 0x2141, 0, len(data)))
-        for offset in range(0, len(data), 7):
-            part = data[offset : offset + 7]
-            last = offset + 7 >= len(data)
-            request(bytes((offset // 7 % 2 << 4 | (7 - len(part)) << 1 | last,)) + part + bytes(7 - len(part)))
-        write(0x2103, 1, binascii.crc32(data))
-        write(0x2104, 0, 0x74696D63)
-        write(0x1010, 4, 0x65766173)
+        refused = talk.download(0x2141, 0, data) or talk.put("I", 0x2103, 1, binascii.crc32(data))
+        refused = refused or talk.put("I", 0x2104, 0, 0x74696D63) or talk.put("I", 0x1010, 4, 0x65766173)
+        if refused:
+            sys.exit(f"refused: {refused:08X}")
         print(k, flush=True)
         k += 1
 

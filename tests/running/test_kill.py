@@ -12,10 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.running.store import FileStore
 from fingertip.finger import Finger
 from running.store_child import ROWS, record
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running.store import FileStore
 from tipforce.sources.simulated import SimulatedSource
 
 KILLS = 200

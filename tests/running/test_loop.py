@@ -11,10 +11,10 @@ from itertools import pairwise
 import pytest
 from bench import endurance
 
-from tipforce.device.bus_faults import TRANSMIT_OVERFLOW
-from tipforce.device.codes import LSS_UNCONFIGURED
+from canopen_device.core.codes import LSS_UNCONFIGURED
+from canopen_device.core.emcy import TRANSMIT_OVERFLOW
+from canopen_device.running import loop, ports
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running import loop, ports
 from tipforce.sources.simulated import SimulatedSource
 
 ROWS = ((1e-4, 0.0, 0.0), (0.0, 1e-4, 0.0), (0.0, 0.0, 1e-4))

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device.errors import InputError
+from canopen_device.running.store import FileStore
 from fingertip.finger import SAVE, Finger, finger, record
-from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.running.store import FileStore
 from tipforce.sources.simulated import SimulatedSource
 
 

@@ -1,0 +1,262 @@
+"""What all PDOs share, and the RPDOs (CiA 301, 7.2.2, 7.5.2.35 to 7.5.2.38)."""
+
+from . import codes, communication
+from .emcy import COMMUNICATION, PDO_LENGTH, RPDO_TIMEOUT
+from .object_dictionary import RPDO, SIZES
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from .node import Device
+    from .object_dictionary import ObjectDictionary, Value
+
+
+_OTHER_BITS = codes.COB_ID_RESERVED & ~codes.NO_RTR
+MAX_BYTES = 8
+
+
+class Pdo:
+    """One PDO: its number, its parameter objects, and their contents compiled for speed.
+
+    ``direction`` is the entry flag that a mapped object needs. ``changed()`` is called after each accepted write.
+    ``valid`` is bit 31 of the COB-ID; ``active`` also requires a mapping that is not empty. ``widths`` holds the bits
+    of each mapped entry if not all are whole values, otherwise None.
+    """
+
+    __slots__ = (
+        "_changed", "_od", "active", "can_id", "communication", "direction", "keys", "length", "letters", "mapping",
+        "transmission", "valid", "widths",
+    )  # fmt: skip
+
+    def __init__(
+        self, od: "ObjectDictionary", communication: int, mapping: int, direction: int, changed: "Callable[[], None]"
+    ) -> None:
+        self._od = od
+        self._changed = changed
+        self.communication = communication
+        self.mapping = mapping
+        self.direction = direction
+        self.valid = self.active = False
+        self.can_id = 0
+        self.transmission = 255
+        self.letters: "list[str]" = []
+        self.widths: "list[int] | None" = None
+        self.length = 0
+        self.keys: "list[tuple[int, int]]" = []
+        od.writers[communication] = self._write_communication
+        od.writers[mapping] = self._write_mapping
+
+    def load(self) -> None:
+        """Compile the present parameter objects; a PDO with an invalid mapping stays inactive."""
+        cob_id = self._od.integer(self.communication, 1)
+        self.can_id = cob_id & codes.STANDARD_MASK
+        self.transmission = self._od.integer(self.communication, 2)
+        count = self._od.integer(self.mapping, 0)
+        words = [self._od.integer(self.mapping, sub) for sub in range(1, count + 1)]
+        usable = self._compile(words) == 0 and self.length > 0
+        self.valid = not cob_id & codes.COB_ID_INVALID
+        # Bit 29, a 29-bit identifier, may come from an EDS; a write of it is rejected.
+        self.active = self.valid and usable and not cob_id & codes.EXTENDED_COB_ID and not codes.restricted(self.can_id)
+
+    def parameter(self, sub: int) -> int:
+        """Return a communication parameter, 0 if this PDO has no such sub-index."""
+        if isinstance(self._od.find(self.communication, sub), int):
+            return 0
+        return self._od.integer(self.communication, sub)
+
+    def _compile(self, words: "list[int]") -> int:
+        """Apply a mapping; return the abort code of a rejected one, which changes nothing."""
+        letters, keys, bits, plain = [], [], 0, True
+        for word in words:
+            letter = self._letter(word)
+            if isinstance(letter, int):
+                return letter
+            letters.append(letter)
+            keys.append((word >> 16, word >> 8 & 0xFF))
+            bits += word & 0xFF
+            plain = plain and SIZES.get(letter, 0) * 8 == word & 0xFF
+        if bits > 8 * MAX_BYTES:
+            return codes.PDO_LENGTH
+        self.letters, self.keys, self.length = letters, keys, (bits + 7) // 8
+        self.widths = None if plain else [word & 0xFF for word in words]
+        return 0
+
+    def _letter(self, word: int) -> "str | int":
+        """Return struct's letter of a mapped entry, or the abort code of an entry that cannot be mapped here."""
+        index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+        from_wire = self.direction != 1
+        if from_wire and index in self._od.dummies and not sub:
+            letter = self._od.dummies[index]
+        else:
+            entry = self._od.find(index, sub)
+            if isinstance(entry, int):
+                return entry
+            if not entry[2] & self.direction:
+                return codes.NOT_MAPPABLE
+            letter = entry[0]
+        size = SIZES.get(letter)
+        if size is None:  # a string or DOMAIN has no length of its own: whole bytes, cut or filled up
+            fits = bits and bits % 8 == 0
+        else:
+            fits = size * 8 == bits or (letter == "?" and bits == 1)
+        return letter if fits else codes.NOT_MAPPABLE
+
+    def _write_communication(self, sub: int, value: "Value") -> int:
+        number: int = value  # type: ignore[assignment]
+        if sub == 1:
+            abort = self._check_cob_id(number)
+        elif sub == 2:
+            # 241-251 are reserved; 252 and 253 (sent on RTR) are rejected because TPDOs do not support RTR.
+            abort = codes.INVALID_VALUE if codes.LAST_SYNCHRONOUS < number < codes.EVENT_DRIVEN else 0
+        elif sub in (3, 6) and self.valid:
+            abort = codes.DEVICE_STATE
+        elif sub == 6 and number > codes.LAST_SYNCHRONOUS:  # the start value; an EDS may have no limit for it
+            abort = codes.TOO_HIGH
+        else:
+            abort = 0
+        if not abort:
+            self._store_and_reload(self.communication, sub, number)
+        return abort
+
+    def _check_cob_id(self, cob_id: int) -> int:
+        can_id = cob_id & codes.STANDARD_MASK
+        if cob_id & _OTHER_BITS or (self.direction == 1 and not cob_id & codes.NO_RTR and self._no_rtr()):
+            return codes.INVALID_VALUE
+        if cob_id & codes.COB_ID_INVALID:
+            return 0
+        # A valid PDO keeps its identifier; it must be made invalid first (7.5.2.35).
+        if codes.restricted(can_id) or (self.valid and can_id != self.can_id):
+            return codes.INVALID_VALUE
+        return 0
+
+    def _no_rtr(self) -> bool:
+        """Return whether bit 30, no remote request, must be set: as in the default of a device without RTR."""
+        return bool(int(self._od.default(self.communication, 1)) & codes.NO_RTR)
+
+    def _write_mapping(self, sub: int, value: "Value") -> int:
+        word: int = value  # type: ignore[assignment]
+        if self.valid or (sub and self._od.integer(self.mapping, 0)):
+            # 7.5.2.36: make the PDO invalid, set sub-index 0 to 0, write the entries, set sub-index 0.
+            return codes.DEVICE_STATE
+        if sub:
+            letter = self._letter(word) if word else "B"
+            abort = letter if isinstance(letter, int) else 0
+        else:
+            room = self._od.subs(self.mapping)[-1]
+            words = [self._od.integer(self.mapping, k) for k in range(1, min(word, room) + 1)]
+            abort = self._compile(words) if word <= room else codes.PDO_LENGTH
+        if not abort:
+            self._store_and_reload(self.mapping, sub, word)
+        return abort
+
+    def _store_and_reload(self, index: int, sub: int, value: int) -> None:
+        self._od.values[index << 8 | sub] = value
+        self.load()
+        self._changed()
+
+
+class ReceivePdo(Pdo):
+    """One RPDO; ``waiting`` holds the data of a synchronous one until the SYNC, ``deadline_us`` is the next one's."""
+
+    __slots__ = ("deadline_us", "waiting")
+
+    def load(self) -> None:
+        """Compile the parameters and discard data that waits for a SYNC."""
+        Pdo.load(self)
+        self.forget()
+
+    def forget(self) -> None:
+        """Discard data that waits for a SYNC, so that a later start does not apply it; stop monitoring the deadline."""
+        self.waiting = b""
+        self.deadline_us = codes.NEVER_US
+
+
+class ReceivePdos:
+    """All RPDOs of a device. ``due_us`` is when one is overdue (event timer, 7.5.2.35)."""
+
+    __slots__ = ("_device", "_pdos", "due_us")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.due_us = codes.NEVER_US
+        self._pdos = [
+            ReceivePdo(device.od, index, index + communication.MAPPING, RPDO, self._changed)
+            for index in device.od.indices(communication.RPDO, communication.LAST_RPDO)
+        ]
+
+    def reset(self) -> None:
+        """Apply the present parameter objects after a boot-up."""
+        for pdo in self._pdos:
+            pdo.load()
+        self._schedule()
+
+    def _changed(self) -> None:
+        """Clear the error of a PDO that has another identifier or is no longer valid."""
+        for code in (PDO_LENGTH, RPDO_TIMEOUT):
+            self._device.emcy.cure_all_but(code, self.can_ids())
+        self._schedule()
+        self._device.routes_changed()
+
+    def can_ids(self) -> "list[int]":
+        """Return the identifiers of the RPDOs that this device receives."""
+        return [pdo.can_id for pdo in self._pdos if pdo.active]
+
+    def receive(self, can_id: int, data: bytes) -> None:
+        """Process the frame of an RPDO. A frame shorter than the mapping changes nothing (7.2.2.5.1)."""
+        for pdo in self._pdos:
+            if pdo.active and pdo.can_id == can_id:
+                if len(data) < pdo.length:
+                    self._device.emcy.raise_error(PDO_LENGTH, COMMUNICATION, can_id)
+                else:
+                    self._device.emcy.cure(PDO_LENGTH, can_id)
+                    self._accept(pdo, data)
+        self._schedule()
+
+    def _accept(self, pdo: ReceivePdo, data: bytes) -> None:
+        event_ms = pdo.parameter(5)
+        pdo.deadline_us = self._device.now_us + 1000 * event_ms if event_ms else codes.NEVER_US
+        self._device.emcy.cure(RPDO_TIMEOUT, pdo.can_id)
+        if pdo.transmission > codes.LAST_SYNCHRONOUS:
+            self._apply(pdo, data)
+        elif self._device.sync.in_window():
+            pdo.waiting = bytes(data)
+
+    def expire(self, now_us: int) -> None:
+        """Report each RPDO that is overdue."""
+        for pdo in self._pdos:
+            if pdo.deadline_us <= now_us:
+                pdo.deadline_us = codes.NEVER_US
+                self._device.emcy.raise_error(RPDO_TIMEOUT, COMMUNICATION, pdo.can_id)
+        self._schedule()
+
+    def on_sync(self) -> None:
+        """Apply the data that synchronous RPDOs received since the last SYNC."""
+        for pdo in self._pdos:
+            if pdo.waiting:
+                data, pdo.waiting = pdo.waiting, b""
+                self._apply(pdo, data)
+
+    def forget(self) -> None:
+        """Stop all RPDOs when the device leaves OPERATIONAL."""
+        for pdo in self._pdos:
+            pdo.forget()
+        self._schedule()
+
+    def _schedule(self) -> None:
+        self.due_us = min([pdo.deadline_us for pdo in self._pdos], default=codes.NEVER_US)
+
+    def _apply(self, pdo: ReceivePdo, data: bytes) -> None:
+        if pdo.widths is not None:
+            from .wide_types import unpack  # a device without mapped bits does without
+
+            for (index, sub), part in zip(pdo.keys, unpack(pdo.widths, data)):  # noqa: B905
+                if index > 0x1F:
+                    self._device.od.download(index, sub, part)
+            return
+        offset = 0
+        for letter, (index, sub) in zip(pdo.letters, pdo.keys):  # noqa: B905
+            size = SIZES[letter]
+            if index > 0x1F:  # below are the dummy types, placeholders without a value
+                self._device.od.download(index, sub, data[offset : offset + size])
+            offset += size

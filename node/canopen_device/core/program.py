@@ -1,0 +1,117 @@
+"""Program download (CiA 302-3): 1F50h data, 1F51h control, 1F56h identification, 1F57h flash status; program 1.
+
+A download goes into the slot that does not run. ``START`` starts what was downloaded: the node restarts with it.
+"""
+
+from . import codes, communication
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from typing import Protocol
+
+    from .node import Device
+    from .object_dictionary import Value
+    from .sdo_server import Sink
+
+    class Programs(Protocol):
+        """The slots of a node. Methods return 0 or a reason of it."""
+
+        reason: int
+        version: str
+        crc: int
+        ready: bool
+
+        @property
+        def busy(self) -> bool:
+            """A download or a trial is in progress."""
+
+        @property
+        def locked(self) -> bool:
+            """A program is on trial: the other slot is needed until it has proved healthy."""
+
+        def begin(self, size: int) -> int:
+            """Open the slot that does not run for an image of ``size`` bytes."""
+
+        def write(self, part: bytes) -> int:
+            """Write the next bytes."""
+
+        def end(self) -> int:
+            """Check the image."""
+
+        def cancel(self) -> None:
+            """Give up the download."""
+
+        def clear(self) -> int:
+            """Erase what was downloaded."""
+
+        def start(self) -> int:
+            """Start what was downloaded, from the next restart on."""
+
+
+# 1F51h:1, written and read.
+STOP, START, RESET, CLEAR = 0, 1, 2, 3
+STOPPED, RUNNING = 0, 1
+# 1F57h:1: bit 0 in progress, bits 1 to 7 the error of CiA 302-3, bits 16 to 31 the reason of the slots.
+IN_PROGRESS, REASON_SHIFT = 1, 16
+# Of each reason: the error (2 format unknown, 3 format or CRC, 5 write, 6 address, 63 unspecified), the abort code.
+_ERRORS = (0, 2, 2, 3, 63, 5, 6, 63)
+_ABORTS = (
+    0, codes.INVALID_VALUE, codes.INVALID_VALUE, codes.INVALID_VALUE, codes.NOT_TRANSFERRED, codes.HARDWARE,
+    codes.OUT_OF_MEMORY, codes.GENERAL,
+)  # fmt: skip
+RESTART_DELAY_MS = 50  # the response to START is on the bus by then
+
+
+class ProgramDownload:
+    """The objects of a device with program slots. Not in OPERATIONAL: flash stops a node for milliseconds."""
+
+    def __init__(self, device: "Device", programs: "Programs") -> None:
+        self._device, self._programs = device, programs
+        self._state = RUNNING
+        od = device.od
+        od.add(communication.SOFTWARE_VERSION, 0, ("s", "const", 0, programs.version, None, None))
+        od.sinks[communication.PROGRAM_DATA] = self._open
+        od.writers[communication.PROGRAM_DATA] = lambda _sub, _value: codes.INVALID_VALUE  # 4 bytes are no image
+        od.writers[communication.PROGRAM_CONTROL] = self._control
+        od.readers[communication.PROGRAM_CONTROL] = lambda _sub: self._state
+        od.readers[communication.PROGRAM_IDENTIFICATION] = lambda _sub: programs.crc
+        od.readers[communication.FLASH_STATUS] = lambda _sub: self._status()
+
+    def write(self, part: bytes) -> int:
+        """Write the next bytes of a download; return 0 or an abort code."""
+        return _ABORTS[self._programs.write(part)]
+
+    def end(self) -> int:
+        """Check the downloaded image; return 0 or an abort code."""
+        return _ABORTS[self._programs.end()]
+
+    def cancel(self) -> None:
+        """Give up a download."""
+        self._programs.cancel()
+
+    def _open(self, _sub: int, size: "int | None") -> "Sink | int":
+        if self._refuses():
+            return codes.DEVICE_STATE
+        if size is None:
+            return codes.LENGTH
+        return self._device.wear.spend(1) or _ABORTS[self._programs.begin(size)] or self
+
+    def _refuses(self) -> bool:
+        return self._device.nmt.state == codes.OPERATIONAL or self._programs.locked
+
+    def _status(self) -> int:
+        reason = self._programs.reason
+        return (IN_PROGRESS if self._programs.busy else 0) | _ERRORS[reason] << 1 | reason << REASON_SHIFT
+
+    def _control(self, _sub: int, value: "Value") -> int:
+        if self._refuses():
+            return codes.DEVICE_STATE
+        if value == CLEAR:
+            return self._device.wear.spend(1) or _ABORTS[self._programs.clear()]
+        if value == RESET or (value == START and self._programs.ready):
+            abort = _ABORTS[self._programs.start()] if value == START else 0
+            if not abort:
+                self._device.requests.append(("restart", 0, RESTART_DELAY_MS))
+            return abort
+        self._state = STOPPED if value == STOP else RUNNING
+        return 0

@@ -1,0 +1,247 @@
+"""Store and restore of parameters (CiA 301, 7.5.2.13 and 7.5.2.14), objects 1010h and 1011h.
+
+The content of a group is one byte string: CRC-32, then records of index, sub-index, length and data. The caller
+provides the memory as ``save(group, data) -> bool`` and ``load(group) -> bytes | None``.
+"""
+
+import binascii
+import struct
+
+from . import codes, communication
+from .emcy import WEAR_BUDGET_EMPTY
+from .object_dictionary import check, decode, encode
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
+
+    from .node import Device
+    from .object_dictionary import ObjectDictionary, Value
+
+    Group = tuple[str, Callable[[], bytes], Callable[[bytes | None], None]]
+    Blob = tuple[str, bytes]  # name, what is stored: CRC and content, or empty
+
+ALL, COMMUNICATION, APPLICATION = 1, 2, 3  # sub-indices; an application adds groups from 4 on
+_COMMUNICATION_NAME = "communication"
+_HEAD = "<HBH"
+_RESTORED = b""  # stored after a restore: empty, so the defaults apply after the next reset
+
+
+class Storage:
+    """Objects 1010h and 1011h. Without ``save`` and ``load`` every store is rejected with 06060000h.
+
+    Storing other content than boot-up would have loaded clears 1020h, in the store too, unless 1020h was written after
+    the last change of a setting (7.5.2.21).
+    """
+
+    __slots__ = ("_device", "_groups", "_load", "_save", "_verified", "after_communication", "damaged")
+
+    def __init__(
+        self,
+        device: "Device",
+        save: "Callable[[str, bytes], bool] | None",
+        load: "Callable[[str], bytes | None] | None",
+    ) -> None:
+        self._device = device
+        self._save = save
+        self._load = load
+        self.damaged: "list[str]" = []  # groups whose stored bytes failed their CRC at the last start
+        self.after_communication: "Callable[[], None] | None" = None  # called when that group was restored
+        self._groups: "dict[int, Group]" = {}
+        self._verified = False  # 1020h was written since the last reset; ``od.edited``: a setting was changed since
+        self.add_range(COMMUNICATION, _COMMUNICATION_NAME, communication.FIRST, communication.LAST)
+        self.add_range(APPLICATION, "application", communication.FIRST_PROFILE, communication.LAST_PROFILE)
+        device.od.writers[communication.STORE_PARAMETERS] = self._write_store
+        device.od.writers[communication.RESTORE_DEFAULTS] = self._write_restore
+        device.od.writers[communication.VERIFY_CONFIGURATION] = self._write_verification
+        for index in (communication.STORE_PARAMETERS, communication.RESTORE_DEFAULTS):
+            device.od.readers[index] = self._reader(device.od, index << 8)
+
+    def _reader(self, od: "ObjectDictionary", count: int) -> "Callable[[int], Value]":
+        return lambda sub: 1 if sub else od.values[count]  # bit 0: stores on command, never autonomously
+
+    def add_range(self, sub: int, name: str, first: int, last: int) -> None:
+        """Add a group of every setting among the objects ``first`` to ``last`` that differs from its default."""
+        od = self._device.od
+        self._groups[sub] = (
+            name,
+            lambda: pack_settings(od, first, last),
+            lambda data: unpack_settings(od, first, last, data),
+        )
+
+    def add_group(
+        self, sub: int, name: str, dump: "Callable[[], bytes]", restore: "Callable[[bytes | None], None]"
+    ) -> None:
+        """Add a group that the application serialises; ``restore(None)`` requests its defaults."""
+        self._groups[sub] = (name, dump, restore)
+
+    def restore(self, subs: "list[int] | None" = None) -> None:
+        """Set the groups (all, or those given) to their stored values or their defaults; called on each reset."""
+        self._verified = False
+        for sub in sorted(self._groups):
+            if subs is None or sub in subs:
+                name, _dump, restore = self._groups[sub]
+                if name in self.damaged:
+                    self.damaged.remove(name)
+                restore(self._read(name))
+                if sub == COMMUNICATION and self.after_communication is not None:
+                    self.after_communication()
+
+    @property
+    def available(self) -> bool:
+        """Return True if parameters can be stored."""
+        return self._save is not None
+
+    def save_blob(self, name: str, data: bytes) -> int:
+        """Store ``data`` under its own name, outside the groups of 1010h; return 0 or an abort code."""
+        return self._write([(name, with_crc(data))], False)
+
+    def read_blob(self, name: str) -> "bytes | None":
+        """Return the data stored by ``save_blob``, empty if there is none, None if it is damaged."""
+        blob = self._load(name) if self._load is not None else None
+        if not blob:
+            return b""
+        sound = len(blob) >= 4 and struct.unpack("<I", blob[:4])[0] == binascii.crc32(blob[4:]) & 0xFFFFFFFF
+        return blob[4:] if sound else None
+
+    def _read(self, name: str) -> "bytes | None":
+        """Return the stored bytes of a group, None if its defaults apply; record a damaged group."""
+        data = self.read_blob(name)
+        if data is None:
+            self.damaged.append(name)
+        return data or None
+
+    def _write_store(self, sub: int, value: "Value") -> int:
+        if value != codes.SIGNATURE_SAVE:
+            return codes.NOT_TRANSFERRED
+        groups = [(name, with_crc(dump())) for name, dump in self._chosen(sub)]
+        return self._write(groups, self._verified and not self._device.od.edited)
+
+    def _write_restore(self, sub: int, value: "Value") -> int:
+        if value != codes.SIGNATURE_LOAD:
+            return codes.NOT_TRANSFERRED
+        return self._write([(name, _RESTORED) for name, _dump in self._chosen(sub)], False)
+
+    def _chosen(self, sub: int) -> "list[tuple[str, Callable[[], bytes]]]":
+        return [self._groups[number][:2] for number in sorted(self._groups) if sub in (ALL, number)]
+
+    def _write(self, blobs: "list[Blob]", verified: bool) -> int:
+        """Write all blobs if the budget of wear allows it; return 0 or an abort code. Every write passes here."""
+        if self._save is None:
+            return codes.HARDWARE
+        clears = not verified and any(self._changes(name, blob) for name, blob in blobs)
+        if clears:
+            blobs = self._without_verification(blobs)
+        abort = self._device.wear.spend(len(blobs))
+        if abort:
+            return abort
+        if clears:
+            self._device.od.restore_defaults(communication.VERIFY_CONFIGURATION, communication.VERIFY_CONFIGURATION)
+        for name, blob in blobs:
+            if not self._save(name, blob):
+                return codes.HARDWARE
+        return 0
+
+    # --- 1020h ----------------------------------------------------------------------------------------------
+
+    def _write_verification(self, _sub: int, _value: "Value") -> int:
+        self._verified = True
+        self._device.od.edited = False
+        return 0
+
+    def _changes(self, name: str, blob: bytes) -> bool:
+        """Return whether boot-up will load other content than before, besides 1020h."""
+        return _without_1020(name, blob[4:]) != _without_1020(name, self.read_blob(name) or b"")
+
+    def _without_verification(self, blobs: "list[Blob]") -> "list[Blob]":
+        """The same with 1020h left out, and out of what is stored already, which is written first."""
+        name = _COMMUNICATION_NAME
+        if name in [other for other, _blob in blobs]:
+            return [(other, with_crc(_without_1020(other, blob[4:])) if blob else blob) for other, blob in blobs]
+        stored = self.read_blob(name) or b""
+        content = _without_1020(name, stored)
+        return blobs if content == stored else [(name, with_crc(content))] + blobs
+
+
+def with_crc(data: bytes) -> bytes:
+    """Return the content of a group as it is stored: CRC-32, then ``data``."""
+    return struct.pack("<I", binascii.crc32(data) & 0xFFFFFFFF) + data
+
+
+def pack_settings(od: "ObjectDictionary", first: int, last: int) -> bytes:
+    """Return the settings that differ from their defaults, as records."""
+    records = []
+    for index, sub, kind in od.stored_entries(first, last):
+        value = od.values[index << 8 | sub]
+        if value != od.default(index, sub):
+            data = encode(kind, value)
+            records.append(struct.pack(_HEAD, index, sub, len(data)) + data)
+    return b"".join(records)
+
+
+def unpack_settings(od: "ObjectDictionary", first: int, last: int, data: "bytes | None") -> None:
+    """Set the defaults, then apply the records of ``data``. A record that no longer fits the dictionary is skipped."""
+    od.restore_defaults(first, last)
+    for index, sub, _head, content in _records(data or b""):
+        if first <= index <= last and not od.writable(index, sub, len(content)):
+            entry = od.find(index, sub)
+            try:
+                value = decode(entry[0], content)  # type: ignore[index]
+            except UnicodeError:
+                continue
+            if not check(entry, value):  # type: ignore[arg-type]
+                od.values[index << 8 | sub] = value
+
+
+def _records(data: bytes) -> "Iterator[tuple[int, int, bytes, bytes]]":
+    """Yield (index, sub, head, content) of each complete record."""
+    offset, size = 0, struct.calcsize(_HEAD)
+    while offset + size <= len(data):
+        head = data[offset : offset + size]
+        index, sub, length = struct.unpack(_HEAD, head)
+        offset += size + length
+        if offset <= len(data):
+            yield index, sub, head, data[offset - length : offset]
+
+
+def _without_1020(name: str, data: bytes) -> bytes:
+    """The content of a group without its records of 1020h."""
+    if name != _COMMUNICATION_NAME:
+        return data
+    return b"".join([h + c for index, _sub, h, c in _records(data) if index != communication.VERIFY_CONFIGURATION])
+
+
+OPERATIONS, PERIOD_US = 200, 18000000  # so many at once; one back in each period: full again after an hour
+
+
+class WearBudget:
+    """Operations that 1010h, 1011h, the store of LSS, 1F50h and the erase of 1F51h share. A reset does not refill it.
+
+    An operation is the write of one group of parameters, or the erase of one program.
+    """
+
+    __slots__ = ("_device", "_full_us", "_reported")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self._full_us = 0  # when every operation will be back
+        self._reported = False
+
+    def drain(self) -> None:
+        """Take all operations: of a restart without power-off, before which any number may have been used."""
+        self._full_us = self._device.now_us + OPERATIONS * PERIOD_US
+
+    def spend(self, operations: int) -> int:
+        """Take operations, or none: return 0, or the abort code where there are too few. EMCY until full again: one."""
+        now_us = self._device.now_us
+        if self._full_us <= now_us:
+            self._full_us = now_us
+            self._reported = False
+        full_us = self._full_us + operations * PERIOD_US
+        if full_us - now_us <= OPERATIONS * PERIOD_US:
+            self._full_us = full_us
+            return 0
+        if not self._reported:
+            self._reported = True
+            self._device.emcy.report(WEAR_BUDGET_EMPTY)
+        return codes.DEVICE_STATE

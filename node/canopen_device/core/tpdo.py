@@ -1,0 +1,188 @@
+"""Transmit PDOs (CiA 301, 7.2.2): sent on SYNC, on an event, or when the event timer elapses."""
+
+import struct
+
+from . import codes, communication
+from .codes import EVENT_DRIVEN, LAST_SYNCHRONOUS
+from .object_dictionary import TPDO, encode
+from .pdo import Pdo
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from .node import Device
+
+
+class TransmitPdo(Pdo):
+    """One TPDO with its counters and due times."""
+
+    __slots__ = (
+        "_getters",
+        "_packing",
+        "_row",
+        "due_us",
+        "each_sync",
+        "event_us",
+        "free_us",
+        "inhibit_us",
+        "pending",
+        "sync_start",
+        "syncs",
+    )
+
+    def load(self) -> None:
+        """Compile the parameters, resolve the source of each mapped value, and restart the counters."""
+        Pdo.load(self)
+        if LAST_SYNCHRONOUS < self.transmission < EVENT_DRIVEN:  # reserved or on RTR; only an EDS can have it
+            self.active = False
+        # struct packs what it can: no REAL32, which may be beyond its range, and no type without a letter.
+        plain = self.widths is None and not [k for k in self.letters if k not in "BbHhIi"]
+        self._packing = "<" + "".join(self.letters) if plain else ""
+        self._row = self._od.row(self.keys) if plain and self.keys and self._od.row is not None else None
+        keys = self.keys if self._row is None else []
+        self._getters = [(self._od.readers.get(index), sub, index << 8 | sub) for index, sub in keys]
+        self.inhibit_us = 100 * self.parameter(3)
+        self.event_us = 1000 * self.parameter(5)
+        self.sync_start = self.parameter(6)
+        self.each_sync = self.transmission == 1 and not self.sync_start
+        self.syncs = 0
+        self.pending = False
+        self.free_us = 0
+        self.due_us = codes.NEVER_US
+
+    def pack(self) -> bytes:
+        """Return the present data of this PDO: one call, one sample, so that no PDO mixes two samples."""
+        if self._row is not None:
+            return struct.pack(self._packing, *self._row())
+        stored = self._od.values
+        values = [reader(sub) if reader else stored[key] for reader, sub, key in self._getters]
+        if self._packing:
+            return struct.pack(self._packing, *values)
+        if self.widths is not None:
+            from .wide_types import pack  # a device without mapped bits does without
+
+            return pack(self.letters, self.widths, values)
+        return b"".join([encode(k, v) for k, v in zip(self.letters, values)])  # noqa: B905
+
+    def on_sync(self, counter: int) -> bool:
+        """Count a SYNC; return True if this PDO is due on it."""
+        if self.transmission == 0:
+            due, self.pending = self.pending, False
+            return due
+        if self.sync_start and counter:  # if the SYNC has no counter, the start value has no meaning
+            if self.syncs == 0 and counter != self.sync_start:
+                return False
+            # The SYNC with the start value counts as the first (7.5.2.37), and the PDO is sent on it.
+            due = self.syncs % self.transmission == 0
+            self.syncs = self.syncs % self.transmission + 1
+            return due
+        self.syncs += 1
+        if self.syncs < self.transmission:
+            return False
+        self.syncs = 0
+        return True
+
+
+class TransmitPdos:
+    """All TPDOs of a device. ``due_us`` is the earliest time at which an event-driven one may be due."""
+
+    __slots__ = ("_device", "_pdos", "_synchronous", "due_us")
+
+    def __init__(self, device: "Device") -> None:
+        self._device = device
+        self.due_us = codes.NEVER_US
+        self._pdos = [
+            TransmitPdo(device.od, index, index + communication.MAPPING, TPDO, self._changed)
+            for index in device.od.indices(communication.TPDO, communication.LAST_TPDO)
+        ]
+        self._synchronous: "list[TransmitPdo]" = []
+
+    def reset(self) -> None:
+        """Apply the present parameter objects after a boot-up."""
+        for pdo in self._pdos:
+            pdo.load()
+        self._changed()
+
+    def enabled(self, number: int) -> bool:
+        """Return True if TPDO ``number``, counted from 1, is active at present."""
+        return self._pdos[number - 1].active
+
+    def can_ids(self) -> "list[int]":
+        """Return the identifiers of the TPDOs that this device sends."""
+        return [pdo.can_id for pdo in self._pdos if pdo.active]
+
+    def mapped(self) -> "list[tuple[int, int, list[tuple[int, int]]]]":
+        """Return (number, transmission type, mapped (index, sub)) of each TPDO that is active at present."""
+        return [(k + 1, pdo.transmission, pdo.keys) for k, pdo in enumerate(self._pdos) if pdo.active]
+
+    def on_sync(self, counter: int) -> None:
+        """Send every synchronous TPDO that is due on this SYNC."""
+        for pdo in self._synchronous:
+            if pdo.each_sync or pdo.on_sync(counter):
+                self._device.send(pdo.can_id, pdo.pack())
+
+    def request(self, number: int, earliest_us: int = 0) -> None:
+        """Handle an event of the application: send TPDO ``number`` as its type and inhibit time allow, not earlier."""
+        pdo = self._pdos[number - 1]
+        pdo.pending = True
+        if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo):
+            pdo.due_us = min(pdo.due_us, max(self._device.now_us, pdo.free_us, earliest_us))
+            self._reschedule()
+
+    def announce(self, index: int) -> None:
+        """Send each event-driven TPDO that maps an object at once, or as soon as its inhibit time allows."""
+        for k, pdo in enumerate(self._pdos):
+            if pdo.transmission > LAST_SYNCHRONOUS and self._active(pdo) and (index, 0) in pdo.keys:
+                if pdo.free_us <= self._device.now_us:
+                    self._send(pdo, self._device.now_us)
+                    self._reschedule()
+                else:
+                    self.request(k + 1)
+
+    def started(self) -> None:
+        """Start when the device enters OPERATIONAL: count SYNCs from here, send all event-driven TPDOs."""
+        for pdo in self._pdos:
+            pdo.syncs = 0
+            pdo.pending = False
+            if pdo.transmission > LAST_SYNCHRONOUS:
+                pdo.due_us = max(self._device.now_us, pdo.free_us)
+        self._reschedule()
+
+    def stopped(self) -> None:
+        """Stop when the device leaves OPERATIONAL: nothing is due."""
+        self.due_us = codes.NEVER_US
+
+    def expire(self, now_us: int) -> None:
+        """Send the event-driven TPDOs that are due."""
+        if self._device.application is not None:
+            self._device.application.refresh(now_us)
+        for pdo in self._pdos:
+            if pdo.due_us <= now_us and self._active(pdo):
+                self._send(pdo, now_us)
+        self._reschedule()
+
+    def _send(self, pdo: TransmitPdo, now_us: int) -> None:
+        self._device.send(pdo.can_id, pdo.pack())
+        pdo.pending = False
+        pdo.free_us = now_us + pdo.inhibit_us
+        pdo.due_us = now_us + max(pdo.event_us, pdo.inhibit_us) if pdo.event_us else codes.NEVER_US
+
+    def _active(self, pdo: TransmitPdo) -> bool:
+        return pdo.active and self._device.nmt.state == codes.OPERATIONAL
+
+    def _changed(self) -> None:
+        self._synchronous = [pdo for pdo in self._pdos if pdo.active and pdo.transmission <= LAST_SYNCHRONOUS]
+        self._device.settings_changed()
+        self._device.routes_changed()  # another node may use an identifier that is no longer used here
+        for pdo in self._pdos:
+            if (
+                self._active(pdo)
+                and pdo.transmission > LAST_SYNCHRONOUS
+                and pdo.due_us == codes.NEVER_US
+                and pdo.event_us
+            ):
+                pdo.due_us = self._device.now_us + pdo.event_us
+        self._reschedule()
+
+    def _reschedule(self) -> None:
+        due = [pdo.due_us for pdo in self._pdos if self._active(pdo) and pdo.transmission > LAST_SYNCHRONOUS]
+        self.due_us = min(due) if due else codes.NEVER_US

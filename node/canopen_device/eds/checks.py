@@ -1,0 +1,221 @@
+"""Where the parts of an EDS contradict each other: lists, identity, PDOs. Each becomes a finding; none stops a load."""
+
+from __future__ import annotations
+
+from canopen_device.core import codes, communication
+from canopen_device.core.object_dictionary import RPDO, TPDO
+from canopen_device.eds import values
+from canopen_device.eds.description import Description, Entry
+from canopen_device.eds.sections import EdsFile, Section
+from canopen_device.types import LETTER_OF_CODE, TYPES
+
+_LISTS = ("mandatoryobjects", "optionalobjects", "manufacturerobjects")
+_COUNT_KEYS = ("SupportedObjects", "NrOfObjects", "NrOfEntries")
+_SHOWN = 5
+_IDENTITY = ("VendorNumber", "ProductNumber", "RevisionNumber")
+_WITH_NODE_ID = (
+    (communication.COB_ID_EMCY, 0, codes.EMCY_BASE), (communication.SDO_SERVER, 1, codes.SDO_REQUEST_BASE),
+    (communication.SDO_SERVER, 2, codes.SDO_RESPONSE_BASE),
+)  # fmt: skip
+_DEFAULT_DUMMIES = frozenset(range(1, 8))
+_PDOS = (
+    (communication.RPDO, communication.LAST_RPDO, RPDO),
+    (communication.TPDO, communication.LAST_TPDO, TPDO),
+)
+
+
+def check(file: EdsFile, eds: Description) -> None:
+    """Compare the parts of the file, and set ``Entry.directions``."""
+    for name in ("FileInfo", "MandatoryObjects"):
+        if name.lower() not in file.sections:
+            eds.add(0, f"no section [{name}]")
+    if any(name in file.sections for name in _LISTS):
+        _check_lists(file, eds)
+    if "supportedmodules" in file.sections and _count(file.sections["supportedmodules"], "NrOfEntries"):
+        eds.add(file.sections["supportedmodules"].line, "[SupportedModules]: objects of modules are not loaded")
+    _check_parameter_values(file, eds)
+    _check_identifiers(eds)
+    _check_identity(file.sections.get("deviceinfo"), eds)
+    if eds.bit_rate and eds.bit_rates and eds.bit_rate not in eds.bit_rates:
+        eds.add(0, f"Baudrate={eds.bit_rate // 1000}: [DeviceInfo] has BaudRate_{eds.bit_rate // 1000}=0")
+    for entry in eds.entries():
+        entry.directions = _directions(entry)
+    for first, last, direction in _PDOS:
+        _check_pdos(eds, first, last, direction)
+
+
+def _count(section: Section, *keys: str) -> int | None:
+    text = next((section.get(key) for key in keys if section.get(key)), None)
+    return None if text is None else values.integer(text).value
+
+
+def _check_lists(file: EdsFile, eds: Description) -> None:
+    listed: set[int] = set()
+    known = file.objects.keys() | file.subs.keys()
+    for name in _LISTS:
+        section = file.sections.get(name)
+        if section is None:
+            continue
+        own = [(key, text) for key, text in section.keys.items() if key[:1].isdigit()]
+        problem = _count(section, *_COUNT_KEYS)
+        if problem != len(own):
+            key = next((key for key in _COUNT_KEYS if section.get(key)), _COUNT_KEYS[0])
+            section.say(key, f"the list has {len(own)}")
+        for key, text in own:
+            index = _listed_index(file, text)
+            if index is None or index not in known:
+                section.say(key, "the file has no such section")
+                continue
+            if values.integer(text).value != index:
+                section.say(key, f"0x is missing; read as 0x{index:04X}")
+            if index in listed:
+                section.say(key, "listed twice")
+            listed.add(index)
+    unlisted = sorted((eds.objects.keys() & known) - listed)
+    if unlisted:
+        shown = ", ".join(f"0x{index:04X}" for index in unlisted[:_SHOWN]) + (", ..." if unlisted[_SHOWN:] else "")
+        eds.add(eds.objects[unlisted[0]].line, f"{len(unlisted)} objects are in no list of objects: {shown}; loaded")
+
+
+def _check_parameter_values(file: EdsFile, eds: Description) -> None:
+    """Report the values of a DCF in a file that configures no node."""
+    subs = [section for index in file.subs for section in file.subs[index].values()]
+    given = [section for section in [*file.objects.values(), *subs] if section.get("ParameterValue")]
+    if given and not eds.is_dcf:
+        first = min(given, key=lambda section: section.line)
+        problem = f"{len(given)} ParameterValues, but no [DeviceComissioning], as a DCF has; the DefaultValues apply"
+        without = sum(not section.get("DefaultValue") for section in given)
+        problem += f", where there is none ({without}) the ParameterValue" if without else ""
+        first.say("ParameterValue", problem)
+
+
+def _listed_index(file: EdsFile, text: str) -> int | None:
+    """Return the index of a list: hexadecimal; decimal if only that names a section."""
+    value = values.integer(text).value
+    bare = text.strip()
+    if value in file.objects or value in file.subs or bare[:2].lower() == "0x":
+        return value
+    try:
+        return int(bare, 16)
+    except ValueError:
+        return value
+
+
+def _check_identifiers(eds: Description) -> None:
+    """Report identifiers of EMCY and SDO without the node-id."""
+    for index, sub, base in _WITH_NODE_ID:
+        entry = eds.entry(index, sub)
+        if entry is not None and entry.initial == base:
+            eds.add(entry.line, f"{entry.place} has {base:#x}: $NODEID+{base:#x} may be meant; the value stays")
+
+
+def _check_identity(section: Section | None, eds: Description) -> None:
+    """Fill 1018h from [DeviceInfo] where it has no default; report where they differ."""
+    for sub, key in enumerate(_IDENTITY, 1):
+        entry = eds.entry(communication.IDENTITY, sub)
+        text = section.get(key) if section is not None else None
+        if section is None or entry is None or not text:
+            continue
+        number, _, remark = values.integer(text)
+        if number is None or not 0 <= number <= 0xFFFFFFFF:
+            section.say(key, remark or "allowed are 0 to 0xFFFFFFFF")
+        elif not entry.has_default and entry.value is None:
+            entry.default = number
+        elif entry.initial != number:
+            section.say(key, f"{entry.place} has {entry.initial!r}, which applies")
+    serial = eds.entry(communication.IDENTITY, 4)
+    if eds.serial is not None and serial is not None and serial.value is None:
+        serial.value = eds.serial
+
+
+def _directions(entry: Entry) -> int:
+    """Return the PDOs that may map an entry, by PDOMapping and AccessType (CiA 306-1)."""
+    if not entry.mappable:
+        return 0
+    return {"ro": TPDO, "const": TPDO, "rwr": TPDO, "wo": RPDO, "rww": RPDO}.get(entry.access, TPDO | RPDO)
+
+
+# --- PDOs -----------------------------------------------------------------------------------------------------
+
+
+def _check_pdos(eds: Description, first: int, last: int, direction: int) -> None:
+    used: dict[int, int] = {}
+    for index in sorted(index for index in eds.objects if first <= index <= last):
+        entry = eds.entry(index, 1)
+        cob_id = entry.initial if entry is not None else codes.COB_ID_INVALID
+        if not isinstance(cob_id, int):
+            continue
+        valid = not cob_id & codes.COB_ID_INVALID
+        can_id = cob_id & codes.STANDARD_MASK
+        line = eds.objects[index].line if entry is None else entry.line
+        if index + communication.MAPPING not in eds.objects:
+            eds.add(
+                line, f"[{index:04X}]: no mapping object 0x{index + communication.MAPPING:04X}; the PDO is inactive"
+            )
+            continue
+        if valid and cob_id & codes.EXTENDED_COB_ID:
+            eds.add(line, f"[{index:04X}sub1] {cob_id:#x}: a 29-bit identifier, which is not supported; inactive")
+        elif valid and codes.restricted(can_id):
+            hint = "" if entry is None or entry.has_node_id or not can_id else f"; $NODEID+0x{can_id:X} may be meant"
+            eds.add(line, f"[{index:04X}sub1] 0x{can_id:X}: a restricted identifier (CiA 301, 7.3.5); inactive{hint}")
+        elif valid and can_id in used:
+            eds.add(line, f"[{index:04X}sub1] 0x{can_id:X}: also the identifier of 0x{used[can_id]:04X}")
+        if valid:
+            used.setdefault(can_id, index)
+            _check_transmission(eds, index, direction)
+        _check_mapping(eds, index + communication.MAPPING, direction)
+
+
+def _check_transmission(eds: Description, index: int, direction: int) -> None:
+    entry = eds.entry(index, 2)
+    kind = entry.initial if entry is not None else None
+    if entry is None or not isinstance(kind, int):
+        return
+    problem = ""
+    if kind <= codes.LAST_SYNCHRONOUS and communication.COB_ID_SYNC not in eds.objects:
+        problem = f"a synchronous PDO, but no object 1005h; SYNC is received on 0x{codes.SYNC_COB_ID:02X}"
+    elif direction == TPDO and codes.LAST_SYNCHRONOUS < kind < codes.EVENT_DRIVEN:
+        problem = f"{kind} is reserved, or sent on a remote request, which is not supported; inactive"
+    if problem:
+        eds.add(entry.line, f"[{index:04X}sub2]: {problem}")
+
+
+def _check_mapping(eds: Description, index: int, direction: int) -> None:
+    mapping = eds.objects[index].entries
+    count = mapping[0].initial if 0 in mapping else 0
+    bits = 0
+    for sub in range(1, count + 1 if isinstance(count, int) else 1):
+        word = mapping[sub].initial if sub in mapping else None
+        line = mapping[sub].line if sub in mapping else mapping[0].line
+        place = f"[{index:04X}sub{sub:X}]"
+        if not isinstance(word, int):
+            eds.add(line, f"{place}: [{index:04X}sub0] has {count!r}, the entry does not exist; the PDO is inactive")
+            return
+        bits += word & 0xFF
+        problem = _wrong(eds, word, direction)
+        if problem:
+            eds.add(line, f"{place} 0x{word:08X}: {problem}")
+    if bits > 8 * 8:
+        eds.add(mapping[0].line, f"[{index:04X}]: {bits} bits are mapped, 64 fit a PDO; the PDO is inactive")
+
+
+def _wrong(eds: Description, word: int, direction: int) -> str:
+    """Return what is wrong with a mapped entry, "" if nothing is; an entry that PDOMapping forbids becomes mappable."""
+    index, sub, bits = word >> 16, word >> 8 & 0xFF, word & 0xFF
+    dummies = _DEFAULT_DUMMIES if eds.dummies is None else eds.dummies
+    if index in LETTER_OF_CODE and sub == 0:
+        if direction == TPDO:
+            return "a data type can be mapped into an RPDO only; the PDO is inactive"
+        return "" if index in dummies else f"[DummyUsage] has no Dummy{index:04X}=1; the PDO is inactive"
+    entry = eds.entry(index, sub)
+    if entry is None:
+        return "no such entry; the PDO is inactive"
+    size = TYPES[entry.letter].size
+    if size is not None and bits != 8 * size and not (entry.letter == "?" and bits == 1):
+        return f"{entry.type.name} has {8 * size} bits, {bits} are mapped; the PDO is inactive"
+    if not entry.directions & direction:
+        entry.directions |= direction
+        shown = "TPDO" if direction == TPDO else "RPDO"
+        key = f"AccessType={entry.access}" if entry.mappable else "PDOMapping=0"
+        return f"{entry.place} has {key}; taken as mappable into a {shown}"
+    return ""

@@ -1,0 +1,90 @@
+"""A DCF: the EDS of a device with the values of part node (CiA 306-1, 4.7)."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+
+from canopen_device.eds.description import Description
+from canopen_device.eds.sections import EdsFile, Section, decoded, parse
+from canopen_device.types import Value, format_value
+
+_COMMISSIONING = "devicecomissioning"  # this is the spelling of CiA 306
+_NODE_ID_BITS = 0x7F
+
+
+def dcf_text(described: Description, values: Mapping[tuple[int, int], Value]) -> str:
+    """Return the DCF of ``described.node_id`` with these values by (index, sub); comments of the EDS are left out."""
+    file = parse(decoded(described.content)[0])
+    lists: dict[int, dict[int, str]] = {}
+    sections = dict(file.sections)
+    sections.pop(_COMMISSIONING, None)
+    for part in sections.values():
+        text = part.keys.pop("parametervalue", None)
+        if text and not described.is_dcf and not part.get("DefaultValue"):  # it is the default, see ``objects``
+            part.keys["defaultvalue"], part.written["defaultvalue"] = text, "DefaultValue"
+    without = {index for index, _ in values} - file.objects.keys() - file.subs.keys()  # such as those of CompactPDO
+    for (index, sub), value in sorted(values.items()):
+        section = file.entry(index, sub) if sub == 0 or index in file.subs else None
+        if index in without:
+            continue
+        if section is None:
+            lists.setdefault(index, {})[sub] = _text(described, index, sub, value)
+        else:
+            section.keys["parametervalue"] = _text(described, index, sub, value)
+            section.written["parametervalue"] = "ParameterValue"
+    _list_objects(file, without)
+    lines: list[str] = []
+    replaced = {id(part["value"]) for index, part in file.lists.items() if index in lists and "value" in part}
+    numbers = {id(part): index for index, part in file.objects.items() if index in lists}
+    for part in sections.values():
+        if id(part) not in replaced:
+            lines += [*part.text_lines(), *_list_lines(part, lists.get(numbers.get(id(part), -1)))]
+    lines += [line for index in sorted(without) for line in _object_lines(described, index, values)]
+    commissioning = ["[DeviceComissioning]", f"NodeID={described.node_id}", f"NodeName={described.node_name}"]
+    if described.bit_rate is not None:
+        commissioning.append(f"Baudrate={described.bit_rate // 1000}")
+    return "\n".join([*lines, *commissioning, "CANopenManager=0", ""])
+
+
+def _list_lines(section: Section, values: Mapping[int, str] | None) -> list[str]:
+    """Return the list of the values of a compact object, which stands behind its section."""
+    if values is None:
+        return []
+    texts = (f"{sub}={text}" for sub, text in sorted(values.items()))
+    return [f"[{section.name}Value]", f"NrOfEntries={len(values)}", *texts, ""]
+
+
+def _list_objects(file: EdsFile, indices: Iterable[int]) -> None:
+    """Add objects to the list of optional objects, where the file has part."""
+    section = file.sections.get("optionalobjects")
+    if section is None:
+        return
+    first = sum(key.isdigit() for key in section.keys) + 1
+    for count, index in enumerate(sorted(indices), first):
+        for key, text in ((str(count), f"0x{index:04X}"), ("supportedobjects", str(count))):
+            section.keys[key] = text
+            section.written.setdefault(key, key)
+
+
+def _object_lines(described: Description, index: int, values: Mapping[tuple[int, int], Value]) -> list[str]:
+    """Return the sections of an object that the file does not have."""
+    added = described.objects[index]
+    lines = [f"[{index:04X}]", f"ParameterName={added.name}", f"ObjectType=0x{added.code:X}"]
+    lines += [f"SubNumber={len(added.entries)}", ""]
+    for sub, entry in sorted(added.entries.items()):
+        lines += [f"[{index:04X}sub{sub:X}]", f"ParameterName={entry.name}", f"DataType=0x{entry.type.code:04X}"]
+        lines += [f"AccessType={entry.access}", f"DefaultValue={_text(described, index, sub, entry.default)}"]
+        if (index, sub) in values:
+            lines.append(f"ParameterValue={_text(described, index, sub, values[index, sub])}")
+        lines.append("")
+    return lines
+
+
+def _text(described: Description, index: int, sub: int, value: Value) -> str:
+    entry = described.entry(index, sub)
+    if entry is None:
+        raise AssertionError((index, sub))
+    number = value if isinstance(value, int) else None
+    if number is not None and entry.has_node_id and number & _NODE_ID_BITS == described.node_id:
+        return f"$NODEID+0x{number - described.node_id:X}"
+    return format_value(entry.letter, value)

@@ -1,0 +1,200 @@
+"""What an EDS or DCF says of a device: objects with their entries, general facts, and what is wrong with the file."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from canopen_device.eds.sections import Finding, Findings
+from canopen_device.errors import InputError
+from canopen_device.types import TYPES, DataType, Value
+
+NULL, DOMAIN, DEFTYPE, DEFSTRUCT, VAR, ARRAY, RECORD = 0, 2, 5, 6, 7, 8, 9  # object codes (CiA 301, 7.4.3)
+READ_ONLY, CONSTANT, WRITE_ONLY = "ro", "const", "wo"
+_NUMERIC = re.compile(
+    r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{1,4})[hH])(?:\s*[:./]\s*(?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?"
+)
+MOST_ENTRIES = 100_000
+"""Entries of a device: large devices have some thousands; few lines with CompactSubObj and CompactPDO count many."""
+
+MOST_VALUE_BYTES = 64 << 20
+"""Names and values of all entries, with the files of a DCF: a section may stand for 254 entries."""
+
+
+@dataclass(slots=True)
+class Entry:
+    """One sub-index. ``default`` and ``value`` (ParameterValue, None without one) include the node-id.
+
+    ``directions`` are those of the PDOs that may map it: the flags TPDO and RPDO of ``device.object_dictionary``.
+    ``access`` is ro, wo, rw, rwr, rww or const; ``letter`` one of ``dictionary.types``; ``line`` that of its section.
+    """
+
+    index: int
+    sub: int
+    name: str
+    letter: str
+    access: str
+    default: Value
+    low: int | float | None = None
+    high: int | float | None = None
+    mappable: bool = False
+    directions: int = 0
+    has_node_id: bool = False
+    has_default: bool = True
+    value: Value | None = None
+    flags: int = 0
+    unit: str = ""
+    denotation: str = ""
+    line: int = 0
+
+    @property
+    def type(self) -> DataType:
+        """The data type."""
+        return TYPES[self.letter]
+
+    @property
+    def initial(self) -> Value:
+        """The value after power-on."""
+        return self.default if self.value is None else self.value
+
+    @property
+    def place(self) -> str:
+        """``0x1018:01``."""
+        return f"0x{self.index:04X}:{self.sub:02X}"
+
+
+@dataclass(slots=True)
+class Object:
+    """One index; ``code`` is the object code, ``entries`` by sub-index (a VAR or DOMAIN has 0 alone)."""
+
+    index: int
+    name: str
+    code: int
+    line: int
+    entries: dict[int, Entry] = field(default_factory=dict)
+
+
+@dataclass(slots=True)
+class Description:
+    """A device as its file describes it, for one node-id. ``findings`` are in the order of the lines.
+
+    ``bit_rates`` are those that [DeviceInfo] allows, in bit/s; ``bit_rate`` is that of a DCF. ``dummies`` are the data
+    types that an RPDO may map as placeholders, None if the file does not say. ``is_dcf``: it configures one node.
+    """
+
+    path: Path
+    node_id: int
+    objects: dict[int, Object] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
+    content: bytes = b""
+    vendor_name: str = ""
+    product_name: str = ""
+    order_code: str = ""
+    node_name: str = ""
+    bit_rates: tuple[int, ...] = ()
+    bit_rate: int | None = None
+    serial: int | None = None
+    lss: bool = True
+    dummies: frozenset[int] | None = None
+    is_dcf: bool = False
+    count: int = 0
+    value_bytes: int = 0
+
+    def take(self, entry: Entry) -> Entry:
+        """Count an entry, and return it. Raises InputError beyond MOST_ENTRIES and MOST_VALUE_BYTES."""
+        self.count += 1
+        if self.count > MOST_ENTRIES:
+            raise InputError(f"{self.path}:{entry.line}: {entry.place}: more than {MOST_ENTRIES} entries, the limit")
+        self.value_bytes += len(entry.name)
+        self.value_bytes += sum(len(v) for v in (entry.default, entry.value) if isinstance(v, str | bytes))
+        if self.value_bytes > MOST_VALUE_BYTES:
+            told = f"more than {MOST_VALUE_BYTES} bytes of names and values up to it, the limit"
+            raise InputError(f"{self.path}:{entry.line}: {entry.place}: {told}")
+        return entry
+
+    def add(self, line: int, text: str) -> None:
+        """Note what is wrong at ``line``."""
+        self.findings.append(Finding(line, text))
+
+    @property
+    def warnings(self) -> list[str]:
+        """The findings as text: ``drive.eds:120: [6040] DataType=...: ...``."""
+        name = self.path.name
+        return [f"{name}:{line}: {text}" if line else f"{name}: {text}" for line, text in sorted(self.findings)]
+
+    def entry(self, index: int, sub: int) -> Entry | None:
+        """The entry, None if there is none."""
+        found = self.objects.get(index)
+        return None if found is None else found.entries.get(sub)
+
+    def entries(self) -> list[Entry]:
+        """Every entry, by index and sub-index."""
+        return [found.entries[sub] for _, found in sorted(self.objects.items()) for sub in sorted(found.entries)]
+
+    def find(self, key: int | tuple[int, int] | str) -> Entry:
+        """The entry of an index (its only or first value), of (index, sub), of ``"0x6064"``, ``"6041h:00"``, or a name.
+
+        A name is the ParameterName, "Object name/Entry name" for an entry of a record; case and spaces do not matter.
+        Raises InputError with the nearest names, and for a name that several entries have.
+        """
+        if isinstance(key, str):
+            match = _NUMERIC.fullmatch(key.strip())
+            if match is None:
+                return _named(self, key)
+            return _numbered(self, int(match[1] or match[2], 16), None if match[3] is None else int(match[3], 16))
+        return _numbered(self, key, None) if isinstance(key, int) else _numbered(self, *key)
+
+
+def _numbered(description: Description, index: int, sub: int | None) -> Entry:
+    found = description.objects.get(index)
+    if found is None:
+        near = sorted(description.objects, key=lambda known: (abs(known - index), known))[:3]
+        shown = ", ".join(f"0x{known:04X}" for known in near)
+        raise InputError(f"{description.path.name}: no object 0x{index:04X}; the nearest are {shown}")
+    if sub is None and set(found.entries) != {0}:
+        raise InputError(
+            f"0x{index:04X} {found.name!r} has several entries: write 0x{index:04X}:SS, {_subs(found.entries)}"
+        )
+    entry = found.entries.get(sub or 0)
+    if entry is None:
+        raise InputError(f"0x{index:04X} {found.name!r}: no sub-index {sub}; allowed are {_subs(found.entries)}")
+    return entry
+
+
+def _subs(entries: dict[int, Entry]) -> str:
+    subs = sorted(entries)
+    return ", ".join(f"{sub:02X}" for sub in subs) if len(subs) < 9 else f"{subs[0]:02X} to {subs[-1]:02X}"
+
+
+def folded(name: str) -> str:
+    """Return a name without what does not distinguish it: case, spaces, punctuation."""
+    return "".join(part for part in name.lower() if part.isalnum() or part == "/")
+
+
+def names(description: Description) -> dict[str, list[Entry]]:
+    """Return the entries by folded name: that of the object for a single value, object/entry, and entry alone."""
+    known: dict[str, list[Entry]] = {}
+    for _, described in sorted(description.objects.items()):
+        object_name = folded(described.name)
+        for entry in described.entries.values():
+            name = folded(entry.name)
+            alone = set(described.entries) == {0}
+            for text in (object_name,) if alone else (f"{object_name.replace('/', '')}/{name.replace('/', '')}", name):
+                known.setdefault(text, []).append(entry)
+    return known
+
+
+def _named(description: Description, key: str) -> Entry:
+    known = names(description)
+    found = known.get(folded(key), [])
+    if len(found) == 1:
+        return found[0]
+    if found:
+        shown = ", ".join(entry.place for entry in found[:4]) + (", ..." if len(found) > 4 else "")
+        raise InputError(f"{key!r} names {len(found)} entries of {description.path.name}: {shown}; write one of these")
+    near = difflib.get_close_matches(folded(key), list(known), 3, 0.5)
+    shown = ", ".join(f"{known[name][0].name!r} ({known[name][0].place})" for name in near)
+    hint = f"close to it: {shown}" if near else "write an index such as 0x6064 or a ParameterName of the file"
+    raise InputError(f"{description.path.name}: no object is called {key!r}; {hint}")

@@ -1,0 +1,131 @@
+"""Read an EDS or DCF completely: general sections, objects, and the checks between them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from canopen_device.eds import values
+from canopen_device.eds.checks import check
+from canopen_device.eds.description import Description
+from canopen_device.eds.keys import BIT_RATES_KBIT_S, read_key
+from canopen_device.eds.objects import read_objects
+from canopen_device.eds.sections import MOST_BYTES, EdsFile, Section, decoded, parse
+from canopen_device.eds.standard import add_compact_pdos, add_mandatory
+from canopen_device.errors import InputError
+
+_COMMISSIONING = ("devicecomissioning", "devicecommissioning")  # CiA 306 spells it with one m
+_CONFIGURED = (".dcf", ".xdc")  # of one node
+_UNCONFIGURED, _LAST_NODE_ID = 255, 127
+_FIRST_DUMMY, _LAST_DUMMY = 1, 0x1B
+
+
+def read_eds(path: str | Path, node_id: int | None = None) -> Description:
+    """Return the device that an EDS, DCF, XDD or XDC describes, as node ``node_id`` (default: that of the DCF).
+
+    ``Description.warnings`` says, by line, where the file leaves CiA 306-1, contradicts itself, or is incomplete, and
+    how it is read there. Raises InputError for a file that cannot be read, is no EDS, has no object, or, without
+    ``node_id``, names no node.
+    """
+    file = read(path)
+    content = file.text.encode() if file.is_xml else Path(path).read_bytes()
+    return describe(file, Path(path), content, node_id)
+
+
+def read(path: str | Path) -> EdsFile:
+    """Return the sections of a file in UTF-8, UTF-16 with a byte order mark, or Windows-1252, or of an XDD or XDC.
+
+    Raises InputError for a file that cannot be read, or that has no section at all.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except (OSError, ValueError) as error:
+        raise InputError(f"{path}: {getattr(error, 'strerror', None) or error}") from None
+    if len(content) > MOST_BYTES:
+        raise InputError(f"{path}: {len(content)} bytes; an EDS or DCF has at most {MOST_BYTES}")
+    text, findings = decoded(content)
+    if text.lstrip().startswith("<"):
+        from canopen_device.eds.xdd import read_xdd
+
+        return read_xdd(path, content)
+    file = parse(text, path)
+    file.findings[:0] = findings
+    if not file.sections:
+        raise InputError(
+            f"{path}: no [section] in it; an EDS or DCF (CiA 306) has [FileInfo], [DeviceInfo], [1000], ..."
+        )
+    return file
+
+
+def describe(file: EdsFile, path: Path, content: bytes, node_id: int | None) -> Description:
+    """Return the description of the sections of a file. Raises InputError as ``read_eds``."""
+    described = Description(path, 0, findings=file.findings, content=content)
+    commissioning = next((file.sections[name] for name in _COMMISSIONING if name in file.sections), None)
+    described.is_dcf = commissioning is not None or path.suffix.lower() in _CONFIGURED
+    if described.is_dcf and commissioning is None:
+        described.add(0, "no section [DeviceComissioning], as a DCF has")
+    described.node_id = _node_id(described, commissioning, node_id)
+    _read_device_info(file.sections.get("deviceinfo"), described)
+    if commissioning is not None:
+        _read_commissioning(commissioning, described)
+    _read_dummies(file.sections.get("dummyusage"), described)
+    read_objects(file, described)
+    if not described.objects:
+        raise InputError(f"{path}: no object in it; an EDS has a section for each, such as [1000] and [1018sub1]")
+    add_mandatory(described)
+    add_compact_pdos(file, described)
+    check(file, described)
+    return described
+
+
+def _node_id(described: Description, section: Section | None, given: int | None) -> int:
+    text = (section.get("NodeID") if section is not None else None) or ""
+    own = values.integer(text).value if text else None
+    valid = own is not None and (1 <= own <= _LAST_NODE_ID or own == _UNCONFIGURED)
+    if section is not None and text and not valid:
+        section.say("NodeID", f"allowed are 1 to {_LAST_NODE_ID}")
+    if given is None:
+        if own is None or not valid:
+            raise InputError(f"{described.path}: names no node-id; give one, 1 to {_LAST_NODE_ID}")
+        return own
+    if (
+        isinstance(given, bool)
+        or not isinstance(given, int)
+        or not (1 <= given <= _LAST_NODE_ID or given == _UNCONFIGURED)
+    ):
+        raise InputError(f"node-id {given!r}: allowed are 1 to {_LAST_NODE_ID}, and {_UNCONFIGURED} for none yet")
+    if section is not None and valid and own != given:
+        remark = f"loaded as node {given}; values without $NODEID stay those of node {own}"
+        section.say("NodeID", remark)
+    return given
+
+
+def _read_device_info(section: Section | None, described: Description) -> None:
+    if section is None:
+        described.add(0, "no section [DeviceInfo]")
+        return
+    described.vendor_name, described.product_name, described.order_code, described.lss = (
+        read_key(section, key) for key in ("VendorName", "ProductName", "OrderCode", "LSS_Supported")
+    )
+    described.bit_rates = tuple(1000 * rate for rate in BIT_RATES_KBIT_S if read_key(section, f"BaudRate_{rate}"))
+
+
+def _read_commissioning(section: Section, described: Description) -> None:
+    described.node_name = read_key(section, "NodeName")
+    described.bit_rate = read_key(section, "Baudrate")
+    described.serial = read_key(section, "LSS_SerialNumber") or None  # 0: none is given
+
+
+def _read_dummies(section: Section | None, described: Description) -> None:
+    if section is None:
+        return
+    used = set()
+    for key, text in section.keys.items():
+        number = key.removeprefix("dummy")
+        if number == key or not number.isalnum() or values.integer("0x" + number).value is None:
+            section.say(key, "the form is Dummy0005=1; skipped")
+        elif values.integer(text).value:
+            used.add(int(number, 16))
+    outside = sorted(code for code in used if not _FIRST_DUMMY <= code <= _LAST_DUMMY)
+    if outside:
+        described.add(section.line, f"[{section.name}]: 0x{outside[0]:04X} is no data type; skipped")
+    described.dummies = frozenset(used) - frozenset(outside)

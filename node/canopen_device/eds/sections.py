@@ -1,0 +1,241 @@
+"""The text of an EDS or DCF as sections and keys, with the line of each, and what is wrong with it (CiA 306-1, 4.4)."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import NamedTuple
+
+from canopen_device.errors import InputError
+
+_OBJECT = re.compile(r"(?:0x)?([0-9a-f]{1,4})", re.IGNORECASE)
+_SUB = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*sub\s*(?:0x)?([0-9a-f]{1,2})", re.IGNORECASE)
+_LIST = re.compile(r"(?:0x)?([0-9a-f]{1,4})\s*(name|value|denotation)", re.IGNORECASE)
+_NEAR_OBJECT = re.compile(r"(?:0x)?[0-9][0-9a-f]{3}(?!.*objectlinks$)", re.IGNORECASE)
+MOST_BYTES, MOST_LINES, MOST_CHARACTERS = 32 << 20, 1_000_000, 64 << 20
+"""Of a file: its bytes, its lines, and the characters of its sections, in which an XDD may repeat a parameter."""
+
+LONGEST_TEXT = 1 << 16
+"""Most characters of a name or a value; CiA 306-1 has lines of 255."""
+
+MOST_FINDINGS = 100_000
+_SHOWN_CHARACTERS = 80
+
+
+class Finding(NamedTuple):
+    """What is wrong at ``line`` (0: in the file as a whole), and how the file is read in spite of it."""
+
+    line: int
+    text: str
+
+    def __str__(self) -> str:
+        """``line 12: ...``."""
+        return f"line {self.line}: {self.text}" if self.line else self.text
+
+
+class Findings(list[Finding]):
+    """The findings in a file; too many of them are the end: InputError."""
+
+    def __init__(self, path: str | Path = "") -> None:
+        super().__init__()
+        self._path = path
+
+    def append(self, finding: Finding) -> None:
+        """Add a finding. Raises InputError beyond MOST_FINDINGS."""
+        if len(self) >= MOST_FINDINGS:
+            problem = f"{MOST_FINDINGS} remarks up to here, which is the limit; the file is no EDS of a device"
+            raise InputError(f"{self._path}:{finding.line}: {problem}")
+        super().append(finding)
+
+
+@dataclass(slots=True)
+class Section:
+    """One section; keys are in lower case, ``name`` and ``written`` as the file has them, ``lines`` by key.
+
+    ``findings`` are those of its file.
+    """
+
+    name: str
+    line: int
+    findings: Findings = field(default_factory=Findings)
+    keys: dict[str, str] = field(default_factory=dict)
+    written: dict[str, str] = field(default_factory=dict)
+    lines: dict[str, int] = field(default_factory=dict)
+
+    def get(self, key: str) -> str | None:
+        """The value of ``key``, in any case; None where it is missing."""
+        return self.keys.get(key.lower())
+
+    def line_of(self, key: str) -> int:
+        """The line of ``key``; that of the section where it is missing."""
+        return self.lines.get(key.lower(), self.line)
+
+    def text_lines(self) -> list[str]:
+        """The lines of the section, and an empty one."""
+        return [f"[{self.name}]", *(f"{self.written[key]}={value}" for key, value in self.keys.items()), ""]
+
+    def complaint(self, key: str, what: str) -> str:
+        """``[name] key=value: what``."""
+        value = self.get(key)
+        shown = f"{key} missing" if value is None else f"{self.written[key.lower()]}={shortened(value)}"
+        return f"[{self.name}] {shown}: {what}"
+
+    def say(self, key: str, what: str) -> None:
+        """Note what is wrong with a key, at its line."""
+        self.findings.append(Finding(self.line_of(key), self.complaint(key, what)))
+
+
+def shortened(text: str) -> str:
+    """Return a text as a message shows it."""
+    return text if len(text) <= _SHOWN_CHARACTERS else f"{text[:_SHOWN_CHARACTERS]}..."
+
+
+@dataclass(slots=True)
+class EdsFile:
+    """The sections of a file by their names in lower case; objects, their subs and their lists by number.
+
+    ``lists[index]`` holds the sections "name", "value" and "denotation" of a compact object. ``is_xml``: of an XDD.
+    """
+
+    sections: dict[str, Section] = field(default_factory=dict)
+    objects: dict[int, Section] = field(default_factory=dict)
+    subs: dict[int, dict[int, Section]] = field(default_factory=dict)
+    lists: dict[int, dict[str, Section]] = field(default_factory=dict)
+    findings: Findings = field(default_factory=Findings)
+    is_xml: bool = False
+    path: str | Path = ""
+    characters: int = 0
+
+    def take(self, line: int, *texts: str) -> None:
+        """Count texts of the file before they are stored. Raises InputError beyond the limits."""
+        longest = max(map(len, texts))
+        if longest > LONGEST_TEXT:
+            raise self.error(line, f"a name or value of {longest} characters; allowed are {LONGEST_TEXT}")
+        self.characters += sum(map(len, texts))
+        if self.characters > MOST_CHARACTERS:
+            raise self.error(line, f"more than {MOST_CHARACTERS} characters in its sections, which is the limit")
+
+    def error(self, line: int, what: str) -> InputError:
+        """The error for a file that is beyond a limit."""
+        return InputError(f"{self.path}:{line}: {what}")
+
+    @property
+    def text(self) -> str:
+        """The sections as the text of an EDS, without comments."""
+        return "\n".join(line for section in self.sections.values() for line in section.text_lines())
+
+    def add(self, line: int, text: str) -> None:
+        """Note what is wrong at ``line``."""
+        self.findings.append(Finding(line, text))
+
+    @property
+    def complaints(self) -> list[str]:
+        """The findings as text."""
+        return [str(finding) for finding in self.findings]
+
+    def entry(self, index: int, sub: int) -> Section | None:
+        """The section of an entry: that of the sub-index, or of the object itself where it has none."""
+        if index in self.subs:
+            return self.subs[index].get(sub)
+        return self.objects.get(index) if sub == 0 else None
+
+
+def decoded(content: bytes) -> tuple[str, list[Finding]]:
+    """Return the text of a file's bytes, with a finding if it is neither ASCII nor UTF-8."""
+    if content[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        return content.decode("utf-16", "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
+    if 0 in content[:2]:  # a character of ASCII in 16 bits, without a byte order mark
+        order = "utf-16-be" if content[0] == 0 else "utf-16-le"
+        return content.decode(order, "replace"), [Finding(1, "UTF-16: CiA 306 has ASCII")]
+    try:
+        return content.decode("utf-8-sig"), []
+    except UnicodeDecodeError as error:
+        line = content.count(b"\n", 0, error.start) + 1
+        problem = f"byte 0x{content[error.start]:02X} is not UTF-8; the file is read as Windows-1252"
+        return content.decode("cp1252", "replace"), [Finding(line, problem)]
+
+
+def parse(text: str, path: str | Path = "") -> EdsFile:
+    """Lines that are no part of an EDS, and what occurs twice, become findings. Raises InputError beyond the limits."""
+    file = EdsFile(path=path, findings=Findings(path))
+    section: Section | None = None
+    text = text.replace("\r\n", "\n").replace("\r", "\n")
+    if (count := text.count("\n")) > MOST_LINES:
+        raise file.error(count, f"{count} lines; allowed are {MOST_LINES}")
+    for number, raw in enumerate(text.split("\n"), 1):
+        line = raw.strip(" \t\x00\x1a\ufeff")
+        if not line or line.startswith((";", "#")):
+            continue
+        if line.startswith("["):
+            section = open_section(file, _heading(file, line, number), number)
+        elif section is None:
+            file.add(number, f"{_shown(line)}: a key needs a [section] above it; skipped")
+        elif "=" in line:
+            key, _, value = line.partition("=")
+            add_key(file, section, key.strip(), value, number)
+        elif ":" in line:
+            file.add(number, f"{_shown(line)}: the form is key=value; read so")
+            key, _, value = line.partition(":")
+            add_key(file, section, key.strip(), value, number)
+        else:
+            file.add(number, f"{_shown(line)}: allowed are [section], key=value and ; comment; skipped")
+    return file
+
+
+def _heading(file: EdsFile, line: str, number: int) -> str:
+    """Return the name of the section that a line opens."""
+    name, closed, behind = line[1:].partition("]")
+    if not closed:
+        file.add(number, f"{_shown(line)}: ] is missing; read as a section")
+    elif behind and not behind.lstrip().startswith(";"):
+        file.add(number, f"{_shown(line)}: the text after ] is taken as a comment")
+    return name.partition(";")[0].strip()
+
+
+def _shown(line: str) -> str:
+    return repr(shortened(line))
+
+
+def open_section(file: EdsFile, name: str, number: int) -> Section:
+    """Add a section that begins at a line; a second one of its name is reported, and not applied."""
+    file.take(number, name)
+    section = Section(name, number, file.findings)
+    key = "".join(name.lower().split())
+    if key in file.sections:
+        first = file.sections[key].line
+        file.add(number, f"[{shortened(name)}]: the section is already there at line {first}; the first one applies")
+        return section
+    match = _OBJECT.fullmatch(name) or _SUB.fullmatch(name) or _LIST.fullmatch(name)
+    index = int(match[1], 16) if match else 0
+    if _SUB.fullmatch(name) and match:
+        known: Section | None = file.subs.setdefault(index, {}).setdefault(int(match[2], 16), section)
+    elif _LIST.fullmatch(name) and match:
+        known = file.lists.setdefault(index, {}).setdefault(match[2].lower(), section)
+    else:
+        known = file.objects.setdefault(index, section) if match else section
+    if known is not None and known is not section:  # [018] and [0018]
+        problem = f"[{name}]: the same as [{known.name}] at line {known.line}; the first one applies"
+        file.add(number, problem)
+        return section
+    if match is None and _NEAR_OBJECT.match(name):
+        file.add(number, f"[{shortened(name)}]: the forms are [2000] and [2000sub1]; the section is skipped")
+    file.sections[key] = section
+    return section
+
+
+def add_key(file: EdsFile, section: Section, name: str, value: str, number: int) -> None:
+    """Add a key of a line; a second one of its name is reported, and not applied."""
+    file.take(number, name, value)
+    key = "".join(name.lower().split())
+    if key != name.lower():
+        file.add(number, f"[{section.name}] {shortened(name)}: a key has no blanks; read without")
+    if key in section.keys:
+        problem = (
+            f"[{section.name}] {name}: the key is already there at line {section.line_of(key)}; the first one applies"
+        )
+        file.add(number, problem)
+        return
+    section.keys[key] = value.strip()
+    section.written[key] = name
+    section.lines[key] = number

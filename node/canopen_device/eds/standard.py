@@ -1,0 +1,167 @@
+"""What CiA 301 fixes for the communication area (7.5.2) where a file omits or changes it."""
+
+from __future__ import annotations
+
+from canopen_device.core import codes
+from canopen_device.core import communication as at
+from canopen_device.eds import values
+from canopen_device.eds.description import ARRAY, RECORD, VAR, Description, Entry, Object
+from canopen_device.eds.sections import EdsFile, Section
+
+_U8, _U16, _U32 = "B", "H", "I"
+_VARIABLES = {
+    at.DEVICE_TYPE: _U32, at.ERROR_REGISTER: _U8, at.MANUFACTURER_STATUS: _U32, at.COB_ID_SYNC: _U32,
+    at.SYNC_PERIOD: _U32, at.SYNC_WINDOW: _U32, at.DEVICE_NAME: "s", at.HARDWARE_VERSION: "s",
+    at.SOFTWARE_VERSION: "s", at.GUARD_TIME: _U16, at.LIFE_TIME_FACTOR: _U8, at.COB_ID_TIME: _U32,
+    at.HIGH_RESOLUTION_TIME: _U32, at.COB_ID_EMCY: _U32, at.EMCY_INHIBIT_TIME: _U16, at.PRODUCER_HEARTBEAT: _U16,
+    at.SYNC_OVERFLOW: _U8, at.STORED_EDS: "D", at.EDS_FORMAT: _U16, at.NMT_STARTUP: _U32,
+}  # fmt: skip
+_LISTS = {
+    at.ERROR_HISTORY: _U32, at.STORE_PARAMETERS: _U32, at.RESTORE_DEFAULTS: _U32, at.CONSUMER_HEARTBEAT: _U32,
+    at.IDENTITY: _U32, at.VERIFY_CONFIGURATION: _U32, at.ERROR_BEHAVIOUR: _U8,
+}  # fmt: skip
+_PDO_PARAMETER = {1: _U32, 2: _U8, 3: _U16, 4: _U8, 5: _U16, 6: _U8}
+_SDO_PARAMETER = {1: _U32, 2: _U32, 3: _U8}
+_MANDATORY = {at.DEVICE_TYPE: "Device type", at.ERROR_REGISTER: "Error register", at.IDENTITY: "Identity"}
+_IDENTITY = ("Vendor-ID", "Product code", "Revision number")
+_LAST_SDO = at.SDO_SERVER | 0xFF
+_TEXT_OR_DATA = ("s", "D")
+
+
+def standard_letter(index: int, sub: int) -> str | None:
+    """Return the type of an entry of the communication area, None where CiA 301 fixes none."""
+    if index in _VARIABLES:
+        return _VARIABLES[index] if sub == 0 else None
+    if index in _LISTS:
+        return _LISTS[index] if sub else _U8
+    if at.RPDO <= index <= at.LAST_RPDO or at.TPDO <= index <= at.LAST_TPDO:
+        return _PDO_PARAMETER.get(sub) if sub else _U8
+    if is_mapping(index):
+        return _U32 if sub else _U8
+    if at.SDO_SERVER <= index <= _LAST_SDO:
+        return _SDO_PARAMETER.get(sub) if sub else _U8
+    return None
+
+
+def is_mapping(index: int) -> bool:
+    """Return whether an object is the mapping of a PDO."""
+    return at.RPDO_MAPPING <= index <= at.LAST_RPDO_MAPPING or at.TPDO_MAPPING <= index <= at.LAST_TPDO_MAPPING
+
+
+def is_needed_integer(index: int, sub: int) -> bool:
+    """Return whether the services of the device compute with an entry: it must be an unsigned integer."""
+    letter = standard_letter(index, sub)
+    return letter is not None and letter not in _TEXT_OR_DATA
+
+
+def add_mandatory(eds: Description) -> None:
+    """Add the objects that every device has (CiA 301, 7.5.2) where the file has none, and report them."""
+    for index, name in _MANDATORY.items():
+        if index in eds.objects:
+            continue
+        is_record = index == at.IDENTITY
+        made = eds.objects[index] = Object(index, name, RECORD if is_record else VAR, 0)
+        for sub in range(len(_IDENTITY) + 1 if is_record else 1):
+            letter, default = standard_letter(index, sub) or _U8, len(_IDENTITY) if is_record and sub == 0 else 0
+            entry_name = name if not is_record else ("Highest sub-index supported", *_IDENTITY)[sub]
+            made.entries[sub] = Entry(index, sub, entry_name, letter, "ro", default, has_default=not sub)
+        value = "the numbers of [DeviceInfo]" if is_record else "the value 0"
+        eds.add(0, f"no object 0x{index:04X}, which is mandatory (CiA 301, 7.5.2); added with {value}")
+
+
+# --- PDOs that an EDS only counts: CompactPDO, NrOfRXPDO and NrOfTXPDO of [DeviceInfo] (CiA 306-1) -------------
+
+COUNTS = (
+    ("NrOfRXPDO", at.RPDO, at.LAST_RPDO, codes.RPDO_BASES),
+    ("NrOfTXPDO", at.TPDO, at.LAST_TPDO, codes.TPDO_BASES),
+)
+_PARAMETERS = (  # bit k of CompactPDO: sub-index k + 1 of the communication parameter
+    ("COB-ID", "I"), ("Transmission type", "B"), ("Inhibit time", "H"), ("Compatibility entry", "B"),
+    ("Event timer", "H"), ("SYNC start value", "B"),
+)  # fmt: skip
+_ALL, _MOST = 0x3F, 512
+_EVENT_DRIVEN = 255
+_BITS = 64
+
+
+def add_compact_pdos(file: EdsFile, eds: Description) -> None:
+    """Add each PDO that is counted, but has no section; without CompactPDO report the count that differs."""
+    section = file.sections.get("deviceinfo")
+    if section is None:
+        return
+    mask = values.integer(section.get("CompactPDO") or "0").value or 0
+    granularity = values.integer(section.get("Granularity") or "8").value or 8
+    if not 0 <= mask <= _ALL:
+        section.say("CompactPDO", f"allowed are 0x0 to 0x{_ALL:X}; read as {mask & _ALL:#x}")
+        mask &= _ALL
+    for key, first, last, bases in COUNTS:
+        if not section.get(key):
+            continue
+        count, _, remark = values.integer(section.get(key) or "")
+        there = sum(first <= index <= last for index in eds.objects)
+        if remark or count is None or not 0 <= count <= _MOST:
+            section.say(key, remark or f"allowed are 0 to {_MOST}")
+        elif mask:
+            _add(section, eds, first, count, mask, bases, granularity)
+        elif count != there:
+            kind = "1400h" if first == at.RPDO else "1800h"
+            section.say(key, f"the file has {there} PDOs from {kind} on; these apply")
+
+
+def _add(
+    section: Section,
+    eds: Description,
+    first: int,
+    count: int,
+    mask: int,
+    bases: tuple[int, ...],
+    granularity: int,
+) -> None:
+    listed = {index for index in eds.objects if first <= index <= first + _MOST - 1}
+    missing = max(0, count - len(listed))
+    number = 0
+    while missing and number < _MOST:
+        index = first + number
+        mapping = index + at.MAPPING
+        made = []
+        if index not in eds.objects:
+            made.append(_parameter(section, eds, index, number, mask, bases))
+            missing -= 1
+        if mapping not in eds.objects:
+            made.append(_mapping(section, mapping, granularity))
+        for made_object in made:
+            eds.objects[made_object.index] = made_object
+            for entry in made_object.entries.values():
+                eds.take(entry)
+        number += 1
+
+
+def _parameter(
+    section: Section, eds: Description, index: int, number: int, mask: int, bases: tuple[int, ...]
+) -> Object:
+    """Return a communication parameter: the identifier of the pre-defined connection set for the first four PDOs."""
+    made = Object(index, f"PDO parameter {number + 1}", RECORD, section.line)
+    subs = [k + 1 for k in range(len(_PARAMETERS)) if mask >> k & 1]
+    made.entries[0] = Entry(index, 0, "Highest sub-index", "B", "const", max(subs), line=section.line)
+    for sub in subs:
+        name, letter = _PARAMETERS[sub - 1]
+        entry = Entry(index, sub, name, letter, "rw", 0, line=section.line)
+        if sub == 1 and number < len(bases):
+            entry.default, entry.has_node_id = bases[number] + eds.node_id, True
+            if bases is codes.TPDO_BASES:
+                entry.default |= codes.NO_RTR
+        elif sub == 1:
+            entry.default = codes.COB_ID_INVALID
+        elif sub == 2:
+            entry.default = _EVENT_DRIVEN
+        made.entries[sub] = entry
+    return made
+
+
+def _mapping(section: Section, index: int, granularity: int) -> Object:
+    made = Object(index, "PDO mapping", ARRAY, section.line)
+    most = _BITS // granularity if 1 <= granularity <= _BITS else 8
+    made.entries[0] = Entry(index, 0, "Number of mapped objects", "B", "rw", 0, line=section.line)
+    for sub in range(1, most + 1):
+        made.entries[sub] = Entry(index, sub, f"Mapped object {sub}", "I", "rw", 0, line=section.line)
+    return made

@@ -1,0 +1,193 @@
+"""Numbers and values as an EDS writes them: hexadecimal, decimal, octal, $NODEID, text, REAL as decimal or as bits.
+
+Each function returns what it read and a remark, "" where the text is as CiA 306-1 has it. Nothing raises.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import struct
+from typing import NamedTuple
+
+from canopen_device.types import DataType, Value
+
+_DECIMAL, _OCTAL = re.compile(r"0|[1-9][0-9]*"), re.compile(r"0[0-7]+")
+_HEX, _BARE_HEX = re.compile(r"0x[0-9a-f]+", re.IGNORECASE), re.compile(r"[0-9a-f]+h?", re.IGNORECASE)
+_NODE_ID = re.compile(r"\$?\s*node_?id", re.IGNORECASE)
+_WORDS = {"true": 1, "false": 0, "yes": 1, "no": 0}
+_AROUND = "\"'() "  # what some tools write around a number
+_AS_ZERO = "read as 0"
+_READ = "{}"  # in a remark: the number with its sign
+_COMMENT = re.compile(r";|#|//")
+_MOST_DIGITS = 40
+_LONGEST_SUM = 255  # characters; a line of CiA 306-1
+
+
+class Read(NamedTuple):
+    """An integer, whether the node-id was added to it, and a remark. ``value`` is None for what is no number."""
+
+    value: int | None
+    has_node_id: bool = False
+    remark: str = ""
+
+
+def uncommented(text: str) -> tuple[str, str]:
+    """Return a value without quotes and a comment behind it, and a remark; CiA 306-1 has comments on own lines."""
+    match = _COMMENT.search(text)
+    plain = (text if match is None else text[: match.start()]).strip()
+    bare = plain.strip(_AROUND)
+    if match is not None:
+        return bare, f"the text after {match[0]} is taken as a comment"
+    return bare, "" if bare == plain else "quotes and brackets are no part of a value; read without"
+
+
+def integer(text: str, node_id: int = 0) -> Read:
+    """Read an integer, or a sum of integers and $NODEID in any order; ``value`` includes ``node_id``."""
+    plain, remark = uncommented(text)
+    if not plain:
+        return Read(None, False, "no number")
+    if len(plain) > _LONGEST_SUM:
+        return Read(None, False, f"{len(plain)} characters are no number")
+    if not _NODE_ID.search(plain):
+        value, told = _number(plain)
+        return Read(value, False, told or remark)
+    total, seen = 0, 0
+    for part in plain.split("+"):
+        if _NODE_ID.fullmatch(part.strip()):
+            seen += 1
+            remark = remark or ("" if part.strip().upper() == "$NODEID" else "the form is $NODEID")
+            continue
+        value, told = _number(part.strip())
+        if value is None:
+            return Read(None, False, "allowed are a number, and a sum of numbers and $NODEID")
+        total, remark = total + value, remark or told
+    if seen > 1:
+        remark = f"$NODEID occurs {seen} times; it is added once"
+    return Read(total + node_id, True, remark)
+
+
+def _number(text: str) -> tuple[int | None, str]:
+    negative = text.startswith("-")
+    digits = text[1:].strip() if text[:1] in ("-", "+") else text
+    if len(digits) > _MOST_DIGITS:
+        return None, f"{len(digits)} characters are no number"
+    value, remark = _unsigned(digits)
+    if value is None:
+        return None, remark
+    number = -value if negative else value
+    return number, remark.replace(_READ, str(number))
+
+
+def _unsigned(digits: str) -> tuple[int | None, str]:
+    if _HEX.fullmatch(digits):
+        return int(digits, 16), ""
+    if _DECIMAL.fullmatch(digits):
+        return int(digits), ""
+    if _OCTAL.fullmatch(digits):
+        value = int(digits, 8)
+        return value, "" if value == int(digits) else f"read as octal: {_READ}"
+    if digits.isascii() and digits.isdigit():
+        return int(digits), f"a leading 0 is octal in CiA 306; read as decimal {_READ}"
+    if digits.lower() in _WORDS:
+        return _WORDS[digits.lower()], "the form is 0 or 1"
+    if _HEX.fullmatch(digits[:-1]) and digits[-1] in "hH":
+        return int(digits[:-1], 16), "0x and h: read as hexadecimal"
+    if _BARE_HEX.fullmatch(digits):
+        return int(digits.rstrip("hH"), 16), "0x is missing; read as hexadecimal"
+    try:
+        number = float(digits.replace(",", "."))
+    except ValueError:
+        return None, "not a number"
+    if math.isfinite(number) and number == int(number):
+        return int(number), f"read as the integer {_READ}"
+    return None, "not an integer"
+
+
+def typed(kind: DataType, text: str, node_id: int) -> tuple[Value, bool, str]:
+    """Read a value of a type: the value, whether $NODEID is in it, and a remark. Empty text is 0 or empty."""
+    if kind.python is int:
+        return _integer(kind, text, node_id)
+    if kind.python is float:
+        value, remark = _real(kind, text)
+        return value, False, remark
+    if kind.python is str:
+        shown, remark = _string(kind, text)
+        return shown, False, remark
+    data, remark = _bytes(kind, text)
+    return data, False, remark
+
+
+def limit(kind: DataType, text: str, node_id: int) -> tuple[int | float | None, str]:
+    """Read a limit of a numeric type, and a remark; None for what is no such number."""
+    value, _, remark = typed(kind, text, node_id)
+    if remark.endswith(_AS_ZERO) or not isinstance(value, int | float):
+        return None, remark.replace(_AS_ZERO, "the limit does not apply")
+    return value, remark
+
+
+def _string(kind: DataType, text: str) -> tuple[str, str]:
+    if kind.letter == "u":
+        return text, ""
+    found = text.encode("latin-1", "replace").decode("latin-1")
+    return found, "" if found == text else f"not in {kind.name}; read with ? for other characters"
+
+
+def _integer(kind: DataType, text: str, node_id: int) -> tuple[int, bool, str]:
+    if not text:
+        return 0, False, ""
+    value, has_node_id, remark = integer(text, node_id)
+    if value is None:
+        return 0, False, f"{remark}; {_AS_ZERO}"
+    if kind.limits is None or kind.size is None:
+        raise AssertionError(kind.name)
+    low, high = kind.limits
+    if low <= value <= high:
+        return value, has_node_id, remark
+    bits = 8 * kind.size
+    wrapped = (value + (1 << bits - 1)) % (1 << bits) - (1 << bits - 1) if low < 0 else value % (1 << bits)
+    hexadecimal = "x" in text.lower()
+    if kind.letter != "?" and -(1 << bits - 1) <= value < 1 << bits:  # the same bits with the other sign
+        return wrapped, has_node_id, remark if hexadecimal and low < 0 else f"not in {kind.name}; read as {wrapped}"
+    nearest = min(max(value, low), high)
+    return nearest, has_node_id, f"not in {kind.name}, {low} to {high}; read as {nearest}"
+
+
+def _real(kind: DataType, text: str) -> tuple[float, str]:
+    """Read a decimal number, or the bits as a hexadecimal number of all digits."""
+    if not text:
+        return 0.0, ""
+    plain, remark = uncommented(text)
+    if _HEX.fullmatch(plain):
+        size = kind.size or 4
+        bits = int(plain, 16)
+        if bits >> 8 * size:
+            return 0.0, f"more than the {8 * size} bits of {kind.name}; {_AS_ZERO}"
+        return float(struct.unpack("<" + kind.letter, bits.to_bytes(size, "little"))[0]), remark
+    if "," in plain:
+        remark, plain = "the decimal sign is a point", plain.replace(",", ".")
+    try:
+        value = float(plain)
+        struct.pack("<" + kind.letter, value)
+    except (ValueError, OverflowError):
+        return 0.0, f"not in {kind.name}; {_AS_ZERO}"
+    return value, remark
+
+
+def _bytes(kind: DataType, text: str) -> tuple[bytes, str]:
+    """Read hexadecimal bytes; a text that is none stands for its own bytes."""
+    bare = "".join(text.split()).removeprefix("0x").removeprefix("0X")
+    try:
+        found = bytes.fromhex(bare)
+    except ValueError:
+        found = text.encode("utf-8")
+        if kind.size is None:
+            return found, "not hexadecimal bytes; read as text"
+    if kind.size is None or len(found) == kind.size:
+        return found, ""
+    if not found:
+        return bytes(kind.size), ""
+    number = integer(text).value
+    if number is not None and 0 <= number < 1 << 8 * kind.size:
+        return number.to_bytes(kind.size, "little"), ""
+    return bytes(kind.size), f"not {kind.size} bytes; {_AS_ZERO}"

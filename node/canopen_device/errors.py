@@ -1,0 +1,13 @@
+"""Errors of a device and its files: each message names the place, the value and what is allowed."""
+
+
+class CanopenDeviceError(Exception):
+    """Base of every error that this package raises on purpose."""
+
+
+class InputError(CanopenDeviceError):
+    """A file, an argument or a value of the user is invalid; the text names it and what is allowed."""
+
+
+class EnvironmentLackError(CanopenDeviceError):
+    """The machine lacks an interface, a kernel module, a program or a permission; the text says how to provide it."""

@@ -1,0 +1,304 @@
+"""A simulated device: the device core with its EDS, its values by name, its application, and faults on demand."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import threading
+import warnings
+from collections.abc import Callable, Iterable, Mapping
+from pathlib import Path
+from typing import Any
+
+from canopen_device import types
+from canopen_device.core import codes, communication, emcy
+from canopen_device.core.node import Application
+from canopen_device.eds.description import Description, Entry
+from canopen_device.eds.load import EdsWarning, Load, Save, core_value, device_of, python_value
+from canopen_device.eds.reader import read_eds
+from canopen_device.errors import InputError
+from canopen_device.machine.application import DeviceApplication
+from canopen_device.machine.faults import Faults
+from canopen_device.machine.signals import Driver, Signal
+from canopen_device.paths_below import below
+from canopen_device.running.store import FileStore, MemoryStore
+from canopen_device.types import Value
+
+CIA402 = "cia402"
+Frame = tuple[int, bytes]
+Key = int | tuple[int, int] | str
+
+_ACYCLIC = 0  # the transmission type of a PDO that is sent on the SYNC after a change
+_POLL_US = 10_000  # how soon a change by another thread is sent
+
+
+class SimulatedDevice:
+    """One simulated CANopen device. ``device[key]`` reads and writes a value, also while it runs in another thread.
+
+    A key is an index (0x6064), (index, sub-index), "0x6064:00", "6064h", or the ParameterName of the EDS. A value that
+    is set, or written by a master, sends the event-driven PDOs that map it. Raises InputError for a key that the
+    device does not have and a value that is not of its type.
+    """
+
+    def __init__(
+        self,
+        description: Description,
+        application: DeviceApplication | None = None,
+        signals: Mapping[Key, Signal] | None = None,
+        save: Save | None = None,
+        load: Load | None = None,
+    ) -> None:
+        self.description = description
+        self.core = device_of(description, save, load)
+        self.faults = Faults(self.core)
+        self.application = application or DeviceApplication()
+        self.shared = False  # another thread sets values: step more often
+        self.bus_options: dict[str, object] = {}
+        """Keywords of ``can.Bus`` by which others reach the device, while ``simulated_device`` runs it."""
+        self.initial_values: dict[Key, Value] = {}
+        """Set again on each NMT reset node."""
+        self._lock = threading.RLock()
+        self._started_us: int | None = None
+        self._drivers = [Driver(self, description.find(key), signal) for key, signal in (signals or {}).items()]
+        places = [driver.entry.place for driver in self._drivers]
+        twice = next((place for place in places if places.count(place) > 1), None)
+        if twice is not None:
+            raise InputError(f"{twice}: two signals; an object has one")
+        self.core.application = _Bridge(self, self._drivers)
+        self.application.device = self
+        for index in description.objects:
+            if index not in self.core.od.writers and index > communication.LAST:
+                self.core.od.writers[index] = self._writer(index)
+        self.application.on_start()
+
+    @property
+    def node_id(self) -> int:
+        """The node-id at present; 255 while LSS has given none."""
+        return self.core.node_id
+
+    @property
+    def requests(self) -> list[tuple[str, int, int]]:
+        """Requests of the device to its bus, see ``Device.requests``."""
+        return self.core.requests
+
+    @property
+    def now_s(self) -> float:
+        """Seconds since the first step."""
+        return 0.0 if self._started_us is None else (self.core.now_us - self._started_us) * 1e-6
+
+    @property
+    def is_operational(self) -> bool:
+        """Whether the NMT state is OPERATIONAL."""
+        return self.core.nmt.state == codes.OPERATIONAL
+
+    def step(self, now_us: int, frames: Iterable[Frame] = ()) -> tuple[list[Frame], int]:
+        """Step the device, as ``Device.step`` does; faults drop, delay and change its frames."""
+        with self._lock:
+            if self._started_us is None:
+                self._started_us = now_us
+            self.faults.tick(now_us)
+            sent, due_us = self.core.step(now_us, self.faults.received(frames))
+            sent, fault_due_us = self.faults.sent(now_us, sent)
+            due_us = min(due_us, fault_due_us)
+            return sent, min(due_us, now_us + _POLL_US) if self.shared else due_us
+
+    def __getitem__(self, key: Key) -> Value:
+        with self._lock:
+            return self.value(self.description.find(key))
+
+    def __setitem__(self, key: Key, value: Value) -> None:
+        with self._lock:
+            self.set_value(self.description.find(key), value)
+
+    def __contains__(self, key: Key) -> bool:
+        try:
+            self.description.find(key)
+        except InputError:
+            return False
+        return True
+
+    def value(self, entry: Entry) -> Value:
+        """The present value of an entry."""
+        return python_value(entry.letter, self.core.od.get(entry.index, entry.sub))
+
+    def set_value(self, entry: Entry, value: Value) -> None:
+        """Set the value of an entry, read-only ones too. Raises InputError for a value that is not of its type."""
+        try:
+            types.encode(entry.letter, value) if entry.letter not in "s" else None
+        except InputError as error:
+            raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
+        if entry.letter == "s" and not isinstance(value, str):
+            raise InputError(f"{entry.place} {entry.name!r}: {value!r} is not VISIBLE_STRING: allowed is text")
+        key, now = entry.index << 8 | entry.sub, core_value(entry.letter, value)
+        if self.core.od.values[key] != now:
+            self.core.od.values[key] = now
+            self._announce(entry.index, entry.sub)
+
+    def raise_emergency(self, code: int, register: int = emcy.GENERIC, detail: int = 0) -> None:
+        """Send an EMCY message and keep the error active: its bits are set in 1001h, and it is in 1003h."""
+        with self._lock:
+            self.core.emcy.raise_error(code, register, detail)
+
+    def clear_emergency(self, code: int, detail: int = 0) -> None:
+        """End an active error: EMCY 0000h."""
+        with self._lock:
+            self.core.emcy.cure(code, detail)
+
+    def fault(self, kind: str, **parameters: float) -> None:
+        """Start a fault: silent, slow (``delay_s``), wrong_toggle, emcy (``code``, ``register``). Raises InputError."""
+        with self._lock:
+            self.faults.start(kind, **parameters)
+
+    def clear_fault(self, kind: str) -> None:
+        """End a fault. Raises InputError for an unknown one."""
+        with self._lock:
+            self.faults.end(kind)
+
+    def _announce(self, index: int, sub: int) -> None:
+        """Report a change to the PDOs that are sent on one."""
+        for number, transmission, keys in self.core.tpdos.mapped():
+            if (transmission >= codes.EVENT_DRIVEN or transmission == _ACYCLIC) and (index, sub) in keys:
+                self.core.tpdos.request(number)
+
+    def _writer(self, index: int) -> Callable[[int, object], int]:
+        def write(sub: int, value: object) -> int:
+            entry = self.description.entry(index, sub)
+            if entry is None:
+                return codes.NO_SUB
+            abort = self.application.on_write(entry, python_value(entry.letter, value))  # type: ignore[arg-type]
+            if not abort and self.core.od.values[index << 8 | sub] != value:
+                self._announce(index, sub)
+            return abort or 0
+
+        return write
+
+
+class _Bridge(Application):
+    """The core's calls, passed on to the application and the signals of a simulated device."""
+
+    def __init__(self, device: SimulatedDevice, drivers: list[Driver]) -> None:
+        self._device = device
+        self._drivers = drivers
+        self.live = frozenset(driver.entry.index for driver in drivers)
+        self._last_us = 0
+        self._period_us = self._shortest()
+        self.due_us = 0 if self._period_us else codes.NEVER_US
+
+    def _shortest(self) -> int:
+        application = self._device.application
+        periods = [driver.signal.period_s for driver in self._drivers]
+        if type(application).step is not DeviceApplication.step:
+            periods.append(application.period_s)
+        return max(100, int(1e6 * min(periods))) if periods else 0
+
+    def on_reset(self, now_us: int) -> None:
+        self._last_us = now_us
+        for key, value in self._device.initial_values.items():
+            self._device[key] = value
+        self._device.application.on_reset()
+
+    def on_sync(self, now_us: int, _number: int) -> None:
+        self._advance(now_us)
+        self._device.application.on_sync()
+
+    def refresh(self, _now_us: int) -> None:
+        for driver in self._drivers:
+            driver.apply()
+
+    def expire(self, now_us: int) -> None:
+        self._advance(now_us)
+        self.due_us = now_us + self._period_us
+
+    def _advance(self, now_us: int) -> None:
+        for driver in self._drivers:
+            driver.apply()
+        dt_s, self._last_us = (now_us - self._last_us) * 1e-6, now_us
+        if self._period_us and dt_s > 0.0:
+            self._device.application.step(dt_s)
+
+
+def shipped_eds(name: str) -> Path:
+    """The path of a shipped EDS: ``cia402`` for the drive."""
+    return Path(__file__).with_name(f"{name}.eds")
+
+
+def device_from_file(
+    path: str | os.PathLike[str],
+    node_id: int | None = None,
+    application: DeviceApplication | None = None,
+    values: Mapping[Key, Value] | None = None,
+    signals: Mapping[Key, Signal] | None = None,
+) -> SimulatedDevice:
+    """Return the simulated device of a file, its parameters stored in memory. Raises InputError."""
+    device = made_device(os.fspath(path), node_id, application, values, signals)
+    for text in device.description.warnings:
+        warnings.warn(text, EdsWarning, stacklevel=4)
+    return device
+
+
+def made_device(
+    eds: str,
+    node_id: int | None,
+    application: DeviceApplication | str | None = None,
+    values: Mapping[Any, Value] | None = None,
+    signals: Mapping[Key, Signal] | None = None,
+    store: str = "",
+    folder: Path | None = None,
+) -> SimulatedDevice:
+    """Return a device: ``eds`` "cia402" is the shipped drive, ``application`` also a name, ``store`` a file.
+
+    A text among ``values`` is read as its entry's type. ``folder`` is that of the file that names the others. Raises
+    InputError, with ``folder`` for a file that is not below it, too.
+    """
+    shipped = eds == CIA402 and not path_of(folder, eds, "eds").exists()
+    description = read_eds(shipped_eds(CIA402) if shipped else path_of(folder, eds, "eds"), node_id)
+    if isinstance(application, str | None):
+        application = load_application(application or (CIA402 if shipped else ""), folder)
+    for slot in (f"{store}.2", store) if store else ():
+        path_of(folder, slot, "store")
+    kept = FileStore(path_of(folder, store, "store")) if store else MemoryStore()
+    device = SimulatedDevice(description, application, signals, kept.save, kept.load)
+    for key, given in (values or {}).items():
+        device.initial_values[key] = device[key] = typed_value(description.find(key), given)
+    return device
+
+
+def typed_value(entry: Entry, value: Value) -> Value:
+    """Return a value as the entry has it; a text is read as ``sdo write`` reads it. Raises InputError."""
+    try:
+        text = isinstance(value, str) and entry.type.python is not str
+        return types.parse_value(entry.letter, str(value)) if text else value
+    except InputError as error:
+        raise InputError(f"{entry.place} {entry.name!r}: {error}") from None
+
+
+def path_of(folder: Path | None, name: str, place: str) -> Path:
+    """Return the path of a name: of a file in ``folder``, where it must be below that; None: of a user, anywhere."""
+    return Path(name) if folder is None else below(folder, name, place)
+
+
+def load_application(name: str, folder: Path | None) -> DeviceApplication | None:
+    """Return a new application: "cia402", or "file.py:Class". Raises InputError."""
+    if not name:
+        return None
+    if name == CIA402:
+        from canopen_device.machine.cia402 import Drive
+
+        return Drive()
+    file, _, wanted = name.rpartition(":")
+    path = path_of(folder, file, "application") if file else Path()
+    if not file.endswith(".py") or not path.is_file():
+        raise InputError(f"application {name!r}: allowed are {CIA402}, and FILE:CLASS of a file that exists")
+    spec = importlib.util.spec_from_file_location(path.stem, path)
+    if spec is None or spec.loader is None:
+        raise InputError(f"application {name!r}: {path} cannot be imported")
+    module = importlib.util.module_from_spec(spec)
+    try:
+        spec.loader.exec_module(module)
+        named: Any = getattr(module, wanted, None)
+        made = named() if isinstance(named, type) and issubclass(named, DeviceApplication) else None
+    except Exception as error:
+        raise InputError(f"application {name!r}: {path}: {type(error).__name__}: {error}") from error
+    if made is None:
+        raise InputError(f"application {name!r}: {path} has no subclass of DeviceApplication called {wanted!r}")
+    return made

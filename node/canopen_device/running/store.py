@@ -1,0 +1,174 @@
+"""Store parameters on disk in two slots: each save replaces the older slot completely, so one slot is always intact."""
+
+from __future__ import annotations
+
+import binascii
+import contextlib
+import json
+import logging
+import os
+from pathlib import Path
+from typing import NamedTuple
+
+from canopen_device.errors import InputError
+
+_LOG = logging.getLogger(__name__)
+_DAMAGED = b"\0"  # too short for a CRC: the device core reports the group as damaged
+
+
+class MemoryStore:
+    """Parameter groups in memory: ``save`` and ``load`` of a ``Device``. ``refuses`` makes it a broken store."""
+
+    def __init__(self) -> None:
+        self.groups: dict[str, bytes] = {}
+        self.refuses = False
+
+    def save(self, group: str, data: bytes) -> bool:
+        """Keep a group; return whether it is kept."""
+        if not self.refuses:
+            self.groups[group] = data
+        return not self.refuses
+
+    def load(self, group: str) -> bytes | None:
+        """Return what was kept."""
+        return self.groups.get(group)
+
+
+class _Slot(NamedTuple):
+    """The content of a file. ``sound``: the CRC is correct; otherwise ``groups`` holds what can still be read."""
+
+    path: Path
+    sequence: int
+    groups: dict[str, str]
+    sound: bool
+
+
+class FileStore:
+    """``save`` and ``load`` of a device in two files, ``path`` and ``path`` with ``.2`` added.
+
+    Each is JSON: a sequence number, the groups (name -> hex), a CRC-32 over both. A save replaces the slot with the
+    lower number: it writes a temporary file in the same directory, flushes it to the disk (fsync), renames it in one
+    step, then flushes the directory; only then does ``save`` return. A corrupt slot is logged once, and the other slot
+    applies. Without an intact slot the readable groups are returned unchanged: each has its own CRC, which the device
+    checks. Raises InputError if ``path`` is a directory or lies in a directory that does not exist.
+    """
+
+    def __init__(self, path: str | os.PathLike[str]) -> None:
+        self._path = Path(path).absolute()
+        if self._path.is_dir():
+            raise InputError(f"store {self._path}: is a directory; give the name of a file, for example node-5.json")
+        if not self._path.parent.is_dir():
+            raise InputError(f"store {self._path}: the directory {self._path.parent} does not exist; create it first")
+        self._paths = self._path, self._path.with_name(self._path.name + ".2")
+        self._temporary = self._path.with_name(self._path.name + ".new")
+        self._said: set[str] = set()  # each fault is logged once, until a save succeeds
+
+    def save(self, group: str, data: bytes) -> bool:
+        """Replace one group; return False, with the reason in the log, if the disk rejects it."""
+        try:
+            slots = self._slots()
+            newest = _newest(slots)
+            groups = dict(newest.groups) if newest is not None else {}
+            groups[group] = data.hex()
+            sequence = 1 + max((slot.sequence for slot in slots if slot.sound), default=0)
+            self._replace(self._target(slots), _text(sequence, groups))
+        except OSError as error:
+            self._say(
+                f"{error.strerror}; nothing was changed; stores are rejected (06060000h) until the disk accepts them"
+            )
+            with contextlib.suppress(OSError):
+                self._temporary.unlink()  # half a file on a full disk is useless
+            return False
+        self._said.clear()
+        return True
+
+    def load(self, group: str) -> bytes | None:
+        """Return the data stored for ``group``; None if absent, bytes with a wrong CRC if the files are damaged."""
+        try:
+            slots = self._slots()
+        except OSError as error:
+            self._say(f"{error.strerror}; starting with defaults")
+            return _DAMAGED
+        newest = _newest(slots)
+        if newest is None:
+            return _DAMAGED if slots else None
+        if group not in newest.groups:
+            return None
+        try:
+            return bytes.fromhex(newest.groups[group])
+        except (TypeError, ValueError):
+            return _DAMAGED
+
+    def _slots(self) -> list[_Slot]:
+        """Return the existing slots.
+
+        Raises OSError if the disk does not return a file: its content must then not be replaced either.
+        """
+        found = []
+        for path in self._paths:
+            try:
+                slot = _parsed(path, path.read_bytes())
+            except FileNotFoundError:
+                continue
+            if not slot.sound:
+                self._say(f"{path.name} is damaged")
+            found.append(slot)
+        if any(slot.sound for slot in found) and not all(slot.sound for slot in found):
+            self._say("the other slot applies: settings are those of the previous or of the last save")
+        return found
+
+    def _target(self, slots: list[_Slot]) -> Path:
+        """Return the path for the next save: the missing slot, else a damaged one, else the older one."""
+        there = {slot.path: slot.sequence if slot.sound else 0 for slot in slots}
+        return min(self._paths, key=lambda path: there.get(path, -1))
+
+    def _say(self, trouble: str) -> None:
+        if trouble not in self._said:
+            self._said.add(trouble)
+            _LOG.error("store %s: %s", self._path, trouble)
+
+    def _replace(self, path: Path, content: bytes) -> None:
+        self._temporary.unlink(missing_ok=True)
+        with open(self._temporary, "xb") as file:  # new: a link of that name is not followed
+            file.write(content)
+            file.flush()
+            os.fsync(file.fileno())
+        os.replace(self._temporary, path)
+        if os.name == "posix":
+            directory = os.open(self._path.parent, os.O_RDONLY)
+            try:
+                os.fsync(directory)
+            finally:
+                os.close(directory)
+
+
+def _newest(slots: list[_Slot]) -> _Slot | None:
+    """Return the intact slot that was written last; without one, the slot of which most can be read."""
+    sound = [slot for slot in slots if slot.sound]
+    if sound:
+        return max(sound, key=lambda slot: slot.sequence)
+    readable = [slot for slot in slots if slot.groups]
+    return max(readable, key=lambda slot: len(slot.groups)) if readable else None
+
+
+def _text(sequence: int, groups: dict[str, str]) -> bytes:
+    content = {"sequence": sequence, "crc32": _crc32(sequence, groups), "groups": groups}
+    return json.dumps(content, indent=1).encode() + b"\n"
+
+
+def _crc32(sequence: int, groups: dict[str, str]) -> str:
+    """Return a CRC-32 that does not depend on the formatting of the file."""
+    return f"{binascii.crc32(json.dumps([sequence, groups], sort_keys=True).encode()):08x}"
+
+
+def _parsed(path: Path, content: bytes) -> _Slot:
+    try:
+        found = json.loads(content)
+        if isinstance(found, dict) and found and all(isinstance(text, str) for text in found.values()):
+            return _Slot(path, 0, found, True)  # earlier format without slots: only the groups
+        sequence, groups = found["sequence"], found["groups"]
+        readable = isinstance(groups, dict) and isinstance(sequence, int)
+        sound = readable and found["crc32"] == _crc32(sequence, groups)
+    except (ValueError, RecursionError, KeyError, TypeError):
+        return _Slot(path, 0, {}, False)
+    return _Slot(path, sequence, groups, sound) if readable else _Slot(path, 0, {}, False)

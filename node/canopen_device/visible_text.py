@@ -1,0 +1,29 @@
+"""Text of devices and files as people may see it: characters that control a terminal or hide others are escapes."""
+
+from __future__ import annotations
+
+import re
+
+_HIDDEN = (
+    "\x00-\x08\x0b-\x1f\x7f-\x9f"  # C0 except the layout, DEL, C1
+    "\xad\u061c\u180e\u200b\u200e\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb"  # bidi controls, invisible
+    "\ud800-\udfff"  # lone surrogates: no encoding has them
+)
+_IN_LINES, _IN_A_LINE = re.compile(f"[{_HIDDEN}]"), re.compile(f"[\t\n{_HIDDEN}]")
+
+
+def visible_lines(text: str) -> str:
+    """Return ``text`` with control characters, bidi controls and lone surrogates as escapes (``\\x1b``).
+
+    Tabs and newlines stay: they are layout.
+    """
+    return _IN_LINES.sub(_escape, text)
+
+
+def visible(text: str) -> str:
+    """Return ``text`` as visible_lines() does, with tabs and newlines as escapes, too: it stays one line."""
+    return _IN_A_LINE.sub(_escape, text)
+
+
+def _escape(character: re.Match[str]) -> str:
+    return character[0].encode("unicode_escape").decode()
