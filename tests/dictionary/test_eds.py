@@ -8,11 +8,12 @@ from typing import Any
 
 import pytest
 
-from dictionary.eds_lint import lint_eds
-from tipforce.dictionary import table, types
+from canopen_device import types
+from canopen_device.eds.sections import parse
+from dictionary.eds_faults import eds_faults
+from tipforce.dictionary import table
 from tipforce.dictionary.eds import access_text, dcf_text, eds_text
-from tipforce.dictionary.rows import Row, objects, rows
-from tipforce.eds.sections import parse
+from tipforce.dictionary.entries import Entry, entries, objects
 from tipforce.errors import InputError
 
 ALL = [(n, simulated) for n in range(3, 9) for simulated in (False, True)]
@@ -35,30 +36,30 @@ def test_canopen_reads_what_the_table_says(n: int, simulated: bool, tmp_path: Pa
     for found in objects(n, simulated):
         entry = od[found.index]
         if found.code == table.VAR:
-            _compare(entry, found.rows[0])
+            _compare(entry, found.entries[0])
             continue
         assert type(entry).__name__ == ("ODArray" if found.code == table.ARRAY else "ODRecord")
-        assert sorted(entry.subindices) == [row.sub for row in found.rows]
-        for row in found.rows:
+        assert sorted(entry.subindices) == [row.sub for row in found.entries]
+        for row in found.entries:
             _compare(entry.subindices[row.sub], row)
 
 
-def _compare(variable: Any, row: Row) -> None:
-    assert variable.name == row.name
-    assert variable.data_type == types.data_type(row.letter).code
+def _compare(variable: Any, row: Entry[Any]) -> None:
+    assert variable.name == row.title
+    assert variable.data_type == types.data_type(row.type).code
     assert variable.access_type == access_text(row)
     assert variable.access_type in (row.access, "rww", "rwr")
     assert variable.pdo_mappable == row.mappable
-    if row.letter == "D":
+    if row.type == "D":
         assert variable.default == b""
     elif row.flags & table.ADD_NODE_ID:
         assert variable.relative
         assert variable.default == int(row.default) + NODE_ID
     else:
         assert variable.default == row.default
-        assert variable.encode_raw(variable.default) == types.encode(row.letter, row.default)
+        assert variable.encode_raw(variable.default) == types.encode(row.type, row.default)
     # canopen drops the limits of REAL32
-    assert (variable.min, variable.max) == ((None, None) if row.letter == "f" else (row.low, row.high))
+    assert (variable.min, variable.max) == ((None, None) if row.type == "f" else (row.low, row.high))
 
 
 def test_limits_of_real32_are_written() -> None:
@@ -126,20 +127,19 @@ def test_dcf(tmp_path: Path) -> None:
     assert text.count("ParameterValue=") == len(VALUES)
     assert "NodeName=TIP07\n" in text
     assert "LastEDS=tipforce-3.eds\n" in text
-    assert lint_eds(text) == []
+    assert eds_faults(text) == []
 
 
 def test_dcf_of_every_default(tmp_path: Path) -> None:
     values: dict[tuple[int, int], types.Value] = {
-        place: row.default for place, row in rows(8, True).items() if row.letter != "D" and "w" in row.access
+        place: row.default for place, row in entries(8, True).items() if row.type != "D" and "w" in row.access
     }
     text = dcf_text(8, 127, values, True)
     od = _import(text, tmp_path, None, "dcf")
     for place, value in values.items():
-        wire = types.encode(rows(8, True)[place].letter, value)
+        wire = types.encode(entries(8, True)[place].type, value)
         variable = od.get_variable(*place)
         assert variable.encode_raw(variable.value) == wire
-    assert lint_eds(text) == []
 
 
 @pytest.mark.parametrize(

@@ -8,29 +8,28 @@ from typing import Any
 
 import pytest
 
+from canopen_device import types
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import types
-from tipforce.dictionary.accessors import constant_name
-from tipforce.dictionary.entries import Array, Entry
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary.entries import Array, Entry, entries
+from tipforce.dictionary.generate import constant_name
 from tipforce.errors import InputError
 
 CONSTANTS: dict[str, Any] = {k: v for k, v in vars(od).items() if isinstance(v, Entry | Array)}
 
 
 def test_every_dotted_name_has_its_constant_and_no_more() -> None:
-    slugs = {row.slug for row in rows(3, True, True).values() if row.slug}
+    slugs = {row.stem for row in entries(3, True, True).values() if row.stem}
     assert set(CONSTANTS) == {constant_name(slug) for slug in slugs}
 
 
 def test_constants_agree_with_the_table() -> None:
-    for row in rows(3, True, True).values():
-        if not row.slug:
+    for row in entries(3, True, True).values():
+        if not row.stem:
             continue
-        constant = CONSTANTS[constant_name(row.slug)]
-        assert isinstance(constant, Array) == row.many, row.dotted
-        entry = constant[row.sub] if row.many else constant
-        expected = (row.index, row.sub, row.letter, row.dotted, row.access, row.unit)
+        constant = CONSTANTS[constant_name(row.stem)]
+        assert isinstance(constant, Array) == row.is_counted, row.name
+        entry = constant[row.sub] if row.is_counted else constant
+        expected = (row.index, row.sub, row.type, row.name, row.access, row.unit)
         assert (entry.index, entry.sub, entry.type, entry.name, entry.access, entry.unit) == expected
 
 
@@ -62,26 +61,23 @@ def test_errors_name_the_entry() -> None:
 
 @pytest.mark.parametrize("n", range(3, 9))
 def test_counts_follow_the_number_of_gauges(n: int) -> None:
-    assert od.CALIBRATION_MATRIX.count(n) == 3 * n
-    assert od.CALIBRATION_OFFSET.count(n) == n
-    assert od.CALIBRATION_NOISE.count(n) == n * (n + 1) // 2
-    assert od.PROCESS_VALUE.count(n) == n + 6
-    assert od.AUTOTARE.subs(n) == range(n + 1, n + 2)
+    assert len([*od.CALIBRATION_MATRIX.entries(n)]) == 3 * n
+    assert len([*od.CALIBRATION_OFFSET.entries(n)]) == n
+    assert len([*od.CALIBRATION_NOISE.entries(n)]) == n * (n + 1) // 2
+    assert len([*od.PROCESS_VALUE.entries(n)]) == n + 6
+    assert [entry.sub for entry in od.AUTOTARE.entries(n)] == [n + 1]
     assert [e.sub for e in od.CALIBRATION_OFFSET.entries(n)] == list(range(1, n + 1))
 
 
 def test_count_errors() -> None:
     with pytest.raises(InputError, match="allowed 3 to 8"):
-        od.CALIBRATION_MATRIX.count(9)
-    with pytest.raises(InputError, match="not in the dictionary"):
-        Array[int](0x5000, "B", "nowhere", "ro", "").count(3)
+        len([*od.CALIBRATION_MATRIX.entries(9)])
 
 
 def test_frozen_and_copied() -> None:
     entry: Entry[int] = od.CALIBRATION_GENERATION
     with pytest.raises(AttributeError):
         entry.index = 3  # type: ignore[misc]
-    assert not hasattr(entry, "__dict__")
     assert copy.deepcopy(entry) == pickle.loads(pickle.dumps(entry)) == entry
     array = od.CALIBRATION_MATRIX
     assert copy.deepcopy(array) == pickle.loads(pickle.dumps(array)) == array
@@ -89,6 +85,6 @@ def test_frozen_and_copied() -> None:
 
 
 def test_every_constant_has_the_python_type_of_its_letter() -> None:
-    for row in rows(3, True, True).values():
-        value = b"" if row.letter == "D" else row.default
-        assert isinstance(value, types.data_type(row.letter).python), row.dotted
+    for row in entries(3, True, True).values():
+        value = b"" if row.type == "D" else row.default
+        assert isinstance(value, types.data_type(row.type).python), row.name

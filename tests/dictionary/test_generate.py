@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from tipforce.dictionary import generate
-from tipforce.dictionary.reference import reference_markdown
-from tipforce.dictionary.rows import objects
+from tipforce.dictionary.entries import objects
+from tipforce.dictionary.generate import reference_markdown
 from tipforce.dictionary.signals import tpdo_messages
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -45,9 +45,9 @@ def test_reference_names_everything(n: int) -> None:
     text = reference_markdown(n)
     for found in objects(n, True, programs=True):
         assert f"| {found.index:04X}h |" in text
-        for row in found.rows:
-            shown = f"`{row.slug}:" if row.many else f"`{row.slug}`"
-            assert not row.slug or shown in text, row.dotted
+        for row in found.entries:
+            shown = f"`{row.stem}:" if row.is_counted else f"`{row.stem}`"
+            assert not row.stem or shown in text, row.name
     for message in tpdo_messages(n):
         assert f"## TPDO{message.number} {message.name.lower()}\n" in text
         assert all(f"`{signal.name}`" in text for signal in message.signals)

@@ -8,26 +8,27 @@ from pathlib import Path
 
 import pytest
 
-from tipforce.device import codes, communication, emcy
+from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, table
-from tipforce.dictionary.rows import objects
+from tipforce.dictionary.entries import objects
 from tipforce.sensor.contact import scalar
 
 ROOT = Path(__file__).resolve().parents[2]
-WALKED = ("node/tipforce", "node/firmware", "tools/tipforce_lab", "tools/tipforce_tools")
+WALKED = (
+    "node/canopen_device", "node/tipforce", "node/firmware", "tools/tipforce_lab", "tools/tipforce_robots",
+    "tools/tipforce_tools",
+)  # fmt: skip
 
 COMMUNICATION, OWN_INDEX, IDENTIFIER = "index of the communication area", "index of the fingertip", "11-bit identifier"
 WIDE, EMCY = "flag, mask, abort code, signature or product code", "EMCY error code"
 KINDS = (COMMUNICATION, OWN_INDEX, IDENTIFIER, WIDE, EMCY)
 ALLOWED = {
-    "node/tipforce/device/codes.py": (IDENTIFIER, WIDE),
-    "node/tipforce/device/communication.py": (COMMUNICATION, OWN_INDEX),  # also the ends of the other areas
-    "node/tipforce/device/emcy.py": (EMCY,),
-    "node/tipforce/device/bus_faults.py": (IDENTIFIER,),  # error classes of linux/can/error.h
-    "node/tipforce/device/crc16.py": (COMMUNICATION, EMCY),  # remainders of a polynomial
+    "node/canopen_device/core/codes.py": (IDENTIFIER, WIDE),
+    "node/canopen_device/core/communication.py": (COMMUNICATION, OWN_INDEX),  # also the ends of the other areas
+    "node/canopen_device/core/emcy.py": (EMCY, IDENTIFIER),  # of IDENTIFIER: error classes of linux/can/error.h
+    "node/canopen_device/core/sdo_block.py": (COMMUNICATION, EMCY),  # remainders of a polynomial
     "node/tipforce/dictionary/table.py": (OWN_INDEX, IDENTIFIER, WIDE, EMCY),  # of IDENTIFIER: offsets, product options
-    "node/tipforce/dictionary/table_fingertip.py": (OWN_INDEX,),
-    "node/tipforce/dictionary/table_profile.py": (OWN_INDEX, IDENTIFIER),
+    "node/tipforce/dictionary/table_objects.py": (OWN_INDEX, IDENTIFIER),
     "node/tipforce/dictionary/objects.py": (COMMUNICATION, OWN_INDEX),  # generated
     "node/tipforce/dictionary/indices.py": (OWN_INDEX,),  # generated
 }
@@ -49,9 +50,14 @@ NAMES_OF_INDICES = _integers(indices) | _integers(communication)
 for view in objects(table.MAX_GAUGES, True):
     for form in ("INT16_FORM", "INT32_FORM"):
         real32 = view.index - getattr(table, form)
-        if view.rows[-1].flags & table.VIEW and real32 in NAMES_OF_INDICES:
+        if view.entries[-1].flags & table.VIEW and real32 in NAMES_OF_INDICES:
             NAMES_OF_INDICES[view.index] = f"{NAMES_OF_INDICES[real32]} + table.{form}"
-NAMES_OF_EMCY = {v: n for v, n in (_integers(table) | _integers(emcy)).items() if ".emcy." in n or ".EMCY_" in n}
+ERROR_FRAME = (".CONTROLLER", ".BUS_OFF", ".RESTARTED", ".OVERFLOW", ".PASSIVE", ".WARNING", ".ACTIVE")  # no EMCY codes
+NAMES_OF_EMCY = {
+    value: name
+    for value, name in (_integers(table) | _integers(emcy)).items()
+    if (".emcy." in name or ".EMCY_" in name) and not name.endswith(ERROR_FRAME)
+}
 NAMES_OF_WIDE = {v: n for v, n in (_integers(table) | _integers(codes)).items() if v > 0xFFFFFF}
 NAMES_OF_IDENTIFIERS = {v: n for v, n in _integers(codes).items() if n.endswith(("COB_ID", "BASE", "BASES", "MASK"))}
 
@@ -62,7 +68,7 @@ def wire_fact(text: str) -> tuple[str, str] | None:
     index = value >> 8 if digits == 6 else value if digits == 4 else 0  # six digits: a key, index and sub-index
     name = NAMES_OF_INDICES.get(index, "")
     if communication.FIRST <= index <= communication.LAST:
-        return COMMUNICATION, name or "device.communication"
+        return COMMUNICATION, name or "core.communication"
     if name:
         return OWN_INDEX, name
     if digits == 4 and value in NAMES_OF_EMCY:
@@ -70,7 +76,7 @@ def wire_fact(text: str) -> tuple[str, str] | None:
     if digits == 8 and value in NAMES_OF_WIDE:
         return WIDE, NAMES_OF_WIDE[value]
     if digits == 3 and value <= codes.STANDARD_MASK:
-        return IDENTIFIER, NAMES_OF_IDENTIFIERS.get(value, "a base of device.codes and a node-id")
+        return IDENTIFIER, NAMES_OF_IDENTIFIERS.get(value, "a base of core.codes and a node-id")
     return None
 
 
@@ -117,22 +123,22 @@ def test_every_permission_is_needed() -> None:
 @pytest.mark.parametrize(
     ("line", "name"),
     [
-        ("od.integer(0x1017)", "device.communication.PRODUCER_HEARTBEAT"),
-        ("values[0x101400]", "device.communication.COB_ID_EMCY"),
-        ("index == 0x1801", "device.communication"),
+        ("od.integer(0x1017)", "core.communication.PRODUCER_HEARTBEAT"),
+        ("values[0x101400]", "core.communication.COB_ID_EMCY"),
+        ("index == 0x1801", "core.communication"),
         ("index == 0x2120", "dictionary.indices.STATUS"),
         ("values[0x21_05_01]", "dictionary.indices.CALIBRATION_GUARD"),
         ("(0x6130, 0x1234_5678)", "dictionary.indices.PROCESS_VALUE"),
         ("index in range(0x9130, n)", "dictionary.indices.PROCESS_VALUE + table.INT32_FORM"),
-        ("SYNC_COB_ID = 0x080", "device.codes.SYNC_COB_ID"),
-        ("send(0x580 + node_id)", "device.codes.SDO_RESPONSE_BASE"),
-        ("send(0x605)", "device.codes"),
-        ("can_id == node_id + 0x80", "device.codes.SYNC_COB_ID"),
-        ("can_id & 0X7ff", "device.codes.STANDARD_MASK"),
-        ("can_id & 0x80000000", "device.codes.EXTENDED_FLAG"),
-        ("abort == 0x06090030", "device.codes.INVALID_VALUE"),
-        ("write(0x65766173)", "device.codes.SIGNATURE_SAVE"),
-        ("code == 0x8130", "device.emcy.HEARTBEAT_LOST"),
+        ("SYNC_COB_ID = 0x080", "core.codes.SYNC_COB_ID"),
+        ("send(0x580 + node_id)", "core.codes.SDO_RESPONSE_BASE"),
+        ("send(0x605)", "core.codes"),
+        ("can_id == node_id + 0x80", "core.codes.SYNC_COB_ID"),
+        ("can_id & 0X7ff", "core.codes.STANDARD_MASK"),
+        ("can_id & 0x80000000", "core.codes.EXTENDED_FLAG"),
+        ("abort == 0x06090030", "core.codes.INVALID_VALUE"),
+        ("write(0x65766173)", "core.codes.SIGNATURE_SAVE"),
+        ("code == 0x8130", "core.emcy.HEARTBEAT_LOST"),
         ("code == 0x5030", "dictionary.table.EMCY_FRONT_END"),
     ],
 )
@@ -157,7 +163,7 @@ def test_the_declarations_agree_with_the_table() -> None:
         pdo = communication.RPDO <= one.index <= communication.LAST_TPDO_MAPPING
         assert one.index in declared or (pdo and max(k for k in first_of_runs if k <= one.index) + 8 > one.index)
     own = {one.index for one in found if one.index > communication.LAST}
-    views = {one.index for one in found if one.rows[-1].flags & table.VIEW}
+    views = {one.index for one in found if one.entries[-1].flags & table.VIEW}
     assert own - views == set(_integers(indices))
     assert views <= set(NAMES_OF_INDICES)
 

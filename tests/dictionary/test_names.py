@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tipforce.dictionary import names
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary import entries as names
+from tipforce.dictionary.entries import entries
 from tipforce.errors import InputError
 
 
@@ -44,10 +44,10 @@ def test_sub_indices_are_decimal_after_a_name_and_hexadecimal_after_an_index() -
 
 @pytest.mark.parametrize("n", [3, 5, 8])
 def test_every_entry_resolves_from_both_of_its_names(n: int) -> None:
-    for (index, sub), row in rows(n, True).items():
-        for text in (row.dotted, f"0x{index:04X}:{sub:02X}"):
+    for (index, sub), row in entries(n, True).items():
+        for text in (row.name, f"0x{index:04X}:{sub:02X}"):
             entry = names.resolve(text, n)
-            assert (entry.index, entry.sub, entry.type, entry.name) == (index, sub, row.letter, row.dotted)
+            assert (entry.index, entry.sub, entry.type, entry.name) == (index, sub, row.type, row.name)
 
 
 @pytest.mark.parametrize(
@@ -76,7 +76,7 @@ def test_suggestions(text: str, help_: str) -> None:
 def test_describe() -> None:
     found = names.describe(0x7130, 7)
     assert found is not None
-    assert (found.name, found.dotted, found.letter, found.access) == ("P", "process_value_int16:7", "h", "ro")
+    assert (found.title, found.name, found.type, found.access) == ("P", "process_value_int16:7", "h", "ro")
     assert names.describe(0x2100, 10, 3) is None
     assert names.describe(0x2100, 10, 4) is not None
     assert names.describe(0x5000, 0) is None

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.dictionary import types
+from canopen_device import types
 from tipforce.errors import InputError
 
 INTEGERS = [t for t in types.TYPES.values() if t.limits is not None and t.letter != "?"]

@@ -6,7 +6,7 @@ from collections import OrderedDict
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from tipforce.device import codes, emcy
+from canopen_device.core import codes, emcy
 from tipforce.dictionary import signals, table
 from tipforce.errors import InputError
 

@@ -6,11 +6,12 @@ The text is the same at each run: the dates are constants. Lines end with LF; Ci
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from tipforce.device import communication
-from tipforce.dictionary import table, types
-from tipforce.dictionary.rows import Object, Row, objects, rows
+from canopen_device import types
+from canopen_device.core import communication
+from tipforce.dictionary import table
+from tipforce.dictionary.entries import Entry, Object, entries, objects
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
@@ -44,10 +45,10 @@ def eds_text(
 
     Raises InputError for an ``n`` outside 3..8.
     """
-    found = objects(n, simulated, converter, programs)
+    declared = objects(n, simulated, converter, programs)
     lines = _file_info(n, simulated, "eds", converter) + _device_info(n, simulated, converter)
     lines += _dummy_usage() + _comments(n)
-    return _text(lines + _object_lists(found) + _sections(found, None))
+    return _text(lines + _object_lists(declared) + _sections(declared, None))
 
 
 def dcf_text(
@@ -70,14 +71,14 @@ def dcf_text(
         raise InputError(f"node-id {node_id}: allowed are 1 to 127")
     if bit_rate_kbit_s not in BIT_RATES_KBIT_S:
         raise InputError(f"bit rate {bit_rate_kbit_s} kbit/s: allowed are {BIT_RATES_KBIT_S}")
-    known = rows(n, simulated, programs)
+    known = entries(n, simulated, programs)
     for place, value in values.items():
         _check(known.get(place), place, value, n)
-    found = objects(n, simulated, converter, programs)
+    declared = objects(n, simulated, converter, programs)
     lines = _file_info(n, simulated, "dcf", converter)
     lines.insert(-1, f"LastEDS={last_eds or file_name(n, simulated, bits=converter[0])}")
     lines += _device_info(n, simulated, converter) + _commissioning(node_id, bit_rate_kbit_s, node_name)
-    lines += _dummy_usage() + _comments(n) + _object_lists(found) + _sections(found, values)
+    lines += _dummy_usage() + _comments(n) + _object_lists(declared) + _sections(declared, values)
     return _text(lines)
 
 
@@ -107,27 +108,27 @@ def lely_dialect(text: str) -> str:
     return "\n".join(lines)
 
 
-def default_text(row: Row) -> str:
+def default_text(entry: Entry[Any]) -> str:
     """``DefaultValue`` of an entry; a COB-ID that follows the node-id is written ``$NODEID+0x180``."""
-    if row.letter == "D":
+    if entry.type == "D":
         return ""
-    if row.flags & table.ADD_NODE_ID:
-        return f"$NODEID+0x{row.default:X}"
-    return value_text(row.letter, row.default)
+    if entry.flags & table.ADD_NODE_ID:
+        return f"$NODEID+0x{int(entry.default):X}"
+    return value_text(entry.type, entry.default)
 
 
-def access_text(row: Row) -> str:
+def access_text(entry: Entry[Any]) -> str:
     """``AccessType``: read-write entries that only one direction of PDO may carry are rwr or rww (CiA 306-1)."""
-    direction = row.flags & (table.TPDO | table.RPDO)
-    if row.access == "rw" and direction in (table.TPDO, table.RPDO):
+    direction = entry.flags & (table.TPDO | table.RPDO)
+    if entry.access == "rw" and direction in (table.TPDO, table.RPDO):
         return "rwr" if direction == table.TPDO else "rww"
-    return row.access
+    return entry.access
 
 
-def obj_flags(row: Row) -> int:
+def obj_flags(entry: Entry[Any]) -> int:
     """``ObjFlags``: commands and states are not to be downloaded from a DCF; what is wo can't be scanned."""
-    flags = _REFUSE_WRITE if row.flags & table.NOT_STORED or row.access == "wo" else 0
-    return flags | (_REFUSE_READ if row.access == "wo" else 0)
+    flags = _REFUSE_WRITE if entry.flags & table.NOT_STORED or entry.access == "wo" else 0
+    return flags | (_REFUSE_READ if entry.access == "wo" else 0)
 
 
 def _text(lines: Iterable[str]) -> str:
@@ -204,8 +205,8 @@ def _comments(n: int) -> _Lines:
     return ["[Comments]", f"Lines={len(notes)}", *numbered, ""]
 
 
-def _object_lists(found: tuple[Object, ...]) -> _Lines:
-    indices = [o.index for o in found]
+def _object_lists(declared: tuple[Object, ...]) -> _Lines:
+    indices = [o.index for o in declared]
     manufacturer = [i for i in indices if communication.FIRST_MANUFACTURER <= i <= communication.LAST_MANUFACTURER]
     mandatory = [i for i in indices if i in communication.MANDATORY]
     optional = [i for i in indices if i not in communication.MANDATORY and i not in manufacturer]
@@ -217,56 +218,56 @@ def _object_lists(found: tuple[Object, ...]) -> _Lines:
     return lines
 
 
-def _sections(found: tuple[Object, ...], values: Values | None) -> _Lines:
+def _sections(declared: tuple[Object, ...], values: Values | None) -> _Lines:
     lines: _Lines = []
-    for each in found:
+    for each in declared:
         if each.code == table.VAR:
-            lines += [f"[{each.index:04X}]", *_entry(each.rows[0], values)]
+            lines += [f"[{each.index:04X}]", *_entry(each.entries[0], values)]
             continue
         lines += [
             f"[{each.index:04X}]",
             f"ParameterName={each.name}",
             f"ObjectType=0x{each.code:X}",
-            f"SubNumber={len(each.rows)}",
+            f"SubNumber={len(each.entries)}",
             "",
         ]
-        for row in each.rows:
-            lines += [f"[{row.index:04X}sub{row.sub:X}]", *_entry(row, values)]
+        for entry in each.entries:
+            lines += [f"[{entry.index:04X}sub{entry.sub:X}]", *_entry(entry, values)]
     return lines
 
 
-def _entry(row: Row, values: Values | None) -> _Lines:
+def _entry(entry: Entry[Any], values: Values | None) -> _Lines:
     lines = [
-        f"ParameterName={row.name}",
+        f"ParameterName={entry.title}",
         f"ObjectType=0x{table.VAR:X}",
-        f"DataType=0x{types.data_type(row.letter).code:04X}",
-        f"AccessType={access_text(row)}",
-        f"DefaultValue={default_text(row)}",
+        f"DataType=0x{types.data_type(entry.type).code:04X}",
+        f"AccessType={access_text(entry)}",
+        f"DefaultValue={default_text(entry)}",
     ]
-    if row.low is not None:
-        lines.append(f"LowLimit={value_text(row.letter, row.low)}")
-    if row.high is not None:
-        lines.append(f"HighLimit={value_text(row.letter, row.high)}")
-    lines.append(f"PDOMapping={int(row.mappable)}")
-    if obj_flags(row):
-        lines.append(f"ObjFlags=0x{obj_flags(row):X}")
-    if values is not None and (row.index, row.sub) in values:
-        lines.append(f"ParameterValue={value_text(row.letter, values[row.index, row.sub])}")
+    if entry.low is not None:
+        lines.append(f"LowLimit={value_text(entry.type, entry.low)}")
+    if entry.high is not None:
+        lines.append(f"HighLimit={value_text(entry.type, entry.high)}")
+    lines.append(f"PDOMapping={int(entry.mappable)}")
+    if obj_flags(entry):
+        lines.append(f"ObjFlags=0x{obj_flags(entry):X}")
+    if values is not None and (entry.index, entry.sub) in values:
+        lines.append(f"ParameterValue={value_text(entry.type, values[entry.index, entry.sub])}")
     return [*lines, ""]
 
 
-def _check(row: Row | None, place: tuple[int, int], value: types.Value, n: int) -> None:
+def _check(entry: Entry[Any] | None, place: tuple[int, int], value: types.Value, n: int) -> None:
     where = f"0x{place[0]:04X}:{place[1]:02X}"
-    if row is None:
+    if entry is None:
         raise InputError(f"{where}: no such object with {n} gauges")
     try:
-        types.encode(row.letter, value)
+        types.encode(entry.type, value)
     except InputError as error:
-        raise InputError(f"{where} ({row.dotted}): {error}") from None
-    if isinstance(value, int | float) and not _within(row, value):
-        raise InputError(f"{where} ({row.dotted}): {value}, allowed are {row.low} to {row.high}")
+        raise InputError(f"{where} ({entry.name}): {error}") from None
+    if isinstance(value, int | float) and not _within(entry, value):
+        raise InputError(f"{where} ({entry.name}): {value}, allowed are {entry.low} to {entry.high}")
 
 
-def _within(row: Row, value: float) -> bool:
+def _within(entry: Entry[Any], value: float) -> bool:
     """NaN is within no limits."""
-    return (row.low is None or value >= row.low) and (row.high is None or value <= row.high)
+    return (entry.low is None or value >= entry.low) and (entry.high is None or value <= entry.high)

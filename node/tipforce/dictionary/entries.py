@@ -1,33 +1,66 @@
-"""Typed handles on dictionary entries: what to read or write, and how its bytes become a value."""
+"""Entries of the dictionary: what to read or write, how bytes become a value, and what the table says of each.
+
+``objects`` unfolds the table's runs into an ``Entry`` for each sub-index: what every generator reads. ``resolve`` finds
+the entry that a person writes: ``calibration.matrix:3``, ``0x2103:04``, ``2103h:04``. After a dotted name the sub-index
+is decimal, because it counts; after an index it is hexadecimal, because it continues that number, as ``str(entry)``
+prints it.
+"""
 
 from __future__ import annotations
 
+import difflib
+import re
 from collections.abc import Iterator
-from dataclasses import dataclass
-from typing import Any, Generic, TypeVar, cast
+from dataclasses import dataclass, field
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar, cast
 
-from tipforce.dictionary import types
-from tipforce.dictionary.rows import objects
+from canopen_device import types
+from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
 
+if TYPE_CHECKING:
+    from tipforce.dictionary.table import Limit, Run
+
 T = TypeVar("T", bound=types.Value)
+Entries: TypeAlias = "dict[tuple[int, int], Entry[Any]]"
 
-
-# The slots are written out: a class that dataclass(slots=True) makes again can't be frozen and called as Entry[int].
+_NUMERIC = re.compile(r"(?:0[xX]([0-9a-fA-F]{1,4})|([0-9a-fA-F]{4})[hH])(?:[:.](?:0[xX])?([0-9a-fA-F]{1,2})[hH]?)?")
 
 
 @dataclass(frozen=True)
 class Entry(Generic[T]):
-    """One sub-index. ``type`` is a letter of ``types.TYPES``, ``access`` is ro, wo, rw or const."""
-
-    __slots__ = ("access", "index", "name", "sub", "type", "unit")
+    """One sub-index: what identifies it, then what the table says of it (no part of equality)."""
 
     index: int
     sub: int
     type: str
+    """A letter of ``types.TYPES``."""
     name: str
+    """That ``resolve`` reads, such as ``calibration.matrix:3``; of an EDS its ParameterName, or the number."""
     access: str
+    """ro, wo, rw or const."""
     unit: str
+    title: str = field(default="", compare=False)
+    """For people: its ParameterName."""
+    stem: str = field(default="", compare=False)
+    """The name without the sub-index; empty for a sub-index 0 that has none of its own."""
+    flags: int = field(default=0, compare=False)
+    """Of ``table``."""
+    default: types.Value = field(default=0, compare=False)
+    low: Limit = field(default=None, compare=False)
+    """Least value allowed, None where there is no limit."""
+    high: Limit = field(default=None, compare=False)
+
+    @property
+    def is_counted(self) -> bool:
+        """Several sub-indices share the stem: the name is "stem:sub"."""
+        return self.stem != "" and self.name == f"{self.stem}:{self.sub}"
+
+    @property
+    def mappable(self) -> bool:
+        """May be mapped into a PDO, of either direction."""
+        return bool(self.flags & (table.TPDO | table.RPDO))
 
     def encode(self, value: T) -> bytes:
         """The bytes of an SDO download of ``value``. Raises InputError where it does not fit the type."""
@@ -43,9 +76,6 @@ class Entry(Generic[T]):
         except InputError as error:
             raise InputError(f"{self.name} ({self}): {error}") from None
 
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Entry, (self.index, self.sub, self.type, self.name, self.access, self.unit)
-
     def __str__(self) -> str:
         """``0x2100:03``; both numbers are hexadecimal."""
         return f"0x{self.index:04X}:{self.sub:02X}"
@@ -55,16 +85,11 @@ class Entry(Generic[T]):
 class Array(Generic[T]):
     """The entries of one index that share a name and a type; ``array[sub]`` is one of them."""
 
-    __slots__ = ("access", "index", "name", "type", "unit")
-
     index: int
     type: str
     name: str
     access: str
     unit: str
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        return Array, (self.index, self.type, self.name, self.access, self.unit)
 
     def __getitem__(self, sub: int) -> Entry[T]:
         """The entry at ``sub``. Raises InputError outside 1..254; how many a node has depends on its gauges."""
@@ -72,18 +97,133 @@ class Array(Generic[T]):
             raise InputError(f"{self.name}: sub-index {sub}, allowed 1 to 254")
         return Entry[T](self.index, sub, self.type, f"{self.name}:{sub}", self.access, self.unit)
 
-    def subs(self, n: int = 3) -> range:
-        """The sub-indices that a node with ``n`` gauges has. Raises InputError for an ``n`` outside 3..8."""
-        for found in objects(n, True, programs=True):
-            if found.index == self.index:
-                own = [row.sub for row in found.rows if row.many and row.slug == self.name]
-                return range(own[0], own[-1] + 1)
-        raise InputError(f"{self.name} (0x{self.index:04X}) is not in the dictionary of {n} gauges")
-
-    def count(self, n: int = 3) -> int:
-        """How many entries a node with ``n`` gauges has. Raises InputError for an ``n`` outside 3..8."""
-        return len(self.subs(n))
-
     def entries(self, n: int = 3) -> Iterator[Entry[T]]:
-        """Every entry that a node with ``n`` gauges has, in order."""
-        return (self[sub] for sub in self.subs(n))
+        """Every entry that a node with ``n`` gauges has, in order. Raises InputError for an ``n`` outside 3..8."""
+        known = entries(n, True, True).values()
+        return (self[entry.sub] for entry in known if entry.index == self.index and entry.stem == self.name)
+
+
+@dataclass(frozen=True, slots=True)
+class Object:
+    """One index of the dictionary: ``code`` is the object code (7 VAR, 8 ARRAY, 9 RECORD; CiA 301, 7.4.3)."""
+
+    index: int
+    code: int
+    name: str
+    stem: str
+    entries: tuple[Entry[Any], ...]
+
+
+def gauges_of(product: int) -> int:
+    """Number of gauges of a node by its product code (1018h:2); 0 for a node that is none of this dictionary."""
+    gauges = product & table.PRODUCT_GAUGES
+    ours = product & ~(table.PRODUCT_SIMULATED | table.PRODUCT_24_BIT) == table.PRODUCT | gauges
+    return gauges if ours and table.MIN_GAUGES <= gauges <= table.MAX_GAUGES else 0
+
+
+@lru_cache(maxsize=32)
+def objects(
+    n: int = 3, simulated: bool = False, converter: table.Converter = table.CONVERTER_16, programs: bool = False
+) -> tuple[Object, ...]:
+    """Every object of a node with ``n`` gauges, ordered by index. Raises InputError for an ``n`` outside 3..8."""
+    try:
+        declared = table_objects.objects(n, simulated, converter, programs)
+    except ValueError as error:
+        raise InputError(str(error)) from None
+    return tuple(
+        Object(index, code, name, stem, tuple(entry for run in runs for entry in _unfold(index, code, run)))
+        for index, code, name, stem, runs in declared
+    )
+
+
+@lru_cache(maxsize=32)
+def entries(n: int = 3, simulated: bool = False, programs: bool = False) -> Entries:
+    """Every entry by (index, sub), in order. Raises InputError for an ``n`` outside 3..8."""
+    known = objects(n, simulated, programs=programs)
+    return {(entry.index, entry.sub): entry for each in known for entry in each.entries}
+
+
+def _unfold(index: int, code: int, run: Run) -> Iterator[Entry[Any]]:
+    first, count, titles, slug, letter, access, flags, defaults, low, high, unit = run
+    counted = code != table.VAR and not (first == 0 or (code == table.RECORD and count == 1))
+    stem = "" if slug == "count" else slug
+    for k, sub in enumerate(range(first, first + count)):
+        name = f"0x{index:04X}:{sub:02X}" if not stem else f"{stem}:{sub}" if counted else stem
+        title = titles[k] if isinstance(titles, tuple) else titles.replace("%d", str(sub))
+        default = defaults[k] if isinstance(defaults, tuple) else defaults
+        yield Entry(index, sub, letter, name, access, unit, title, stem, flags, default, low, high)
+
+
+def resolve(text: str, n: int = 3) -> Entry[Any]:
+    """The entry that ``text`` names on a node with ``n`` gauges, simulated or not, with program slots or without.
+
+    Raises InputError with the nearest names, or with the sub-indices that there are.
+    """
+    known, wanted = entries(n, True, True), text.strip()
+    match = _NUMERIC.fullmatch(wanted)
+    return _numeric(match, known, n) if match else _named(wanted, known, n)
+
+
+def describe(index: int, sub: int, n: int = 3) -> Entry[Any] | None:
+    """What the dictionary of ``n`` gauges says of an entry, None where it has no such entry."""
+    return entries(n, True, True).get((index, sub))
+
+
+def all_names(n: int = 3) -> tuple[str, ...]:
+    """Every dotted name of a node with ``n`` gauges, by index: for completion."""
+    return tuple(entry.name for entry in entries(n, True, True).values() if entry.stem)
+
+
+def _numeric(match: re.Match[str], known: Entries, n: int) -> Entry[Any]:
+    index, sub = int(match[1] or match[2], 16), int(match[3] or "0", 16)
+    entry = known.get((index, sub))
+    subs = [s for i, s in known if i == index]
+    if entry is not None and (match[3] is not None or subs == [0]):
+        return entry
+    if not subs:
+        near = sorted({i for i, _ in known}, key=lambda i: (abs(i - index), i))[:3]
+        hint = ", ".join(f"0x{i:04X}" for i in near)
+        raise InputError(f"{match[0]}: no object 0x{index:04X} with {n} gauges; the nearest are {hint}")
+    allowed = _ranges(subs, "02X")
+    if match[3] is None:
+        raise InputError(f"{match[0]} has several sub-indices: write 0x{index:04X}:SS, SS (hex) {allowed}")
+    raise InputError(f"{match[0]}: no sub-index {sub} (0x{sub:02X}); allowed, in hex, with {n} gauges: {allowed}")
+
+
+def _named(text: str, known: Entries, n: int) -> Entry[Any]:
+    by_name = {entry.name: entry for entry in known.values() if entry.stem}
+    name = re.sub(r"[.:](\d+)$", lambda m: f":{int(m[1])}", text)
+    if name in by_name:
+        return by_name[name]
+    stem = name.partition(":")[0]
+    subs = [entry.sub for entry in known.values() if entry.is_counted and entry.stem == stem]
+    if subs:
+        raise InputError(f"{text}: write {stem}:SUB, with {n} gauges SUB is {_ranges(subs, 'd')}")
+    return _folded(text, name, by_name)
+
+
+def _folded(text: str, name: str, by_name: dict[str, Entry[Any]]) -> Entry[Any]:
+    """One name that differs in case alone is meant; anything else gets suggestions."""
+    same = [entry for own, entry in by_name.items() if own.lower() == name.lower()]
+    if len(same) == 1:
+        return same[0]
+    stems = {own.partition(":")[0] for own in by_name}
+    tails = {stem.rpartition(".")[2]: stem for stem in sorted(stems)}
+    near = difflib.get_close_matches(name.partition(":")[0], sorted(stems | set(tails)), n=3, cutoff=0.6)
+    hints = list(dict.fromkeys(tails.get(word, word) for word in near))
+    if hints:
+        raise InputError(f"no object is called {text!r}; close to it: {', '.join(hints)}")
+    raise InputError(
+        f"no object is called {text!r}; write a name such as calibration.generation or an index such as 0x2103:04"
+    )
+
+
+def _ranges(subs: list[int], form: str) -> str:
+    """``00-09`` or ``00-03, 05-06``."""
+    parts: list[list[int]] = []
+    for sub in subs:
+        if parts and sub == parts[-1][1] + 1:
+            parts[-1][1] = sub
+        else:
+            parts.append([sub, sub])
+    return ", ".join(f"{a:{form}}" if a == b else f"{a:{form}}-{b:{form}}" for a, b in parts)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.dictionary.dbc import EMCY_CODES, NMT_STATES
 
 _ABORTS: Final = {

@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
-from tipforce.device import communication
-from tipforce.dictionary import indices, table, types
-from tipforce.dictionary.rows import Row, rows
+from canopen_device import types
+from canopen_device.core import communication
+from tipforce.dictionary import indices, table
+from tipforce.dictionary.entries import Entry, entries
 from tipforce.errors import InputError
 
 MAX_BITS = 64
@@ -87,15 +89,15 @@ def mapping_signals(mapping: Iterable[tuple[int, int, int]], n: int = 3) -> tupl
 
     Raises InputError for an object that is not there or can't be mapped, a wrong length, more than 64 bits.
     """
-    found: list[Signal] = []
+    signals: list[Signal] = []
     start = 0
     for index, sub, bits in mapping:
         if index >= FIRST_OBJECT:
-            found += _signals_of(_mapped_row(index, sub, bits, n), start, n)
+            signals += _signals_of(_mapped_row(index, sub, bits, n), start, n)
         start += bits
     if start > MAX_BITS:
         raise InputError(f"the mapping has {start} bits, allowed are at most {MAX_BITS}")
-    return _unique(found)
+    return _unique(signals)
 
 
 def is_mapping(index: int) -> bool:
@@ -106,7 +108,7 @@ def is_mapping(index: int) -> bool:
 
 def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Message, ...]:
     messages = []
-    known = rows(n)
+    known = entries(n)
     for number, name, base, enabled, transmission, event_ms, mapped in declared:
         mapping = tuple((index, sub, 8 * _size(known[index, sub])) for index, sub in mapped)
         length = sum(bits for _, _, bits in mapping) // 8
@@ -115,58 +117,62 @@ def _messages(kind: str, declared: tuple[table.Pdo, ...], n: int) -> tuple[Messa
     return tuple(messages)
 
 
-def _size(row: Row) -> int:
-    return types.data_type(row.letter).size or 0
+def _size(entry: Entry[Any]) -> int:
+    return types.data_type(entry.type).size or 0
 
 
-def _mapped_row(index: int, sub: int, bits: int, n: int) -> Row:
-    row = rows(n, True).get((index, sub))
+def _mapped_row(index: int, sub: int, bits: int, n: int) -> Entry[Any]:
+    entry = entries(n, True).get((index, sub))
     place = f"mapping of 0x{index:04X}:{sub:02X}"
-    if row is None:
+    if entry is None:
         raise InputError(f"{place}: no such object with {n} gauges")
-    if not row.mappable:
-        raise InputError(f"{place}: {row.dotted} can't be mapped into a PDO")
-    if bits != 8 * _size(row):
-        raise InputError(f"{place}: {bits} bits, allowed is {8 * _size(row)} ({row.dotted})")
-    return row
+    if not entry.mappable:
+        raise InputError(f"{place}: {entry.name} can't be mapped into a PDO")
+    if bits != 8 * _size(entry):
+        raise InputError(f"{place}: {bits} bits, allowed is {8 * _size(entry)} ({entry.name})")
+    return entry
 
 
-def _signals_of(row: Row, start: int, n: int) -> list[Signal]:
-    if row.index == indices.STATUS:
-        return [_flag(row, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
-    if row.index == indices.FAULTS:
-        gauges = [_flag(row, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)]
-        return gauges + [_flag(row, start, k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
-    return [_measurement(row, start, n) or _plain(row, start, n)]
+def _signals_of(entry: Entry[Any], start: int, n: int) -> list[Signal]:
+    if entry.index == indices.STATUS:
+        return [_flag(entry, start, k, *bit) for k, bit in enumerate(table.STATUS_BITS)]
+    if entry.index == indices.FAULTS:
+        gauges = [
+            _flag(entry, start, k, f"SG{k + 1}_fault", f"gauge {k + 1} is saturated or left out") for k in range(n)
+        ]
+        return gauges + [_flag(entry, start, k, f"fault_{name}", text) for k, name, text in table.FAULT_BITS]
+    return [_measurement(entry, start, n) or _plain(entry, start, n)]
 
 
-def _flag(row: Row, start: int, bit: int, name: str, description: str) -> Signal:
-    return Signal(name, start + bit, 1, False, 1, "", 0, 1, None, description, row.index, row.sub)
+def _flag(entry: Entry[Any], start: int, bit: int, name: str, description: str) -> Signal:
+    return Signal(name, start + bit, 1, False, 1, "", 0, 1, None, description, entry.index, entry.sub)
 
 
-def _measurement(row: Row, start: int, n: int) -> Signal | None:
+def _measurement(entry: Entry[Any], start: int, n: int) -> Signal | None:
     """The quantities that have a unit, a resolution and a value for unknown; None for any other."""
-    if row.index in _PROCESS_VALUES:
-        symbol, what, _, digits, _, unit, _, _ = table.channels(n)[row.sub - 1]
+    if entry.index in _PROCESS_VALUES:
+        symbol, what, _, digits, _, unit, _, _ = table.channels(n)[entry.sub - 1]
         limit = 180.0 if unit == "degree" else None
-        return _scaled(row, start, symbol, 10.0**-digits, unit, what, limit)
-    if row.index in _FIELD_VALUES:
-        return _scaled(row, start, f"SG{row.sub}_counts", 1.0, "counts", f"field value of gauge {row.sub}")
-    if row.index == indices.UNCERTAINTY:
-        name, unit = _UNCERTAINTIES[row.sub - 1]
-        return _scaled(row, start, name, 1.0, unit, f"standard uncertainty of {name[2:]}")
-    if row.index == indices.TEMPERATURE:
-        return _scaled(row, start, "temperature", 0.01, "degC", "temperature of the fingertip")
-    if row.index == indices.U_P:
-        return _scaled(row, start, "u_P", _FORCE_SCALE, "N", "standard uncertainty of P")
+        return _scaled(entry, start, symbol, 10.0**-digits, unit, what, limit)
+    if entry.index in _FIELD_VALUES:
+        return _scaled(entry, start, f"SG{entry.sub}_counts", 1.0, "counts", f"field value of gauge {entry.sub}")
+    if entry.index == indices.UNCERTAINTY:
+        name, unit = _UNCERTAINTIES[entry.sub - 1]
+        return _scaled(entry, start, name, 1.0, unit, f"standard uncertainty of {name[2:]}")
+    if entry.index == indices.TEMPERATURE:
+        return _scaled(entry, start, "temperature", 0.01, "degC", "temperature of the fingertip")
+    if entry.index == indices.U_P:
+        return _scaled(entry, start, "u_P", _FORCE_SCALE, "N", "standard uncertainty of P")
     return None
 
 
-def _scaled(row: Row, start: int, name: str, scale: float, unit: str, what: str, limit: float | None = None) -> Signal:
-    kind = types.data_type(row.letter)
-    bits = 8 * _size(row)
+def _scaled(
+    entry: Entry[Any], start: int, name: str, scale: float, unit: str, what: str, limit: float | None = None
+) -> Signal:
+    kind = types.data_type(entry.type)
+    bits = 8 * _size(entry)
     if kind.python is float:
-        low, high = (0.0, 3.4e38) if row.index == indices.UNCERTAINTY else (-3.4e38, 3.4e38)
+        low, high = (0.0, 3.4e38) if entry.index == indices.UNCERTAINTY else (-3.4e38, 3.4e38)
         scale, unknown, note = 1.0, None, "NaN means unknown"
     elif kind.letter in "hi":
         top = (1 << bits - 1) - 1
@@ -182,22 +188,24 @@ def _scaled(row: Row, start: int, name: str, scale: float, unit: str, what: str,
     signed = kind.letter in "hif"
     return Signal(
         name, start, bits, signed, round(scale, 9), unit, _neat(low), _neat(high), unknown, text,
-        row.index, row.sub, kind.python is float,
+        entry.index, entry.sub, kind.python is float,
     )  # fmt: skip
 
 
-def _plain(row: Row, start: int, n: int) -> Signal:
+def _plain(entry: Entry[Any], start: int, n: int) -> Signal:
     """A number that is just that: counters, registers, commands."""
-    limits = types.data_type(row.letter).limits or (0, 0)
-    name = row.slug.replace(".", "_")
-    if row.index == indices.CHANNEL_STATUS:
-        name = f"{table.channels(n)[row.sub - 1][0]}_status"
-    elif row.many:
-        name = f"{name}_{row.sub}"
-    low = limits[0] if row.low is None else row.low
-    high = limits[1] if row.high is None else row.high
+    limits = types.data_type(entry.type).limits or (0, 0)
+    name = entry.stem.replace(".", "_")
+    if entry.index == indices.CHANNEL_STATUS:
+        name = f"{table.channels(n)[entry.sub - 1][0]}_status"
+    elif entry.is_counted:
+        name = f"{name}_{entry.sub}"
+    low = limits[0] if entry.low is None else entry.low
+    high = limits[1] if entry.high is None else entry.high
     signed = limits[0] < 0
-    return Signal(name, start, 8 * _size(row), signed, 1, row.unit, low, high, None, row.name, row.index, row.sub)
+    return Signal(
+        name, start, 8 * _size(entry), signed, 1, entry.unit, low, high, None, entry.title, entry.index, entry.sub
+    )
 
 
 def _neat(value: float) -> float:
@@ -205,11 +213,11 @@ def _neat(value: float) -> float:
     return float(f"{value:.10g}")
 
 
-def _unique(found: list[Signal]) -> tuple[Signal, ...]:
+def _unique(signals: list[Signal]) -> tuple[Signal, ...]:
     """Names that occur once: P mapped as INTEGER16 and as REAL32 becomes P and P_6130."""
     taken: set[str] = set()
     unique = []
-    for signal in found:
+    for signal in signals:
         name = signal.name
         if name in taken:
             name = f"{signal.name}_{signal.index:04X}"

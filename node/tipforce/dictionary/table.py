@@ -6,15 +6,14 @@ Plain tuples in the subset that CPython and MicroPython share, because the node 
 An object is ``(index, object_code, name, slug, entries)``; a run of equal entries is
 ``(sub, count, name, slug, type, access, flags, default, low, high, unit)``. ``name`` and ``default`` are
 tuples where the entries of one run differ. The type is the letter that ``struct`` uses, "s" a VISIBLE_STRING,
-"D" a DOMAIN. Sub-index 0 is added by ``objects()`` where an object does not state its own. The objects of each area
-are in ``table_communication``, ``table_fingertip`` and ``table_profile``.
+"D" a DOMAIN. The objects themselves are in ``table_objects``; its ``objects()`` adds sub-index 0 where an object does
+not state its own.
 """
 
-from tipforce.device import codes, communication
+from canopen_device.core import codes, communication
 
 TYPE_CHECKING = False
 if TYPE_CHECKING:  # never run: MicroPython has no typing
-    from collections.abc import Iterator
     from typing import Any, TypeAlias
 
     Value: TypeAlias = int | float | str
@@ -63,6 +62,11 @@ PRODUCT, PRODUCT_SIMULATED, PRODUCT_24_BIT, PRODUCT_GAUGES = 0x54500000, 0x100, 
 # Of the gauges: (bits, counts per microstrain). Both have a full scale of 3276.8 microstrain.
 CONVERTER_16, CONVERTER_24 = (16, 10.0), (24, 2560.0)
 MIN_GAUGES, MAX_GAUGES = 3, 8
+# Of a calibration record that a node commits (2104h), index << 8 | sub-index: what is at least 0, of an array all its
+# entries; what is at most another. And the 2-norm of C, N per unit strain: beyond, some unit is mistaken.
+NOT_NEGATIVE = (0x211201, 0x211202, 0x211205, 0x211300, 0x211600)
+IN_ORDER = ((0x211002, 0x211003), (0x211005, 0x211004), (0x211203, 0x211204))
+NORM_MIN, NORM_MAX = 10.0, 1e7
 CUSTOM_LAYOUT = 255  # 2102h:4, besides 1, 2, 3 for cases I, II, III
 
 # Status byte 2120h, bit 0 first: the names are those of the DBC's single-bit signals.
@@ -89,7 +93,7 @@ FAULT_BITS = (
     (FAULT_TEMPERATURE, "temperature", "temperature outside the calibration, or unknown where it is needed"),
     (FAULT_OVERLOAD, "overload", "force beyond the overload force"),
 )
-# EMCY error codes of the application; those of CiA 301 are in tipforce.device.emcy.
+# EMCY error codes of the application; those of CiA 301 are in canopen_device.core.emcy.
 EMCY_TEMPERATURE, EMCY_GAUGE_SATURATED, EMCY_FRONT_END, EMCY_CALIBRATION_INVALID = 0x4210, 0x5010, 0x5030, 0x6320
 EMCY_OVERLOAD = 0x5020
 COMMAND_TARE, COMMAND_CLEAR_TARE, COMMAND_ZERO = 1, 2, 3
@@ -152,59 +156,6 @@ def product_code(n: int, simulated: bool, converter: "Converter" = CONVERTER_16)
     return PRODUCT | options | n
 
 
-def objects(
-    n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16, programs: bool = False
-) -> "tuple[Object, ...]":
-    """Every object of a node with ``n`` gauges, ordered by index.
-
-    ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code. ``converter`` is (bits, counts per
-    microstrain): its counts give the default of 6122h; a third element, (counts at 0, counts at 1000 microstrain) for
-    each gauge, gives those of 6120h and 6122h where they differ. With more than 16 bits INTEGER16 cannot hold
-    counts, so 7100h, 7120h and 7122h are left out, and bit 9 of the product code is set. ``programs`` adds the
-    objects of firmware with two program slots.
-    Raises ValueError for an ``n`` outside 3..8.
-    """
-    return tuple(sorted(declared(n, simulated, converter, programs)))
-
-
-def declared(n: int, simulated: bool, converter: "Converter", programs: bool = False) -> "Iterator[Object]":
-    """The same one by one, in no order: a microcontroller has no heap for all of them at once."""
-    if not MIN_GAUGES <= n <= MAX_GAUGES:
-        raise ValueError("number of gauges: %r, allowed %d to %d" % (n, MIN_GAUGES, MAX_GAUGES))
-    # The areas are imported here because they use the names above.
-    from tipforce.dictionary import table_communication, table_fingertip, table_profile
-
-    for row in table_communication.communication_area(product_code(n, simulated, converter), simulated):
-        yield _with_sub0(row)
-    for pdo in rpdos():
-        for row in table_communication.pdo_objects("rpdo", communication.RPDO, pdo):
-            yield _with_sub0(row)
-    for pdo in tpdos(n):
-        for row in table_communication.pdo_objects("tpdo", communication.TPDO, pdo):
-            yield _with_sub0(row)
-    for area in (
-        table_fingertip.calibration(n),
-        table_fingertip.live(),
-        table_communication.programs() if programs else (),
-        table_fingertip.simulation(n) if simulated else (),
-        table_profile.profile(n, converter),
-    ):
-        for row in area:
-            yield _with_sub0(row)
-
-
-def staged(n: int) -> "tuple[tuple[int, int, str], ...]":
-    """The fields of the calibration record in order, as (index, sub, type)."""
-    from tipforce.dictionary import table_fingertip
-
-    fields: list[tuple[int, int, str]] = []
-    for index, _code, _name, _slug, entries in table_fingertip.calibration(n):
-        for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
-            if flags & STAGED:
-                fields += [(index, sub, kind) for sub in range(first, first + count)]
-    return tuple(fields)
-
-
 def mapped_bits(index: int) -> int:
     """Length in bits of an object that the default PDOs map."""
     return 8 if index in (communication.ERROR_REGISTER, 0x2120, 0x2121, 0x2126) else 16
@@ -212,15 +163,6 @@ def mapped_bits(index: int) -> int:
 
 def _run(index: int, first: int, last: int) -> "Mapped":
     return tuple((index, sub) for sub in range(first, last + 1))
-
-
-def _with_sub0(row: "Object") -> "Object":
-    index, code, name, slug, entries = row
-    if code == VAR or entries[0][0] == 0:
-        return row
-    highest = entries[-1][0] + entries[-1][1] - 1
-    count: Run = (0, 1, "Highest sub-index supported", "count", U8, "const", 0, highest, None, None, "")
-    return (index, code, name, slug, (count,) + entries)
 
 
 def var(

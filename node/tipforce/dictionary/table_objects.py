@@ -1,0 +1,457 @@
+"""The objects of a fingertip's dictionary, once, area by area: 1000h to 1FFFh (CiA 301), 2100h to 2201h, 6000h to 9FFFh
+(CiA 404). ``table`` has the form of an object, and the words that are used here.
+"""
+
+from canopen_device.core import codes, communication
+from tipforce.dictionary.table import (
+    ADD_NODE_ID,
+    ARRAY,
+    COMMAND_ZERO,
+    CONVERTER_16,
+    COUNTED,
+    DOMAIN,
+    I16,
+    I32,
+    INT16_FORM,
+    INT32_FORM,
+    MAX_GAUGES,
+    MAX_MAPPED,
+    MIN_GAUGES,
+    NOT_STORED,
+    REAL32,
+    RECORD,
+    REVISION,
+    RPDO,
+    SOFTWARE_VERSION,
+    STAGED,
+    STRING,
+    TPDO,
+    U8,
+    U16,
+    U32,
+    UNKNOWN_I16,
+    UNKNOWN_U16,
+    VAR,
+    VIEW,
+    array,
+    channels,
+    mapped_bits,
+    product_code,
+    record,
+    rpdos,
+    tpdos,
+    var,
+)
+
+TYPE_CHECKING = False
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+    from typing import Any
+
+    from tipforce.dictionary.table import Converter, Limit, Object, Pdo, Run, Value
+
+
+def objects(
+    n: int = 3, simulated: bool = False, converter: "Converter" = CONVERTER_16, programs: bool = False
+) -> "tuple[Object, ...]":
+    """Every object of a node with ``n`` gauges, ordered by index.
+
+    ``simulated`` adds 2200h and 2201h and sets bit 8 of the product code. ``converter`` is (bits, counts per
+    microstrain): its counts give the default of 6122h; a third element, (counts at 0, counts at 1000 microstrain) for
+    each gauge, gives those of 6120h and 6122h where they differ. With more than 16 bits INTEGER16 cannot hold
+    counts, so 7100h, 7120h and 7122h are left out, and bit 9 of the product code is set. ``programs`` adds the
+    objects of firmware with two program slots.
+    Raises ValueError for an ``n`` outside 3..8.
+    """
+    return tuple(sorted(declared(n, simulated, converter, programs)))
+
+
+def declared(n: int, simulated: bool, converter: "Converter", programs: bool = False) -> "Iterator[Object]":
+    """The same one by one, in no order: a microcontroller has no heap for all of them at once."""
+    if not MIN_GAUGES <= n <= MAX_GAUGES:
+        raise ValueError("number of gauges: %r, allowed %d to %d" % (n, MIN_GAUGES, MAX_GAUGES))
+    for row in communication_area(product_code(n, simulated, converter), simulated):
+        yield _with_sub0(row)
+    for pdo in rpdos():
+        for row in pdo_objects("rpdo", communication.RPDO, pdo):
+            yield _with_sub0(row)
+    for pdo in tpdos(n):
+        for row in pdo_objects("tpdo", communication.TPDO, pdo):
+            yield _with_sub0(row)
+    for area in (
+        calibration(n),
+        live(),
+        program_slots() if programs else (),
+        simulation(n) if simulated else (),
+        profile(n, converter),
+    ):
+        for row in area:
+            yield _with_sub0(row)
+
+
+def staged(n: int) -> "tuple[tuple[int, int, str], ...]":
+    """The fields of the calibration record in order, as (index, sub, type)."""
+    fields: list[tuple[int, int, str]] = []
+    for index, _code, _name, _slug, entries in calibration(n):
+        for first, count, _label, _part, kind, _access, flags, _default, _low, _high, _unit in entries:
+            if flags & STAGED:
+                fields += [(index, sub, kind) for sub in range(first, first + count)]
+    return tuple(fields)
+
+
+def _with_sub0(row: "Object") -> "Object":
+    index, code, name, slug, entries = row
+    if code == VAR or entries[0][0] == 0:
+        return row
+    highest = entries[-1][0] + entries[-1][1] - 1
+    count: Run = (0, 1, "Highest sub-index supported", "count", U8, "const", 0, highest, None, None, "")
+    return (index, code, name, slug, (count,) + entries)
+
+
+# A table: one entry a line says more than one argument a line.
+# fmt: off
+
+
+def communication_area(product: int, simulated: bool) -> "tuple[Object, ...]":
+    """Objects 1000h to 1FFFh but the PDOs and programs (CiA 301)."""
+    stores = ("all parameters", "communication parameters", "application parameters", "calibration")
+    return (
+        var(communication.DEVICE_TYPE, "Device type", "device_type", U32, "ro", 0, 0x00020194),
+        var(communication.ERROR_REGISTER, "Error register", "error_register", U8, "ro", TPDO),
+        var(communication.MANUFACTURER_STATUS, "Manufacturer status register", "manufacturer_status", U32, "ro", TPDO),
+        (
+            communication.ERROR_HISTORY,
+            ARRAY,
+            "Pre-defined error field",
+            "error_history",
+            (
+                (0, 1, "Number of errors", "error_history.count", U8, "rw", NOT_STORED, 0, None, None, ""),
+                (1, 8, "Error %d", "error_history", U32, "ro", 0, 0, None, None, ""),
+            ),
+        ),
+        var(communication.COB_ID_SYNC, "COB-ID SYNC", "sync.cob_id", U32, "rw", COUNTED, codes.SYNC_COB_ID),
+        var(communication.SYNC_WINDOW, "Synchronous window length", "sync.window_us", U32, "rw", 0, 0, unit="us"),
+        var(
+            communication.DEVICE_NAME, "Manufacturer device name", "device_name", STRING, "const", 0,
+            "tipforce fingertip",
+        ),
+        var(
+            communication.HARDWARE_VERSION, "Manufacturer hardware version", "hardware_version", STRING, "const", 0,
+            "simulated" if simulated else "1",
+        ),
+        var(
+            communication.SOFTWARE_VERSION, "Manufacturer software version", "software_version", STRING,
+            "const", 0, SOFTWARE_VERSION,
+        ),
+        var(communication.GUARD_TIME, "Guard time", "node_guarding.guard_time_ms", U16, "rw", unit="ms"),
+        var(communication.LIFE_TIME_FACTOR, "Life time factor", "node_guarding.life_time_factor", U8, "rw"),
+        array(
+            communication.STORE_PARAMETERS, "Store parameters", "store", 4, tuple("Save " + s for s in stores),
+            U32, "rw", NOT_STORED, 1,
+        ),
+        array(
+            communication.RESTORE_DEFAULTS, "Restore default parameters", "restore", 4,
+            tuple("Restore " + s for s in stores),
+            U32, "rw", NOT_STORED, 1,
+        ),
+        var(
+            communication.COB_ID_TIME, "COB-ID time stamp object", "time.cob_id", U32, "rw", 0,
+            codes.TIME_CONSUMER | codes.TIME_COB_ID,
+        ),
+        var(
+            communication.HIGH_RESOLUTION_TIME, "High resolution time stamp", "time.high_resolution_us",
+            U32, "rw", TPDO | RPDO | NOT_STORED, unit="us",
+        ),
+        var(
+            communication.COB_ID_EMCY, "COB-ID EMCY", "emcy.cob_id", U32, "rw", ADD_NODE_ID | COUNTED, codes.EMCY_BASE,
+        ),
+        var(communication.EMCY_INHIBIT_TIME, "Inhibit time EMCY", "emcy.inhibit_100us", U16, "rw", unit="100 us"),
+        array(
+            communication.CONSUMER_HEARTBEAT, "Consumer heartbeat time", "heartbeat.consumer", 4,
+            "Consumer heartbeat time %d",
+            U32, "rw",
+        ),
+        var(
+            communication.PRODUCER_HEARTBEAT, "Producer heartbeat time", "heartbeat.producer_ms", U16, "rw", COUNTED,
+            1000, unit="ms",
+        ),
+        record(
+            communication.IDENTITY, "Identity object", "identity",
+            (1, "Vendor-ID", "vendor", U32, "ro"),
+            (2, "Product code", "product", U32, "ro", 0, product),
+            (3, "Revision number", "revision", U32, "ro", 0, REVISION),
+            (4, "Serial number", "serial", U32, "ro"),
+        ),
+        var(
+            communication.SYNC_OVERFLOW, "Synchronous counter overflow value", "sync.counter_overflow", U8, "rw",
+            COUNTED, 0, 0, 240,
+        ),
+        record(
+            communication.VERIFY_CONFIGURATION, "Verify configuration", "verify_configuration",
+            (1, "Configuration date", "date", U32, "rw"),
+            (2, "Configuration time", "time", U32, "rw"),
+        ),
+        var(communication.STORED_EDS, "Store EDS", "eds", DOMAIN, "ro"),
+        var(communication.EDS_FORMAT, "Store format", "eds_format", U16, "ro"),
+        array(
+            communication.ERROR_BEHAVIOUR, "Error behaviour", "error_behaviour", 1, "Communication error",
+            U8, "rw", 0, 0, 0, 2,
+        ),
+        record(
+            communication.SDO_SERVER, "SDO server parameter", "sdo_server",
+            (1, "COB-ID client to server", "client_to_server", U32, "ro", ADD_NODE_ID, codes.SDO_REQUEST_BASE),
+            (2, "COB-ID server to client", "server_to_client", U32, "ro", ADD_NODE_ID, codes.SDO_RESPONSE_BASE),
+        ),
+        var(communication.NMT_STARTUP, "NMT startup", "nmt_startup", U32, "rw", 0, 4),
+    )
+
+
+def pdo_objects(direction: str, first: int, pdo: "Pdo") -> "tuple[Object, Object]":
+    """Communication and mapping parameters of a PDO."""
+    number, message, base, enabled, transmission, event_ms, mapped = pdo
+    slug = "%s%d" % (direction, number)
+    title = "%s%d %s" % (direction.upper(), number, message.lower())
+    counted = COUNTED if direction == "tpdo" else 0
+    cob_id = base | (codes.NO_RTR if direction == "tpdo" else 0) | (0 if enabled else codes.COB_ID_INVALID)
+    entries: list[tuple[Any, ...]] = [
+        (1, "COB-ID", "cob_id", U32, "rw", counted | (ADD_NODE_ID if base else 0), cob_id),
+        (2, "Transmission type", "transmission_type", U8, "rw", counted, transmission),
+    ]
+    if direction == "tpdo":
+        entries.append((3, "Inhibit time", "inhibit_100us", U16, "rw", counted, 0, None, None, "100 us"))
+    entries.append((5, "Event timer", "event_timer_ms", U16, "rw", counted, event_ms, None, None, "ms"))
+    if direction == "tpdo":
+        entries.append((6, "SYNC start value", "sync_start", U8, "rw", counted, 0, 0, 240))
+    bits = tuple(index << 16 | sub << 8 | mapped_bits(index) for index, sub in mapped)
+    slots = bits + (0,) * (MAX_MAPPED - len(bits))
+    return (
+        record(first + number - 1, title + " communication", slug, *entries),
+        (
+            first + communication.MAPPING + number - 1,
+            RECORD,
+            title + " mapping",
+            slug + ".mapping",
+            (
+                (0, 1, "Number of mapped objects", slug + ".mapped",
+                 U8, "rw", counted, len(bits), 0, MAX_MAPPED, ""),
+                (1, MAX_MAPPED, "Mapped object %d", slug + ".mapping",
+                 U32, "rw", counted, slots, None, None, ""),
+            ),
+        ),
+    )
+
+
+def program_slots() -> "tuple[Object, ...]":
+    """CiA 302-3; the values of 1F51h and 1F57h are in ``canopen_device.core.program``."""
+    return (
+        array(communication.PROGRAM_DATA, "Program data", "program.data", 1, "Program number %d", DOMAIN, "wo"),
+        array(
+            communication.PROGRAM_CONTROL, "Program control", "program.control", 1, "Program number %d",
+            U8, "rw", NOT_STORED, 1, 0, 3,
+        ),
+        array(
+            communication.PROGRAM_IDENTIFICATION, "Program software identification", "program.identification", 1,
+            "Program number %d", U32, "ro",
+        ),
+        array(communication.FLASH_STATUS, "Flash status", "program.flash_status", 1, "Program number %d", U32, "ro"),
+    )
+
+
+def calibration(n: int) -> "tuple[Object, ...]":
+    """Calibration, its record and where it is valid, for n gauges."""
+    rows = ("F1", "F2", "F3")
+    matrix = tuple("C %s SG%d" % (row, k) for row in rows for k in range(1, n + 1))
+    noise = tuple("Covariance SG%d SG%d" % (j, k) for j in range(1, n + 1) for k in range(j, n + 1))
+    gauges = tuple("SG%d" % k for k in range(1, n + 1))
+    return (
+        array(
+            0x2100, "Calibration matrix C", "calibration.matrix", 3 * n, matrix,
+            REAL32, "rw", STAGED, 0.0, unit="N",
+        ),
+        array(
+            0x2101, "Gauge offset", "calibration.offset", n, gauges, REAL32, "rw", STAGED, 0.0, unit="strain",
+        ),
+        record(
+            0x2102, "Calibration facts", "calibration",
+            (1, "Calibration serial", "serial", U32, "rw", STAGED),
+            (2, "Calibration date YYYYMMDD", "date", U32, "rw", STAGED),
+            (3, "Reference temperature", "reference_temperature",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (4, "Gauge layout", "layout", U8, "rw", STAGED),
+            (5, "Condition number of staged C", "condition_number", REAL32, "ro", 0, 0.0),
+        ),
+        record(
+            0x2103, "Calibration check", "calibration",
+            (1, "Expected CRC-32 of the staged record", "expected_crc", U32, "rw", NOT_STORED),
+            (2, "CRC-32 of the staged record", "staged_crc", U32, "ro"),
+            (3, "CRC-32 of the active record", "active_crc", U32, "ro"),
+            (4, "Calibration generation", "generation", U32, "ro"),
+        ),
+        var(0x2104, "Commit the staged calibration", "calibration.commit", U32, "wo"),
+        record(
+            0x2105, "Calibration guard", "calibration",
+            (1, "Condition limit", "condition_limit", REAL32, "rw", 0, 1e4, 1.0, 1e30),
+            (2, "Write lock", "lock", U8, "rw", NOT_STORED, 0, 0, 1),
+            (3, "Unlock", "unlock", U32, "wo"),
+        ),
+        array(
+            0x2106, "Gauge noise covariance", "calibration.noise", n * (n + 1) // 2, noise,
+            REAL32, "rw", STAGED, 0.0, unit="strain^2",
+        ),
+        array(
+            0x2107, "Standard uncertainty", "uncertainty", 3, ("u(P) N", "u(phi) degree", "u(theta) degree"),
+            REAL32, "ro", TPDO, 0.0,
+        ),
+        record(
+            0x2110, "Contact settings", "contact",
+            (1, "Tip radius", "tip_radius", REAL32, "rw", STAGED, 0.0, None, None, "m"),
+            (2, "Theta minimum", "theta_minimum", REAL32, "rw", STAGED, 0.0, None, None, "degree"),
+            (3, "Theta maximum", "theta_maximum", REAL32, "rw", STAGED, 0.0, None, None, "degree"),
+            (4, "Contact-on force", "on_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (5, "Contact-off force", "off_force", REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (6, "Load sense (0 push, 1 pull)", "load_sense", U8, "rw", STAGED, 0, 0, 1),
+        ),
+        record(
+            0x2112, "Calibration validity", "calibration",
+            (1, "Calibrated force (0 not known)", "calibrated_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (2, "Overload force (0 not known)", "overload_force",
+             REAL32, "rw", STAGED, 0.0, None, None, "N"),
+            (3, "Lowest temperature", "temperature_minimum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (4, "Highest temperature (both 0 not known)", "temperature_maximum",
+             REAL32, "rw", STAGED, 0.0, None, None, "degC"),
+            (5, "Relative model uncertainty of the force", "model_uncertainty", REAL32, "rw", STAGED, 0.0),
+        ),
+        array(
+            0x2113, "Converter limit (0 span alone)", "calibration.converter_limit", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain",
+        ),
+        array(
+            0x2114, "Offset against temperature", "calibration.offset_temperature", n, gauges,
+            REAL32, "rw", STAGED, 0.0, unit="strain/K",
+        ),
+        var(
+            0x2115, "Gain of the force against temperature", "calibration.gain_temperature",
+            REAL32, "rw", STAGED, 0.0, unit="1/K",
+        ),
+        var(
+            0x2116, "Limit of the redundancy check (0 off)", "calibration.redundancy_limit",
+            REAL32, "rw", STAGED, 0.0,
+        ),
+    )
+
+
+def live() -> "tuple[Object, ...]":
+    """Live values: tare, contact, force and their uncertainty."""
+    return (
+        record(
+            0x2111, "Tare", "tare",
+            (1, "Applied tare F1", "F1", REAL32, "ro", 0, 0.0, None, None, "N"),
+            (2, "Applied tare F2", "F2", REAL32, "ro", 0, 0.0, None, None, "N"),
+            (3, "Applied tare F3", "F3", REAL32, "ro", 0, 0.0, None, None, "N"),
+            (4, "Age of the tare", "age_s", U32, "ro", 0, 0, None, None, "s"),
+        ),
+        var(0x2120, "Status byte", "status", U8, "ro", TPDO),
+        var(0x2121, "Sample counter", "counter", U8, "ro", TPDO),
+        var(0x2122, "Temperature", "temperature", I16, "ro", TPDO, UNKNOWN_I16, unit="0.01 degC"),
+        var(0x2123, "Standard uncertainty of P", "u_P", U16, "ro", TPDO, UNKNOWN_U16, unit="mN"),
+        var(0x2124, "Front-end faults", "faults", U16, "ro", TPDO),
+        var(0x2126, "Configuration counter", "configuration_counter", U8, "ro", TPDO),
+        var(0x2130, "Command", "command", U16, "rw", RPDO | NOT_STORED, 0, 0, COMMAND_ZERO),
+        var(0x2140, "Active calibration record", "calibration.active_record", DOMAIN, "ro"),
+        var(0x2141, "Staged calibration record", "calibration.staged_record", DOMAIN, "rw", NOT_STORED),
+    )
+
+
+def simulation(n: int) -> "tuple[Object, ...]":
+    """Settings of a simulated node."""
+    return (
+        record(
+            0x2200, "Simulated fault", "simulation",
+            (1, "Fault", "fault", U16, "rw", NOT_STORED, 0, 0, 5),
+            (2, "Gauge", "gauge", U8, "rw", NOT_STORED, 1, 1, n),
+            (3, "Magnitude", "magnitude", REAL32, "rw", NOT_STORED, 0.0),
+        ),
+        record(
+            0x2201, "Simulated load", "simulation",
+            (1, "P", "P", REAL32, "rw", NOT_STORED, 0.0, None, None, "N"),
+            (2, "phi", "phi", REAL32, "rw", NOT_STORED, 0.0, None, None, "degree"),
+            (3, "theta", "theta", REAL32, "rw", NOT_STORED, 0.0, None, None, "degree"),
+        ),
+    )
+
+
+def profile(n: int, converter: "Converter") -> "Iterator[Object]":
+    """Objects of CiA 404 for each gauge channel."""
+    chans = channels(n)
+    symbols = tuple(c[0] for c in chans)
+    total = n + 6
+
+    def single(
+        index: int, name: str, slug: str, count: int, kind: str, access: str, flags: int = 0,
+        default: "Value | tuple[Value, ...]" = 0, low: "Limit" = None, high: "Limit" = None, unit: str = "",
+    ) -> "Object":
+        names = symbols[:count]
+        return array(index, name, slug, count, names, kind, access, flags, default, low, high, unit)
+
+    yield from (
+        single(0x6110, "AI sensor type", "sensor_type", total, U16, "ro", 0, tuple(c[4] for c in chans)),
+        single(0x6112, "AI operating mode", "operating_mode", total, U8, "rw", COUNTED, 1, 1, 1),
+        single(0x6114, "AI sample period", "sample_period_us", total, U32, "rw", 0, 500, 100, 1000000, "us"),
+        single(0x6125, "AI autozero", "autozero", n, U32, "wo"),
+        single(0x6131, "AI physical unit", "unit", total, U32, "ro", 0, tuple(c[2] for c in chans)),
+        single(0x6132, "AI decimal digits", "decimal_digits", total, U8, "ro", 0, tuple(c[3] for c in chans)),
+        (
+            0x6139, ARRAY, "AI autotare", "autotare",
+            (
+                (0, 1, "Highest sub-index supported", "count", U8, "const", 0, n + 1, None, None, ""),
+                (n + 1, 1, "F1, F2, F3", "autotare", U32, "wo", 0, 0, None, None, ""),
+            ),
+        ),
+        single(0x6150, "AI status", "channel_status", total, U8, "ro", TPDO),
+        single(0x61A0, "AI filter type", "filter_type", n, U8, "rw", COUNTED, 0, 0, 100),
+        single(0x61A1, "AI filter constant", "filter_constant", n, U16, "rw", COUNTED, 1, 1, 65535),
+    )
+    zero: "float | tuple[float, ...]" = 0.0
+    full: "float | tuple[float, ...]" = 1000.0 * converter[1]
+    if len(converter) > 2:
+        zero, full = tuple(points[0] for points in converter[2]), tuple(points[1] for points in converter[2])
+    lows, highs = tuple(c[6] for c in chans), tuple(c[7] for c in chans)
+    # One value in three forms: REAL32 (6xxxh, the value itself), INTEGER16 and INTEGER32 (views).
+    for offset, name, slug, count, access, default, unit in (
+        (0x100, "field value", "field_value", n, "ro", 0.0, "counts"),
+        (0x120, "scaling 1 field value", "scaling_1_field", n, "rw", zero, "counts"),
+        (0x121, "scaling 1 process value", "scaling_1_process", n, "rw", 0.0, "microstrain"),
+        (0x122, "scaling 2 field value", "scaling_2_field", n, "rw", full, "counts"),
+        (0x123, "scaling 2 process value", "scaling_2_process", n, "rw", 1000.0, "microstrain"),
+        (0x124, "process value offset", "process_offset", n, "rw", 0.0, "microstrain"),
+        (0x130, "process value", "process_value", total, "ro", 0.0, "unit of 6131h"),
+        (0x133, "interrupt delta", "interrupt_delta", total, "rw", 0.0, "unit of 6131h"),
+        (0x134, "interrupt lower limit", "interrupt_lower", total, "rw", lows, "unit of 6131h"),
+        (0x135, "interrupt upper limit", "interrupt_upper", total, "rw", highs, "unit of 6131h"),
+        (0x136, "interrupt hysteresis", "interrupt_hysteresis", total, "rw", 0.0, "unit of 6131h"),
+        (0x148, "span start", "span_start", total, "rw", lows, "unit of 6131h"),
+        (0x149, "span end", "span_end", total, "rw", highs, "unit of 6131h"),
+    ):
+        flags = TPDO if access == "ro" else 0
+        digits = tuple(0 if unit == "counts" else c[3] for c in chans[:count])
+        yield array(
+            0x6000 + offset, "AI " + name, slug, count, symbols[:count], REAL32, access,
+            flags if access == "ro" else COUNTED,
+            default if isinstance(default, float) else default[:count], unit=unit,
+        )
+        for form, kind, suffix in ((INT16_FORM, I16, "int16"), (INT32_FORM, I32, "int32")):
+            if kind == I16 and unit == "counts" and converter[0] > 16:
+                continue
+            yield array(
+                0x6000 + form + offset, "AI " + name + " " + suffix, slug + "_" + suffix, count, symbols[:count],
+                kind, access, flags | VIEW, _scaled(default, digits),
+                unit=unit if unit == "counts" else "resolution of 6132h",
+            )
+
+
+def _scaled(default: "float | tuple[float, ...]", digits: "tuple[int, ...]") -> "tuple[int, ...]":
+    """The integer form of REAL32 defaults: times ten to the 6132h digits of each channel."""
+    values = (default,) * len(digits) if isinstance(default, float) else default
+    return tuple(round(values[k] * 10 ** digits[k]) for k in range(len(digits)))
