@@ -13,15 +13,15 @@ import can
 import numpy as np
 from can.interfaces.virtual import VirtualBus
 
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
 from tipforce.dictionary import objects as od
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.hand.polled import HandSample, PolledHand
 from tipforce.host.network.bus import Bus
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
-from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import calibration_matrix, strain_matrix
 from tipforce.sources.simulated import SimulatedSource

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 import can
 import canopen
 
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
 
 T = TypeVar("T")
 

@@ -18,10 +18,9 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from host.bus_with_nodes import ROUNDING_STRAIN2, beam_calibration
-from tipforce.dictionary import table
+from tipforce.dictionary import table, table_objects
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, difference
-from tipforce.host.configuration.calibration_file import read_calibration, write_calibration
+from tipforce.host.configuration.calibration import Calibration, difference, read_calibration, write_calibration
 
 UNCHECKED = patch.object(Calibration, "check", lambda _self: None)
 """Any numbers survive a file and a record, those that no sensor can have too."""
@@ -35,14 +34,14 @@ def records(draw: st.DrawFn) -> bytes:
     """Any record of finite numbers that a file has words for, n = 3 to 8."""
     n = draw(st.integers(table.MIN_GAUGES, table.MAX_GAUGES))
     fields: list[float] = []
-    for index, sub, kind in table.staged(n):
+    for index, sub, kind in table_objects.staged(n):
         if kind == "f":
             fields.append(draw(REAL32))
         elif index == 0x2102:
             fields.append(draw({1: U32, 2: DATE, 4: st.sampled_from([1, 2, 3, 255])}[sub]))
         else:
             fields.append(draw(st.integers(0, 1)))
-    return struct.pack("<" + "".join(kind for _, _, kind in table.staged(n)), *fields)
+    return struct.pack("<" + "".join(kind for _, _, kind in table_objects.staged(n)), *fields)
 
 
 @settings(max_examples=100, deadline=None, derandomize=True)
@@ -177,11 +176,11 @@ def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
         (
             "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
             "[[1, 0], [0, 2.0], [0, 0]]",
-            r"has shape \(3, 2\), allowed \(3, 3\)",
+            r"matrix: shape \(3, 2\), allowed \(3, 3\)",
         ),
-        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix_newtons_per_strain .*\(2, 3\)"),
-        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[]", r"matrix_newtons_per_strain has shape \(0,\)"),
-        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[], [], []]", r"has shape \(3, 0\)"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[1, 0, 0], [0, 2, 0]]", r"matrix: shape \(2, 3\), allowed"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[]", r"matrix: shape \(0,\), allowed"),
+        ("[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]", "[[], [], []]", r"matrix: shape \(3, 0\)"),
         (
             "[[1e4, 0, 0], [0, 2e4, 0], [0, 0, 3e4]]",
             "[[1, 0, 0], [0, 2], [0]]",
@@ -192,10 +191,10 @@ def test_a_number_edited_by_hand_is_noticed(tmp_path: Path) -> None:
             '[["a"]]',
             r"calibration\.matrix_newtons_per_strain is \[\['a'\]\]: expected float, got str at \[0\]\[0\]",
         ),
-        ("[1, 2.5, -3]", "[1, 2]", r"offset_microstrain has 2 entries, the matrix 3 gauges"),
+        ("[1, 2.5, -3]", "[1, 2]", r"offset: shape \(2,\), allowed is \(3,\)"),
         ("[1, 2.5, -3]", "3", r"calibration\.offset_microstrain is 3: expected array, got int"),
-        ("[[0.25, 0, 0]", "[[0.25, 0.1, 0]", r"covariance_microstrain2 must be 3 x 3 and symmetric"),
-        ("[[0.25, 0, 0], ", "[", r"covariance_microstrain2 must be 3 x 3 and symmetric"),
+        ("[[0.25, 0, 0]", "[[0.25, 0.1, 0]", r"covariance: not symmetric"),
+        ("[[0.25, 0, 0], ", "[", r"covariance: shape \(2, 3\), allowed is \(3, 3\)"),
         ("[[0.25, 0, 0], ", "[[0.25], ", r"the rows of covariance_microstrain2 differ in length"),
         ('"pull"', '"sideways"', r"load_sense is 'sideways', allowed: push, pull"),
         ("load_sense", "sense", r"calibration\.sense: no such key; did you mean load_sense\? allowed"),

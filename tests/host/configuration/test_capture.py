@@ -11,7 +11,7 @@ from tipforce.dictionary.entries import Entry
 from tipforce.errors import InputError, NoResponseError
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.configuration.capture import RESOLUTION_MICROSTRAIN, Capture, GaugeReader
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import OPEN, SATURATED, SILENT, SimulatedSource

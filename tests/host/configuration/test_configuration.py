@@ -7,10 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from canopen_device import types
 from host.bus_with_nodes import FaultyBus
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import types
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary.entries import entries
 from tipforce.errors import InputError, SdoAbortError
 from tipforce.host.configuration.configuration_file import (
     Configuration,
@@ -43,7 +43,7 @@ class Recorder(SdoChannel):
 
     def upload(self, index: int, sub: int, long: bool = False) -> bytes:  # noqa: ARG002
         found = [value for i, s, value in self.writes if (i, s) == (index, sub)]
-        size = types.data_type(rows(8, True)[index, sub].letter).size or 0
+        size = types.data_type(entries(8, True)[index, sub].type).size or 0
         return (found[-1] if found else 3).to_bytes(size, "little")
 
     def download(self, index: int, sub: int, data: bytes, **_options: object) -> None:

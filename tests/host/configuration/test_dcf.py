@@ -8,10 +8,10 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from canopen_device import types
 from tipforce.dictionary import objects as od
-from tipforce.dictionary import types
 from tipforce.dictionary.eds import dcf_text
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary.entries import entries
 from tipforce.errors import InputError
 from tipforce.host.configuration.configuration_file import (
     apply_configuration,
@@ -24,9 +24,9 @@ NODE = 5
 
 
 PLACES = {
-    place: row.letter
-    for place, row in rows(3, False).items()
-    if row.access == "rw" and row.letter in "bBhHiIf" and place[0] not in (0x1010, 0x1011)
+    place: row.type
+    for place, row in entries(3, False).items()
+    if row.access == "rw" and row.type in "bBhHiIf" and place[0] not in (0x1010, 0x1011)
 }
 NUMBERS = {
     letter: st.integers(*limits)
@@ -41,11 +41,11 @@ def settings_of_a_node(draw: st.DrawFn) -> dict[tuple[int, int], types.Value]:
     chosen = draw(st.lists(st.sampled_from(sorted(PLACES)), min_size=1, max_size=6, unique=True))
     found: dict[tuple[int, int], types.Value] = {}
     for place in chosen:
-        row = rows(3, False)[place]
+        row = entries(3, False)[place]
         if row.low is None and row.high is None:
             found[place] = draw(NUMBERS[PLACES[place]])
         else:
-            bounds = types.data_type(row.letter).limits or (-1e30, 1e30)
+            bounds = types.data_type(row.type).limits or (-1e30, 1e30)
             found[place] = bounds[0] if row.low is None else row.low
         if 0x1800 <= place[0] < 0x1A00 and place[1] == 1:
             found[place] = int(found[place]) | 0x40000000  # no remote requests: nothing else is accepted

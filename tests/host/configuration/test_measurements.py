@@ -12,8 +12,7 @@ from hypothesis import strategies as st
 
 from tipforce.errors import InputError
 from tipforce.host.configuration import measurements
-from tipforce.host.configuration.measurement_rows import MODES
-from tipforce.host.configuration.measurements import BadRow, Measurements, read_measurements, write_measurements
+from tipforce.host.configuration.measurements import MODES, BadRow, Measurements, read_measurements, write_measurements
 
 HEADER = "SG1,SG2,SG3,P_N,phi_deg,theta_deg"
 

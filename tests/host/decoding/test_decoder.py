@@ -5,7 +5,7 @@ import struct
 import numpy as np
 import pytest
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.dictionary.table import STATUS_BITS
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder, Samples, lost_samples, unwrap_counter
@@ -45,46 +45,6 @@ def test_types_of_columns() -> None:
     assert columns["counter"].dtype == np.uint8
     health = Decoder().decode(one(0x481, bytes(8)))[1, "Health"].columns
     assert health["error_register"].dtype == np.uint8
-
-
-@pytest.mark.parametrize("raw", [474, -474, 32767, -32767, 1, 0])
-def test_values_are_the_nearest_doubles(raw: int) -> None:
-    columns = contact(contact_bytes((raw, raw, raw))).columns
-    assert columns["P"][0] == raw / 1000
-    assert columns["phi"][0] == raw / 100
-    gauges = Decoder().decode(one(0x185, contact_bytes((raw, raw, raw))))[5, "Gauges"].columns
-    assert gauges["SG3"][0] == raw / 10
-
-
-def test_unknown_is_nan_for_each_signal_alone() -> None:
-    for position, name in enumerate(("P", "phi", "theta")):
-        raw = [1000, 1000, 1000]
-        raw[position] = -32768
-        columns = contact(contact_bytes((raw[0], raw[1], raw[2]))).columns
-        assert [np.isnan(columns[other][0]) for other in ("P", "phi", "theta")] == [
-            other == name for other in ("P", "phi", "theta")
-        ]
-
-
-def test_unknown_of_health() -> None:
-    data = struct.pack("<hHHBB", -32768, 0xFFFF, 0, 9, 1)
-    columns = Decoder().decode(one(0x481, data))[1, "Health"].columns
-    assert np.isnan(columns["temperature"][0])
-    assert np.isnan(columns["u_P"][0])
-    assert (columns["configuration_counter"][0], columns["error_register"][0]) == (9, 1)
-    data = struct.pack("<hHHBB", -100, 0xFFFE, 0x0801, 9, 1)
-    columns = Decoder().decode(one(0x481, data))[1, "Health"].columns
-    assert (columns["temperature"][0], columns["u_P"][0]) == (-1.0, 65.534)
-    assert [name for name, column in columns.items() if column.dtype == np.bool_ and column[0]] == [
-        "SG1_fault",
-        "fault_supply",
-    ]
-
-
-@pytest.mark.parametrize("bit", range(8))
-def test_each_status_bit(bit: int) -> None:
-    columns = contact(contact_bytes((0, 0, 0), 1 << bit)).columns
-    assert [bool(columns[name][0]) for name in STATUS_NAMES] == [position == bit for position in range(8)]
 
 
 def test_order_rows_and_nodes() -> None:
@@ -140,14 +100,6 @@ def test_a_short_frame_is_counted_and_not_decoded() -> None:
     decoder.decode(frames)
     assert decoder.malformed == {(5, "Contact"): 16, (1, "Gauges"): 2}
     assert decoder.decode(frames[:8]) == {}
-
-
-def test_a_long_frame_is_decoded() -> None:
-    decoder = Decoder()
-    decoder.remap(5, "Contact", 0x285, [P, STATUS])
-    frames = frame_array([(0, 0x285, b"\xe8\x03\x01"), (0, 0x285, b"\xe8\x03\x01\xff\xff"), (0, 0x285, b"\xe8\x03")])
-    assert decoder.decode(frames)[5, "Contact"].columns["P"].tolist() == [1.0, 1.0]
-    assert decoder.malformed == {(5, "Contact"): 1}
 
 
 def test_unaligned_mapping() -> None:

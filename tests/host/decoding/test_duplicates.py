@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 
 import pytest
 
-from tipforce.device.node import Device
+from canopen_device.core.node import Device
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.duplicates import DuplicateNodes

@@ -12,14 +12,15 @@ from fingertip.finger import PUSH, Finger
 from fingertip.test_judgement import drift, redundant, with_emcy
 from tipforce.fingertip.application import Fingertip
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding import status_words
-from tipforce.host.decoding.contacts import Status, contact_values
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health import ALL, TOLD_BY_EMCY, Health, of_emcy
 from tipforce.host.decoding.log import read_log
 from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.samples import reasons
+from tipforce.samples.columns import contact_values
+from tipforce.samples.reasons import Status
 from tipforce.scene import beam_calibration
-from tipforce.sensor.contact.force import force_vector
+from tipforce.sensor.contact.estimate import force_vector
 from tipforce_tools.cli.main import main
 
 GAUGES = 8
@@ -157,7 +158,7 @@ def test_a_log_with_neither_says_so_once(tmp_path: Path, caplog: pytest.LogCaptu
 
 
 def test_words() -> None:
-    assert status_words.of_faults(1 << 1 | 1 << 9 | 1 << 13) == [
+    assert reasons.of_faults(1 << 1 | 1 << 9 | 1 << 13) == [
         "SG2 saturated or left out", "front end: frozen", "beyond the calibrated force",
     ]  # fmt: skip
 

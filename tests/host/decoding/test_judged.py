@@ -18,9 +18,9 @@ from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import judged
 from tipforce.host.decoding.contact_columns import ContactColumns
-from tipforce.host.decoding.contacts import Status
 from tipforce.host.decoding.estimates import Before, estimate, estimated, following
 from tipforce.host.decoding.sample_table import Table, computed
+from tipforce.samples.reasons import Status
 from tipforce.sensor.contact import scalar
 from tipforce.sensor.contact.scalar_redundancy import chi_square_threshold
 

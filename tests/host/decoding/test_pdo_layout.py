@@ -7,14 +7,13 @@ import numpy as np
 import pytest
 from cantools.database.can import Database
 
+from canopen_device.core.codes import EXTENDED_FLAG
 from host.bus_with_nodes import connected, finger
-from tipforce.device.codes import EXTENDED_FLAG
 from tipforce.dictionary.eds import dcf_text, eds_text
-from tipforce.dictionary.signals import Message, tpdo_messages
+from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoder import Decoder, Samples
+from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.pdo_layout import dbc_messages, dcf_layout, layout_decoder, node_layout
-from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.frames.frame_array import FRAME, FrameArray, frame_array
 
 DBC = Path(__file__).parents[3] / "dbc" / "tipforce.dbc"
@@ -106,7 +105,7 @@ def test_layouts_of_one_decoder_have_to_agree(tmp_path: Path) -> None:
     path.write_text(eds_text(3))
     three = dcf_layout(path, 1)
     path.write_text(eds_text(4))
-    with pytest.raises(InputError, match="one decoder"):
+    with pytest.raises(InputError, match="one decode needs"):
         layout_decoder([three, dcf_layout(path, 2)])
     with pytest.raises(InputError, match="each node has one layout"):
         layout_decoder([three, three])
@@ -170,32 +169,3 @@ def test_what_is_no_database(tmp_path: Path) -> None:
     path.write_text("hello")
     with pytest.raises(InputError, match="not a database"):
         dbc_messages(path)
-
-
-def samples(counter: list[int], message: Message = DEFAULTS["Contact"], node_id: int = 1) -> Samples:
-    values = np.array(counter, dtype=np.uint8)
-    return Samples(node_id, message, np.zeros(len(values), np.int64), np.arange(len(values)), {"counter": values})
-
-
-def test_counters_go_on_over_blocks() -> None:
-    random = np.random.default_rng(4)
-    counts = 250 + np.cumsum(random.choice([0, 1, 1, 1, 2, 5], 5000))  # a repeated one is a SYNC without a sample
-    whole = SampleCounters()
-    expected = whole.unwrapped((1, "Contact"), samples((counts % 256).tolist()))
-    assert expected is not None
-    np.testing.assert_array_equal(expected - expected[0], counts - counts[0])
-    for cuts in ([1, 2, 3], [17, 400, 401, 4000], [2500]):
-        parts = SampleCounters()
-        found = [parts.unwrapped((1, "Contact"), samples((part % 256).tolist())) for part in np.split(counts, cuts)]
-        np.testing.assert_array_equal(np.concatenate([part for part in found if part is not None]), expected)
-        assert (parts.frames, parts.lost) == (whole.frames, whole.lost)
-    assert whole.lost == {(1, "Contact"): int(np.maximum(np.diff(counts) - 1, 0).sum())}
-
-
-def test_lost_samples_of_a_node_are_those_of_its_worst_message() -> None:
-    counters = SampleCounters()
-    for name, counter in (("Gauges", [1, 2, 4]), ("Contact", [1, 4]), ("Health", [1, 100])):
-        counters.add({(1, name): samples(counter, DEFAULTS[name])})
-    counters.add({(2, "Contact"): samples([], DEFAULTS["Contact"])})
-    assert counters.lost_by_node() == {1: 2}
-    assert counters.frames == {(1, "Gauges"): 3, (1, "Contact"): 2, (1, "Health"): 2, (2, "Contact"): 0}

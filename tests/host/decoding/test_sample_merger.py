@@ -10,9 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.host.decoding.counters import Counters
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import lost_samples
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_table import Table
 from tipforce.host.frames.frame_array import FRAME, FrameArray
@@ -159,12 +158,3 @@ def test_nodes_of_two_buses_stay_apart(tmp_path: Path) -> None:
         for row in chosen:
             row.pop("channel", None)
         assert chosen == alone
-
-
-def test_counters_go_on() -> None:
-    counters = Counters()
-    one = merger()
-    made = [("contact", 1, k & 0xFF, 1) for k in range(700)]
-    tables = [one.add(frames_of(made)[start : start + 99]) for start in range(0, 700, 99)]
-    found = [counters.unwrapped(table) for table in [*tables, one.finish()] if table is not None]
-    assert np.concatenate([table.counter for table in found]).tolist() == list(range(700))

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import canopen
 import numpy as np
 import pytest
 
 from host.bus_with_nodes import connected, finger
 from tipforce.dictionary import objects as od
 from tipforce.errors import SdoAbortError
-from tipforce.host.decoding.object_names import dictionary_names, fingertip_names
 from tipforce.host.decoding.services import BusEvents, Services
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 
@@ -123,20 +121,6 @@ def test_no_frame_is_a_reason_to_fail() -> None:
     described = list(Services().describe(frame_array(rows)))
     assert len(described) > 1000
     assert all(service.text.isprintable() for service in described)
-
-
-def test_names_of_another_device() -> None:
-    dictionary = canopen.ObjectDictionary()
-    variable = canopen.objectdictionary.ODVariable("Target position", 0x607A, 0)
-    variable.data_type, variable.unit = canopen.objectdictionary.INTEGER32, "inc"
-    dictionary.add_object(variable)
-    services = Services(dictionary_names({9: dictionary}, fingertip_names()))
-    found = services.describe(frames("609#237A6000FFFFFFFF", "605#237A6000FFFFFFFF", "605#4017100000000000"))
-    assert [service.text for service in found] == [
-        "SDO write Target position (0x607A:00) = -1 inc",
-        "SDO write 0x607A:00 = FF FF FF FF",
-        "SDO read heartbeat.producer_ms (0x1017:00)",
-    ]
 
 
 def test_events_are_changes() -> None:

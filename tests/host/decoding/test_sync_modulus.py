@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 import tipforce
+from tipforce.host.decoding.counters import Tally
 from tipforce.host.decoding.decoder import Decoder
-from tipforce.host.decoding.sample_counter import SampleCounters
 from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus
 from tipforce.host.frames.frame_array import FrameArray, frame_array
 
@@ -61,11 +61,12 @@ def test_a_log_says_how_many_were_lost(tmp_path: Path, name: str) -> None:
 @pytest.mark.parametrize("size", [7, 100, 10_000])
 def test_blocks_of_any_size(name: str, size: int) -> None:
     sent, lost = CASES[name]
-    frames, counters, modulus, decoder = framed(sent), SampleCounters(), SyncModulus(), Decoder(3, (5,))
+    frames, tally, modulus, decoder = framed(sent), Tally(), SyncModulus(), Decoder(3, (5,))
     for start in range(0, len(frames), size):
         for part in modulus.parts(frames[start : start + size]):
-            counters.add(decoder.decode(part), modulus.modulus)
-    assert counters.lost_by_node() == {5: lost}
+            for samples in decoder.decode(part).values():
+                tally.add("", samples, modulus.modulus)
+    assert tally.lost() == {("", 5): lost}
 
 
 def test_modulus() -> None:

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from canopen_device.core.node import Device
 from host.bus_with_nodes import beam_calibration
-from tipforce.device.node import Device
 from tipforce.dictionary.entries import Entry
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.decoding.duplicates import DuplicateNodes
@@ -30,12 +30,13 @@ from tipforce.host.hand import hand as hand_module
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.host.hand.rows import PRESENT, Rows
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.lss import LssMaster
 from tipforce.host.network.sdo import SdoChannel
 from tipforce.host.network.sdo_exchange import Exchange
+from tipforce.samples.reasons import PRESENT
+from tipforce.samples.record import Rows
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource

@@ -13,15 +13,16 @@ import struct
 from collections import Counter
 from collections.abc import Callable, Iterator
 from functools import partial
+from typing import Any
 
 import pytest
 
+from canopen_device import types
+from canopen_device.core import codes, communication
+from canopen_device.core.node import Device
 from host.hand.simulated_hand import SimulatedHand, simulated_hand
-from tipforce.device import codes, communication
-from tipforce.device.node import Device
-from tipforce.dictionary import indices, objects, table, types
-from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.rows import Row, rows
+from tipforce.dictionary import indices, objects, table
+from tipforce.dictionary.entries import Entry, entries
 from tipforce.fingertip.node import fingertip_node
 from tipforce.host.hand.meaning import watched
 from tipforce.sources.simulated import SimulatedSource
@@ -50,15 +51,15 @@ def upload(device: Device, index: int, sub: int) -> bytes:
     return found if isinstance(found, bytes) else b""
 
 
-def candidates(row: Row, present: bytes) -> list[bytes]:
+def candidates(row: Entry[Any], present: bytes) -> list[bytes]:
     """Values that differ from the present one: a bit, the ends of the range, identifiers of others."""
-    size = types.data_type(row.letter).size or 0
-    if row.letter == "f":
+    size = types.data_type(row.type).size or 0
+    if row.type == "f":
         value = struct.unpack("<f", present)[0] if present else 0.0
         return [struct.pack("<f", other) for other in (value + 50.0, -1.0 if value else 3.0, 2.0 * value + 1.0)]
     value = int.from_bytes(present, "little")
     numbers = [value ^ 1, value + 7, 0, 1, 2, 4, 100, 240, 254, 0x90, 0x280, 0xFFFF, 0x7FFFFFFF]
-    if row.dotted.endswith("cob_id"):
+    if row.name.endswith("cob_id"):
         numbers = [value ^ codes.COB_ID_INVALID, 0x40000281, 0x281, 0x400003B3, 0x90, *numbers]
     signatures = {indices.AUTOTARE: table.SIGNATURE_TARA, indices.CALIBRATION_COMMIT: table.SIGNATURE_COMMIT}
     if row.access == "wo":
@@ -67,7 +68,7 @@ def candidates(row: Row, present: bytes) -> list[bytes]:
     return [n.to_bytes(size, "little") for n in dict.fromkeys(found) if row.access == "wo" or n != value]
 
 
-def sequence(device: Device, row: Row, data: bytes) -> list[Write]:
+def sequence(device: Device, row: Entry[Any], data: bytes) -> list[Write]:
     """The writes by which a master changes an object: those of a PDO by the procedure of CiA 301, 7.5.2.35."""
     first, last = communication.RPDO, communication.LAST_TPDO_MAPPING
     write: Write = row.index, row.sub, data
@@ -83,17 +84,17 @@ def sequence(device: Device, row: Row, data: bytes) -> list[Write]:
     return [off, (row.index, 0, b"\0"), write, *([count] if row.sub else []), on]
 
 
-def writable() -> list[Row]:
+def writable() -> list[Entry[Any]]:
     """Every object that another master can write in one frame; of the staged calibration only the commit matters."""
     kept = table.STAGED
     return [
         row
-        for row in rows(3).values()
-        if row.access in ("rw", "wo") and not row.flags & kept and types.data_type(row.letter).size
+        for row in entries(3).values()
+        if row.access in ("rw", "wo") and not row.flags & kept and types.data_type(row.type).size
     ]
 
 
-def accepted_values(limit: int) -> list[tuple[Row, bytes]]:
+def accepted_values(limit: int) -> list[tuple[Entry[Any], bytes]]:
     """Values that a finger takes, at most so many for an object; one that it refuses where it takes none."""
     found = []
     device = fingertip_node(2, SimulatedSource([[1.0, 0.0, 0.0]] * 3), serial=2)
@@ -154,7 +155,7 @@ def outcome(hand: SimulatedHand, before: dict[tuple[int, int, int], bytes], poli
     return "restored" if "restored" in kinds else "noticed" if "changed" in kinds else "no change"
 
 
-def single(policy: str, row: Row, data: bytes, echo: bool = True) -> str:
+def single(policy: str, row: Entry[Any], data: bytes, echo: bool = True) -> str:
     """One object."""
     with simulated_hand(policy, echo) as hand:
         before = snapshot(hand)
@@ -176,11 +177,11 @@ FIRST = {
 
 def first_writes(hand: SimulatedHand, how: str) -> list[Write]:
     index, sub, value = FIRST[how]
-    row = rows(3)[index, sub]
-    return sequence(hand.line.devices[2], row, value.to_bytes(types.data_type(row.letter).size or 0, "little"))
+    row = entries(3)[index, sub]
+    return sequence(hand.line.devices[2], row, value.to_bytes(types.data_type(row.type).size or 0, "little"))
 
 
-def pair(policy: str, how: str, row: Row, data: bytes, gap_us: int, echo: bool = True) -> str:
+def pair(policy: str, how: str, row: Entry[Any], data: bytes, gap_us: int, echo: bool = True) -> str:
     """One of FIRST, and within 0.3 s an object."""
     with simulated_hand(policy, echo) as hand:
         before = snapshot(hand)
@@ -192,15 +193,15 @@ def pair(policy: str, how: str, row: Row, data: bytes, gap_us: int, echo: bool =
         return found
 
 
-def _ids(case: tuple[Row, bytes]) -> str:
-    return f"{case[0].dotted}={case[1].hex()}"
+def _ids(case: tuple[Entry[Any], bytes]) -> str:
+    return f"{case[0].name}={case[1].hex()}"
 
 
-def _sample(cases: list[tuple[Row, bytes]], count: int, seed: int) -> list[tuple[Row, bytes]]:
+def _sample(cases: list[tuple[Entry[Any], bytes]], count: int, seed: int) -> list[tuple[Entry[Any], bytes]]:
     """All, or some: of each object that is not one of many equal ones."""
     if ALL:
         return cases
-    by_index: dict[int, list[tuple[Row, bytes]]] = {}
+    by_index: dict[int, list[tuple[Entry[Any], bytes]]] = {}
     for case in cases:
         by_index.setdefault(case[0].index, []).append(case)
     pick = random.Random(seed)
@@ -212,11 +213,11 @@ VALUES = accepted_values(2)
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize("case", _sample(VALUES, 10, 1), ids=_ids)
-def test_one_object(policy: str, case: tuple[Row, bytes]) -> None:
+def test_one_object(policy: str, case: tuple[Entry[Any], bytes]) -> None:
     COUNTS["one object", policy, single(policy, *case, echo=case[0].sub % 2 == 0)] += 1
 
 
-def _pairs() -> Iterator[tuple[str, tuple[Row, bytes], int]]:
+def _pairs() -> Iterator[tuple[str, tuple[Entry[Any], bytes], int]]:
     pick = random.Random(2)
     for number, how in enumerate(FIRST):
         for case in _sample(accepted_values(1), 3, number):
@@ -225,7 +226,7 @@ def _pairs() -> Iterator[tuple[str, tuple[Row, bytes], int]]:
 
 @pytest.mark.parametrize("policy", POLICIES)
 @pytest.mark.parametrize(("how", "case", "gap_us"), list(_pairs()), ids=lambda one: one if isinstance(one, str) else "")
-def test_a_pair(policy: str, how: str, case: tuple[Row, bytes], gap_us: int) -> None:
+def test_a_pair(policy: str, how: str, case: tuple[Entry[Any], bytes], gap_us: int) -> None:
     COUNTS[f"{how}, then one object", policy, pair(policy, how, *case, gap_us)] += 1
 
 
@@ -236,7 +237,7 @@ def write(entry: Entry[int] | Entry[float], value: float) -> Write:
     return entry.index, entry.sub, entry.encode(value)  # type: ignore[arg-type]
 
 
-COB_ID_SYNC = rows(3)[communication.COB_ID_SYNC, 0]
+COB_ID_SYNC = entries(3)[communication.COB_ID_SYNC, 0]
 SAVE = communication.STORE_PARAMETERS, 1, codes.SIGNATURE_SAVE.to_bytes(4, "little")
 
 

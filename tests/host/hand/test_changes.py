@@ -14,21 +14,22 @@ import can
 import numpy as np
 import pytest
 
+from canopen_device.core.codes import OPERATIONAL
 from host.bus_with_nodes import beam_calibration, new_channel
 from host.hand.test_hand import Fingers, kinds, latest, until
-from tipforce.device.codes import OPERATIONAL
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, SdoAbortError
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.hand.events import Event
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
 from tipforce.host.hand.meaning import write_back
 from tipforce.host.hand.recovery import Recovery
-from tipforce.host.hand.rows import REASONS, Rows
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient
+from tipforce.samples.reasons import OF_ROW
+from tipforce.samples.record import Rows
 
 
 class Watched:
@@ -122,8 +123,8 @@ def test_a_foreign_change_is_refused(tmp_path: Path, change: Callable[[Bus], Non
         assert np.isnan(rows.columns["P"][:, 1]).all()
         found = list(itertools.islice(seen.hand.rows(5.0), 20))
         reasons = {row["finger 2"].reason for row in found}
-        assert REASONS[4] in reasons
-        assert reasons <= {REASONS[1], REASONS[4]}  # on a loaded machine an answer may be missing
+        assert OF_ROW[4] in reasons
+        assert reasons <= {OF_ROW[1], OF_ROW[4]}  # on a loaded machine an answer may be missing
         known = [row["finger 1"].P_newtons for row in found if not row["finger 1"].reason]
         assert known == pytest.approx([2.0] * len(known), abs=5e-3)
         assert known

@@ -5,19 +5,17 @@ from __future__ import annotations
 import asyncio
 import threading
 
-import numpy as np
 import pytest
 
-from tipforce.host.hand import delivery as module
-from tipforce.host.hand.delivery import Delivery
+from tipforce.host.hand import rows as module
 from tipforce.host.hand.events import Event
-from tipforce.host.hand.rows import Rows
+from tipforce.host.hand.rows import Delivery
+from tipforce.samples.record import RawRow, Rows
 
 
 def block(first: int, count: int = 1) -> Rows:
     """Rows numbered from ``first``."""
-    reason = np.zeros((count, 1), dtype=np.uint8)
-    return Rows(first, np.arange(first, first + count), reason[:, 0] > 0, reason.astype(np.int64), reason, {})
+    return Rows(first, [RawRow(first + k, 0.0, 0, True, 1) for k in range(count)], (1,), ())
 
 
 def test_two_consumers_get_all_from_when_they_asked() -> None:

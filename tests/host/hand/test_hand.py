@@ -13,16 +13,16 @@ import can
 import numpy as np
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.running import loop
+from canopen_device.running.ports import PythonCanPort
+from canopen_device.running.store import FileStore
 from host.bus_with_nodes import beam_calibration, new_channel
-from tipforce.device.node import Device
 from tipforce.errors import InputError
 from tipforce.fingertip.node import fingertip_node
-from tipforce.host.configuration.calibration_file import write_calibration
+from tipforce.host.configuration.calibration import write_calibration
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan
 from tipforce.host.hand.hand import Hand
-from tipforce.running import loop
-from tipforce.running.ports import PythonCanPort
-from tipforce.running.store import FileStore
 from tipforce.sensor.structure.geometry import FABRICATED
 from tipforce.sensor.structure.strain import strain_matrix
 from tipforce.sources.simulated import SimulatedSource

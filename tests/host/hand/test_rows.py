@@ -12,10 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tipforce.host.frames.frame_array import frame_array
-from tipforce.host.hand.collector import Collector
-from tipforce.host.hand.rows import CHANGED, DOUBTFUL, NO_ANSWER, PRESENT, Rows
-from tipforce.host.hand.sync_numbers import LARGEST, RESTARTED, SyncNumbers
+from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
+from tipforce.samples.reasons import CHANGED, DOUBTFUL, NO_RESPONSE, PRESENT
+from tipforce.samples.record import Rows
+from tipforce.samples.sync_numbers import LARGEST, RESTARTED, SyncNumbers
 
 SYNC = (0x80, b"")
 PERIOD_NS = 1_000_000
@@ -102,7 +103,7 @@ def test_a_finger_that_does_not_answer_is_missing_in_time() -> None:
     stream.now_s = 0.010
     (row,) = stream.add()
     assert row[0] == 0.1
-    assert stream.reasons == [[PRESENT, NO_ANSWER]]
+    assert stream.reasons == [[PRESENT, NO_RESPONSE]]
     # It comes after all: too late for its row, and not taken for the next.
     assert stream.add(answer(2, 1, 200)) == []
     assert stream.add(sync(2), answer(1, 2, 110), answer(2, 2, 210)) == [[0.11, 0.21]]
@@ -460,7 +461,7 @@ def test_without_numbers_a_lost_answer_has_no_counter(cut: int) -> None:
         stream.add(*frames[place : place + cut])
     stream.add(SYNC)
     assert [reason for (reason,) in stream.reasons[:7]] == [
-        PRESENT, PRESENT, NO_ANSWER, PRESENT, PRESENT, DOUBTFUL, DOUBTFUL
+        PRESENT, PRESENT, NO_RESPONSE, PRESENT, PRESENT, DOUBTFUL, DOUBTFUL
     ]  # fmt: skip
 
 

@@ -9,7 +9,7 @@ from collections.abc import Callable
 import pytest
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.fd_frame import FdFrame
+from tipforce.host.frames.frame_block import FdFrame
 from tipforce.host.live import send
 from tipforce.host.live.send import NotCarriedError, SocketCanSender, open_sender
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLineError, CandumpParser
-from tipforce.host.logs.candump_bulk import CandumpBulk
+from tipforce.host.logs.candump_rows import CandumpBulk
 from tipforce.host.logs.lines import PADDING_BYTES
 
 

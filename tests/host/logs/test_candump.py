@@ -7,12 +7,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import RawFrame, frame_array
 from tipforce.host.logs.candump import EXPECTED, BadLineError, CandumpBlock, CandumpParser, read_candump
-from tipforce.host.logs.candump_errors import error_text
-from tipforce.host.logs.candump_format import CandumpFormat, identifier_text
+from tipforce.host.logs.candump_format import CandumpFormat, error_text, identifier_text
 
 STANDARD = st.integers(0, 0x7FF)
 EXTENDED = st.integers(0, 0x1FFFFFFF).map(lambda number: number | EXTENDED_FLAG)

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_device.core.codes import EXTENDED_FLAG
 from host.logs.bulk_support import in_bulk, line_by_line
-from tipforce.device.codes import EXTENDED_FLAG
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
 from tipforce.host.logs.candump import CandumpBlock, CandumpParser
 from tipforce.host.logs.candump_format import TIMESTAMPS, CandumpFormat

@@ -6,6 +6,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from canopen_device.can_frame import least_bits, most_bits
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import frame_array
 from tipforce.host.network.bus_load import (
@@ -13,8 +14,6 @@ from tipforce.host.network.bus_load import (
     exact_bits,
     hand_budget,
     highest_rate_hz,
-    least_bits,
-    most_bits,
     range_of_bits,
 )  # fmt: skip
 

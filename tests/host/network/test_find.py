@@ -8,9 +8,9 @@ from collections.abc import Iterator
 import can
 import pytest
 
+from canopen_device.core.node import Device
+from canopen_device.core.object_dictionary import ObjectDictionary
 from host.bus_with_nodes import FaultyBus, beam_calibration, connected, finger
-from tipforce.device.node import Device
-from tipforce.device.object_dictionary import ObjectDictionary
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import EnvironmentLackError

@@ -20,7 +20,6 @@ from host.bus_with_nodes import (
     finger,
     fresh_sample,
 )
-from tipforce.arrays import FloatArray
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.errors import InputError, RefusedError, SdoAbortError
@@ -129,41 +128,39 @@ def test_the_host_sends_no_calibration_that_no_sensor_can_have(
     assert bench.state() == before
 
 
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("field", ["C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons"])
-@pytest.mark.parametrize("value", [np.nan, np.inf, -np.inf])
-def test_not_finite_is_refused(bench: Bench, field: str, value: float) -> None:
-    before = bench.state()
-    present = getattr(bench.active, field)
-    if isinstance(present, np.ndarray):
-        present = present.copy()
-        present.flat[0] = value
-    else:
-        present = value
-    with pytest.raises(RefusedError, match=r"node 5 rejected the calibration \(0x06090030\): a value is not finite"):
-        bench.client.apply_calibration(beam_calibration(**{field: present}))
-    assert bench.state() == before
+NOT_FINITE = ("C", "offset_strain", "covariance_strain2", "tip_radius_m", "contact_on_newtons")
+CROSSED = ({"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02})
+ILL_CONDITIONED = (np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5]))
+
+
+def spoiled(field: str, value: float) -> dict[str, object]:
+    """A field of a calibration with one value that is not finite."""
+    present = getattr(beam_calibration(), field)
+    if not isinstance(present, np.ndarray):
+        return {field: value}
+    present = present.copy()
+    present.flat[0] = value
+    return {field: present}
 
 
 @pytest.mark.usefixtures("unchecked")
 @pytest.mark.parametrize(
-    "changes",
-    [{"theta_min_deg": 170.0, "theta_max_deg": 10.0}, {"contact_on_newtons": 0.01, "contact_off_newtons": 0.02}],
-)
-def test_limits_that_cross_are_refused(bench: Bench, changes: dict[str, float]) -> None:
+    ("changes", "text"),
+    [
+        *((spoiled(field, value), r"0x06090030\): a value is not finite") for field in NOT_FINITE
+          for value in (np.nan, np.inf, -np.inf)),
+        *((changes, r"0x06090030\): .*theta minimum over maximum, contact-off over") for changes in CROSSED),
+        *(({"C": C}, r"0x06090031\): the condition number of C exceeds the limit 2105h:1") for C in ILL_CONDITIONED),
+    ],
+)  # fmt: skip
+def test_the_node_refuses_what_no_sensor_can_have(bench: Bench, changes: dict[str, object], text: str) -> None:
     before = bench.state()
-    with pytest.raises(RefusedError, match=r"0x06090030\): .*theta minimum over maximum, contact-off over"):
+    with pytest.raises(RefusedError, match=r"node 5 rejected the calibration \(" + text):
         bench.client.apply_calibration(beam_calibration(**changes))
     assert bench.state() == before
 
 
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("matrix", [np.ones((3, 3)), np.zeros((3, 3)), np.diag([1.0, 1.0, 1e-5])])
-def test_an_ill_conditioned_matrix_is_refused(bench: Bench, matrix: FloatArray) -> None:
-    before = bench.state()
-    with pytest.raises(RefusedError, match=r"\(0x06090031\): the condition number of C exceeds the limit 2105h:1"):
-        bench.client.apply_calibration(beam_calibration(C=matrix))
-    assert bench.state() == before
+def test_the_limit_of_the_condition_number_is_the_nodes(bench: Bench) -> None:
     bench.client.sdo.write(od.CALIBRATION_CONDITION_LIMIT, 1.0)
     with pytest.raises(RefusedError, match="06090031"):
         bench.client.apply_calibration(bench.active)
@@ -214,52 +211,42 @@ def test_a_frame_corrupted_on_the_way_is_noticed(bench: Bench, monkeypatch: pyte
     assert bench.state() == before
 
 
-def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
-    """A known updater reads back and does not compare (docs/dependencies.md). Here a read-back segment is corrupted."""
-    bench.client.sdo.has_blocks = False
+def flipping(bench: Bench, segment: int, first_byte: Callable[[int], bool]) -> Iterator[int]:
+    """Flip one bit of a response whose first byte is such; return the numbers of those that follow."""
     seen = iter(range(1000))
 
     def corrupting(message: can.Message) -> can.Message:
-        if message.arbitration_id == 0x580 + NODE and message.data[0] >> 5 == 0 and next(seen) == 2:
+        chosen = message.arbitration_id == 0x580 + NODE and first_byte(message.data[0])
+        if chosen and next(seen) == segment:
             message.data[3] ^= 0x40
         return message
 
     bench.bus.fault = corrupting
+    return seen
+
+
+def test_a_node_that_holds_something_else_is_caught(bench: Bench) -> None:
+    """A known updater reads back and does not compare (docs/dependencies.md). Here a read-back segment is corrupted."""
+    bench.client.sdo.has_blocks = False
+    flipping(bench, 2, lambda first: first >> 5 == 0)
     with pytest.raises(RefusedError, match=r"the active calibration differs from the one sent: 0x2100:0\d: expected"):
         bench.client.apply_calibration(bench.active)
 
 
 def test_a_record_read_back_with_one_flipped_bit_is_refused(bench: Bench) -> None:
     """2103h:3 is the CRC-32 of what the node holds: a flip on the way is no calibration."""
-    assert bench.client.calibration() is not None
     bench.client.sdo.has_blocks = False
-    seen = []
-
-    def corrupting(message: can.Message) -> can.Message:
-        if message.arbitration_id == 0x580 + NODE and message.data[0] & 0xE0 == 0x00:
-            seen.append(message)
-            if len(seen) == 5:
-                message.data[3] ^= 0x10
-        return message
-
-    bench.bus.fault = corrupting
+    flipping(bench, 4, lambda first: first >> 5 == 0)
     with pytest.raises(RefusedError, match=r"record read back \(2140h\) has CRC-32 0x[0-9A-F]{8}, the node says 0x"):
         bench.client.calibration()
 
 
 def test_a_block_with_one_flipped_bit_is_read_again(bench: Bench) -> None:
-    seen = iter(range(1000))
-
-    def corrupting(message: can.Message) -> can.Message:
-        if message.arbitration_id == 0x580 + NODE and message.data[0] == 5 and next(seen) == 0:
-            message.data[3] ^= 0x10
-        return message
-
-    bench.bus.fault = corrupting
+    following = flipping(bench, 0, lambda first: first == 5)
     found = bench.client.calibration()
     assert found is not None
     assert found.record() == bench.active.record()
-    assert next(seen) > 0, "a segment was corrupted"
+    assert next(following) > 0, "a segment was corrupted"
 
 
 def test_another_number_of_gauges_never_leaves_the_host(bench: Bench) -> None:

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import threading
 
+from canopen_device.core import codes
 from host.bus_with_nodes import connected, finger
-from tipforce.device import codes
 from tipforce.host.network.lss import LssAddress, LssMaster
 
 OTHER = bytes((codes.LSS_IDENTIFIED,)) + bytes(7)

@@ -12,13 +12,12 @@ import canopen
 import pytest
 from bench.fuzz_sdo import Response
 
+from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Upload
 from device.test_sdo_client import Behaviour, malice
 from host.bus_with_nodes import finger
 from host.virtual_time import DelayedBus, run
-from tipforce.device.sdo_client import Upload
-from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
-from tipforce.dictionary import names
 from tipforce.dictionary import objects as od
+from tipforce.dictionary.entries import resolve
 from tipforce.errors import NoResponseError, SdoAbortError
 from tipforce.host.configuration.configuration_file import (
     Configuration,
@@ -42,7 +41,7 @@ def settings(node_id: int) -> Configuration:
     }
     if node_id % 3 == 0:
         values["0x1019:00"] = 240
-    entries = [(names.resolve(name, 3), value) for name, value in values.items()]
+    entries = [(resolve(name, 3), value) for name, value in values.items()]
     return {(entry.index, entry.sub): (entry, value) for entry, value in entries}
 
 

@@ -1,26 +1,62 @@
-"""A calibration on the host: its numbers, and its record of bytes as the node holds it (2140h, 2141h)."""
+"""A calibration on the host: the table of its fields makes its checks, its file and the record of a node (2140h)."""
 
 from __future__ import annotations
 
 import binascii
 import struct
-from collections.abc import Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import MISSING, Field, dataclass, field, fields, replace
 from itertools import islice
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
+from canopen_device import types
 from tipforce.arrays import FloatArray, floats
-from tipforce.dictionary import indices, table, types
+from tipforce.dictionary import indices, table, table_objects
 from tipforce.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from tipforce.host.configuration.calibration_file import FitRecord
     from tipforce.sensor.calibration.result import Fit
 
-_PER_GAUGE = ("converter_limit_strain", "offset_temperature_strain_per_K")
+_LEAST_RANK = 1e-9  # smallest over largest singular value: below, rounding alone decides
+TYPICAL_NEWTONS_PER_STRAIN = 5e3
+"""Smallest singular value of C by beam theory: 4.4e3 to 6.1e3 for the cases I to III in the fabricated dimensions."""
+ALLOWED = 30.0
+"""Factor to either side of it: other dimensions, materials, numbers of gauges."""
+_NEAR = 3.0  # factor from a suspect
+_SUSPECTS = {
+    1e-6: "the matrix looks like newtons per microstrain: multiply it by 1e6",
+    1e6: "the matrix looks like newtons per 1e-6 microstrain (converted twice): multiply it by 1e-6",
+    1e-3: "the matrix looks like newtons per millistrain, or kilonewtons per strain: multiply it by 1000",
+    1e3: "the matrix looks like millinewtons per strain: multiply it by 0.001",
+    1000.0 / 9.80665: "the loads look like grams: multiply the matrix by 0.00980665",
+}
+
+
+class Stated(NamedTuple):
+    """What the table says of a field of a calibration beside its name, type and default."""
+
+    place: tuple[int, int] = (0, 0)
+    """Index and sub-index of the dictionary: the order of a record. (0, 0): a node does not hold it."""
+    shape: tuple[int | str, ...] = ()
+    """Of an array; "n" is the number of gauges. A covariance of gauges is its upper triangle in a record."""
+    key: str = ""
+    """In a file, where it is not the name of the field in microstrain."""
+
+
+def stated(of: Field[Any]) -> Stated:
+    """The row of the table of a field of ``Calibration``."""
+    row: Stated = of.metadata["row"]
+    return row
+
+
+def _row(index: int, sub: int = 0, shape: tuple[int | str, ...] = (), key: str = "") -> dict[str, Stated]:
+    return {"row": Stated((index, sub), shape, key)}
 
 
 def _not_known() -> FloatArray:
@@ -31,79 +67,79 @@ def _not_known() -> FloatArray:
 class Calibration:
     """F = C (V - offset), with what the node needs to judge it. V is gauge strain (not microstrain), n gauges."""
 
-    C: FloatArray
+    C: FloatArray = field(metadata=_row(indices.CALIBRATION_MATRIX, 0, (3, "n"), "matrix_newtons_per_strain"))
     """Calibration matrix, (3, n), newtons per unit strain."""
-    offset_strain: FloatArray
+    offset_strain: FloatArray = field(metadata=_row(indices.CALIBRATION_OFFSET, shape=("n",)))
     """What each gauge reads unloaded, (n,)."""
-    covariance_strain2: FloatArray
+    covariance_strain2: FloatArray = field(metadata=_row(indices.CALIBRATION_NOISE, shape=("n", "n")))
     """Covariance of the gauges' noise, (n, n), symmetric."""
-    serial: int = 0
-    date: int = 0
+    serial: int = field(default=0, metadata=_row(indices.CALIBRATION_FACTS, 1))
+    date: int = field(default=0, metadata=_row(indices.CALIBRATION_FACTS, 2))
     """YYYYMMDD."""
-    reference_temperature_degC: float = 20.0
-    layout_code: int = table.CUSTOM_LAYOUT
+    reference_temperature_degC: float = field(default=20.0, metadata=_row(indices.CALIBRATION_FACTS, 3))
+    layout_code: int = field(default=table.CUSTOM_LAYOUT, metadata=_row(indices.CALIBRATION_FACTS, 4, key="layout"))
     """1, 2, 3 for cases I, II, III; 255 for any other layout (2102h:4)."""
-    tip_radius_m: float = 0.015
-    theta_min_deg: float = 0.0
-    theta_max_deg: float = 180.0
-    contact_on_newtons: float = 0.05
-    contact_off_newtons: float = 0.03
-    pull: bool = False
+    tip_radius_m: float = field(default=0.015, metadata=_row(indices.CONTACT_SETTINGS, 1))
+    theta_min_deg: float = field(default=0.0, metadata=_row(indices.CONTACT_SETTINGS, 2))
+    theta_max_deg: float = field(default=180.0, metadata=_row(indices.CONTACT_SETTINGS, 3))
+    contact_on_newtons: float = field(default=0.05, metadata=_row(indices.CONTACT_SETTINGS, 4))
+    contact_off_newtons: float = field(default=0.03, metadata=_row(indices.CONTACT_SETTINGS, 5))
+    pull: bool = field(default=False, metadata=_row(indices.CONTACT_SETTINGS, 6, key="load_sense"))
     """Load sense: True where the load pulls at the surface (rope in a groove), False where it pushes (contact)."""
-    calibrated_force_newtons: float = 0.0
+    calibrated_force_newtons: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 1))
     """Largest force of the calibration (2112h:1); beyond it the estimate is extrapolated. 0: not known."""
-    overload_force_newtons: float = 0.0
+    overload_force_newtons: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 2))
     """Force beyond which the structure is not linear: slit closed, yield (2112h:2). 0: not known."""
-    temperature_min_degC: float = 0.0
-    temperature_max_degC: float = 0.0
+    temperature_min_degC: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 3))
+    temperature_max_degC: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 4))
     """Range of temperatures of the calibration (2112h:3, 4). Both 0: not known."""
-    model_uncertainty: float = 0.0
+    model_uncertainty: float = field(default=0.0, metadata=_row(indices.CALIBRATION_VALIDITY, 5))
     """Relative standard uncertainty of the force from nonlinearity and misfit (2112h:5). 0: not known."""
-    converter_limit_strain: FloatArray = field(default_factory=_not_known)
+    converter_limit_strain: FloatArray = field(
+        default_factory=_not_known,
+        metadata=_row(indices.CALIBRATION_CONVERTER_LIMIT, shape=("n",)),
+    )
     """Symmetric limit of the converter per gauge (2113h), (n,). 0: not known, the span 6148h/6149h alone holds."""
-    offset_temperature_strain_per_K: FloatArray = field(default_factory=_not_known)
+    offset_temperature_strain_per_K: FloatArray = field(
+        default_factory=_not_known,
+        metadata=_row(
+            indices.CALIBRATION_OFFSET_TEMPERATURE,
+            shape=("n",),
+        ),
+    )
     """Offset of each gauge against ``reference_temperature_degC`` (2114h), (n,). 0: not known, or none."""
-    gain_temperature_per_K: float = 0.0
+    gain_temperature_per_K: float = field(default=0.0, metadata=_row(indices.CALIBRATION_GAIN_TEMPERATURE))
     """Relative change of the gauges' response per kelvin (2115h): F = C V / (1 + this (T - reference))."""
-    redundancy_limit: float = 0.0
+    redundancy_limit: float = field(default=0.0, metadata=_row(indices.CALIBRATION_REDUNDANCY_LIMIT))
     """Limit of the redundancy check, chi-square of n - 3 degrees of freedom (2116h). 0: off."""
-    tare_drift_strain_per_s: float = 0.0
+    tare_drift_strain_per_s: float = field(default=0.0, metadata=_row(0))
     """Standard deviation of the rate at which each gauge's offset drifts after a tare. 0: not stated. A node does not
     hold it: the uncertainty that the host computes grows with the age of the tare, the node's own does not."""
-    parameter_covariance: FloatArray | None = None
+    parameter_covariance: FloatArray | None = field(default=None, metadata=_row(0, shape=("n", 4, "n", 4)))
     """Covariance of the fitted strain per newton and offset, (n, 4, n, 4), strain^2: what the calibration itself
     contributes to the uncertainty (``covariance_of_estimate``). A node does not hold it."""
 
     def __post_init__(self) -> None:
         """Arrays of float64, of shapes that belong together. Raises InputError naming the shape and what is allowed."""
-        for name in ("C", "offset_strain", "covariance_strain2"):
-            object.__setattr__(self, name, _array(name, getattr(self, name)))
-        if not isinstance(self.pull, (bool, np.bool_)):
-            raise InputError(f"calibration pull: {self.pull!r}, allowed are True and False")
-        n = self.C.shape[1] if self.C.ndim == 2 else 0
-        if self.C.ndim != 2 or self.C.shape[0] != 3 or not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
-            raise InputError(f"calibration matrix: shape {self.C.shape}, allowed (3, 3) to (3, 8)")
-        if self.offset_strain.shape != (n,):
-            raise InputError(f"calibration offset: shape {self.offset_strain.shape}, allowed is ({n},)")
-        if self.covariance_strain2.shape != (n, n):
-            raise InputError(f"calibration covariance: shape {self.covariance_strain2.shape}, allowed is ({n}, {n})")
-        for name in _PER_GAUGE:
-            values = _array(name, getattr(self, name))
-            object.__setattr__(self, name, values if values.size else np.zeros(n))
-            if values.size and values.shape != (n,):
-                raise InputError(f"calibration {name}: shape {values.shape}, allowed is ({n},)")
-        self._check_numbers()
-
-    def _check_numbers(self) -> None:
-        for field_ in fields(self):
-            if field_.type in ("int", "float"):
-                object.__setattr__(self, field_.name, _number(field_.name, getattr(self, field_.name), field_.type))
-        if self.parameter_covariance is not None:
-            n = self.gauges
-            blocks = _array("parameter_covariance", self.parameter_covariance)
-            object.__setattr__(self, "parameter_covariance", blocks)
-            if blocks.shape != (n, 4, n, 4):
-                raise InputError(f"calibration parameter_covariance: shape {blocks.shape}, allowed is {(n, 4, n, 4)}")
+        n = 0
+        for of in fields(self):
+            value, shape = getattr(self, of.name), stated(of).shape
+            if shape and value is not None:
+                value = _array(_label(of), value)
+                if of.name == "C":
+                    n = value.shape[1] if value.ndim == 2 and value.shape[0] == 3 else 0
+                    if not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
+                        raise InputError(f"calibration matrix: shape {value.shape}, allowed (3, 3) to (3, 8)")
+                elif of.default_factory is _not_known and not value.size:
+                    value = np.zeros(n)
+                allowed = tuple(n if side == "n" else side for side in shape)
+                if value.shape != allowed:
+                    raise InputError(f"calibration {_label(of)}: shape {value.shape}, allowed is {allowed}")
+            elif of.type in ("int", "float"):
+                value = _number(of.name, value, of.type)
+            elif of.type == "bool" and not isinstance(value, (bool, np.bool_)):
+                raise InputError(f"calibration {of.name}: {value!r}, allowed are True and False")
+            object.__setattr__(self, of.name, value)
 
     @classmethod
     def from_microstrain(
@@ -137,29 +173,25 @@ class Calibration:
                 raise InputError(f"calibration noise: {deviation.min():g} microstrain, allowed is above 0, finite")
             covariance = np.diag(np.broadcast_to(deviation**2, n))
         zero = np.zeros(n) if offset is None else _array("offset", offset) * 1e-6
-        found = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)
-        found.check()
-        return found
+        calibration = cls(C, zero, _array("covariance", covariance) * 1e-12, pull=pull, **facts)
+        calibration.check()
+        return calibration
 
     @staticmethod
     def read(path: str | Path) -> Calibration:
         """A calibration file (TOML), with the uncertainty of its fit. Raises InputError naming what is allowed."""
-        from tipforce.host.configuration.calibration_file import read_calibration
-
         return read_calibration(path, with_fit=True)
 
     @classmethod
     def from_fit(cls, fit: Fit, *, pull: bool, **facts: Any) -> Calibration:
         """The calibration that a fit found, with its uncertainty. ``facts`` as in ``from_microstrain``."""
         noise, facts["parameter_covariance"] = fit.record_covariances
-        found = cls(fit.C, fit.offset_strain, noise, pull=pull, **facts)
-        found.check()
-        return found
+        calibration = cls(fit.C, fit.offset_strain, noise, pull=pull, **facts)
+        calibration.check()
+        return calibration
 
     def write(self, path: str | Path) -> None:
         """Write a calibration file that reads back to the same record. Raises InputError."""
-        from tipforce.host.configuration.calibration_file import write_calibration
-
         fit: dict[str, object] | None = None
         if self.parameter_covariance is not None:
             side = 4 * self.gauges
@@ -169,9 +201,44 @@ class Calibration:
 
     def check(self) -> None:
         """Raise InputError for a calibration that no sensor can have; the text names the field and what is allowed."""
-        from tipforce.host.configuration.calibration_check import check
+        self._check_numbers()
+        _check_matrix(self.C)
+        S = self.covariance_strain2
+        if not np.allclose(S, S.T, rtol=1e-9, atol=0.0):
+            raise InputError("calibration covariance: not symmetric")
+        if not (np.diagonal(S) > 0.0).all():
+            raise InputError(
+                f"calibration covariance: a gauge's variance is {np.diagonal(S).min():g}: allowed is above 0, "
+                "because a reading without noise would count as exactly known"
+            )
+        deviation = np.sqrt(np.diagonal(S))
+        with np.errstate(over="ignore"):
+            correlation = S / deviation / deviation[:, np.newaxis]
+        if not np.isfinite(correlation).all() or np.linalg.eigvalsh(correlation)[0] < -1e-9:
+            raise InputError("calibration covariance: not positive semi-definite; no correlation may be over 1")
+        if self.parameter_covariance is not None:
+            _check_parameters(self.parameter_covariance)
+        drift = self.tare_drift_strain_per_s
+        if not 0.0 <= drift < np.inf:
+            drift_text = f"{1e6 * drift:g} microstrain/s, allowed is 0 (not stated) or above"
+            raise InputError(f"calibration tare_drift: {drift_text}")
+        self.record()  # each value fits its field
 
-        check(self)
+    def _check_numbers(self) -> None:
+        """Finite, and of the sign and order that the node's commit wants."""
+        names = {}
+        for of in RECORD:
+            place = stated(of).place[0] << 8 | stated(of).place[1]
+            names[place] = of.name
+            values = np.atleast_1d(getattr(self, of.name))
+            if of.type != "int" and not np.isfinite(values).all():
+                raise InputError(f"calibration {_label(of)}: {values[~np.isfinite(values)][0]} is not finite")
+            if place in table.NOT_NEGATIVE and (values < 0.0).any():
+                raise InputError(f"calibration {of.name}: {values.min():g}, allowed is 0 (not known) and above")
+        for low, high in ((names[a], names[b]) for a, b in table.IN_ORDER):
+            if getattr(self, low) > getattr(self, high):
+                text = f"{getattr(self, low):g} is above {high} {getattr(self, high):g}"
+                raise InputError(f"calibration {low}: {text}")
 
     @property
     def not_known(self) -> tuple[str, ...]:
@@ -199,23 +266,18 @@ class Calibration:
 
     def record(self) -> bytes:
         """The record of the node (docs/objects.md). Raises InputError for a value that its field cannot hold."""
-        upper = self.covariance_strain2[np.triu_indices(self.gauges)]
-        facts = (self.serial, self.date, self.reference_temperature_degC, self.layout_code)
-        pad = (self.tip_radius_m, self.theta_min_deg, self.theta_max_deg)
-        thresholds = (self.contact_on_newtons, self.contact_off_newtons)
-        contact = (*pad, *thresholds, int(self.pull))
-        forces = (self.calibrated_force_newtons, self.overload_force_newtons)
-        range_degC = (self.temperature_min_degC, self.temperature_max_degC)
-        validity = (*forces, *range_degC, self.model_uncertainty, *self.converter_limit_strain)
-        tail = (*self.offset_temperature_strain_per_K, self.gain_temperature_per_K, self.redundancy_limit)
-        values = (*self.C.ravel(), *self.offset_strain, *facts, *upper, *contact, *validity, *tail)
-        fields = bytearray()
-        for (index, sub, kind), value in zip(table.staged(self.gauges), values, strict=True):
+        values: list[int | float] = []
+        for of in RECORD:
+            value = getattr(self, of.name)
+            triangle = stated(of).shape == ("n", "n")
+            values += (value[np.triu_indices(self.gauges)] if triangle else np.ravel(value)).tolist()
+        content = bytearray()
+        for (index, sub, kind), number in zip(table_objects.staged(self.gauges), values, strict=True):
             try:
-                fields += types.encode(kind, value)
+                content += types.encode(kind, number)
             except InputError as error:
                 raise InputError(f"calibration 0x{index:04X}:{sub:02X}: {error}") from None
-        return bytes(fields)
+        return bytes(content)
 
     def crc32(self) -> int:
         """CRC-32 (IEEE) of the record: what 2103h:3 shows once it is active."""
@@ -225,12 +287,109 @@ class Calibration:
     def from_record(cls, record: bytes) -> Calibration:
         """The calibration in a record that a node gave. Raises InputError for a length that no n has."""
         for n in range(table.MIN_GAUGES, table.MAX_GAUGES + 1):
-            size = struct.calcsize(_packing(n))
+            packing = "<" + "".join(kind for _, _, kind in table_objects.staged(n))
+            size = struct.calcsize(packing)
             if size == len(record):
-                return _from_values(n, struct.unpack(_packing(n), record))
-            if len(record) == size - version_2_bytes(n):
+                numbers = iter(struct.unpack(packing, record))
+                return cls(**{of.name: _from_numbers(of, numbers, n) for of in RECORD})
+            if len(record) == size - _version_2_bytes(n):
                 raise InputError(f"a calibration record of {len(record)} bytes is of version 1: allowed is version 2")
         raise InputError(f"a calibration record of {len(record)} bytes: with 3 gauges it has 158")
+
+
+RECORD = tuple(sorted((of for of in fields(Calibration) if stated(of).place[0]), key=lambda of: stated(of).place))
+"""The fields that a node holds, in the order of its record."""
+
+
+def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
+    """A calibration file. Raises InputError naming the place and what is allowed.
+
+    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
+    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
+    """
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        calibration = Calibration(**content.values)
+        record = calibration.record()
+        if content.is_version_1:
+            record = record[: -_version_2_bytes(calibration.gauges)]
+        content.check_crc32(binascii.crc32(record))
+        calibration.check()
+        fit = content.fit(calibration.gauges) if with_fit else None
+        if fit is not None:
+            calibration = replace(calibration, parameter_covariance=fit.parameter_covariance())
+            calibration.check()
+    except InputError as error:
+        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
+    return calibration
+
+
+def read_fit(path: str | Path) -> FitRecord | None:
+    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
+    from tipforce.host.configuration.calibration_file import read_file
+
+    content = read_file(path, fields(Calibration))
+    try:
+        return content.fit(len(content.values["offset_strain"]))
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+
+
+def write_calibration(
+    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+) -> None:
+    """Write a calibration file that reads back to the same record.
+
+    Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
+    """
+    from tipforce.host.configuration.calibration_file import write_file
+
+    values = {of.name: getattr(calibration, of.name) for of in fields(calibration)}
+    write_file(path, fields(calibration), values, calibration.crc32(), fit)
+
+
+def difference(expected: bytes, held: bytes) -> list[str]:
+    """What differs between two records, one line a field, with both values; empty when they are equal byte for byte."""
+    if expected == held:
+        return []
+    if len(expected) != len(held):
+        return [f"length: expected {len(expected)} bytes, the node has {len(held)}"]
+    fields_of_n = table_objects.staged(Calibration.from_record(expected).gauges)
+    packing = "<" + "".join(kind for _, _, kind in fields_of_n)
+    pairs = zip(fields_of_n, struct.unpack(packing, expected), struct.unpack(packing, held), strict=True)
+    return [
+        f"0x{index:04X}:{sub:02X}: expected {ours!r}, the node has {theirs!r}"
+        for (index, sub, kind), ours, theirs in pairs
+        if struct.pack("<" + kind, ours) != struct.pack("<" + kind, theirs)
+    ]
+
+
+def _label(of: Field[Any]) -> str:
+    """How a message names a field."""
+    required = of.default is MISSING and of.default_factory is MISSING
+    return "matrix" if of.name == "C" else of.name.partition("_")[0] if required else of.name
+
+
+def _from_numbers(of: Field[Any], numbers: Iterator[int | float], n: int) -> Any:
+    """A field of ``n`` gauges from the next numbers of a record."""
+    shape = [n if side == "n" else int(side) for side in stated(of).shape]
+    if not shape:
+        return bool(next(numbers)) if of.type == "bool" else next(numbers)
+    array = np.zeros(shape)
+    if stated(of).shape == ("n", "n"):
+        rows, columns = np.triu_indices(n)
+        array[rows, columns] = array[columns, rows] = list(islice(numbers, len(rows)))
+    else:
+        array[...] = np.reshape(list(islice(numbers, array.size)), shape)
+    return array
+
+
+def _version_2_bytes(n: int) -> int:
+    """How much longer a record is than one of version 1."""
+    kinds = "".join(kind for index, _, kind in table_objects.staged(n) if index >= indices.CALIBRATION_VALIDITY)
+    return struct.calcsize("<" + kinds)
 
 
 def _array(name: str, values: npt.ArrayLike) -> FloatArray:
@@ -246,51 +405,38 @@ def _number(name: str, value: Any, kind: object) -> int | float:
     return float(number)
 
 
-def _packing(n: int) -> str:
-    return "<" + "".join(kind for _, _, kind in table.staged(n))
+def _check_parameters(blocks: FloatArray) -> None:
+    """A covariance here makes covariance_of_estimate() one for every load: no load needs a check of its own."""
+    from tipforce.sensor.calibration.result import DIGITS
+
+    side = blocks.shape[0] * blocks.shape[1]
+    matrix = blocks.reshape(side, side)
+    variance = np.diagonal(matrix)
+    scale = np.where(variance > 0.0, variance, np.abs(matrix).max(initial=0.0) or 1.0)  # 0: an offset not fitted
+    correlation = matrix / np.sqrt(scale) / np.sqrt(scale)[:, np.newaxis]
+    # A file's numbers are rounded to a place of the largest one.
+    rounding = side * 10.0 ** (1 - DIGITS) * float(np.abs(matrix).max(initial=0.0) / scale.min())
+    if not np.isfinite(matrix).all() or np.linalg.eigvalsh(0.5 * (correlation + correlation.T))[0] < -1e-9 - rounding:
+        raise InputError("calibration parameter covariance: not positive semi-definite; no correlation may be over 1")
 
 
-def version_2_bytes(n: int) -> int:
-    """How much longer the record is than that of version 1, which ends with 2110h:6."""
-    kinds = "".join(kind for index, _, kind in table.staged(n) if index >= indices.CALIBRATION_VALIDITY)
-    return struct.calcsize("<" + kinds)
-
-
-def _from_values(n: int, values: Sequence[float]) -> Calibration:
-    left = iter(values)
-
-    def take(count: int) -> list[float]:
-        return list(islice(left, count))
-
-    matrix, offsets = np.array(take(3 * n)).reshape(3, n), np.array(take(n))
-    serial, date, temperature, layout = take(4)
-    covariance = np.zeros((n, n))
-    rows, columns = np.triu_indices(n)
-    covariance[rows, columns] = covariance[columns, rows] = take(len(rows))
-    radius, theta_min, theta_max, on, off, sense = take(6)
-    calibrated, overload, low, high, model = take(5)
-    limits, offsets_per_K = np.array(take(n)), np.array(take(n))
-    gain_per_K, redundancy_limit = left
-    return Calibration(
-        matrix, offsets, covariance, int(serial), int(date), temperature, int(layout), radius, theta_min, theta_max,
-        on, off, bool(sense), calibrated, overload, low, high, model, limits, offsets_per_K, gain_per_K,
-        redundancy_limit,
-    )  # fmt: skip
-
-
-def difference(expected: bytes, found: bytes) -> list[str]:
-    """What differs between two records, one line a field, with both values; empty when they are equal byte for byte."""
-    if expected == found:
-        return []
-    if len(expected) != len(found):
-        return [f"length: expected {len(expected)} bytes, the node has {len(found)}"]
-    n = Calibration.from_record(expected).gauges
-    lines, offset = [], 0
-    for index, sub, kind in table.staged(n):
-        size = struct.calcsize("<" + kind)
-        ours, theirs = expected[offset : offset + size], found[offset : offset + size]
-        offset += size
-        if ours != theirs:
-            a, b = struct.unpack("<" + kind, ours)[0], struct.unpack("<" + kind, theirs)[0]
-            lines.append(f"0x{index:04X}:{sub:02X}: expected {a!r}, the node has {b!r}")
-    return lines
+def _check_matrix(C: FloatArray) -> None:
+    singular = np.linalg.svd(C, compute_uv=False)
+    if not singular[-1] > singular[0] * _LEAST_RANK:
+        raise InputError(
+            f"calibration matrix: rank below 3 (singular values {', '.join(f'{s:.3g}' for s in singular)} N per "
+            "unit strain): it cannot tell three force components"
+        )
+    # The response to a newton, not the norm of C: an ill-conditioned layout does not change it.
+    ratio = float(singular[-1]) / TYPICAL_NEWTONS_PER_STRAIN
+    factor = min(_SUSPECTS, key=lambda one: abs(np.log(one / ratio)))
+    if not 1.0 / ALLOWED <= ratio <= ALLOWED and 1.0 / _NEAR <= factor / ratio <= _NEAR:
+        raise InputError(
+            f"calibration matrix: {ratio:.3g} times the size that beam theory gives (allowed {1.0 / ALLOWED:.2g} to "
+            f"{ALLOWED:g}): {_SUSPECTS[factor]}"
+        )
+    if not table.NORM_MIN <= singular[0] <= table.NORM_MAX:
+        raise InputError(
+            f"calibration matrix: 2-norm {singular[0]:.3g} N per unit strain: allowed is {table.NORM_MIN:g} to "
+            f"{table.NORM_MAX:g}"
+        )

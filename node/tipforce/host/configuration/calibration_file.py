@@ -1,65 +1,33 @@
-"""A calibration as a TOML file: written by a fit, read by everything that applies or uses it."""
+"""The TOML file of a calibration: its table [calibration] by the fields of ``Calibration``, and its table [fit]."""
 
 from __future__ import annotations
 
-import binascii
 import datetime
-from dataclasses import replace
+from dataclasses import MISSING, Field
+from functools import lru_cache
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
 
+from canopen_device.toml_table import convert, read_table
+from tipforce import output_file
 from tipforce.arrays import FloatArray
-from tipforce.dictionary import table
+from tipforce.dictionary import indices, table
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration, version_2_bytes
-from tipforce.output_file import CALIBRATION, write_file
 from tipforce.sensor.structure.layouts import CASE_OF_CODE
-from tipforce.toml_table import convert, read_table
 
 if TYPE_CHECKING:
     from tipforce.sensor.calibration.result import Fit
 
+    Fields = tuple[Field[Any], ...]
 
-class _Table(msgspec.Struct, forbid_unknown_fields=True):
-    matrix_newtons_per_strain: list[list[float]]
-    offset_microstrain: list[float]
-    covariance_microstrain2: list[list[float]]
-    load_sense: str
-    serial: int = 0
-    date: datetime.date | None = None
-    reference_temperature_degC: float = 20.0
-    layout: str = "custom"
-    tip_radius_m: float = 0.015
-    theta_min_deg: float = 0.0
-    theta_max_deg: float = 180.0
-    contact_on_newtons: float = 0.05
-    contact_off_newtons: float = 0.03
-    calibrated_force_newtons: float | None = None
-    overload_force_newtons: float | None = None
-    temperature_min_degC: float | None = None
-    temperature_max_degC: float | None = None
-    model_uncertainty: float | None = None
-    converter_limit_microstrain: list[float] | None = None
-    offset_temperature_microstrain_per_K: list[float] | None = None
-    gain_temperature_per_K: float | None = None
-    redundancy_limit: float | None = None
-    tare_drift_microstrain_per_s: float = 0.0
-    """For the host alone: not in the node's record, so the crc32 does not cover it."""
-    crc32: str | None = None
-
-
-_SCALARS = (
-    "calibrated_force_newtons", "overload_force_newtons", "temperature_min_degC", "temperature_max_degC",
-    "model_uncertainty", "gain_temperature_per_K", "redundancy_limit",
-)  # fmt: skip
-"""Of version 2, absent in files of version 1: the names are those of ``Calibration``."""
-_PER_GAUGE = {
-    "converter_limit_microstrain": "converter_limit_strain",
-    "offset_temperature_microstrain_per_K": "offset_temperature_strain_per_K",
+_WORDS: dict[str, dict[str, int | bool]] = {
+    "pull": {"push": False, "pull": True},
+    "layout_code": {**{name: code for code, name in CASE_OF_CODE.items()}, "custom": table.CUSTOM_LAYOUT},
 }
+"""What a file says in place of a number."""
 
 
 class FitRecord(msgspec.Struct):
@@ -102,11 +70,6 @@ class FitRecord(msgspec.Struct):
         return kronecker(np.array(self.residual_covariance_microstrain2) * 1e-12, np.array(self.normal_matrix))
 
 
-class _File(msgspec.Struct, forbid_unknown_fields=True):
-    calibration: _Table
-    fit: dict[str, object] | None = None
-
-
 def fit_record(fit: Fit, **facts: object) -> FitRecord:
     """The [fit] table of a fit; facts: fields of FitRecord that the fit does not know (data, lines, ...)."""
     n = fit.A.shape[0]
@@ -126,168 +89,164 @@ def fit_record(fit: Fit, **facts: object) -> FitRecord:
     return msgspec.convert({**values, **facts}, FitRecord)
 
 
-_LAYOUT_CODES = {**{name: code for code, name in CASE_OF_CODE.items()}, "custom": table.CUSTOM_LAYOUT}
-_SENSES = {"push": False, "pull": True}
+class Content(NamedTuple):
+    """What a file has."""
+
+    values: dict[str, Any]
+    """Fields of ``Calibration`` by name; what is absent is not among them."""
+    crc32: str | None
+    is_version_1: bool
+    fit_table: FitRecord | None
+
+    def check_crc32(self, crc: int) -> None:
+        """Raise InputError where the file states another CRC-32 of its numbers."""
+        if self.crc32 is not None and self.crc32.lower() != f"0x{crc:08x}":
+            raise InputError(
+                f"crc32 is {self.crc32}, but the numbers give 0x{crc:08X}; "
+                "the file was changed: restore it, or take out the crc32 line to accept the change"
+            )
+
+    def fit(self, n: int) -> FitRecord | None:
+        """The [fit] table of ``n`` gauges, None where there is none. Raises InputError for shapes that do not fit."""
+        record = self.fit_table
+        if record is None:
+            return None
+        shapes = {
+            "residual_covariance_microstrain2": ((n, n),),
+            "normal_matrix": ((4, 4), (3, 3)),
+            "parameter_covariance_microstrain2": ((4 * n, 4 * n),),
+        }
+        if record.parameter_covariance_microstrain2 is None and None in (
+            record.residual_covariance_microstrain2,
+            record.normal_matrix,
+        ):
+            raise InputError(
+                "fit: parameter_covariance_microstrain2 is missing, or in its place "
+                "residual_covariance_microstrain2 and normal_matrix"
+            )
+        for name, allowed in shapes.items():
+            rows = getattr(record, name)
+            matrix = None if rows is None else _matrix(name, rows)
+            if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
+                raise InputError(f"{name} must be {' or '.join(map(str, allowed))}, finite")
+        return record
 
 
-def read_calibration(path: str | Path, with_fit: bool = False) -> Calibration:
-    """A calibration file. Raises InputError naming the place and what is allowed.
-
-    A ``crc32`` in the file must be that of the record: a number edited by hand is noticed. Take the line out to
-    accept the edit. ``with_fit``: with the ``parameter_covariance`` of its [fit] table, where it has one.
-    """
-    content = _decoded(path).calibration
-    found = _checked(content, path)
+def read_file(path: str | Path, fields: Fields) -> Content:
+    """What a file has of the fields. Raises InputError naming the key and what is allowed."""
+    place, rows = f"calibration {path}", _rows(fields)
+    content: Any = convert(_file_type(fields), read_table(path, place), place, finite=False)
     try:
-        record = found.record()
+        values = {
+            of.name: _value(of, key, unit, cell)
+            for of, key, unit in rows
+            if (cell := getattr(content.calibration, key)) is not None
+        }
     except InputError as error:
-        raise InputError(f"calibration {path}: {error}") from None
-    if _is_version_1(content):
-        record = record[: -version_2_bytes(found.gauges)]
-    crc = binascii.crc32(record)
-    if content.crc32 is not None and content.crc32.lower() != f"0x{crc:08x}":
-        raise InputError(
-            f"calibration {path}: crc32 is {content.crc32}, but the numbers give 0x{crc:08X}; "
-            "the file was changed: restore it, or take out the crc32 line to accept the change"
-        )
-    fit = read_fit(path) if with_fit else None
-    try:
-        found.check()
-        if fit is not None:
-            found = replace(found, parameter_covariance=fit.parameter_covariance())
-            found.check()
-    except InputError as error:
-        raise InputError(f"calibration {path}: {str(error).removeprefix('calibration ')}") from None
-    return found
+        raise InputError(f"{place}: {error}") from None
+    newest = max(of.metadata["row"].place[0] for of, _, _ in rows if of.name in values)
+    fit = None if content.fit is None else convert(FitRecord, content.fit, f"{place}: fit", finite=False)
+    return Content(values, content.calibration.crc32, newest < indices.CALIBRATION_VALIDITY, fit)
 
 
-def _is_version_1(content: _Table) -> bool:
-    return all(getattr(content, name) is None for name in (*_SCALARS, *_PER_GAUGE))
-
-
-def read_fit(path: str | Path) -> FitRecord | None:
-    """The [fit] table of a calibration file, None where it has none. Raises InputError for shapes that do not fit."""
-    content = _decoded(path)
-    if content.fit is None:
-        return None
-    record = convert(FitRecord, content.fit, f"calibration {path}: fit", finite=False)
-    n = len(content.calibration.offset_microstrain)
-    if record.parameter_covariance_microstrain2 is None and None in (
-        record.residual_covariance_microstrain2,
-        record.normal_matrix,
-    ):
-        raise InputError(
-            f"calibration {path}: fit: parameter_covariance_microstrain2 is missing, or in its place "
-            "residual_covariance_microstrain2 and normal_matrix"
-        )
-    shapes = {
-        "residual_covariance_microstrain2": (record.residual_covariance_microstrain2, ((n, n),)),
-        "normal_matrix": (record.normal_matrix, ((4, 4), (3, 3))),
-        "parameter_covariance_microstrain2": (record.parameter_covariance_microstrain2, ((4 * n, 4 * n),)),
-    }
-    for name, (rows, allowed) in shapes.items():
-        matrix = None if rows is None else _matrix(path, name, rows)
-        if matrix is not None and (matrix.shape not in allowed or not np.isfinite(matrix).all()):
-            raise InputError(f"calibration {path}: {name} must be {' or '.join(map(str, allowed))}, finite")
-    return record
-
-
-def _decoded(path: str | Path) -> _File:
-    place = f"calibration {path}"
-    return convert(_File, read_table(path, place), place, finite=False)
-
-
-def _checked(content: _Table, path: str | Path) -> Calibration:
-    C = _matrix(path, "matrix_newtons_per_strain", content.matrix_newtons_per_strain)
-    n = C.shape[1] if C.ndim == 2 else 0
-    if C.ndim != 2 or C.shape[0] != 3 or not table.MIN_GAUGES <= n <= table.MAX_GAUGES:
-        raise InputError(f"calibration {path}: matrix_newtons_per_strain has shape {C.shape}, allowed (3, 3) to (3, 8)")
-    offset = _matrix(path, "offset_microstrain", content.offset_microstrain)
-    covariance = _matrix(path, "covariance_microstrain2", content.covariance_microstrain2)
-    if offset.shape != (n,):
-        raise InputError(f"calibration {path}: offset_microstrain has {offset.size} entries, the matrix {n} gauges")
-    if covariance.shape != (n, n) or not np.array_equal(covariance, covariance.T):
-        raise InputError(f"calibration {path}: covariance_microstrain2 must be {n} x {n} and symmetric")
-    for name, value, allowed in (
-        ("load_sense", content.load_sense, _SENSES),
-        ("layout", content.layout, _LAYOUT_CODES),
-    ):
-        if value not in allowed:
-            raise InputError(f"calibration {path}: {name} is {value!r}, allowed: {', '.join(allowed)}")
-    date = content.date
-    return Calibration(
-        C, offset * 1e-6, covariance * 1e-12, content.serial,
-        0 if date is None else date.year * 10000 + date.month * 100 + date.day,
-        content.reference_temperature_degC, _LAYOUT_CODES[content.layout], content.tip_radius_m,
-        content.theta_min_deg, content.theta_max_deg, content.contact_on_newtons, content.contact_off_newtons,
-        _SENSES[content.load_sense], **_validity(content, path, n),
-    )  # fmt: skip
-
-
-def _validity(content: _Table, path: str | Path, n: int) -> dict[str, Any]:
-    """The fields of version 2; what is absent is not known."""
-    stated = {name: getattr(content, name) for name in _SCALARS}
-    found: dict[str, Any] = {name: 0.0 if value is None else value for name, value in stated.items()}
-    found["tare_drift_strain_per_s"] = content.tare_drift_microstrain_per_s * 1e-6
-    for key, name in _PER_GAUGE.items():
-        values = getattr(content, key)
-        if values is not None and len(values) != n:
-            raise InputError(f"calibration {path}: {key} has {len(values)} entries, the matrix {n} gauges")
-        found[name] = np.zeros(n) if values is None else np.array(values, dtype=np.float64) * 1e-6
-    return found
-
-
-def _matrix(path: str | Path, name: str, rows: object) -> FloatArray:
-    try:
-        return np.array(rows, dtype=np.float64)
-    except ValueError:
-        raise InputError(f"calibration {path}: the rows of {name} differ in length") from None
-
-
-def _date(path: str | Path, number: int) -> datetime.date:
-    try:
-        return datetime.date(number // 10000, number // 100 % 100, number % 100)
-    except ValueError:
-        raise InputError(
-            f"calibration {path}: date {number}, allowed is YYYYMMDD of a day that there was, or 0"
-        ) from None
-
-
-def write_calibration(
-    path: str | Path, calibration: Calibration, fit: FitRecord | dict[str, object] | None = None
+def write_file(
+    path: str | Path,
+    fields: Fields,
+    values: dict[str, Any],
+    crc32: int,
+    fit: FitRecord | dict[str, object] | None = None,
 ) -> None:
-    """Write a calibration file that reads back to the same record.
+    """Write a file with the values of the fields by name, the CRC-32 of its record, and a [fit] table.
 
     Raises InputError for a layout code or a date that the file has no words for, and when the disk refuses.
     """
-    names = {code: name for name, code in _LAYOUT_CODES.items()}
-    if calibration.layout_code not in names:
-        raise InputError(
-            f"calibration {path}: layout code {calibration.layout_code}, allowed: {', '.join(map(str, names))}"
-        )
-    content: dict[str, object] = {
-        "matrix_newtons_per_strain": calibration.C.tolist(),
-        "offset_microstrain": (calibration.offset_strain * 1e6).tolist(),
-        "covariance_microstrain2": (calibration.covariance_strain2 * 1e12).tolist(),
-        "load_sense": "pull" if calibration.pull else "push",
-        "serial": calibration.serial,
-        "reference_temperature_degC": calibration.reference_temperature_degC,
-        "layout": names[calibration.layout_code],
-        "tip_radius_m": calibration.tip_radius_m,
-        "theta_min_deg": calibration.theta_min_deg,
-        "theta_max_deg": calibration.theta_max_deg,
-        "contact_on_newtons": calibration.contact_on_newtons,
-        "contact_off_newtons": calibration.contact_off_newtons,
-    }
-    content |= {name: getattr(calibration, name) for name in _SCALARS}
-    content |= {key: (getattr(calibration, name) * 1e6).tolist() for key, name in _PER_GAUGE.items()}
-    if calibration.tare_drift_strain_per_s:
-        content["tare_drift_microstrain_per_s"] = calibration.tare_drift_strain_per_s * 1e6
-    content["crc32"] = f"0x{calibration.crc32():08X}"
-    if calibration.date:
-        content["date"] = _date(path, calibration.date)
-    document: dict[str, object] = {"calibration": content}
+    try:
+        content = {key: _cell(of, unit, values[of.name]) for of, key, unit in _rows(fields)}
+    except InputError as error:
+        raise InputError(f"calibration {path}: {error}") from None
+    date = content.pop("date")
+    if not content["tare_drift_microstrain_per_s"]:
+        del content["tare_drift_microstrain_per_s"]
+    content["crc32"] = f"0x{crc32:08X}"
+    document: dict[str, object] = {"calibration": content if date is None else {**content, "date": date}}
     if fit is not None:
         record = msgspec.to_builtins(fit)
         document["fit"] = {name: value for name, value in record.items() if value is not None}
-    write_file(path, msgspec.toml.encode(document), CALIBRATION)
+    output_file.write_file(path, msgspec.toml.encode(document), output_file.CALIBRATION)
+
+
+def _rows(fields: Fields) -> list[tuple[Field[Any], str, float]]:
+    """The fields of a file in its order (required ones, numbers, arrays, what no node holds), keys and units.
+
+    Units are those of the names: a number in a file is the value times the unit.
+    """
+
+    def rank(of: Field[Any]) -> int:
+        required = of.type == "bool" or of.default is of.default_factory is MISSING
+        return 3 if not of.metadata["row"].place[0] else 0 if required else 1 + (of.type == "FloatArray")
+
+    listed = sorted((of for of in fields if of.type != "FloatArray | None"), key=rank)
+    return [
+        (
+            of,
+            of.metadata["row"].key or of.name.replace("_strain", "_microstrain"),
+            1e12 if "_strain2" in of.name else 1e6 if "_strain" in of.name else 1.0,
+        )
+        for of in listed
+    ]
+
+
+@lru_cache(maxsize=1)
+def _file_type(fields: Fields) -> type[msgspec.Struct]:
+    """The form of a file: the keys of its table [calibration] with their types, None where one may be absent."""
+    keys: list[Any] = []
+    for of, key, _ in _rows(fields):
+        words, plain = of.name in _WORDS, int if of.type == "int" else float
+        kind: Any = str if words else datetime.date if of.name == "date" else plain
+        for _ in of.metadata["row"].shape:
+            kind = list[kind]
+        required = of.type == "bool" or of.default is of.default_factory is MISSING
+        keys.append((key, kind) if required else (key, kind | None, None))
+    keys.append(("crc32", str | None, None))
+    calibration = msgspec.defstruct("_Table", keys, forbid_unknown_fields=True)
+    tables: list[Any] = [("calibration", calibration), ("fit", dict[str, object] | None, None)]
+    return msgspec.defstruct("_File", tables, forbid_unknown_fields=True)
+
+
+def _value(of: Field[Any], key: str, unit: float, cell: Any) -> Any:
+    """The value of a field, of what a file has."""
+    if of.name in _WORDS:
+        if cell not in _WORDS[of.name]:
+            raise InputError(f"{key} is {cell!r}, allowed: {', '.join(_WORDS[of.name])}")
+        return _WORDS[of.name][cell]
+    if of.name == "date":
+        return cell.year * 10000 + cell.month * 100 + cell.day
+    value = _matrix(key, cell) if of.metadata["row"].shape else cell
+    return value if unit == 1.0 else value * (1.0 / unit)
+
+
+def _cell(of: Field[Any], unit: float, value: Any) -> Any:
+    """What a file has of the value of a field."""
+    if of.name in _WORDS:
+        names = {code: word for word, code in _WORDS[of.name].items()}
+        if value not in names:
+            raise InputError(f"layout code {value}, allowed: {', '.join(map(str, names))}")
+        return names[value]
+    if of.name == "date":
+        return _date(value) if value else None
+    number = value if unit == 1.0 else value * unit
+    return number.tolist() if of.metadata["row"].shape else number
+
+
+def _date(number: int) -> datetime.date:
+    try:
+        return datetime.date(number // 10000, number // 100 % 100, number % 100)
+    except ValueError:
+        raise InputError(f"date {number}, allowed is YYYYMMDD of a day that there was, or 0") from None
+
+
+def _matrix(name: str, rows: object) -> FloatArray:
+    try:
+        return np.array(rows, dtype=np.float64)
+    except ValueError:
+        raise InputError(f"the rows of {name} differ in length") from None

@@ -11,8 +11,8 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
+from canopen_device.core.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.arrays import BoolArray, FloatArray
-from tipforce.device.codes import STANDARD_MASK, SYNC_COB_ID
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
 from tipforce.dictionary.signals import mapping_signals, tpdo_messages
@@ -84,9 +84,9 @@ class Capture:
     @property
     def covariance(self) -> FloatArray:
         """Covariance of one reading, (n, n), microstrain^2; no variance below that of rounding."""
-        found = np.atleast_2d(np.cov(self.microstrain, rowvar=False))
-        np.fill_diagonal(found, np.maximum(np.diag(found), RESOLUTION_MICROSTRAIN**2 / 12.0))
-        return found
+        matrix = np.atleast_2d(np.cov(self.microstrain, rowvar=False))
+        np.fill_diagonal(matrix, np.maximum(np.diag(matrix), RESOLUTION_MICROSTRAIN**2 / 12.0))
+        return matrix
 
     @property
     def std(self) -> FloatArray:
@@ -237,9 +237,9 @@ class GaugeReader:
         silent = in_a_row = 0
         for k in range(count):
             due_s = time.monotonic() + self.period_s
-            found = self._ask()
-            frames.append(found)
-            in_a_row = 0 if len(found) else in_a_row + 1
+            answer = self._ask()
+            frames.append(answer)
+            in_a_row = 0 if len(answer) else in_a_row + 1
             silent += in_a_row > 0
             if in_a_row >= _SILENT:
                 break

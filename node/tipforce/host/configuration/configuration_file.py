@@ -1,22 +1,126 @@
-"""Apply a configuration file (TOML or DCF) to a node in the order that CiA 301 requires, then compare."""
+"""Settings of a node: read, compare and write them as TOML; apply a file (TOML or DCF) in the order of CiA 301.
+
+``tipforce calibrate`` transfers the calibration of a fingertip, protected by its CRC-32; it is none of the settings.
+"""
 
 from __future__ import annotations
 
 import contextlib
 import re
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import msgspec
+import tomli_w
 
-from tipforce.device import codes, communication
-from tipforce.dictionary import names, table, types
-from tipforce.dictionary.entries import Entry
+from canopen_device import types
+from canopen_device.core import codes, communication
+from canopen_device.toml_table import convert, read_table
+from canopen_device.types import Value
+from tipforce.dictionary import table
+from tipforce.dictionary.entries import Entry, describe
 from tipforce.dictionary.signals import is_mapping
-from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, SdoAbortError
-from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects
+from tipforce.host.configuration.device_objects import DeviceObjects, FingertipObjects, Place
 from tipforce.host.network.sdo import Read, SdoChannel, Steps, Write
-from tipforce.toml_table import convert, read_table
+
+_TEXT = "s"  # VISIBLE_STRING
+
+
+@dataclass(frozen=True, slots=True)
+class Difference:
+    """One setting that differs between two sides; None if a side does not contain it."""
+
+    name: str
+    entry: str
+    node: str | None
+    other: str | None
+
+
+def read_settings(
+    sdo: SdoChannel, objects: DeviceObjects, advance: Callable[[], None] = lambda: None
+) -> dict[Place, Value]:
+    """Return every setting of a node, without objects that it lacks. ``advance()`` after each read.
+
+    Raises NoResponseError; for a fingertip also SdoAbortError for any other abort. What another device does not
+    provide as its EDS has it is left out, and a text outside ASCII, which could not be written back.
+    """
+    values: dict[Place, Value] = {}
+    for place, entry in objects.settings.items():
+        try:
+            content = sdo.upload(*place)
+            if entry.type != _TEXT or content.isascii():
+                values[place] = entry.decode(content)
+        except SdoAbortError as error:
+            if isinstance(objects, FingertipObjects) and error.code != codes.NO_OBJECT:
+                raise
+        except InputError:
+            if isinstance(objects, FingertipObjects):
+                raise
+        advance()
+    return values
+
+
+def changed_settings(settings: Mapping[Place, Value], objects: DeviceObjects) -> dict[Place, Value]:
+    """Return the settings that differ from their default; of a remapped PDO its whole mapping."""
+    known = objects.settings
+    changed = {place for place, value in settings.items() if not same(known[place], value, known[place].default)}
+    remapped = {index for index, _ in changed if is_mapping(index)}
+    return {
+        (index, sub): value
+        for (index, sub), value in settings.items()
+        if (index, sub) in changed or (index in remapped and sub <= int(settings.get((index, 0), 0)))
+    }
+
+
+def compare(node: Mapping[Place, Value], wanted: Configuration, objects: DeviceObjects) -> list[Difference]:
+    """Return the differences between a node and a file, both ways: also changes missing in the file."""
+    differences = []
+    known = objects.settings
+    changed = changed_settings(node, objects)
+    for place in sorted(set(changed) | set(wanted)):
+        here = node.get(place)
+        there = wanted[place][1] if place in wanted else None
+        if place not in known:
+            continue
+        entry = known[place]
+        if here is not None and there is not None and same(entry, here, there):
+            continue
+        shown = [None if value is None else types.format_value(entry.type, value) for value in (here, there)]
+        differences.append(Difference(entry.name, str(entry), shown[0], shown[1]))
+    return differences
+
+
+def settings_toml(settings: Mapping[Place, Value], objects: DeviceObjects, node_id: int) -> str:
+    """Return a file for `tipforce config apply`. COB-IDs that depend on the node-id are relative, to fit any node."""
+    known = objects.settings
+    written: dict[str, object] = {}
+    for (index, sub), value in sorted(settings.items()):
+        if not is_mapping(index):
+            written[known[index, sub].name] = _portable(known[index, sub], value, node_id)
+        elif sub == 0:
+            words = [int(settings[index, k]) for k in range(1, int(value) + 1) if (index, k) in settings]
+            array = known[index, 1].stem if (index, 1) in known else f"0x{index:04X}"
+            written[array] = [objects.name(word >> 16, word >> 8 & 0xFF) or word for word in words]
+    return tomli_w.dumps({"objects": written}, multiline_strings=False)
+
+
+def _portable(entry: Entry[Value], value: Value, node_id: int) -> Value:
+    if isinstance(value, bytes):
+        return types.format_value(entry.type, value)
+    if entry.flags & table.ADD_NODE_ID and isinstance(value, int) and value & codes.NODE_ID_MASK == node_id:
+        return f"{NODE_ID_MARK}+0x{value - node_id:X}"
+    return f"0x{value:X}" if entry.stem.endswith("cob_id") and isinstance(value, int) else value
+
+
+def same(entry: Entry[Value], a: Value, b: Value) -> bool:
+    """Return whether both are equal on the wire: a REAL32 default is compared as REAL32."""
+    try:
+        return entry.encode(a) == entry.encode(b)
+    except InputError:  # an EDS may have a default that its type does not
+        return a == b
+
 
 Configuration = dict[tuple[int, int], tuple[Entry[Value], Value]]
 """By (index, sub), in index order: the entry and its required value."""
@@ -88,7 +192,10 @@ def _single_values(name: str, value: object, objects: DeviceObjects) -> list[tup
     entries = [objects.resolve(f"0x{first.index:04X}:{k + 1:02X}") for k in range(len(value))]
     if not is_mapping(first.index):
         return [(entry, _typed(entry, item)) for entry, item in zip(entries, value, strict=True)]
-    words = [_mapped(item, objects) if isinstance(item, str) else item for item in value]
+    words = []  # index, sub-index, length in bits (CiA 301, 7.5.2.36)
+    for item in value:
+        of = objects.resolve(item) if isinstance(item, str) else None
+        words.append(item if of is None else of.index << 16 | of.sub << 8 | 8 * (types.data_type(of.type).size or 0))
     return [(objects.resolve(f"0x{first.index:04X}:00"), len(words)), *zip(entries, words, strict=True)]
 
 
@@ -103,15 +210,9 @@ def _typed(entry: Entry[Value], value: object) -> Value:
     return value  # type: ignore[return-value]  # entry.encode checks its type
 
 
-def _mapped(name: str, objects: DeviceObjects) -> int:
-    """Return the mapping word of an object: index, sub-index, length in bits (CiA 301, 7.5.2.36)."""
-    entry = objects.resolve(name)
-    return entry.index << 16 | entry.sub << 8 | 8 * (types.data_type(entry.type).size or 0)
-
-
 def _read_dcf(path: str | Path, node_id: int, objects: DeviceObjects) -> Configuration:
     """Return the entries of a DCF that have a ParameterValue."""
-    from tipforce.eds.reader import read_eds
+    from canopen_device.eds.reader import read_eds
 
     found: Configuration = {}
     for one in read_eds(path, node_id).entries():
@@ -183,9 +284,8 @@ def _pdo_entries(parameters: int) -> tuple[Entry[Value], Entry[Value]]:
 
 
 def _entry(index: int, sub: int, letter: str) -> Entry[Value]:
-    place = f"0x{index:04X}:{sub:02X}"
-    found = names.describe(index, sub, table.MAX_GAUGES)
-    return Entry[Value](index, sub, letter, place if found is None else found.dotted, "rw", "")
+    known = describe(index, sub, table.MAX_GAUGES)
+    return Entry[Value](index, sub, letter, f"0x{index:04X}:{sub:02X}" if known is None else known.name, "rw", "")
 
 
 def _apply_pdo(parameters: int, wanted: Configuration) -> Steps[None]:

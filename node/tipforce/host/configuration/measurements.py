@@ -1,11 +1,17 @@
-"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason."""
+"""Read and write measurements as CSV: gauge readings with loads, times and modes; bad rows by line and reason.
+
+A block of lines is parsed at once if all its rows are valid, otherwise row by row with reasons.
+"""
 
 from __future__ import annotations
 
 import codecs
+import csv
 import re
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite, nan
 from pathlib import Path
 from typing import NamedTuple
 
@@ -14,8 +20,183 @@ import numpy.typing as npt
 
 from tipforce.arrays import FloatArray, IntArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.measurement_rows import MODES, Block, Columns, read_block, time_faults
 from tipforce.output_file import CSV, write_file
+
+MODES = ("push", "pull", "tare")
+LEAST_LOAD_NEWTONS, MOST_LOAD_NEWTONS = 1e-9, 1e9
+LARGEST_ANGLE_DEG = 720.0
+LARGEST_MICROSTRAIN = 1e6
+_ANGLE = (-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, "degrees")
+_LIMITS = {
+    "P_N": (0.0, MOST_LOAD_NEWTONS, "N: turn phi_deg by 180 for the opposite force"),
+    "phi_deg": _ANGLE,
+    "theta_deg": _ANGLE,
+    "temperature_degC": (-273.15, 1000.0, "degrees Celsius"),
+    "weight": (1e-9, 1e9, "readings that the row is the mean of"),
+    "t_s": (-1e18, 1e18, "s"),
+}
+"""Least and largest value of a column, and the unit for messages; the columns of gauges are in microstrain."""
+
+
+class Columns(NamedTuple):
+    """The columns in the header."""
+
+    names: tuple[str, ...]
+    """The numeric columns that are read, gauges first."""
+    places: tuple[int, ...]
+    """The position of each in a row."""
+    mode: int | None
+    """The position of the mode."""
+    cells: int
+    """Number of cells of a row."""
+    ignored: tuple[str, ...]
+
+
+class Block(NamedTuple):
+    """Valid rows, and the faults of the others."""
+
+    line: IntArray
+    values: FloatArray
+    """(rows, names)."""
+    mode: npt.NDArray[np.int8]
+    faults: list[tuple[int, str]]
+
+
+def read_block(lines: list[str], first_line: int, columns: Columns) -> Block:
+    """Return the rows of some lines; first_line is the number of the first."""
+    return _quick(lines, first_line, columns) or _careful(lines, first_line, columns)
+
+
+def time_faults(line: IntArray, t_s: FloatArray) -> list[tuple[int, str]]:
+    """Return the fewest rows whose removal leaves the times in order, with the reason.
+
+    One clock jump is then one bad row (or one run of rows), not all following rows.
+    """
+    if not (np.diff(t_s) < 0.0).any():
+        return []
+    times = t_s.tolist()
+    ends: list[float] = []
+    end_rows: list[int] = []
+    before = [-1] * len(times)
+    for row, t in enumerate(times):
+        place = bisect_right(ends, t)
+        before[row] = end_rows[place - 1] if place else -1
+        ends[place : place + 1] = [t]
+        end_rows[place : place + 1] = [row]
+    kept, row = set(), end_rows[-1]
+    while row >= 0:
+        kept.add(row)
+        row = before[row]
+    faults, last, after = [], None, None
+    followers = sorted(kept)
+    for row, t in enumerate(times):
+        if row in kept:
+            last = row
+            continue
+        place = bisect_right(followers, row)
+        after = followers[place] if place < len(followers) else None
+        if last is not None and t < times[last]:
+            reason = f"t_s is {t:g}, before the {times[last]:g} of line {line[last]}"
+        else:
+            reason = f"t_s is {t:g}, after the {times[after]:g} of line {line[after]}" if after is not None else "t_s"
+        faults.append((int(line[row]), reason + ": times must not decrease"))
+    return faults
+
+
+def _quick(lines: list[str], first_line: int, columns: Columns) -> Block | None:
+    """Return all rows at once; None if any of them may be invalid."""
+    separators = columns.cells - 1
+    if any(text.count(",") != separators or '"' in text or "_" in text for text in lines):
+        return None
+    try:
+        values = np.loadtxt(lines, delimiter=",", usecols=columns.places, comments=None, ndmin=2)
+    except ValueError:
+        return None
+    mode = np.full(len(lines), -1, dtype=np.int8)
+    if columns.mode is not None:
+        codes = {name: code for code, name in enumerate(MODES)} | {"": -1}
+        mode_codes = [codes.get(text.split(",")[columns.mode].strip()) for text in lines]
+        if None in mode_codes:
+            return None
+        mode = np.array(mode_codes, dtype=np.int8)
+    if values.shape[0] != len(lines) or not _all_good(values, mode, columns.names):
+        return None
+    return Block(first_line + np.arange(len(lines)), values, mode, [])
+
+
+def _limits(name: str) -> tuple[float, float, str]:
+    return _LIMITS.get(name, (-LARGEST_MICROSTRAIN, LARGEST_MICROSTRAIN, "microstrain"))
+
+
+def _all_good(values: FloatArray, mode: npt.NDArray[np.int8], names: tuple[str, ...]) -> bool:
+    low, high = np.array([_limits(name)[:2] for name in names]).T
+    if not ((values >= low) & (values <= high)).all():
+        return False
+    if "P_N" not in names:
+        return True
+    P = values[:, names.index("P_N")]
+    return not ((P > 0.0) & ((P < LEAST_LOAD_NEWTONS) | (mode == MODES.index("tare")))).any()
+
+
+def _careful(lines: list[str], first_line: int, columns: Columns) -> Block:
+    line, values, modes, faults = [], [], [], []
+    for number, text in enumerate(lines, first_line):
+        row = _row(text, columns)
+        if isinstance(row, str):
+            faults.append((number, row))
+        else:
+            line.append(number)
+            values.append(row[0])
+            modes.append(row[1])
+    return Block(
+        np.array(line, dtype=np.int64),
+        np.array(values, dtype=np.float64).reshape(len(values), len(columns.names)),
+        np.array(modes, dtype=np.int8),
+        faults,
+    )
+
+
+def _row(text: str, columns: Columns) -> tuple[list[float], int] | str:
+    """Return (values, mode) of one line, or its fault."""
+    if not text.strip():
+        return "the line is empty"
+    try:
+        cells = [cell.strip() for cell in next(csv.reader([text], strict=True))]
+    except csv.Error as error:
+        return f"the quotes do not match ({error})"
+    if len(cells) != columns.cells:
+        return f"{len(cells)} cells, the header has {columns.cells}"
+    word = "" if columns.mode is None else cells[columns.mode]
+    if word and word not in MODES:
+        return f"mode is {word!r}, allowed: {', '.join(MODES)} or blank"
+    row: dict[str, float] = {}
+    for name, place in zip(columns.names, columns.places, strict=True):
+        value = _value(name, cells[place], word == "tare" or row.get("P_N") == 0.0)
+        if isinstance(value, str):
+            return value
+        row[name] = value
+    if word == "tare" and row.get("P_N", 0.0) != 0.0:
+        return f"mode is tare, an unloaded reading, but P_N is {row['P_N']:g}"
+    return list(row.values()), MODES.index(word) if word else -1
+
+
+def _value(name: str, cell: str, unloaded: bool) -> float | str:
+    """Return the number in a cell, or its fault."""
+    if not cell and unloaded and name in ("P_N", "phi_deg", "theta_deg"):
+        return 0.0
+    try:
+        value = float(cell) if "_" not in cell else nan
+    except ValueError:
+        return f"{name} is {cell!r}, not a number" if cell else f"{name} is blank"
+    if not isfinite(value):
+        return f"{name} is {cell!r}, allowed are finite numbers"
+    low, high, unit = _limits(name)
+    if not low <= value <= high:
+        return f"{name} is {cell}, allowed is {low:g} to {high:g} {unit}"
+    if name == "P_N" and 0.0 < value < LEAST_LOAD_NEWTONS:
+        return f"P_N is {cell}, allowed is 0 (unloaded), or {LEAST_LOAD_NEWTONS:g} N and more"
+    return value
+
 
 MIN_GAUGES, MAX_GAUGES = 3, 8
 LOAD_COLUMNS = ("P_N", "phi_deg", "theta_deg")
@@ -59,12 +240,12 @@ class Measurements:
     @property
     def unloaded(self) -> npt.NDArray[np.bool_]:
         """Which rows are unloaded readings: mode tare, or P_N = 0; (m,)."""
-        found = np.zeros(len(self.line), dtype=np.bool_)
+        is_unloaded = np.zeros(len(self.line), dtype=np.bool_)
         if self.mode is not None:
-            found |= self.mode == MODES.index("tare")
+            is_unloaded |= self.mode == MODES.index("tare")
         if self.P_newtons is not None:
-            found |= self.P_newtons == 0.0
-        return found
+            is_unloaded |= self.P_newtons == 0.0
+        return is_unloaded
 
 
 def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
@@ -92,26 +273,37 @@ def read_measurements(path: str | Path, *, loads: bool) -> Measurements:
         bad = sorted([*bad, *(BadRow(*fault) for fault in late)])
         good = ~np.isin(line, [fault[0] for fault in late])
         line, values, mode = line[good], values[good], mode[good]
-    return _measurements(columns, Block(line, values, mode, []), tuple(bad))
+    values_of = {name: values[:, k] for k, name in enumerate(columns.names)}
+    gauges = [column for name, column in values_of.items() if name.startswith("SG")]
+    angles = [np.radians(values_of[name]) if name in values_of else None for name in LOAD_COLUMNS[1:]]
+    return Measurements(
+        line=line,
+        strain=np.stack(gauges, axis=-1) * 1e-6,
+        P_newtons=values_of.get("P_N"),
+        phi_rad=angles[0],
+        theta_rad=angles[1],
+        t_s=values_of.get("t_s"),
+        temperature_degC=values_of.get("temperature_degC"),
+        weight=values_of.get("weight"),
+        mode=None if columns.mode is None else mode,
+        bad=tuple(bad),
+        ignored_columns=columns.ignored,
+    )
 
 
 def write_measurements(path: str | Path, measurements: Measurements) -> None:
     """Write rows with full precision: they read back unchanged. Raises InputError for an unusable path, WriteError."""
     n = measurements.strain.shape[1]
-    columns: dict[str, Sequence[object]] = {}
-    if measurements.t_s is not None:
-        columns["t_s"] = measurements.t_s.tolist()
-    for k in range(n):
-        columns[f"SG{k + 1}"] = (measurements.strain[:, k] * 1e6).tolist()
-    angles = (measurements.phi_rad, measurements.theta_rad)
-    if measurements.P_newtons is not None:
-        columns["P_N"] = measurements.P_newtons.tolist()
-        for name, angle in zip(LOAD_COLUMNS[1:], angles, strict=True):
-            columns[name] = np.degrees(angle if angle is not None else 0.0 * measurements.P_newtons).tolist()
-    for name in OPTIONAL_COLUMNS[1:]:
-        values = getattr(measurements, name)
-        if values is not None:
-            columns[name] = values.tolist()
+    arrays: dict[str, FloatArray | None] = {"t_s": measurements.t_s}
+    arrays |= {f"SG{k + 1}": measurements.strain[:, k] * 1e6 for k in range(n)}
+    P = measurements.P_newtons
+    if P is not None:
+        phi, theta = (0.0 * P if angle is None else angle for angle in (measurements.phi_rad, measurements.theta_rad))
+        arrays |= {"P_N": P, "phi_deg": np.degrees(phi), "theta_deg": np.degrees(theta)}
+    arrays |= {"temperature_degC": measurements.temperature_degC, "weight": measurements.weight}
+    columns: dict[str, Sequence[object]] = {
+        name: column.tolist() for name, column in arrays.items() if column is not None
+    }
     if measurements.mode is not None:
         columns["mode"] = ["" if code < 0 else MODES[code] for code in measurements.mode]
     rows = (",".join(str(value) for value in row) for row in zip(*columns.values(), strict=True))
@@ -174,22 +366,3 @@ def _header(path: str | Path, text: str, loads: bool) -> Columns:
     mode = plain.index("mode") if "mode" in plain else None
     ignored = tuple(name for name, key in zip(names, plain, strict=True) if key not in known and key != "mode")
     return Columns(tuple(known), tuple(plain.index(name) for name in known), mode, len(names), ignored)
-
-
-def _measurements(columns: Columns, block: Block, bad: tuple[BadRow, ...]) -> Measurements:
-    found = {name: block.values[:, k] for k, name in enumerate(columns.names)}
-    gauges = [values for name, values in found.items() if name.startswith("SG")]
-    angles = [np.radians(found[name]) if name in found else None for name in LOAD_COLUMNS[1:]]
-    return Measurements(
-        line=block.line,
-        strain=np.stack(gauges, axis=-1) * 1e-6,
-        P_newtons=found.get("P_N"),
-        phi_rad=angles[0],
-        theta_rad=angles[1],
-        t_s=found.get("t_s"),
-        temperature_degC=found.get("temperature_degC"),
-        weight=found.get("weight"),
-        mode=None if columns.mode is None else block.mode,
-        bad=bad,
-        ignored_columns=columns.ignored,
-    )

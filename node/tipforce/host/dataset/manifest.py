@@ -12,16 +12,16 @@ import re
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 import msgspec
 
 from tipforce.errors import InputError, WriteError
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.store import FOLDER, Store, generations
 from tipforce.host.decoding.recording import State
 from tipforce.host.decoding.sample_table import Column
 
-FOLDER, ROWS, EVENTS = "_tipforce", "rows", "events"
+ROWS, EVENTS = "rows", "events"
 FORMAT = 2
 NO_DATE = "__HIVE_DEFAULT_PARTITION__"
 """Of a log without times; query engines read it as null."""
@@ -223,11 +223,6 @@ def _file_name(generation: int) -> str:
     return f"manifest-{generation:010d}.json"
 
 
-def generations(store: Store) -> list[str]:
-    """Return the names of the manifests, the newest last."""
-    return sorted(name for name in store.names(FOLDER) if re.fullmatch(r"manifest-\d{10}\.json", name))
-
-
 def commit(store: Store, change: Change) -> Manifest:
     """Add a change as the next generation, and remove what it replaces.
 
@@ -250,13 +245,3 @@ def remove_replaced(store: Store, manifest: Manifest) -> None:
     """Remove the files that this generation replaced."""
     for path in manifest.replaced:
         store.remove(path)
-
-
-def is_dataset(name: Any) -> bool:
-    """Return whether a path or URL is a dataset."""
-    from pathlib import Path
-
-    text = str(name)
-    if "://" not in text:
-        return (Path(text) / FOLDER).is_dir() and bool(generations(Store(text)))
-    return text.endswith("/") and bool(generations(Store(text)))

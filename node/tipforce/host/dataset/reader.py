@@ -1,18 +1,19 @@
-"""Read a dataset as a log is read: tables of samples, only of the files and columns that are needed."""
+"""Read logs, and a dataset as a log is read: tables of samples, only of the files and columns that are needed."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from tipforce.errors import EnvironmentLackError, InputError, LogError
-from tipforce.host.dataset.manifest import DataFile, Manifest, read_manifest
-from tipforce.host.dataset.store import Store
-from tipforce.host.decoding.log_part import Notes, Reading, When
+from tipforce.host.dataset.store import Store, is_dataset, local_copy
+from tipforce.host.decoding.counters import Tally
+from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, When
+from tipforce.host.decoding.recording import Recording, Tap
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NODE_BITS,
@@ -23,7 +24,10 @@ from tipforce.host.decoding.sample_table import (
     is_missing,
     missing_of,
 )
-from tipforce.host.decoding.tally import Tally
+from tipforce.host.logs.reader import open_log
+
+if TYPE_CHECKING:
+    from tipforce.host.dataset.manifest import DataFile, Manifest
 
 _FOREVER = np.iinfo(np.int64).max
 
@@ -36,12 +40,42 @@ def need_pyarrow(name: str) -> None:
 
 def opened(name: str) -> tuple[Store, Manifest]:
     """Return a dataset's files and its manifest. Raises InputError, EnvironmentLackError without pyarrow."""
+    from tipforce.host.dataset.manifest import read_manifest  # not where only logs are read
+
     need_pyarrow(name)
     store = Store(name)
     manifest = read_manifest(store)
     if manifest is None:
         raise InputError(f"{name}: is not a dataset of `tipforce decode -o DIR/`")
     return store, manifest
+
+
+def start_of(name: str) -> int | None:
+    """Return the time of the first frame of a log, or row of a dataset; None if it has none. Raises InputError."""
+    if is_dataset(name):
+        return first_ns(opened(name)[1])
+    with open_log(name) as log:
+        return next((int(block["t_ns"][0]) for block in log), None)
+
+
+def tables_of_logs(
+    recording: Recording, names: Iterable[str], progress: Progress | None = None, tap: Tap | None = None
+) -> Iterator[Table]:
+    """Read logs in this process as if they were one recording; a dataset gives the rows that it has.
+
+    ``tap`` gets the selected frames before their samples. Raises InputError, StrictError.
+    """
+    for name in names:
+        if not is_dataset(name):
+            yield from recording.tables_of_piece(Piece(local_copy(name)), progress, tap)
+            continue
+        _, manifest = opened(name)
+        recording.told.notes.append(notes(name, manifest))
+        recording.told.tally.append(tally(manifest))
+        for table in tables(name, recording.reading):
+            recording.numbers_of(table.channels)
+            yield table
+    yield from recording.finish()
 
 
 def first_ns(manifest: Manifest) -> int | None:
@@ -96,6 +130,8 @@ def tables(name: str, reading: Reading) -> Iterator[Table]:
 def damage_named(store: Store, *paths: str) -> Iterator[None]:
     """Raise LogError for one of these files that cannot be read, with the next step."""
     import pyarrow as pa
+
+    from tipforce.host.dataset.manifest import read_manifest
 
     try:
         yield

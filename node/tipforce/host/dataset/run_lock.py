@@ -7,10 +7,9 @@ import re
 import shutil
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 
-from tipforce.host.dataset.manifest import EVENTS, FOLDER, ROWS, Manifest, read_manifest
-from tipforce.host.dataset.store import Store
+from tipforce.host.dataset.manifest import EVENTS, ROWS, Manifest, read_manifest
+from tipforce.host.dataset.store import FOLDER, Store
 
 
 class RunLock:
@@ -31,9 +30,7 @@ class RunLock:
                     _clean(self._store, mark)
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
         if self._file is not None and self._store.local is not None:
             folder = self._store.local / FOLDER
             if kind is not None:

@@ -5,16 +5,18 @@ from __future__ import annotations
 import atexit
 import errno
 import os
+import re
 import shutil
-import tempfile
-import uuid
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, BinaryIO
 
+from canopen_device.paths_below import below, is_below
 from tipforce.errors import EnvironmentLackError, InputError
-from tipforce.paths_below import below, is_below
+
+FOLDER = "_tipforce"
+"""Of the manifests, in a dataset."""
 
 
 def is_url(name: str) -> bool:
@@ -28,41 +30,37 @@ class Store:
     def __init__(self, name: str) -> None:
         """Raises EnvironmentLackError for a URL without its packages, InputError for one of unknown kind."""
         self.name = name.rstrip("/") or "/"
-        self._fs: Any = None
+        self.filesystem: Any = None
+        """The fsspec file system; None for a directory of this machine."""
         local = self.name.removeprefix("file://").removeprefix("local://")
         self._root = os.path.realpath(local)
         if is_url(local):
-            self._fs, self._root = filesystem(self.name)
+            self.filesystem, self._root = filesystem(self.name)
 
     @property
     def local(self) -> Path | None:
         """The directory; None behind a URL."""
-        return Path(self._root) if self._fs is None else None
+        return Path(self._root) if self.filesystem is None else None
 
     def path(self, relative: str) -> str:
         """Return the full path of a file or folder, for ``filesystem``.
 
         Raises InputError for a path that leaves the dataset, and for a link.
         """
-        if self._fs is None:
+        if self.filesystem is None:
             return str(below(self._root, relative, f"{self.name}: path", links=False))
         if not is_below(relative):
             raise InputError(f"{self.name}: path = {relative!r}: allowed is one below it")
         return f"{self._root}/{relative}"
 
-    @property
-    def filesystem(self) -> Any:
-        """The fsspec file system; None for a directory of this machine."""
-        return self._fs
-
     def names(self, folder: str) -> list[str]:
         """Return the names in a folder, "" for the dataset itself; none if it does not exist."""
         place = self.path(folder) if folder else self._root
         with suppress(FileNotFoundError, NotADirectoryError):
-            if self._fs is None:
+            if self.filesystem is None:
                 return os.listdir(place)
-            self._fs.invalidate_cache()
-            return [str(path).rsplit("/", 1)[-1] for path in self._fs.ls(place, detail=False)]
+            self.filesystem.invalidate_cache()
+            return [str(path).rsplit("/", 1)[-1] for path in self.filesystem.ls(place, detail=False)]
         return []
 
     def read(self, relative: str) -> bytes:
@@ -72,24 +70,26 @@ class Store:
 
     def open(self, relative: str) -> BinaryIO:
         """Open a file. Raises FileNotFoundError, OSError."""
-        if self._fs is None:
+        if self.filesystem is None:
             return Path(self.path(relative)).open("rb")
-        opened: BinaryIO = self._fs.open(self.path(relative), "rb")
+        opened: BinaryIO = self.filesystem.open(self.path(relative), "rb")
         return opened
 
     def create(self, relative: str, content: bytes) -> bool:
         """Create a file; return False, without a change, if there is one. Raises OSError."""
-        if self._fs is not None:
-            if self._fs.exists(self.path(relative)):
+        if self.filesystem is not None:
+            if self.filesystem.exists(self.path(relative)):
                 return False
             try:
-                with self._fs.open(self.path(relative), "xb") as file:
+                with self.filesystem.open(self.path(relative), "xb") as file:
                     file.write(content)
             except FileExistsError:
                 return False
             except (ValueError, NotImplementedError):  # a file system without exclusive creation
-                self._fs.pipe_file(self.path(relative), content)
+                self.filesystem.pipe_file(self.path(relative), content)
             return True
+        import uuid  # here and below: a log is read without these
+
         path = Path(self.path(relative))
         path.parent.mkdir(parents=True, exist_ok=True)
         partial = path.with_name(f".{path.name}.{uuid.uuid4().hex}")
@@ -109,17 +109,19 @@ class Store:
     @contextmanager
     def scratch(self, relative: str) -> Iterator[Path]:
         """Give a folder for files before ``put``: this one in a directory, which stays; else a temporary one."""
-        if self._fs is None:
+        if self.filesystem is None:
             folder = Path(self.path(relative))
             folder.mkdir(parents=True, exist_ok=True)
             yield folder
             return
+        import tempfile
+
         with tempfile.TemporaryDirectory(prefix="tipforce-") as name:
             yield Path(name)
 
     def put(self, file: Path, relative: str) -> None:
         """Move a complete local file here. Raises OSError."""
-        if self._fs is None:
+        if self.filesystem is None:
             path = Path(self.path(relative))
             path.parent.mkdir(parents=True, exist_ok=True)
             try:
@@ -129,17 +131,30 @@ class Store:
                 shutil.copyfile(file, partial)
                 partial.replace(path)
             return
-        self._fs.makedirs(self.path(relative).rsplit("/", 1)[0], exist_ok=True)
-        self._fs.put_file(str(file), self.path(relative))
+        self.filesystem.makedirs(self.path(relative).rsplit("/", 1)[0], exist_ok=True)
+        self.filesystem.put_file(str(file), self.path(relative))
         file.unlink()
 
     def remove(self, relative: str) -> None:
         """Remove a file if it is there."""
         with suppress(FileNotFoundError):
-            if self._fs is None:
+            if self.filesystem is None:
                 os.unlink(self.path(relative))
             else:
-                self._fs.rm_file(self.path(relative))
+                self.filesystem.rm_file(self.path(relative))
+
+
+def generations(store: Store) -> list[str]:
+    """Return the names of the manifests, the newest last."""
+    return sorted(name for name in store.names(FOLDER) if re.fullmatch(r"manifest-\d{10}\.json", name))
+
+
+def is_dataset(name: str | os.PathLike[str]) -> bool:
+    """Return whether a path or URL is a dataset."""
+    text = str(name)
+    if not is_url(text):
+        return (Path(text) / FOLDER).is_dir() and bool(generations(Store(text)))
+    return text.endswith("/") and bool(generations(Store(text)))
 
 
 _copies: dict[str, str] = {}
@@ -153,6 +168,8 @@ def local_copy(name: str) -> str:
     if not is_url(name) or name.startswith("file://"):
         return name.removeprefix("file://")
     if name not in _copies:
+        import tempfile
+
         files, path = filesystem(name)
         folder = tempfile.mkdtemp(prefix="tipforce-")
         atexit.register(shutil.rmtree, folder, ignore_errors=True)

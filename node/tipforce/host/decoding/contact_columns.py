@@ -10,14 +10,13 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.configuration.measurements import Measurements
 from tipforce.host.decoding import estimates as estimate_rows
-from tipforce.host.decoding import judged, status_words
+from tipforce.host.decoding import judged
 from tipforce.host.decoding.health import lost_gauges
-from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, Values, computed, flag, in_order, missing_of
-from tipforce.sensor.contact import scalar
+from tipforce.host.decoding.sample_table import NODE_BITS, Table, Values, computed, flag, in_order, missing_of
+from tipforce.samples import reasons
 
 NEEDED_FLAGS = ("stale", "fault", "saturated")
 """The node's own word that a gauge reading is none."""
@@ -25,20 +24,9 @@ VALUES = (
     computed("P", "N"), computed("phi", "degree"), computed("theta", "degree"),
     computed("u_P", "N"), computed("u_phi", "degree"), computed("u_theta", "degree"),
 )  # fmt: skip
-FLAGS = {
-    "contact": scalar.CONTACT_PRESENT,
-    "theta_unresolved": scalar.THETA_UNRESOLVED,
-    "misses_tip": scalar.MISSES_TIP,
-    "outside_pad": scalar.OUTSIDE_PAD,
-    "beyond_first_order": estimate_rows.BEYOND_FIRST_ORDER,
-    "gauge_left_out": estimate_rows.LEFT_OUT,
-    "unranged": estimate_rows.UNRANGED,
-    "contradiction": status_words.CONTRADICTION,
-    "beyond_calibrated": status_words.BEYOND_CALIBRATED,
-    "temperature_outside": status_words.TEMPERATURE,
-    "overload": status_words.OVERLOAD,
-}
-_COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
+FLAGS = reasons.COMPUTED
+COLUMNS = (*VALUES, *(flag(name) for name in FLAGS))
+"""The columns that this adds."""
 
 
 def read_calibrations(texts: Iterable[str]) -> dict[int | None, Calibration]:
@@ -78,11 +66,11 @@ class ContactColumns:
     def _with_contact(self, table: Table) -> Table:
         columns = {column.name: column for column in table.columns}
         values = dict(table.values)
-        for column in _COLUMNS:
+        for column in COLUMNS:
             before = values.get(column.name)
             values[column.name] = missing_of(column, len(table)) if before is None else before.copy()
             columns[column.name] = column
-        absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in _COLUMNS}}
+        absent = {name: rows for name, rows in table.absent.items() if name not in {c.name for c in COLUMNS}}
         for key in np.unique(table.key).tolist():
             node = key & ((1 << NODE_BITS) - 1)
             fingertip = self._calibrations.get(node, self._calibrations.get(None))
@@ -95,7 +83,7 @@ class ContactColumns:
     def _fill(
         self, tip: Calibration, key: int, rows: npt.NDArray[np.intp], table: Table, values: dict[str, Values]
     ) -> None:
-        for column in _COLUMNS:
+        for column in COLUMNS:
             values[column.name][rows] = missing_of(column, len(rows))
         names = [f"SG{k + 1}_ue" for k in range(tip.gauges)]
         if not set(names) <= set(table.values):
@@ -120,8 +108,8 @@ class ContactColumns:
         first_ns = self._first_ns.setdefault(key, int(table.t_ns[rows[0]]))  # a log does not say when the node tared
         age_s = np.asarray(table.t_ns[rows] - first_ns, dtype=np.float64) * 1e-9
         found = estimate_rows.estimated(tip, data, slice(None), None, None, before, lost, age_s=age_s)
-        for number, column in enumerate(VALUES):
-            values[column.name][rows] = found.values[:, number]
+        for column, column_values in zip(VALUES, found.values.T, strict=True):
+            values[column.name][rows] = column_values
         for name, bit in FLAGS.items():
             values[name][rows] = found.status & bit != 0
         self._before[key] = estimate_rows.following(found, before)
@@ -143,39 +131,33 @@ class ContactColumns:
         return seen
 
 
-def signals_needed(asked: Iterable[str] | None, gauges: int, temperature: bool = False) -> tuple[str, ...] | None:
+def signals_needed(
+    asked: Iterable[str] | None, calibrations: Mapping[int | None, Calibration]
+) -> tuple[str, ...] | None:
     """What has to be decoded for what is asked: gauges and flags for the contact, and what else a frame carries.
 
-    temperature: a calibration depends on it.
+    Temperature where a calibration depends on it, or says for which it holds.
     """
     if asked is None:
         return None
-    computed_here = {column.signal for column in _COLUMNS}
+    computed_here = {column.signal for column in COLUMNS}
     kept = [name for name in asked if name not in computed_here]
-    wanted = (*(f"SG{k + 1}" for k in range(gauges)), *NEEDED_FLAGS, *(("temperature",) if temperature else ()))
-    return (*kept, *(name for name in wanted if name not in kept))
-
-
-def is_computed(name: str) -> str | None:
-    """The signal that a name of a computed column means, if it is one."""
-    return next((column.signal for column in _COLUMNS if name in {column.name, column.signal}), None)
-
-
-def temperature_needed(calibrations: Mapping[int | None, Calibration]) -> bool:
-    """True where a calibration depends on temperature, or says for which it holds."""
-    return any(
+    temperature = any(
         tip.offset_temperature_strain_per_K.any()
         or tip.gain_temperature_per_K != 0.0
         or tip.temperature_min_degC != tip.temperature_max_degC
         for tip in calibrations.values()
     )
+    gauges = [f"SG{k + 1}" for k in range(gauges_of(calibrations))]
+    wanted = (*gauges, *NEEDED_FLAGS, *(("temperature",) if temperature else ()))
+    return (*kept, *(name for name in wanted if name not in kept))
+
+
+def is_computed(name: str) -> str | None:
+    """The signal that a name of a computed column means, if it is one."""
+    return next((column.signal for column in COLUMNS if name in {column.name, column.signal}), None)
 
 
 def gauges_of(calibrations: Mapping[int | None, Calibration]) -> int:
     """The most gauges that a calibration has."""
     return max(tip.gauges for tip in calibrations.values())
-
-
-def column_names() -> tuple[Column, ...]:
-    """The columns that this adds."""
-    return _COLUMNS

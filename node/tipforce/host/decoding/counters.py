@@ -1,27 +1,116 @@
-"""Unwrap the sample counters of consecutive tables, also of a part whose tables come before the ones in front of it."""
+"""Frames and lost samples per message, and the sample counters of consecutive tables unwrapped."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.decoder import unwrap_counter
+from tipforce.arrays import IntArray
+from tipforce.host.decoding.decoder import Samples, lost_samples, unwrap_counter
 from tipforce.host.decoding.health_rows import with_channel
-from tipforce.host.decoding.sample_rows import IntArray
 from tipforce.host.decoding.sample_table import NO_COUNTER, NODE_BITS, Table
 from tipforce.host.decoding.sync_modulus import SAMPLES
 
+COUNTER = "counter"
+LAST_CYCLIC_TYPE = 240
+"""CiA 301, table 72: up to this type a PDO follows SYNC."""
+_ALL = slice(None)
+Place = tuple[str, int, str]
+"""Channel, node-id, message name."""
+TallyRow = tuple[str, int, str, int, int | None, int | None, int | None, int, int]
+"""A place and the fields of its MessageCount."""
+
+
+def is_cyclic(samples: Samples) -> bool:
+    """Return whether the PDO follows SYNC and has a counter: each sample is due."""
+    return COUNTER in samples.columns and 1 <= samples.message.transmission_type <= LAST_CYCLIC_TYPE
+
 
 @dataclass(slots=True)
-class PartCounters:
-    """Counters of a part by key: (as sent, modulus) of the first, (unwrapped from it, as sent) of the last."""
+class MessageCount:
+    """Frames of one message, and the samples lost between them (None: its PDO does not follow SYNC)."""
 
-    first: dict[int, tuple[int, int]] = field(default_factory=dict)
-    last: dict[int, tuple[int, int]] = field(default_factory=dict)
+    frames: int = 0
+    lost: int | None = None
+    first: int | None = None
+    last: int | None = None
+    moduli: tuple[int, int] = (SAMPLES, SAMPLES)
+    """Of the first and of the last counter."""
+
+    def add(self, frames: int, counter: npt.NDArray[np.uint8] | None, modulus: int) -> None:
+        """Count frames with their counters, of ``modulus``; None if their counter cannot show losses."""
+        self.frames += frames
+        if counter is not None and modulus != SAMPLES:
+            counter = counter[counter > 0]  # 0 is no SYNC's latch, see lost_samples
+        if counter is None or not len(counter):
+            return
+        inside = 0 if (np.diff(counter) == 1).all() else lost_samples(counter, modulus)
+        self._join(int(counter[0]), int(counter[-1]), inside, (modulus, modulus))
+
+    def append(self, other: MessageCount) -> None:
+        """Add the count of the next part."""
+        self.frames += other.frames
+        if other.first is None:
+            return
+        assert other.last is not None
+        self._join(other.first, other.last, other.lost or 0, other.moduli)
+
+    def _join(self, first: int, last: int, lost: int, moduli: tuple[int, int]) -> None:
+        """Add counters from ``first`` to ``last``; where the modulus is another one the count begins again."""
+        if self.last is not None and self.moduli[1] == moduli[0]:
+            lost += lost_samples([self.last, first], moduli[0])
+        self.lost = (self.lost or 0) + lost
+        self.moduli = (moduli[0] if self.first is None else self.moduli[0]), moduli[1]
+        self.first = first if self.first is None else self.first
+        self.last = last
+
+
+@dataclass(slots=True)
+class Tally:
+    """``messages`` by place; ``short`` frames that were shorter than their mapping."""
+
+    messages: dict[Place, MessageCount] = field(default_factory=dict)
+    short: dict[Place, int] = field(default_factory=dict)
+
+    def add(self, channel: str, samples: Samples, modulus: int, kept: npt.NDArray[np.bool_] | slice = _ALL) -> None:
+        """Count the ``kept`` of some samples; ``modulus`` of their counters: see ``SyncModulus``."""
+        place = channel, samples.node_id, samples.message.name
+        count = self.messages.setdefault(place, MessageCount())
+        counter = samples.columns[COUNTER][kept] if is_cyclic(samples) else None
+        count.add(len(samples.row[kept]), counter, modulus)
+
+    def append(self, other: Tally) -> None:
+        """Add the counts of the next part."""
+        for place, count in other.messages.items():
+            self.messages.setdefault(place, MessageCount()).append(count)
+        for place, frames in other.short.items():
+            self.short[place] = self.short.get(place, 0) + frames
+
+    def rows(self) -> tuple[list[TallyRow], list[tuple[str, int, str, int]]]:
+        """Return both counts as rows."""
+        rows = [
+            (*place, count.frames, count.lost, count.first, count.last, *count.moduli)
+            for place, count in self.messages.items()
+        ]
+        return rows, [(*place, frames) for place, frames in self.short.items()]
+
+    def set_rows(self, messages: Iterable[TallyRow], short: Iterable[tuple[str, int, str, int]]) -> None:
+        """Set both counts from ``rows``."""
+        for channel, node, name, frames, lost, first, last, *moduli in messages:
+            self.messages[channel, node, name] = MessageCount(frames, lost, first, last, (moduli[0], moduli[1]))
+        self.short |= {(channel, node, name): frames for channel, node, name, frames in short}
+
+    def lost(self) -> dict[tuple[str, int], int]:
+        """Return lost samples by channel and node: the maximum over its messages, which have one counter."""
+        found: dict[tuple[str, int], int] = {}
+        for (channel, node, _), count in self.messages.items():
+            if count.lost is not None:
+                found[channel, node] = max(found.get((channel, node), 0), count.lost)
+        return found
 
 
 class Counters:
@@ -30,8 +119,8 @@ class Counters:
     def __init__(self, last: Mapping[int, tuple[int, int]] | None = None) -> None:
         """``last``: by key, unwrapped and as sent."""
         self.last = dict(last or {})
-        self._first: dict[int, tuple[int, int]] = {}
-        self._early: list[IntArray] = []
+        self.first: dict[int, tuple[int, int]] = {}
+        """By key as sent, and its modulus, where ``last`` had none."""
 
     def unwrapped(self, table: Table) -> Table:
         """Return the table with each node's counter continued from its first value.
@@ -44,47 +133,21 @@ class Counters:
         key = table.key[order]
         for rows in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1) if len(key) else []:
             of = int(table.key[rows[0]])
-            counter[rows] = self._of_node(of, table.counter[rows], table.cyclic[rows], modulus_of(table, of), rows)
+            counter[rows] = self._of_node(of, table.counter[rows], table.cyclic[rows], modulus_of(table, of))
         return replace(table, counter=counter)
 
-    def unwrapped_apart(self, table: Table) -> tuple[Table, IntArray]:
-        """Return the table unwrapped from the start of the part, and its rows that belong to a latch before that."""
-        self._early = []
-        found = self.unwrapped(table)
-        return found, np.concatenate(self._early) if self._early else np.zeros(0, dtype=np.intp)
-
-    def part(self) -> PartCounters:
-        """Return the counters of all tables so far as those of one part."""
-        return PartCounters(self._first, self.last)
-
-    def shift(self, part: PartCounters, numbers: Sequence[int]) -> npt.NDArray[np.int64]:
-        """Return by the part's keys what continues its counters from the last ones here."""
-        found = np.zeros(max(part.first, default=0) + 1, dtype=np.int64)
-        for key, (sent, modulus) in part.first.items():
-            last = self.last.get(with_channel(key, numbers))
-            if last is not None:
-                found[key] = last[0] + (sent - last[1]) % modulus - sent
-        return found
-
-    def continued(self, table: Table, early: IntArray, shift: npt.NDArray[np.int64], numbers: Sequence[int]) -> Table:
-        """Return a table from ``unwrapped_apart`` with the counters that continue the last ones here."""
-        counter = table.counter.copy()
-        moved = np.flatnonzero((counter != NO_COUNTER) & (table.key < len(shift)))
-        counter[moved] += shift[table.key[moved]]
-        for row in early.tolist():
-            key, sent = int(table.key[row]), int(table.counter[row])
-            last = self.last.get(with_channel(key, numbers))
-            counter[row] = sent if last is None else _nearest(last[0], last[1], sent, modulus_of(table, key))
-        return replace(table, counter=counter)
-
-    def skip(self, part: PartCounters, numbers: Sequence[int]) -> None:
-        """Take the counters of a part as the last ones."""
-        shift = self.shift(part, numbers)
-        for key, (unwrapped, sent) in part.last.items():
-            self.last[with_channel(key, numbers)] = unwrapped + int(shift[key]), sent
+    def skip(
+        self, first: Mapping[int, tuple[int, int]], last: Mapping[int, tuple[int, int]], numbers: Sequence[int]
+    ) -> None:
+        """Take ``first`` and ``last`` of a part that was unwrapped by itself; ``numbers``: of its channels here."""
+        for key, (unwrapped, sent) in last.items():
+            place, (begun, modulus) = with_channel(key, numbers), first[key]
+            before = self.last.get(place)
+            shift = 0 if before is None else before[0] + (begun - before[1]) % modulus - begun
+            self.last[place] = unwrapped + shift, sent
 
     def _of_node(
-        self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_], modulus: int, rows: IntArray
+        self, key: int, raw: npt.NDArray[np.int64], cyclic: npt.NDArray[np.bool_], modulus: int
     ) -> npt.NDArray[np.int64]:
         last = self.last.get(key)
         steady = raw[cyclic]
@@ -98,14 +161,13 @@ class Counters:
             found[cyclic] = counts
             self.last[key] = int(counts[-1]), int(steady[-1])
             if last is None:
-                self._first[key] = int(steady[0]), modulus
+                self.first[key] = int(steady[0]), modulus
         if len(steady) < len(raw):
             event: IntArray = np.flatnonzero(~cyclic & (raw != NO_COUNTER))
             before = np.cumsum(cyclic)[event]
             known = np.concatenate(([-1 if last is None else last[0]], counts))[before]
             sent = np.concatenate(([0 if last is None else last[1]], steady))[before]
             nowhere = np.zeros(len(event), dtype=np.bool_) if last is not None else before == 0
-            self._early.append(rows[event[nowhere]])
             found[event] = np.where(nowhere, raw[event], _nearest(known, sent, raw[event], modulus))
         return found
 

@@ -9,23 +9,22 @@ from __future__ import annotations
 import pickle
 import tempfile
 from collections.abc import Iterable, Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from itertools import chain
-from typing import IO, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import SYNC_COB_ID
-from tipforce.host.decoding.counters import Counters, PartCounters
+from canopen_device.core.codes import SYNC_COB_ID
+from tipforce.host.decoding.counters import Counters, Tally
 from tipforce.host.decoding.health_rows import Change, HealthChanges, HealthRows
 from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source
-from tipforce.host.decoding.sample_merger import Looked, SampleMerger
-from tipforce.host.decoding.sample_rows import GAP_FRAMES, GAP_NS
+from tipforce.host.decoding.sample_merger import GAP_FRAMES, GAP_NS, Looked, SampleMerger
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table
 from tipforce.host.decoding.services import BusEvent
 from tipforce.host.decoding.sync_modulus import Syncs
-from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FrameArray
 
 _HEAD_FRAMES = 8 * GAP_FRAMES  # holds every row that can depend on the preceding part
@@ -54,7 +53,8 @@ class Ends:
     tail: Edge | None = None
     looked: list[Looked] = field(default_factory=list)
     """SYNCs of the head, and of what follows it, with the moduli as the part knew them."""
-    counters: PartCounters = field(default_factory=PartCounters)
+    counters: tuple[dict[int, tuple[int, int]], dict[int, tuple[int, int]]] = field(default_factory=lambda: ({}, {}))
+    """``Counters.first`` and ``last``."""
     health: dict[int, Change] = field(default_factory=dict)
     sampled: set[int] = field(default_factory=set)
     """Keys of samples."""
@@ -94,10 +94,8 @@ class DecodedPart:
         """Yield all rows that begin in this part, in order."""
         yield from start.before
         counters, health = Counters(start.counters), HealthRows(self._asked, start.health)
-        shift = counters.shift(self.ends.counters, start.numbers)
-        for table, early in self._kept:
-            whole = counters.continued(table, early, shift, start.numbers)
-            whole = renamed(whole, start.numbers, start.channels)
+        for table in self._kept:
+            whole = counters.unwrapped(renamed(table, start.numbers, start.channels))
             joined = health.joined(whole if start.timed else replace(whole, timed=False))
             if len(joined):
                 yield joined
@@ -152,7 +150,8 @@ class _Decoding:
             for table in merger.tables(block):
                 self._keep(table)
         ends.tail = Edge(*merger.held)
-        ends.counters, ends.health, ends.sampled = self._counters.part(), self._health.found, self._health.sampled
+        ends.counters = self._counters.first, self._counters.last
+        ends.health, ends.sampled = self._health.found, self._health.sampled
         ends.columns, ends.rows = tuple(self._columns.values()), self.kept.rows
         ends.channels, ends.tally, ends.separable = tuple(self._source.channels), merger.tally, True
 
@@ -161,7 +160,8 @@ class _Decoding:
             self._columns |= {column.name: column for column in table.columns}
             self._health.take(table)
             self.ends.keys.update(np.flatnonzero(np.bincount(table.key)).tolist())
-            self.kept.add(*self._counters.unwrapped_apart(table))
+            self._counters.unwrapped(table)
+            self.kept.add(table)
 
 
 def _near(block: FrameArray) -> int:
@@ -198,34 +198,29 @@ class _Kept:
 
     def __init__(self) -> None:
         self.rows = 0
-        self._tables: list[tuple[Table, npt.NDArray[np.intp]]] = []
-        self._bytes = 0
-        self._file: IO[bytes] | None = None
+        self._file = tempfile.SpooledTemporaryFile(_IN_MEMORY_BYTES)  # noqa: SIM115 - closed after the last row
 
-    def add(self, table: Table, early: npt.NDArray[np.intp]) -> None:
+    def add(self, table: Table) -> None:
         """Append a table."""
         self.rows += len(table)
-        if self._file is None and self._bytes < _IN_MEMORY_BYTES:
-            self._tables.append((table, early))
-            self._bytes += len(table) * 19 + sum(values.nbytes for values in table.values.values())
-            return
-        if self._file is None:
-            self._file = tempfile.TemporaryFile()  # noqa: SIM115 - closed after the last row
-        pickle.dump((table, early), self._file, protocol=5)
+        pickle.dump(table, self._file, protocol=5)
 
-    def __iter__(self) -> Iterator[tuple[Table, npt.NDArray[np.intp]]]:
+    def __iter__(self) -> Iterator[Table]:
         """Yield the tables."""
-        yield from self._tables
-        if self._file is None:
-            return
-        end = self._file.seek(0, 2)
         self._file.seek(0)
-        while self._file.tell() < end:
-            yield pickle.load(self._file)
+        with suppress(EOFError):
+            while True:
+                yield pickle.load(self._file)
 
-    def __getstate__(self) -> list[tuple[Table, npt.NDArray[np.intp]]]:
+    def __del__(self) -> None:
+        self._file.close()
+
+    def __getstate__(self) -> tuple[int, bytes]:
         """Return all tables: a cluster moved the part to another worker."""
-        return list(self)
+        self._file.seek(0)
+        return self.rows, self._file.read()
 
-    def __setstate__(self, tables: list[tuple[Table, npt.NDArray[np.intp]]]) -> None:
-        self.rows, self._tables, self._bytes, self._file = sum(len(table) for table, _ in tables), tables, 0, None
+    def __setstate__(self, state: tuple[int, bytes]) -> None:
+        self.__init__()  # type: ignore[misc]
+        self.rows = state[0]
+        self._file.write(state[1])

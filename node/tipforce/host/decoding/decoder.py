@@ -11,8 +11,7 @@ import numpy.typing as npt
 
 from tipforce.dictionary.signals import Message, mapping_signals, tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.decoding.columns import Column, columns_of
-from tipforce.host.decoding.packed_rows import ROW, TIME
+from tipforce.host.decoding.columns import ROW, TIME, Column, columns_of
 from tipforce.host.decoding.plan import MAX_COB_ID, Few, Group, Key, Plan, make_plan, slots_of
 from tipforce.host.frames.frame_array import FrameArray
 
@@ -181,6 +180,8 @@ class Decoder:
         Remote and error frames and unknown identifiers are ignored. Raises InputError for a name that no message has.
         """
         plan = self._plan(signals)
+        if not len(frames):
+            return {}
         return self._decode_few(frames, plan) if len(frames) <= FEW else self._decode_many(frames, plan)
 
     def _decode_few(self, frames: FrameArray, plan: Plan) -> dict[Key, Samples]:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from tipforce.device import codes, communication
-from tipforce.device.emcy import COB_ID_COLLISION
+from canopen_device.core import codes, communication
+from canopen_device.core.emcy import COB_ID_COLLISION
 from tipforce.dictionary import table
 from tipforce.host.decoding.sync_modulus import SAMPLES
 from tipforce.host.frames.frame_array import FrameArray
@@ -42,10 +42,8 @@ _MOST_STEPS = 2  # from a sample to the next of the same node: a SYNC may be los
 _SHORTEST_PERIOD_NS = 50_000_000  # receivers that read in batches give faster heartbeats any spacing
 _SHORT = 0.3  # of the period: a node that rounds its period to its cycle alternates by a third at most
 _UNEVEN = 1.25
-_SERVICES = frozenset((
-    codes.NMT_COB_ID, codes.EMCY_BASE, codes.SDO_RESPONSE_BASE, codes.SDO_REQUEST_BASE, codes.HEARTBEAT_BASE,
-    codes.HEARTBEAT_BASE | codes.REMOTE_FLAG,
-))  # fmt: skip
+_OF_EIGHT_BYTES = (codes.EMCY_BASE, codes.SDO_RESPONSE_BASE, codes.SDO_REQUEST_BASE)
+_OF_ANY_LENGTH = (codes.NMT_COB_ID, codes.HEARTBEAT_BASE, codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
 _RESETS = (codes.NMT_RESET_NODE, codes.NMT_RESET_COMMUNICATION)
 
 
@@ -168,12 +166,31 @@ class _Node:
         return min(max(intervals[::2]), max(intervals[1::2])) <= _SHORT * least
 
 
+def _begins(requested: bool, command: int) -> bool:
+    """Return whether an SDO frame begins a transfer."""
+    if requested:
+        return command == 0x40 or command >> 5 == 1
+    return command >> 4 == 4 or command in (0x60, 0x80)
+
+
+_BEGINS = np.array([[_begins(requested, command) for command in range(256)] for requested in (True, False)])
+"""By what an SDO frame is (0: a request, 1: a response) and its first byte."""
+
+
 def services(frames: FrameArray) -> FrameArray:
-    """Return those of FRAME (n,) that are neither PDOs nor SYNCs."""
+    """Return those of FRAME (n,) that ``DuplicateNodes.frame`` looks at."""
     can_id = frames["can_id"]
-    other = ((can_id >= codes.TIME_COB_ID) & (can_id < codes.SDO_RESPONSE_BASE)) | (can_id == codes.SYNC_COB_ID)
-    chosen: FrameArray = frames[~other]
-    return chosen
+    function = can_id & ~np.uint32(codes.NODE_ID_MASK)
+    chosen = (can_id == codes.NMT_COB_ID) | (function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG)
+    chosen |= (function == codes.HEARTBEAT_BASE) & (can_id != codes.HEARTBEAT_BASE)
+    whole = frames["length"] == 8
+    chosen |= (function == codes.EMCY_BASE) & (can_id != codes.EMCY_BASE) & whole
+    rows = np.flatnonzero(
+        ((function == codes.SDO_REQUEST_BASE) | (function == codes.SDO_RESPONSE_BASE)) & whole & (can_id != function)
+    )
+    chosen[rows] = _BEGINS[(function[rows] == codes.SDO_RESPONSE_BASE).astype(np.intp), frames["data"][rows, 0]]
+    looked_at: FrameArray = frames[chosen]
+    return looked_at
 
 
 class DuplicateNodes:
@@ -193,15 +210,17 @@ class DuplicateNodes:
         columns = (chosen[name].tolist() for name in ("t_ns", "can_id", "length"))
         data = chosen["data"].tobytes()
         new = [
-            self.frame(one, data[8 * k : 8 * k + length], t_ns)
-            for k, (t_ns, one, length) in enumerate(zip(*columns, strict=True))
+            self.frame(can_id, data[8 * k : 8 * k + length], t_ns)
+            for k, (t_ns, can_id, length) in enumerate(zip(*columns, strict=True))
         ]
         return [duplicate for duplicate in new if duplicate is not None]
 
     def frame(self, can_id: int, data: bytes, t_ns: int) -> Duplicate | None:
         """Process one frame, ``can_id`` with SocketCAN's flags; return a new finding."""
         function, node_id = can_id & ~codes.NODE_ID_MASK, can_id & codes.NODE_ID_MASK
-        if function not in _SERVICES or (not node_id and can_id != codes.NMT_COB_ID):
+        if not node_id and can_id != codes.NMT_COB_ID:
+            return None
+        if function not in _OF_ANY_LENGTH and (function not in _OF_EIGHT_BYTES or len(data) != 8):
             return None
         with self._lock:
             if not function:
@@ -215,7 +234,7 @@ class DuplicateNodes:
                 cause = self._heartbeat(node_id, node, data[0], t_ns)
             elif function == codes.HEARTBEAT_BASE | codes.REMOTE_FLAG:
                 node.request(_GUARD, 1)
-            elif len(data) == 8:
+            elif function in _OF_EIGHT_BYTES:
                 cause = _service(function, node_id, node, data, t_ns)
             return self._note(node_id, node, cause, t_ns) if cause else None
 
@@ -292,9 +311,9 @@ class DuplicateNodes:
 def _service(function: int, node_id: int, node: _Node, data: bytes, t_ns: int) -> str:
     """Take an SDO frame that begins a transfer, or an EMCY; return the cause of a finding."""
     command, place = data[0], data[1:4]
-    if function == codes.SDO_REQUEST_BASE and (command == 0x40 or command >> 5 == 1):
+    if function == codes.SDO_REQUEST_BASE and _begins(True, command):
         node.request(place)
-    elif function == codes.SDO_RESPONSE_BASE and (command >> 4 == 4 or command in (0x60, 0x80)):
+    elif function == codes.SDO_RESPONSE_BASE and _begins(False, command):
         return f"two nodes respond as node {node_id}" if node.response(place, data, t_ns) else ""
     elif function == codes.EMCY_BASE and int.from_bytes(data[:2], "little") == COB_ID_COLLISION:
         can_id = int.from_bytes(data[3:5], "little")  # of a tipforce node; others may send something else there

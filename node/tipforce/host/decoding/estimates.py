@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -10,42 +11,51 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray, floats
 from tipforce.errors import InputError
+from tipforce.fingertip.application import FROZEN_READINGS
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.measurement_rows import LARGEST_MICROSTRAIN, MODES
-from tipforce.host.configuration.measurements import Measurements
-from tipforce.host.decoding import judged, status_words
-from tipforce.host.decoding.contacts import Contacts, Status
-from tipforce.host.decoding.frozen import frozen_gauges
-from tipforce.host.decoding.tare_age import ages_s, covariance_of_age
+from tipforce.host.configuration.measurements import LARGEST_MICROSTRAIN, MODES, Measurements
+from tipforce.host.decoding import judged
+from tipforce.host.decoding.health import lost_gauges
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
 from tipforce.sensor.calibration.fit import covariance_of_estimate
 from tipforce.sensor.calibration.regressors import tare_groups
 from tipforce.sensor.contact import estimate as model
 from tipforce.sensor.contact import scalar
-from tipforce.sensor.contact.first_order import first_order_holds
+from tipforce.sensor.contact.estimate import first_order_holds
 
 CHUNK = 50_000
 
-BEYOND_FIRST_ORDER, SATURATED, TARE, LEFT_OUT, FROZEN, UNRANGED = 1 << 8, 1 << 9, 1 << 10, 1 << 11, 1 << 16, 1 << 17
-"""Beside the bits of the status byte and bits 12 to 15 of 2124h, in one integer per row."""
-_WORDS = {
-    scalar.CONTACT_PRESENT: "no_contact",  # said where the bit is clear
-    scalar.THETA_UNRESOLVED: "theta_unresolved",
-    scalar.MISSES_TIP: "misses_tip",
-    scalar.OUTSIDE_PAD: "outside_pad",
-    BEYOND_FIRST_ORDER: "beyond_first_order",
-    LEFT_OUT: "gauge_left_out",
-    UNRANGED: "unranged",
-    status_words.BEYOND_CALIBRATED: "beyond_calibrated",
-    status_words.TEMPERATURE: "temperature",
-}
-_UNKNOWN_WORDS = {
-    TARE: "tare",
-    SATURATED: "saturated",
-    FROZEN: "frozen",
-    status_words.OVERLOAD: "overload",
-    status_words.CONTRADICTION: "contradiction",  # where no gauge could be left out
-}
-_NO_VALUE = TARE | SATURATED | FROZEN | status_words.OVERLOAD | status_words.CONTRADICTION
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Contacts:
+    """k samples of one finger; NaN stands for unknown. Uncertainties are standard uncertainties (1 sigma)."""
+
+    P_newtons: FloatArray
+    """(k,) force magnitude."""
+    phi_deg: FloatArray
+    """(k,) force direction, (-180, 180]."""
+    theta_deg: FloatArray
+    """(k,) contact angle."""
+    u_P_newtons: FloatArray
+    u_phi_deg: FloatArray
+    u_theta_deg: FloatArray
+    status: npt.NDArray[np.integer[Any]]
+    """(k,) bits of ``Status``, uint16."""
+
+    def __len__(self) -> int:
+        return len(self.status)
+
+    @property
+    def values(self) -> FloatArray:
+        """(k, 6) the values and their uncertainties, in this order."""
+        names = ("P_newtons", "phi_deg", "theta_deg", "u_P_newtons", "u_phi_deg", "u_theta_deg")
+        return np.stack([getattr(self, name) for name in names], axis=-1)
+
+    def has(self, status: Status) -> npt.NDArray[np.bool_]:
+        """(k,) the samples with any of these bits."""
+        found: npt.NDArray[np.bool_] = (self.status & np.uint16(status)) != 0
+        return found
 
 
 class Tares(NamedTuple):
@@ -57,17 +67,6 @@ class Tares(NamedTuple):
     """(k, n)."""
     readings: FloatArray
     """(k,): how many (weighted) readings each is the mean of."""
-
-
-class Estimates(NamedTuple):
-    """Some rows: values and status."""
-
-    values: FloatArray
-    """(rows, 6): P, phi, theta and their standard uncertainties, newtons and degrees; NaN where unknown."""
-    status: npt.NDArray[np.int64]
-    """(rows,): the status byte's bits 0, 4, 5, 6, and the bits above; bit 12 only where no gauge could be left out."""
-    left_out: IntArray
-    """(rows,): bits of the gauges that the estimate does without."""
 
 
 class Before(NamedTuple):
@@ -111,15 +110,15 @@ def estimates(
         lines = data.line[start : start + CHUNK].tolist()
         for line, values, status in zip(lines, found.values.tolist(), found.status.tolist(), strict=True):
             if status not in words:
-                words[status] = _in_words(status)
+                words[status] = reasons.of_estimate(status)
             yield line, values, words[status]
 
 
-def following(found: Estimates, before: Before) -> Before:
+def following(found: Contacts, before: Before) -> Before:
     """What the last sample leaves for the next; rows without a force leave contact as it was."""
-    sensed = found.status[(found.status & _NO_VALUE) == 0]
+    sensed = found.status[(found.status & reasons.NO_ESTIMATE) == 0]
     present = bool(sensed[-1] & scalar.CONTACT_PRESENT) if sensed.size else before.present
-    overloaded = bool(found.status[-1] & status_words.OVERLOAD) if found.status.size else before.overloaded
+    overloaded = bool(found.status[-1] & reasons.OVERLOAD) if found.status.size else before.overloaded
     return Before(present, overloaded)
 
 
@@ -153,18 +152,34 @@ def estimate(
     data = Measurements(np.arange(len(strain)), strain, None, None, None, None, temperature, None, None, (), ())
     still = frozen_gauges(calibration, data.strain, _weight(data))
     found = estimated(calibration, data, slice(None), None, None, Before(was_present), lost, still)
-    status = (found.status & 0xE0FF | Status.CALIBRATED).astype(np.uint16)
+    status = (found.status & 0xFFFF | Status.CALIBRATED).astype(np.uint16)
     for bits, flag in (
-        (BEYOND_FIRST_ORDER, Status.BEYOND_FIRST_ORDER),
-        (status_words.CONTRADICTION, Status.CONTRADICTION | Status.FAULT),
-        (SATURATED | LEFT_OUT | status_words.OVERLOAD, Status.SATURATED),
-        (LEFT_OUT, Status.LEFT_OUT),
-        (UNRANGED, Status.UNRANGED),
-        (FROZEN, Status.FAULT),
+        (reasons.LEFT_OUT | reasons.OVERLOAD, Status.SATURATED),
+        (reasons.CONTRADICTION | reasons.FROZEN, Status.FAULT),
     ):
         status |= np.where(found.status & bits, np.uint16(flag), np.uint16(0))
-    P, phi, theta, u_P, u_phi, u_theta = found.values.T
-    return Contacts(P, phi, theta, u_P, u_phi, u_theta, status)
+    return replace(found, status=status)
+
+
+def of_samples(
+    calibration: Calibration,
+    columns: Mapping[str, npt.NDArray[Any]],
+    microstrain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    rows: npt.NDArray[np.intp],
+    temperature_degC: FloatArray | None = None,
+    was_present: bool = False,
+) -> tuple[Contacts, BoolArray]:
+    """Contact of some ``rows`` of a node's samples, and which hold: where the node left a gauge out, it must be known.
+
+    ``columns``, ``microstrain`` (k, n), ``status`` and ``temperature_degC`` (k,) are those of all samples.
+    """
+    missing = lost_gauges(columns, microstrain.shape)[rows] | judged.at_end(microstrain[rows])
+    temperature = None if temperature_degC is None else temperature_degC[rows]
+    contacts = estimate(
+        calibration, microstrain[rows], temperature_degC=temperature, lost=missing, was_present=was_present
+    )
+    return contacts, (status[rows] & np.uint16(Status.SATURATED) == 0) | contacts.has(Status.SATURATED)
 
 
 def _of_rows(name: str, values: npt.NDArray[Any], rows: int) -> npt.NDArray[Any]:
@@ -183,9 +198,10 @@ def estimated(
     lost: IntArray | None = None,
     frozen: IntArray | None = None,
     age_s: FloatArray | None = None,
-) -> Estimates:
-    """Estimates of some rows that follow each other; ``before``: what the sample before the first of them left.
+) -> Contacts:
+    """Estimates of some rows that follow each other; their status has ``reasons.FROZEN`` and ``TARE``, too.
 
+    before: what the sample before the first of them left.
     limit: the converter's, strain, beside the calibration's own (2113h); None: that alone. lost: (rows,), bits of
     gauges that something else says have failed; frozen: those that stand still;
     age_s: (rows,), of the tare.
@@ -211,9 +227,9 @@ def estimated(
         pull = np.where(mode < 0, pull, mode == MODES.index("pull"))
     contact, u = _both_senses(F, covariance, pull)
     status = _judged_status(found, data.unloaded[rows], missing, still)
-    counts = (status & _NO_VALUE) == 0
+    counts = (status & reasons.NO_ESTIMATE) == 0
     if not calibration.calibrated_force_newtons > 0.0:
-        status[counts] |= UNRANGED
+        status[counts] |= reasons.UNRANGED
     limits = model.Limits(
         calibration.contact_on_newtons,
         calibration.contact_off_newtons,
@@ -229,8 +245,9 @@ def estimated(
     values[:, [1, 4]] = np.where(known[:, :1], values[:, [1, 4]], np.nan)
     values[:, [2, 5]] = np.where(known[:, 1:], values[:, [2, 5]], np.nan)
     holds = first_order_holds(F, covariance) | ~np.isfinite(values[:, 3:])
-    status[counts & ~holds.all(axis=1)] |= BEYOND_FIRST_ORDER
-    return Estimates(values, status, found.faults & judged.GAUGES)
+    status[counts & ~holds.all(axis=1)] |= reasons.BEYOND_FIRST_ORDER
+    P, phi, theta, u_P, u_phi, u_theta = values.T
+    return Contacts(P, phi, theta, u_P, u_phi, u_theta, status)
 
 
 def _at_limit(calibration: Calibration, strain: FloatArray, limit: float | None) -> IntArray:
@@ -248,13 +265,13 @@ def _at_limit(calibration: Calibration, strain: FloatArray, limit: float | None)
 def _judged_status(found: judged.Judged, unloaded: BoolArray, missing: IntArray, still: IntArray) -> IntArray:
     """The bits that are known before any contact is."""
     known = np.isfinite(found.F_newtons).all(axis=1)
-    contradict = (found.faults & status_words.CONTRADICTION) != 0
-    status = found.faults & (status_words.BEYOND_CALIBRATED | status_words.TEMPERATURE | status_words.OVERLOAD)
-    status |= np.where(contradict & ~known, status_words.CONTRADICTION, 0)
-    status |= np.where(known & ((found.faults & judged.GAUGES) != 0), LEFT_OUT, 0)
+    contradict = (found.faults & reasons.CONTRADICTION) != 0
+    status = found.faults & (reasons.BEYOND_CALIBRATED | reasons.TEMPERATURE | reasons.OVERLOAD)
+    status |= np.where(contradict & ~known, reasons.CONTRADICTION, 0)
+    status |= np.where(known & ((found.faults & judged.GAUGES) != 0), reasons.LEFT_OUT, 0)
     lost = ~known & ~contradict
-    status |= np.where(lost & (missing != 0), SATURATED, np.where(lost & (still != 0), FROZEN, 0))
-    marked: IntArray = np.where(unloaded, TARE, status)
+    status |= np.where(lost & (missing != 0), scalar.SATURATED, np.where(lost & (still != 0), reasons.FROZEN, 0))
+    marked: IntArray = np.where(unloaded, reasons.TARE, status)
     return marked
 
 
@@ -321,9 +338,41 @@ def _weight(data: Measurements) -> FloatArray:
     return np.ones(len(data.line)) if data.weight is None else data.weight
 
 
-def _in_words(status: int) -> str:
-    for bit, word in _UNKNOWN_WORDS.items():
-        if status & bit:
-            return word
-    shown = status ^ scalar.CONTACT_PRESENT
-    return " ".join(word for bit, word in _WORDS.items() if shown & bit) or "ok"
+def frozen_gauges(calibration: Calibration, strain: FloatArray, weight: FloatArray) -> IntArray:
+    """Bits of the gauges that repeat one reading more often than their noise allows, (m,).
+
+    strain: (m, n) in time order, all of a table; weight: (m,), readings that a row averages. The smallest step in the
+    table is its resolution: a gauge with less noise may repeat itself. All rows of a run are marked, the first ones
+    too, which a node cannot know yet. At an end of the converter a gauge is saturated, not frozen.
+    """
+    found = np.zeros(len(strain), dtype=np.int64)
+    steps = np.abs(np.diff(strain, axis=0))
+    moved = steps[steps > 0.0]
+    if len(strain) <= FROZEN_READINGS or not moved.size:
+        return found
+    noise = np.sqrt(np.diagonal(calibration.covariance_strain2) / weight.max())
+    noisy = noise >= moved.min() * (1.0 - 1e-6)
+    for gauge in np.flatnonzero(noisy).tolist():
+        run = np.concatenate(([0], np.cumsum(steps[:, gauge] != 0.0)))
+        found |= np.where(np.bincount(run)[run] > FROZEN_READINGS, 1 << gauge, 0)
+    return found & ~judged.at_end(1e6 * strain)
+
+
+def ages_s(t_s: FloatArray, tared_at_s: FloatArray | None) -> FloatArray:
+    """Seconds of each row, (m,), to the nearest tare (k,); None: since the first row, the first that is known."""
+    if tared_at_s is None:
+        return t_s - t_s[:1]
+    after = np.clip(np.searchsorted(tared_at_s, t_s), 0, len(tared_at_s) - 1)
+    before = np.maximum(after - 1, 0)
+    nearest: FloatArray = np.minimum(np.abs(t_s - tared_at_s[before]), np.abs(t_s - tared_at_s[after]))
+    return nearest
+
+
+def covariance_of_age(calibration: Calibration, matrix: FloatArray, age_s: FloatArray) -> FloatArray:
+    """The covariance (m, 3, 3), N^2, of offsets that have drifted for ``age_s``, each gauge by itself.
+
+    matrix: (m, 3, n), without the gauges left out. The drift rate is the standard deviation of a rate that stays.
+    """
+    drifted = np.square(calibration.tare_drift_strain_per_s * age_s)
+    covariance: FloatArray = drifted[:, np.newaxis, np.newaxis] * (matrix @ matrix.transpose(0, 2, 1))
+    return covariance

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, SYNC_COB_ID
 from tipforce.arrays import IntArray
-from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, SYNC_COB_ID
 from tipforce.dictionary import table
 from tipforce.host.decoding.decoder import Samples
 from tipforce.host.frames.frame_array import FrameArray

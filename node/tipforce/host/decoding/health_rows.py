@@ -8,10 +8,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.arrays import BoolArray, IntArray
-from tipforce.device.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK
+from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK
+from tipforce.arrays import BoolArray, IntArray, occurring
 from tipforce.dictionary.signals import Message, Signal
-from tipforce.host.decoding import status_words
 from tipforce.host.decoding.health import ALL, EMCY_LENGTH, NAMES, Health
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
@@ -23,6 +22,7 @@ from tipforce.host.decoding.sample_table import (
     flag,
     in_order,
 )
+from tipforce.samples import reasons
 
 EMCY, STATE = "emcy", "nmt_state"
 """Columns of the messages below, which become rows of a table until they are joined."""
@@ -79,14 +79,14 @@ class HealthRows:
     @property
     def unseen(self) -> list[tuple[str, int]]:
         """Channel and node-id of the nodes with samples of which nothing told any of bits 12 to 15."""
-        seen = {key for key in self._health.nodes if self._health.now(key)[1] & status_words.JUDGED}
+        seen = {key for key in self._health.nodes if self._health.now(key)[1] & reasons.JUDGED}
         return sorted(place for key, place in self.sampled.items() if key not in seen)
 
     def joined(self, table: Table) -> Table:
         """The table with the columns of 2124h in all rows where they are known, and without rows of other messages."""
         place = self._rows + np.arange(len(table))
         self._rows += len(table)
-        service = self._take(table, place)
+        service = _take(table, place, (self._health,))
         for key in _sampled_keys(table, service):
             self.sampled[key] = table.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
         if self._health.nodes:
@@ -99,13 +99,9 @@ class HealthRows:
         absent = {name: rows for name, rows in found.absent.items() if name in values and rows.any()}
         return replace(found, columns=columns, values=values, absent=absent)
 
-    def _take(self, table: Table, place: IntArray) -> BoolArray:
-        """Take what the rows tell; (k,): the rows of EMCY and heartbeats."""
-        return _take(table, place, (self._health,))
-
     def _with_faults(self, table: Table, place: IntArray) -> Table:
         faults, seen = np.zeros(len(table), dtype=np.int64), np.zeros(len(table), dtype=np.int64)
-        for key in np.unique(table.key).tolist():
+        for key in occurring(table.key):
             rows = np.flatnonzero(table.key == key)
             faults[rows], seen[rows] = self._health.at(key, place[rows])
         some = int(np.bitwise_or.reduce(seen)) if len(seen) else 0
@@ -172,8 +168,7 @@ class HealthChanges:
 
 
 def _sampled_keys(table: Table, service: BoolArray) -> list[int]:
-    keys: list[int] = np.unique(table.key[~service & (table.counter != NO_COUNTER)]).tolist()
-    return keys
+    return occurring(table.key[~service & (table.counter != NO_COUNTER)])
 
 
 def _take(table: Table, place: IntArray, healths: Sequence[Health]) -> BoolArray:

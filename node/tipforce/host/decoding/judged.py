@@ -13,19 +13,16 @@ import numpy.typing as npt
 
 from tipforce.arrays import BoolArray, FloatArray, IntArray
 from tipforce.dictionary import table
+from tipforce.fingertip.judgement import RELEASE, UNSTATED_KELVIN
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.status_words import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
-from tipforce.sensor.contact import scalar_parity, scalar_redundancy
+from tipforce.samples.reasons import BEYOND_CALIBRATED, CONTRADICTION, OVERLOAD, TEMPERATURE
+from tipforce.sensor.contact import scalar_redundancy
 
 GAUGES = (1 << table.FAULT_NO_DATA) - 1
 LARGEST_STRAIN = 0.03
 """Largest strain of a gauge where 2112h:2 is not known: foil gauges break at 0.03 to 0.05, and each material of
 ``tipforce_lab.design.other_bodies`` has yielded before. A larger one is an overload. On the wire 0.0033 is the end."""
-RELEASE = 0.95
-"""Of the overload force: an overload ends below."""
 _END_MICROSTRAIN = 3276.65  # a gauge at the end of its converter reads 32767 x 0.1 microstrain
-UNSTATED_KELVIN = 10.0
-"""Standard uncertainty of a temperature that nothing tells."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -195,10 +192,10 @@ class Judge:
         kept = [k for k in range(n) if not mask >> k & 1]
         if not limit > 0.0 or len(kept) < 4:
             return None
-        W = scalar_parity.directions(self._C, self._noise, kept)
+        W = scalar_redundancy.directions(self._C, self._noise, kept)
         if W is None:
             return None
-        shown = np.array([column is not None for column in scalar_parity.columns(W, self._noise)])
+        shown = np.array([column is not None for column in scalar_redundancy.columns(W, self._noise)])
         alarm = limit if len(kept) == n else scalar_redundancy.same_rate(limit, n - 3, len(W))
         exclusion = scalar_redundancy.same_rate(limit, n - 3, len(W) - 1)
         return Check(np.array(W), shown, alarm, exclusion)
@@ -283,7 +280,7 @@ def magnitude(F: FloatArray) -> FloatArray:
 
 
 def _faults(W: FloatArray, shown: BoolArray, V: FloatArray, extra: FloatArray, factor: FloatArray) -> _Faults:
-    """scalar_parity.judge() for m samples."""
+    """scalar_redundancy.judge() for m samples."""
     p = V @ W.T
     m, n = V.shape
     columns = np.broadcast_to(W, (m, *W.shape))
@@ -301,12 +298,12 @@ def _faults(W: FloatArray, shown: BoolArray, V: FloatArray, extra: FloatArray, f
 
 
 def _doubt(matrix: FloatArray, variance: FloatArray, found: _Faults, rows: BoolArray, factor: FloatArray) -> FloatArray:
-    """scalar_parity.doubt() for m samples: (m, 3, 3), N^2."""
+    """scalar_redundancy.doubt() for m samples: (m, 3, 3), N^2."""
     explained, visible = found.explained[rows], found.visible[rows]
-    shown = visible * variance * factor[:, np.newaxis] >= scalar_parity.LEAST_SHARE
+    shown = visible * variance * factor[:, np.newaxis] >= scalar_redundancy.LEAST_SHARE
     most = np.where(shown, explained, 0.0).max(axis=1, keepdims=True)
     likelihood = np.exp(0.5 * np.where(shown, explained - most, -np.inf))
-    total = scalar_parity.NO_FAULT * np.exp(-0.5 * most) + likelihood.sum(axis=1, keepdims=True)
+    total = scalar_redundancy.NO_FAULT * np.exp(-0.5 * most) + likelihood.sum(axis=1, keepdims=True)
     squared = np.divide(likelihood / total * explained, visible, out=np.zeros_like(visible), where=shown)
     added: FloatArray = (matrix * squared[:, np.newaxis, :]) @ matrix.T
     return added

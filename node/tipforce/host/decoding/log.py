@@ -14,14 +14,15 @@ import numpy.typing as npt
 from tipforce.dictionary import table
 from tipforce.errors import InputError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding import judged, status_words
-from tipforce.host.decoding.contacts import Contacts, Status, contact_values, status_of, uncertainties
-from tipforce.host.decoding.decoded_pdos import Layouts
-from tipforce.host.decoding.estimates import estimate
-from tipforce.host.decoding.health import lost_gauges
+from tipforce.host.decoding import judged
+from tipforce.host.decoding.estimates import Contacts, of_samples
 from tipforce.host.decoding.log_part import Reading
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.recording import Recording
 from tipforce.host.decoding.sample_table import NODE_BITS, Column, Table, missing_of
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
+from tipforce.samples.record import Samples
 
 _log = logging.getLogger(__name__)
 FloatArray = npt.NDArray[np.float64]
@@ -93,6 +94,8 @@ def read_log(
     Raises InputError for a log that can't be read or has no frame, an unknown channel, one node on two buses, and a
     calibration with other gauges.
     """
+    from tipforce.host.dataset.reader import tables_of_logs  # its import costs time
+
     names = [fspath(path)] if isinstance(path, str | PathLike) else [fspath(one) for one in path]
     given: dict[int | None, Calibration] = {}
     if isinstance(calibration, Mapping):
@@ -101,7 +104,7 @@ def read_log(
         given[None] = calibration
     n = _gauges({one.gauges for one in given.values()} | ({gauges} if gauges else set()))
     recording = Recording(Reading(Layouts(n), buses=None if channel is None else (channel,), strict=strict))
-    tables = list(recording.tables_of_logs(names))
+    tables = list(tables_of_logs(recording, names))
     told = recording.told
     if not any(notes.frames for notes in told.notes):
         first = next((notes.first_bad for notes in told.notes if notes.first_bad), "")
@@ -119,7 +122,7 @@ def read_log(
     lost = dict.fromkeys(nodes, 0) | {node: count for (_, node), count in told.tally.lost().items()}
     unseen = [node for _, node in told.unseen if node not in given and None not in given]
     if unseen:
-        _log.warning("%s: %s", ", ".join(names), status_words.not_seen(unseen))
+        _log.warning("%s: %s", ", ".join(names), reasons.not_seen(unseen))
     return Log(nodes, lost, sum(sum(notes.bad.values()) for notes in told.notes), unseen)
 
 
@@ -134,39 +137,31 @@ def _node_log(node_id: int, tables: list[Table], n: int, given: Mapping[int | No
     of_signal = {column.signal: column for one in tables for column in one.columns}
     columns = {name: _column(tables, column) for name, column in of_signal.items()}
     t_ns = np.concatenate([one.t_ns for one in tables])
-    k = len(t_ns)
-    strain = _stacked(columns, [f"SG{gauge + 1}" for gauge in range(n)], k)
-    force = _stacked(columns, ["F1", "F2", "F3"], k)
-    status = status_of(columns, (k,))
+    counter = np.concatenate([one.counter for one in tables])
+    unknown = np.full(len(t_ns), np.nan)
+    columns = {f"SG{gauge + 1}": unknown for gauge in range(n)} | columns
     calibration = given.get(node_id, given.get(None))
-    values = contact_values(columns, strain * 1e-6, status, calibration)
-    u = uncertainties(values[:, np.newaxis], [calibration])[:, 0]
+    samples = Samples(
+        t_ns, np.full(len(t_ns), node_id, dtype=np.uint8), counter, columns, gauges=n,
+        calibrations={node_id: calibration}, fingers=(node_id,),
+    )  # fmt: skip
+    strain, status = samples.gauges, samples.status
+    values = np.concatenate((samples.contact, samples.uncertainties), axis=1)
     if calibration is not None:
-        lost = lost_gauges(columns, strain.shape)
         rows = np.flatnonzero(np.isfinite(strain).all(axis=1) & (status & _NOT_USABLE == 0))
-        temperature = judged.last_known(columns["temperature"])[rows] if "temperature" in columns else None
-        missing = lost[rows] | judged.at_end(strain[rows])
-        found = estimate(calibration, strain[rows], temperature_degC=temperature, lost=missing)
-        # The node left a gauge out and nothing says which: only the node's own contact holds.
-        hidden = (status[rows] & np.uint16(Status.SATURATED) != 0) & ~found.has(Status.SATURATED)
-        estimated = rows[~hidden]
-        values[estimated] = np.stack([found.P_newtons, found.phi_deg, found.theta_deg], axis=-1)[~hidden]
-        u[estimated] = np.stack([found.u_P_newtons, found.u_phi_deg, found.u_theta_deg], axis=-1)[~hidden]
-        status[estimated] = found.status[~hidden]
-    names = {"P", "phi", "theta", "F1", "F2", "F3", *(f"SG{gauge + 1}" for gauge in range(n))}
+        temperature = judged.last_known(columns["temperature"]) if "temperature" in columns else None
+        contacts, holds = of_samples(calibration, columns, strain, status, rows, temperature)
+        values[rows[holds]], status[rows[holds]] = contacts.values[holds], contacts.status[holds]
     spared = (status & np.uint16(Status.SATURATED) != 0) & np.isfinite(values[:, 0])
     status |= np.where(spared, np.uint16(Status.LEFT_OUT), np.uint16(0))  # the gauges left give the force
+    forces = ("F1", "F2", "F3")
+    F_newtons = np.stack([columns.get(name, unknown) for name in forces], axis=-1).astype(np.float64)
+    names = {"P", "phi", "theta", *forces, *(f"SG{gauge + 1}" for gauge in range(n))}
     others = {name: column for name, column in columns.items() if name not in names}
-    counter = np.concatenate([one.counter for one in tables])
-    (P, phi, theta), (u_P, u_phi, u_theta) = values.T, u.T
-    return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_ns * 1e-9, counter, strain, force, others)
+    P, phi, theta, u_P, u_phi, u_theta = values.T
+    return NodeLog(P, phi, theta, u_P, u_phi, u_theta, status, node_id, t_ns * 1e-9, counter, strain, F_newtons, others)
 
 
 def _column(tables: list[Table], column: Column) -> npt.NDArray[Any]:
     parts = [one.values[column.name] if column.name in one.values else missing_of(column, len(one)) for one in tables]
     return np.concatenate(parts)
-
-
-def _stacked(columns: Mapping[str, npt.NDArray[Any]], names: list[str], k: int) -> FloatArray:
-    missing = np.full(k, np.nan)
-    return np.stack([columns.get(name, missing) for name in names], axis=-1).astype(np.float64)

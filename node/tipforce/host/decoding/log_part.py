@@ -9,9 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from tipforce.errors import InputError
-from tipforce.host.decoding.decoded_pdos import Layouts
 from tipforce.host.decoding.decoder import Decoder
 from tipforce.host.decoding.health_rows import joins, with_services
+from tipforce.host.decoding.pdo_layout import Layouts
 from tipforce.host.decoding.services import BusEvents
 from tipforce.host.frames.frame_array import FrameArray
 from tipforce.host.logs.candump import BadLine
@@ -140,7 +140,7 @@ class Source:
                     self.notes.frames += len(block)
                     frames = self._chosen(block)
                     if self._progress is not None:
-                        self._progress(_position(log))
+                        self._progress(log.position)
                     if len(frames):
                         self.notes.events.add(frames, log.channels)
                         yield frames
@@ -185,27 +185,3 @@ class Source:
         if end is not None:
             keep &= block["t_ns"] < end.ns + (self._origin if end.relative else 0)
         return block[keep]
-
-
-def _position(log: LogReader) -> int:
-    lines = getattr(log, "_lines", None)
-    file = getattr(lines, "_file", None)
-    try:
-        return int(file.tell()) if file is not None else 0
-    except (OSError, ValueError):
-        return 0
-
-
-def start_of(name: str) -> int | None:
-    """Return the time of the first frame of a log; None if it has none. Raises InputError if it cannot be opened.
-
-    Of a dataset it is the time of the first row.
-    """
-    from tipforce.host.dataset.manifest import is_dataset
-
-    if is_dataset(name):
-        from tipforce.host.dataset import reader
-
-        return reader.first_ns(reader.opened(name)[1])
-    with open_log(name) as log:
-        return next((int(block["t_ns"][0]) for block in log), None)

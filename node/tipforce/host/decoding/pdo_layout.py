@@ -4,25 +4,31 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeAlias
 
-from tipforce.device import communication
-from tipforce.device.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
+import numpy as np
+
+from canopen_device.core import communication
+from canopen_device.core.codes import COB_ID_INVALID, EXTENDED_FLAG, EXTENDED_MASK
+from canopen_device.eds.sections import EdsFile
 from tipforce.dictionary import table
-from tipforce.dictionary.rows import gauges_of
+from tipforce.dictionary.entries import gauges_of
 from tipforce.dictionary.signals import Message, Signal, tpdo_messages
-from tipforce.eds.sections import EdsFile, read
 from tipforce.errors import InputError
 from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health_rows import SERVICES
 from tipforce.host.decoding.plan import MAX_COB_ID, Key
+from tipforce.host.frames.frame_array import FRAME
 
 if TYPE_CHECKING:
     from cantools.database.can import Message as DbcMessage
     from cantools.database.can import Signal as DbcSignal
 
+    from canopen_device.eds.sections import EdsFile
     from tipforce.host.network.sdo import SdoChannel
+
 
 _OUR_NAME = re.compile(r"TIP(\d+)_(\w+)")
 _UNKNOWN = "unknown"
@@ -39,26 +45,15 @@ class NodeLayout:
 
 
 def layout_decoder(layouts: Iterable[NodeLayout]) -> Decoder:
-    """Return a decoder of only these nodes.
-
-    Raises InputError for a repeated node-id, different numbers of gauges, and layouts that ``Decoder.remap`` rejects.
-    """
+    """Return a decoder of only these nodes. Raises InputError as ``with_layouts`` and ``Decoder.remap``."""
     given = list(layouts)
-    nodes = {layout.node_id for layout in given}
-    if len(nodes) < len(given):
-        raise InputError(f"node-ids {[layout.node_id for layout in given]}: each node has one layout")
-    gauges = {layout.gauges for layout in given} or {table.MIN_GAUGES}
-    if len(gauges) > 1:
-        raise InputError(f"nodes with {sorted(gauges)} gauges: one decoder needs nodes with the same number")
-    decoder = Decoder(gauges.pop(), nodes)
-    for layout in given:
-        for name, (can_id, mapping) in layout.pdos.items():
-            decoder.remap(layout.node_id, name, can_id, mapping)
-    return decoder
+    return with_layouts(Layouts(nodes=tuple(layout.node_id for layout in given)), given).decoder()
 
 
 def dcf_layout(path: str | Path, node_id: int | None = None) -> NodeLayout:
     """Return the layout in a DCF (or an EDS, with ``node_id``). Raises InputError for a file without one."""
+    from canopen_device.eds.reader import read
+
     found = read(path)
     section = found.sections.get("devicecomissioning")  # this is the spelling of CiA 306
     text = section.get("NodeID") if section is not None else None
@@ -177,3 +172,80 @@ def _dbc_signal(path: str | Path, message: DbcMessage, signal: DbcSignal) -> Sig
         float(signal.minimum or 0), float(signal.maximum or 0), int(unknown[0]) if unknown else None,
         signal.comment or "", 0, 0, signal.is_float, float(signal.offset), big_endian,
     )  # fmt: skip
+
+
+EdsFiles: TypeAlias = tuple[tuple[int, str], ...]
+"""Of devices of any manufacturer: (node-id, EDS or DCF)."""
+
+_SUFFIXES = ("_N", "_deg", "_ue", "_degC")
+
+
+@dataclass(frozen=True, slots=True)
+class Layouts:
+    """A description that can be sent to another process. ``nodes`` None means all of them.
+
+    ``pdos``: by node-id the PDOs that differ from the default, as (message name, can_id, mapping). ``eds``: (node-id,
+    EDS or DCF) of devices of any manufacturer; then only their PDOs are decoded.
+    """
+
+    gauges: int = 3
+    nodes: tuple[int, ...] | None = None
+    dbc: str | None = None
+    pdos: tuple[tuple[int, tuple[tuple[str, int, tuple[tuple[int, int, int], ...]], ...]], ...] = ()
+    eds: EdsFiles = ()
+
+    def decoder(self, services: bool = False) -> Decoder:
+        """Return a separate decoder for each bus. Raises InputError for incompatible layouts.
+
+        ``services``: of EMCY and heartbeats too (health_rows), except for a DBC.
+        """
+        if self.dbc is not None:
+            wanted = None if self.nodes is None else {*self.nodes}
+            found = dbc_messages(self.dbc)
+            return Decoder.of_messages({k: v for k, v in found.items() if wanted is None or k[0] in wanted})
+        if self.eds:
+            from tipforce.host.decoding.eds_decoder import EdsDecoder
+
+            return EdsDecoder((node, path) for node, path in self.eds if self.nodes is None or node in self.nodes)
+        nodes = range(1, 128) if self.nodes is None else self.nodes
+        decoder = Decoder(self.gauges, nodes)
+        for message in SERVICES if services else ():
+            decoder.add(message, nodes)
+        for node, pdos in self.pdos:
+            if self.nodes is None or node in self.nodes:
+                for name, can_id, mapping in pdos:
+                    decoder.remap(node, name, can_id, mapping)
+        return decoder
+
+
+def with_layouts(layouts: Layouts, nodes: Iterable[NodeLayout]) -> Layouts:
+    """Use the PDOs of these nodes. Raises InputError for a repeated node-id, and for different numbers of gauges."""
+    given = list(nodes)
+    ids, gauges = [layout.node_id for layout in given], {layout.gauges for layout in given}
+    if len(set(ids)) < len(ids):
+        raise InputError(f"node-ids {ids}: each node has one layout")
+    if len(gauges) > 1:
+        raise InputError(f"nodes with {sorted(gauges)} gauges: one decode needs nodes with the same number")
+    pdos = tuple((n.node_id, tuple((name, i, mapping) for name, (i, mapping) in n.pdos.items())) for n in given)
+    return replace(layouts, gauges=gauges.pop() if gauges else layouts.gauges, pdos=layouts.pdos + pdos)
+
+
+def signals_named(decoder: Decoder, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the signals for some names: `P` and `P_N` are the same. Raises InputError for an unknown name."""
+    found = []
+    for name in names:
+        bare = next((name.removesuffix(suffix) for suffix in _SUFFIXES if name.endswith(suffix)), name)
+        signal = name if bare == name or has_signal(decoder, name) else bare
+        if signal not in found:
+            found.append(signal)
+    decoder.decode(np.zeros(0, dtype=FRAME), found)
+    return tuple(found)
+
+
+def has_signal(decoder: Decoder, name: str) -> bool:
+    """Return whether any message of the decoder has a signal."""
+    try:
+        decoder.decode(np.zeros(0, dtype=FRAME), [name])
+    except InputError:
+        return False
+    return True

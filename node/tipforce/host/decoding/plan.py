@@ -4,15 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import STANDARD_MASK
+from canopen_device.core.codes import STANDARD_MASK
 from tipforce.dictionary.signals import Message, Signal
 from tipforce.errors import InputError
-from tipforce.host.decoding.packed_rows import PackRow, packed_row
+from tipforce.host.decoding.columns import PackRow, packed_row
 
 MAX_COB_ID = STANDARD_MASK
 
@@ -29,7 +30,7 @@ class Group:
     node_ids: tuple[int, ...]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Plan:
     """Slots of the identifiers, for one set of signals. A slot is one message of one node; slot 0 is ignored."""
 
@@ -38,8 +39,19 @@ class Plan:
     extended_slots: npt.NDArray[np.uint16]  # (e,)
     length_of_slot: npt.NDArray[np.uint8]  # (slots + 1,), bytes
     keys: tuple[Key, ...]  # of slot 1, 2, ...
+    can_ids: tuple[int, ...]  # the same
     groups: tuple[Group, ...]
-    few: dict[int, Few]  # by identifier
+
+    @cached_property
+    def few(self) -> dict[int, Few]:
+        """By identifier what decodes single frames, which is compiled for the first of them."""
+        found = {}
+        for group in self.groups:
+            names, (pack, dtype) = tuple(signal.name for signal in group.signals), packed_row(group.signals)
+            for slot in range(group.first, group.first + len(group.node_ids)):
+                few = Few(slot, self.keys[slot - 1], group.message, names, pack, dtype)
+                found[self.can_ids[slot - 1]] = few
+        return found
 
 
 class Few(NamedTuple):
@@ -72,25 +84,24 @@ def make_plan(
     groups: list[Group] = []
     slot_of_id = np.zeros(MAX_COB_ID + 2, dtype=np.uint16)
     extended: dict[int, int] = {}
-    lengths, keys = [0], list[Key]()
-    few: dict[int, Few] = {}
+    lengths, keys, can_ids = [0], list[Key](), list[int]()
     for message, members in layouts.values():
         signals = tuple(signal for signal in message.signals if wanted is None or signal.name in wanted)
         if not signals:
             continue
-        names, (pack, dtype) = tuple(signal.name for signal in signals), packed_row(signals)
         groups.append(Group(message, signals, len(lengths), tuple(node_id for node_id, _ in members)))
         for node_id, can_id in members:
-            few[can_id] = Few(len(lengths), (node_id, message.name), message, names, pack, dtype)
             if can_id <= MAX_COB_ID:
                 slot_of_id[can_id] = len(lengths)
             else:
                 extended[can_id] = len(lengths)
             lengths.append(message.length_bytes)
             keys.append((node_id, message.name))
+            can_ids.append(can_id)
     ids = np.array(sorted(extended), dtype=np.uint32)
     slots = np.array([extended[can_id] for can_id in ids.tolist()], dtype=np.uint16)
-    return Plan(slot_of_id, ids, slots, np.array(lengths, dtype=np.uint8), tuple(keys), tuple(groups), few)
+    lengths_of = np.array(lengths, dtype=np.uint8)
+    return Plan(slot_of_id, ids, slots, lengths_of, tuple(keys), tuple(can_ids), tuple(groups))
 
 
 def slots_of(plan: Plan, can_id: npt.NDArray[np.uint32]) -> npt.NDArray[np.uint16]:

@@ -4,21 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import InputError
-from tipforce.host.decoding.counters import Counters
-from tipforce.host.decoding.decoded_part import Ends, Start
+from tipforce.host.decoding.counters import Counters, Tally, TallyRow
 from tipforce.host.decoding.health_rows import HealthRows, joins
 from tipforce.host.decoding.log_part import Notes, Piece, Progress, Reading, Source, StrictError, numbered_from
 from tipforce.host.decoding.sample_merger import SampleMerger
 from tipforce.host.decoding.sample_table import NODE_BITS, Table
 from tipforce.host.decoding.services import BusEvent, BusEvents
 from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
-from tipforce.host.decoding.tally import Tally, TallyRow
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
+
+if TYPE_CHECKING:
+    from tipforce.host.decoding.decoded_part import Ends, Start
 
 Tap = Callable[[FrameArray, Sequence[str]], None]
 """Takes FRAME (n,) and the interfaces by number."""
@@ -65,7 +67,7 @@ class Recording:
 
     def __init__(self, reading: Reading, state: State | None = None) -> None:
         """``state`` as ``state()`` returned it after the parts in front."""
-        self._reading = reading
+        self.reading = reading
         self.channels: list[str] = []
         self.told = Told(Tally(), [])
         self._counters, self._health = Counters(), HealthRows(reading.signals)
@@ -78,7 +80,7 @@ class Recording:
         for one in notes:
             self._take_notes(one)
         self._set(state)
-        if joins(self._reading.signals):
+        if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
     def _set(self, state: State) -> None:
@@ -87,7 +89,7 @@ class Recording:
         merger.timed, merger.sync = state.timed, SyncModulus(state.syncs)
         held: FrameArray = np.frombuffer(state.held, dtype=FRAME).copy()
         merger.hold(held, np.array(state.held_number, dtype=np.int64))
-        self._counters, self._health = Counters(state.counters), HealthRows(self._reading.signals, state.health)
+        self._counters, self._health = Counters(state.counters), HealthRows(self.reading.signals, state.health)
         for key in state.sampled:
             self._health.sampled[key] = self.channels[key >> NODE_BITS], key & ((1 << NODE_BITS) - 1)
         bus = self.told.bus
@@ -109,39 +111,11 @@ class Recording:
             [(*place, crc) for place, crc in bus.calibrations.items()],
         )  # fmt: skip
 
-    def tables_of_logs(
-        self, names: Iterable[str], progress: Progress | None = None, tap: Tap | None = None
-    ) -> Iterator[Table]:
-        """Read logs in this process as if they were one; a dataset gives the rows that it has.
-
-        ``tap`` gets the selected frames before their samples.
-        """
-        from tipforce.host.dataset.manifest import is_dataset
-        from tipforce.host.dataset.store import local_copy
-
-        for name in names:
-            if is_dataset(name):
-                yield from self._tables_of_dataset(name)
-            else:
-                yield from self.tables_of_piece(Piece(local_copy(name)), progress, tap)
-        yield from self.finish()
-
-    def _tables_of_dataset(self, name: str) -> Iterator[Table]:
-        """Read what was decoded before, and what it tells."""
-        from tipforce.host.dataset import reader
-
-        _, manifest = reader.opened(name)
-        self.told.notes.append(reader.notes(name, manifest))
-        self.told.tally.append(reader.tally(manifest))
-        for table in reader.tables(name, self._reading):
-            self._numbers(table.channels)
-            yield table
-
     def tables_of_piece(
         self, piece: Piece, progress: Progress | None = None, tap: Tap | None = None
     ) -> Iterator[Table]:
         """Read the next log, or part of one, in this process. Raises InputError, StrictError."""
-        source = Source(piece, self._reading, progress)
+        source = Source(piece, self.reading, progress)
         before = self._merger.timed or not source.notes.goes_on
         try:
             for block in source:
@@ -166,7 +140,7 @@ class Recording:
         """Yield the rows that are still open: the recording ends."""
         yield from self._flush()
         self._take_tally()
-        if joins(self._reading.signals):
+        if joins(self.reading.signals):
             self.told.unseen = self._health.unseen
 
     def follow(self, ends: Ends, *, last: bool = False) -> Start | None:
@@ -175,9 +149,11 @@ class Recording:
         None, without a change, for a part that must be decoded after the ones in front: by ``tables_of_piece`` of a
         recording with the present ``state``. ``last``: the recording ends with this part.
         """
+        from tipforce.host.decoding.decoded_part import Start  # not where one process reads the logs
+
         if not ends.separable or ends.head is None or ends.tail is None or not self._fits(ends):
             return None
-        numbers = self._numbers(ends.channels).tolist()
+        numbers = self.numbers_of(ends.channels).tolist()
         merger, counted = self._merger, len(self.told.bus.found)
         merger.timed = timed = merger.timed or not ends.notes.goes_on
         seen, _ = ends.looked[0]
@@ -189,7 +165,7 @@ class Recording:
         )
         for seen, _ in ends.looked[1:]:
             self._look(seen, numbers)
-        self._counters.skip(ends.counters, numbers)
+        self._counters.skip(*ends.counters, numbers)
         self._health.skip(ends.health, ends.sampled, numbers, self.channels)
         self._take_tally()
         self.told.tally.append(ends.tally)
@@ -202,7 +178,7 @@ class Recording:
 
     def _fits(self, ends: Ends) -> bool:
         """Return whether the part has found the same moduli of counters as it does after the parts in front."""
-        numbers = self._numbers(ends.channels).tolist()
+        numbers = self.numbers_of(ends.channels).tolist()
         here = SyncModulus(self._merger.sync.state)
         for seen in ends.looked[0][0]:
             if (here.of.get(numbers[seen.channel], SAMPLES) != SAMPLES) != seen.numbered:
@@ -241,7 +217,8 @@ class Recording:
         else:
             self.told.notes.append(notes)
 
-    def _numbers(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
+    def numbers_of(self, names: Iterable[str]) -> npt.NDArray[np.uint8]:
+        """Return the numbers of interfaces; new ones are added. Raises InputError for too many."""
         for name in names:
             if name not in self.channels:
                 self.channels.append(name)
@@ -251,7 +228,7 @@ class Recording:
 
     def _numbered(self, frames: FrameArray, names: Iterable[str]) -> FrameArray:
         """Return the frames with the channel numbers of the whole recording."""
-        numbers = self._numbers(list(names))
+        numbers = self.numbers_of(list(names))
         if not len(frames) or (numbers == np.arange(len(numbers))).all():
             return frames
         frames = frames.copy()

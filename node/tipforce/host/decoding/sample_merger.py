@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.decoding.decoded_pdos import COUNTER, has_signal
+from tipforce.arrays import occurring
+from tipforce.host.decoding.counters import COUNTER, Tally, is_cyclic
 from tipforce.host.decoding.decoder import Change, Decoder, Samples
+from tipforce.host.decoding.pdo_layout import has_signal
 from tipforce.host.decoding.plan import Key
-from tipforce.host.decoding.sample_rows import Frames, IntArray, Runs, certain_from, open_from, row_numbers, runs
 from tipforce.host.decoding.sample_table import (
     NO_COUNTER,
     NODE_BITS,
@@ -23,10 +25,130 @@ from tipforce.host.decoding.sample_table import (
     missing_of,
 )
 from tipforce.host.decoding.sync_modulus import SAMPLES, SyncModulus, Syncs
-from tipforce.host.decoding.tally import Tally
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 
-_LAST_CYCLIC_TYPE = 240  # CiA 301, table 72: up to this type a PDO follows SYNC
+IntArray = npt.NDArray[np.intp]
+
+GAP_NS = 200_000_000
+"""PDOs of a node further apart belong to different samples: 15 nodes with 4 PDOs at 50 kbit/s fit in this time."""
+GAP_FRAMES = 8192
+"""The same in decoded frames, which also works for logs without times."""
+
+
+class Frames(NamedTuple):
+    """Decoded frames in order of arrival, (k,) each."""
+
+    number: npt.NDArray[np.int64]  # of the decoded frame, over the whole recording
+    t_ns: npt.NDArray[np.int64]
+    key: npt.NDArray[np.uint16]  # channel and node
+    message: npt.NDArray[np.uint8]  # ascending in the order in which a node sends its PDOs
+    counter: npt.NDArray[np.int16]  # NO_COUNTER if the message has none
+    cyclic: npt.NDArray[np.bool_]  # the PDO follows SYNC
+
+
+class Runs(NamedTuple):
+    """``start`` (k,): index of the first frame of each frame's row. ``order``: frames by key, stable."""
+
+    start: IntArray
+    order: IntArray
+    cyclic: IntArray  # indices of frames that follow SYNC and have a counter, by key
+
+
+def runs(frames: Frames) -> Runs:
+    """Group frames into rows.
+
+    A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a cyclic frame
+    continues the row of the node's previous frame if the counter is the same, the PDO a later one and the gap
+    small. An event-driven PDO carries the counter of the last latch: it joins the node's last row if that has the
+    same counter, and no PDO of its kind yet. Every other frame starts its own row. The rule uses only pairs of frames,
+    so the result does not depend on how a log is split into blocks.
+    """
+    order: IntArray = np.argsort(frames.key, kind="stable")
+    start = np.arange(len(order))
+    steady = bool((frames.cyclic & (frames.counter != NO_COUNTER)).all())
+    chosen = order if steady else order[(frames.cyclic & (frames.counter != NO_COUNTER))[order]]
+    if len(chosen):
+        goes_on = _goes_on(frames, chosen)
+        first = np.arange(len(chosen))
+        first[1:][goes_on] = 0
+        start[chosen] = chosen[np.maximum.accumulate(first)]
+    if not steady and len(chosen):
+        _join_events(frames, order, chosen, start)
+    return Runs(start, order, chosen)
+
+
+def _goes_on(frames: Frames, chosen: IntArray) -> npt.NDArray[np.bool_]:
+    """Return whether each chosen frame but the first belongs to the sample of the previous one."""
+    word = frames.key.astype(np.uint32) << 16
+    word |= frames.counter.view(np.uint16).astype(np.uint32) << 8 & 0xFF00
+    word |= frames.message
+    word, t_ns, number = word[chosen], frames.t_ns[chosen], frames.number[chosen]
+    goes_on = word[1:] ^ word[:-1] < 256
+    goes_on &= word[1:] > word[:-1]
+    goes_on &= np.abs(np.diff(t_ns)) <= GAP_NS
+    goes_on &= np.diff(number) <= GAP_FRAMES
+    return np.asarray(goes_on)
+
+
+def _same_sample(frames: Frames, before: IntArray, after: IntArray) -> npt.NDArray[np.bool_]:
+    same = frames.key[before] == frames.key[after]
+    same &= frames.counter[before] == frames.counter[after]
+    same &= np.abs(frames.t_ns[after] - frames.t_ns[before]) <= GAP_NS
+    same &= frames.number[after] - frames.number[before] <= GAP_FRAMES
+    return np.asarray(same)
+
+
+def _join_events(frames: Frames, order: IntArray, cyclic: IntArray, start: IntArray) -> None:
+    place = np.empty(len(order), dtype=np.intp)
+    place[order] = np.arange(len(order))
+    event = order[(~frames.cyclic & (frames.counter != NO_COUNTER))[order]]
+    before = np.searchsorted(place[cyclic], place[event]) - 1
+    event, before = event[before >= 0], before[before >= 0]
+    joins = _same_sample(frames, cyclic[before], event)
+    event, row = event[joins], start[cyclic[before[joins]]]
+    _, first = np.unique(row * 256 + frames.message[event], return_index=True)
+    start[event[first]] = row[first]
+
+
+def open_from(frames: Frames, found: Runs) -> int:
+    """Return the index of the first row that a later frame may join; the number of frames if there is none."""
+    count = len(frames.key)
+    if not len(found.cyclic):
+        return count
+    of_key = frames.key[found.cyclic]
+    last = found.cyclic[np.flatnonzero(np.append(of_key[1:] != of_key[:-1], True))]
+    near = frames.t_ns[-1] - frames.t_ns[last] <= GAP_NS
+    near &= frames.number[-1] - frames.number[last] < GAP_FRAMES
+    return int(found.start[last[near]].min(initial=count))
+
+
+def certain_from(frames: Frames, found: Runs) -> int:
+    """Return the index from which no row depends on frames before the first; the number of frames if there is none."""
+    early = frames.t_ns - frames.t_ns[0] <= GAP_NS
+    early &= frames.number - frames.number[0] <= GAP_FRAMES
+    uncertain = -1
+    order, key = found.order, frames.key[found.order]
+    for nodes in np.split(order, np.flatnonzero(key[1:] != key[:-1]) + 1):
+        cyclic = nodes[frames.cyclic[nodes] & (frames.counter[nodes] != NO_COUNTER)]
+        if not early[nodes[0]]:
+            continue
+        first = cyclic[0] if len(cyclic) else nodes[-1]
+        waiting = nodes[(found.start[nodes] == first) | (nodes < first)]
+        uncertain = max(uncertain, int(waiting[early[waiting]].max(initial=-1)))
+    return uncertain + 1
+
+
+def row_numbers(start: IntArray, end: int) -> tuple[IntArray, IntArray]:
+    """Return (first, row): index of the first frame of each row that starts before ``end``; each frame's row number."""
+    is_first = start == np.arange(len(start))
+    row: IntArray = (np.cumsum(is_first) - 1)[start]
+    return np.flatnonzero(is_first[:end]), row
+
+
+def joined(*parts: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Return the concatenated arrays, without a copy if there is only one."""
+    return parts[0] if len(parts) == 1 else np.concatenate(parts)
+
 
 _PLAIN = f"V{FRAME.itemsize}"  # copied as a whole, not field by field
 Looked = tuple[list[Syncs], dict[int, int]]
@@ -94,7 +216,7 @@ class SampleMerger:
     def _changes(self, frames: FrameArray) -> list[tuple[int, Decoder, Change]]:
         """Return the changes of all channels by their row."""
         found: list[tuple[int, Decoder, Change]] = []
-        for number in np.unique(frames["channel"]).tolist() if self._follows else ():
+        for number in occurring(frames["channel"]) if self._follows else ():
             rows = np.flatnonzero(frames["channel"] == number)
             decoder = self._decoder(number)
             found += [(int(rows[one.row - 1]) + 1, decoder, one) for one in decoder.changes(frames[rows])]
@@ -165,7 +287,7 @@ class SampleMerger:
         if low == high:
             return [(low, samples) for samples in self._of_channel(low, block).values()]
         found: _Found = []
-        for number in np.unique(channel).tolist():
+        for number in occurring(channel):
             rows = np.flatnonzero(channel == number)
             for samples in self._of_channel(number, block[rows]).values():
                 whole = Samples(samples.node_id, samples.message, samples.t_ns, rows[samples.row], samples.columns)
@@ -202,9 +324,7 @@ class SampleMerger:
             if index[-1] >= end:
                 kept = _inside(sorted_out.start[index] < end)
                 index = index[kept]
-            self.tally.add(
-                self.channels[channel], samples, kept, _is_cyclic(samples), self.sync.of.get(channel, SAMPLES)
-            )
+            self.tally.add(self.channels[channel], samples, self.sync.of.get(channel, SAMPLES), kept)
             by_message.setdefault(samples.message.name, []).append((row_of_frame[index], samples, kept))
         values, absent = self._values(by_message, len(first))
         shown = in_order((self._columns[name] for name in values), self._signals)
@@ -270,10 +390,6 @@ def _inside(inside: BoolArray) -> BoolArray | slice:
     return slice(count) if inside[:count].all() else inside
 
 
-def _is_cyclic(samples: Samples) -> bool:
-    return COUNTER in samples.columns and 1 <= samples.message.transmission_type <= _LAST_CYCLIC_TYPE
-
-
 def _places(count: int, found: _Found) -> tuple[IntArray, list[IntArray]]:
     """Return (decoded rows, ascending; for each of the found samples their indices among these)."""
     is_decoded = np.zeros(count, dtype=np.bool_)
@@ -296,5 +412,5 @@ def _arrived(found: _Found, places: list[IntArray], number: npt.NDArray[np.int64
         message[index] = samples.message.number
         if COUNTER in samples.columns:
             counter[index] = samples.columns[COUNTER]
-            cyclic[index] = _is_cyclic(samples)
+            cyclic[index] = is_cyclic(samples)
     return Frames(number, t_ns, key, message, counter, cyclic)

@@ -1,17 +1,47 @@
-"""SDO transfers seen from outside: requests and responses of one node as text (CiA 301, 7.2.4)."""
+"""SDO transfers seen from outside: one node's requests and responses as text (CiA 301, 7.2.4), with objects' names."""
 
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable, Iterable
+from typing import Any, TypeAlias
 
-from tipforce.dictionary import types
-from tipforce.dictionary.names import Description
+from canopen_device import types
+from tipforce.dictionary.entries import Entry, describe
 from tipforce.dictionary.service_texts import abort_text
 from tipforce.errors import InputError
-from tipforce.host.decoding.object_names import Describe
 
 _SHOWN_BYTES = 32
 _MOST_BYTES = 1 << 20  # of a transfer that never ends
+
+
+Describe: TypeAlias = Callable[[int, int, int], Entry[Any] | None]
+"""(node-id, index, sub-index) -> name, unit and type of the object, or None."""
+
+
+def fingertip_names(gauges: int = 3) -> Describe:
+    """Return the names of fingertips with so many gauges."""
+    return lambda _node_id, index, sub: describe(index, sub, gauges)
+
+
+def eds_names(files: Iterable[tuple[int, str]], otherwise: Describe) -> Describe:
+    """Return the names of nodes by their EDS or DCF, (node-id, file); ``otherwise`` for all other nodes.
+
+    Raises InputError for a file that is no EDS.
+    """
+    from canopen_device.eds.reader import read_eds
+
+    known = {node_id: read_eds(path, node_id) for node_id, path in files}
+
+    def found(node_id: int, index: int, sub: int) -> Entry[Any] | None:
+        if node_id not in known:
+            return otherwise(node_id, index, sub)
+        entry = known[node_id].entry(index, sub)
+        if entry is None:
+            return None
+        return Entry(index, sub, entry.letter, entry.name, entry.access, entry.unit)
+
+    return found
 
 
 class SdoConversation:
@@ -186,24 +216,24 @@ class SdoConversation:
 
     # --- text ---------------------------------------------------------------------------------------------------
 
-    def _found(self) -> Description | None:
+    def _found(self) -> Entry[Any] | None:
         return self._describe(self._node_id, *self._place)
 
     def _name(self) -> str:
         index, sub = self._place
         found = self._found()
         place = f"0x{index:04X}:{sub:02X}"
-        return place if found is None or found.dotted == place else f"{found.dotted} ({place})"
+        return place if found is None or found.name == place else f"{found.name} ({place})"
 
     def _value(self, content: bytes, *, exact: bool = True) -> str:
         found = self._found()
         if found is not None:
-            size = types.data_type(found.letter).size
+            size = types.data_type(found.type).size
             data = content[:size] if not exact and size is not None else content
             try:
-                value = types.decode(found.letter, data)
+                value = types.decode(found.type, data)
                 if not isinstance(value, bytes):
-                    return f"{types.format_value(found.letter, value)} {found.unit}".rstrip()
+                    return f"{types.format_value(found.type, value)} {found.unit}".rstrip()
             except InputError:
                 pass
         shown = content[:_SHOWN_BYTES].hex(" ").upper()

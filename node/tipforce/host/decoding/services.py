@@ -13,13 +13,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.dictionary import indices
 from tipforce.dictionary.dbc import NMT_COMMANDS
 from tipforce.dictionary.service_texts import LSS_PARTS, LSS_SERVICES, emcy_text, state_text
 from tipforce.host.decoding.duplicates import DuplicateNodes, services
-from tipforce.host.decoding.object_names import Describe, fingertip_names
-from tipforce.host.decoding.sdo_conversation import SdoConversation
+from tipforce.host.decoding.sdo_conversation import Describe, SdoConversation, fingertip_names
 from tipforce.host.frames.frame_array import FrameArray
 
 _DAY_MS, _EPOCH_DAYS = 86_400_000, 5113  # TIME counts from 1984-01-01

@@ -7,7 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from tipforce.device.codes import SYNC_COB_ID
+from canopen_device.core.codes import SYNC_COB_ID
+from tipforce.arrays import occurring
 from tipforce.host.frames.frame_array import FrameArray
 
 SAMPLES = 256
@@ -66,7 +67,7 @@ class SyncModulus:
         """Return the indices of the SYNCs at which numbers begin or end."""
         at = np.flatnonzero(frames["can_id"] == SYNC_COB_ID)
         found: list[int] = []
-        for channel in np.unique(frames["channel"][at]).tolist():
+        for channel in occurring(frames["channel"][at]):
             mine = at[frames["channel"][at] == channel]
             numbered = (frames["length"][mine] == 1).astype(np.int8)
             before = np.int8(self.of.get(channel, SAMPLES) != SAMPLES)
@@ -99,7 +100,7 @@ def syncs_of(frames: FrameArray) -> list[Syncs]:
     """Return the SYNCs among frames (k,) by channel; they are numbered if the last one is."""
     syncs = frames[frames["can_id"] == SYNC_COB_ID]
     found = []
-    for channel in np.unique(syncs["channel"]).tolist():
+    for channel in occurring(syncs["channel"]):
         mine = syncs[syncs["channel"] == channel]
         if mine["length"][-1] != 1:
             found.append(Syncs(channel, False, 0, 0, 0, False))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import threading
 import time
 from collections.abc import Callable, Iterable
@@ -10,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.socketcan import raw_can_id
+from canopen_device.can_frame import raw_can_id
 
 if TYPE_CHECKING:
     import can  # only for types: a candump log is read without its import time of 65 ms
@@ -37,6 +38,9 @@ SENT = 1
 
 MAX_CHANNELS = 256
 """Number of interfaces that ``channel`` can distinguish."""
+
+PACK_FRAME = struct.Struct("<qIBBBx8s").pack
+"""Return one FRAME as bytes."""
 
 FrameArray = npt.NDArray[np.void]
 RawFrame = tuple[int, int, bytes]  # t_ns, can_id with SocketCAN's flags, data
@@ -124,9 +128,7 @@ class FrameBuffer:
 
     def take_all(self) -> FrameArray:
         """Remove and return the received frames."""
-        with self._arrived:
-            taken, self._frames = self._frames, []
-        return frame_array(taken)
+        return self.take_some(0.0)
 
     def clear(self) -> None:
         """Discard the received frames."""

@@ -2,13 +2,63 @@
 
 from __future__ import annotations
 
+import re
+from collections import deque
+from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.host.frames.frame_array import FrameArray
+
+BIT_RATE_SWITCH, ERROR_STATE = 0x01, 0x02
+"""Bits of ``flags``: CANFD_BRS and CANFD_ESI of linux/can.h."""
+
+LENGTHS = (0, 1, 2, 3, 4, 5, 6, 7, 8, 12, 16, 20, 24, 32, 48, 64)
+"""The valid data lengths of an FD frame."""
+
+
+class FdFrame(NamedTuple):
+    """One CAN FD frame of a block; it came just before the classic frame ``row`` of the block (or after the last)."""
+
+    row: int
+    t_ns: int
+    can_id: int  # with SocketCAN's flags
+    flags: int
+    data: bytes  # 0 to 64 bytes
+    interface: int  # index into the block's names
+    sent: bool
+
+
+_LOG = re.compile(r"#([0-9A-Fa-f])((?:[0-9A-Fa-f]{2}\.?)*)")
+_SCREEN = re.compile(r"\s*((?:[0-9A-Fa-f]{2}(?:\s|$))*)\s*(ERRORFRAME|'.*')?\s*")
+
+
+def log_payload(text: str) -> tuple[int, bytes]:
+    """Return (flags, data) after the first # of a line in candump's log format. ValueError: the reason."""
+    match = _LOG.fullmatch(text)
+    if match is None:
+        raise ValueError("data")
+    return int(match[1], 16), _checked(bytes.fromhex(match[2].replace(".", "")))
+
+
+def screen_payload(length: int, text: str) -> bytes:
+    """Return the data from the text after the [length] in candump's screen format. ValueError: the reason."""
+    match = _SCREEN.fullmatch(text)
+    if match is None:
+        raise ValueError("data")
+    data = _checked(bytes.fromhex(match[1]))
+    if len(data) != length:
+        raise ValueError("length")
+    return data
+
+
+def _checked(data: bytes) -> bytes:
+    if len(data) not in LENGTHS:
+        raise ValueError("length")
+    return data
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +106,18 @@ class CandumpBlock:
         return CandumpBlock(
             self.frames[:classic], self.interface[:classic], self.names, self.sent[:classic], self.timed, tuple(fd)
         )
+
+    def in_order(self) -> Iterator[tuple[int, int, int, bytes, int, bool] | FdFrame]:
+        """Yield classic frames as (t_ns, can_id, length, data, interface, sent), and CAN FD frames in their places."""
+        frames, fd = self.frames, deque(self.fd)
+        data = frames["data"].tobytes()
+        columns = (frames["t_ns"], frames["can_id"], frames["length"], self.interface, self.sent)
+        rows = zip(*(column.tolist() for column in columns), strict=True)
+        for row, (t_ns, can_id, length, interface, sent) in enumerate(rows):
+            while fd and fd[0].row <= row:
+                yield fd.popleft()
+            yield t_ns, can_id, length, data[8 * row : 8 * row + length], interface, sent
+        yield from fd
 
     def positions(self) -> npt.NDArray[np.intp]:
         """Return the position of each classic frame among all frames of the block: (n,)."""

@@ -14,11 +14,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from tipforce.device import codes, communication
-from tipforce.device.codes import INITIALISING
+from canopen_device.core import codes, communication
+from canopen_device.core.codes import INITIALISING
+from canopen_device.types import Value
 from tipforce.dictionary import objects, table
 from tipforce.dictionary.signals import tpdo_messages
-from tipforce.dictionary.types import Value
 from tipforce.errors import InputError, NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences, verify_configuration
 from tipforce.host.configuration.device_objects import FingertipObjects
@@ -79,7 +79,11 @@ def bring_up(
         connection.nmt("preop", finger.node_id)  # no PDOs during configuration; SDO works, also after a stop
     reports = [FingerReport(finger) for finger in hand.finger]
     nodes = responding_nodes(connection)
-    absent = _find(connection, reports, nodes, on_event)
+    for report in reports:
+        report.seconds += FIND_S
+        if report.plan.node_id in nodes:
+            _attempt(report, "find", partial(_check_alone, connection.sdo(report.plan.node_id)), on_event)
+    absent = [report for report in reports if report.plan.node_id not in nodes]
     if absent:
         assign(connection, absent, hand.hand.store, on_event)
     side_by_side(
@@ -93,12 +97,12 @@ def wanted_settings(hand: HandFile, finger: FingerPlan) -> Configuration:
     """Return the settings of a finger in the file, with SYNC, PDOs, EMCY and heartbeat of the hand added."""
     settings = FingertipObjects(finger.node_id, finger.gauges).settings
     wanted = {
-        place: (settings[place].entry, settings[place].default)
+        place: (settings[place], settings[place].default)
         for place in ((communication.COB_ID_SYNC, 0), (communication.COB_ID_EMCY, 0))
     } | hand.configuration(finger)
 
     def want(index: int, sub: int, value: Value) -> None:
-        wanted[index, sub] = settings[index, sub].entry, value
+        wanted[index, sub] = settings[index, sub], value
 
     for number, message in enumerate(tpdo_messages(finger.gauges)):
         used = message.name in hand.messages or message.name == "Health"
@@ -199,16 +203,6 @@ def responding_nodes(connection: Bus) -> set[int]:
     frames = frames[(frames["data"][:, 1:4] == DEVICE_TYPE).all(axis=1)]  # not those that another master requested
     answers = frames["can_id"].astype(np.int64) - codes.SDO_RESPONSE_BASE
     return set(answers[(answers > 0) & (answers <= codes.NODE_ID_MASK)].tolist())
-
-
-def _find(connection: Bus, reports: Sequence[FingerReport], nodes: set[int], on_event: OnEvent) -> list[FingerReport]:
-    """Return the fingers without response."""
-    for report in reports:
-        report.seconds += FIND_S
-        if report.plan.node_id in nodes:
-            sdo = connection.sdo(report.plan.node_id)
-            _attempt(report, "find", partial(_check_alone, sdo), on_event)
-    return [report for report in reports if report.plan.node_id not in nodes]
 
 
 def _check_alone(sdo: SdoChannel) -> str:

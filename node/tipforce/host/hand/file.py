@@ -30,13 +30,12 @@ from typing import Any, Literal
 
 import msgspec
 
+from canopen_device.paths_below import below
+from canopen_device.toml_table import convert, read_table
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
-from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.configuration.calibration_file import read_calibration
+from tipforce.host.configuration.calibration import Calibration, read_calibration
 from tipforce.host.configuration.configuration_file import Configuration, read_configuration
-from tipforce.paths_below import below
-from tipforce.toml_table import convert, read_table
 
 MAX_FINGERS = 32
 HIGHEST_SYNC_HZ = 10_000.0
@@ -130,22 +129,22 @@ class HandFile(_Content, frozen=True, forbid_unknown_fields=True, kw_only=True):
 def read_hand(path: str | Path) -> HandFile:
     """Read and check a hand file. Raises InputError naming the file, the place, the value and what is allowed."""
     content = convert(_Content, read_table(path, str(path)), str(path))
-    found = HandFile(finger=content.finger, hand=content.hand, bus=content.bus, folder=str(Path(path).parent))
+    hand = HandFile(finger=content.finger, hand=content.hand, bus=content.bus, folder=str(Path(path).parent))
     try:
-        if "dll" in found.bus:  # python-can runs it
+        if "dll" in hand.bus:  # python-can runs it
             raise InputError("[bus] dll: a hand file names no program; give it in python-can's configuration")
-        check_hand(found)
+        check_hand(hand)
     except InputError as error:
         raise InputError(f"{path}: {error}") from None
-    return found
+    return hand
 
 
 def hand_of(fingers: Mapping[str, int] | Sequence[int], plan: HandPlan) -> HandFile:
     """Return a hand without a file: node-ids, or node-ids by name. Raises InputError as ``check_hand``."""
     named = fingers if isinstance(fingers, Mapping) else {f"finger {node_id}": node_id for node_id in fingers}
-    found = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named.items()), hand=plan)
-    check_hand(found)
-    return found
+    hand = HandFile(finger=tuple(FingerPlan(node_id=node_id, name=name) for name, node_id in named.items()), hand=plan)
+    check_hand(hand)
+    return hand
 
 
 def check_hand(hand: HandFile) -> None:

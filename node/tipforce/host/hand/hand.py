@@ -17,33 +17,28 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from types import TracebackType
 from typing import Any
 
 import numpy as np
 
-from tipforce.device.codes import OPERATIONAL
+from canopen_device.core.codes import OPERATIONAL
 from tipforce.errors import EnvironmentLackError, InputError, RefusedError, TipforceError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.frames.frame_array import FRAME
-from tipforce.host.hand.babbling import BabbleWatch
 from tipforce.host.hand.bring_up import FingerReport, bring_up, side_by_side
-from tipforce.host.hand.collector import Collector
-from tipforce.host.hand.delivery import Delivery, RowStream
-from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.events import BabbleWatch, Event, Supervisor
 from tipforce.host.hand.file import FingerPlan, HandFile, HandPlan, hand_of, read_hand
-from tipforce.host.hand.hand_row import HandRows
-from tipforce.host.hand.jitter import Jitter, JitterFigures
 from tipforce.host.hand.link import Link, SharedLink, open_link
-from tipforce.host.hand.numbering import wanted_overflow
 from tipforce.host.hand.recovery import Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
-from tipforce.host.hand.rows import Rows, Tally
+from tipforce.host.hand.rows import Collector, Delivery, HandRows, RowStream
 from tipforce.host.hand.supervision import Supervision
-from tipforce.host.hand.sync_producer import sync_data
+from tipforce.host.hand.sync import Jitter, JitterFigures, sync_data, wanted_overflow
 from tipforce.host.hand.trust import COUNTER
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.bus_load import DEFAULT_BIT_RATE, LoadMeter
+from tipforce.samples.record import Rows
+from tipforce.samples.rows import Tally
 
 HEARTBEATS_MISSED = 2.5  # heartbeat time-out in periods
 REOPEN_S = 0.1
@@ -155,7 +150,11 @@ class Hand:
         self._begin()
         self._thread = threading.Thread(target=self._run, name="hand", daemon=True)
         self._thread.start()
-        self._prepare()
+        # While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean.
+        self._each(self._recovery.prepare)
+        for node_id, state in self._supervisor.states.items():
+            if state >= 0 and (state != OPERATIONAL or node_id not in self._recovery.meaning):
+                self._queue.need([node_id])
         self._start_sync()
 
     def rows(self, timeout_s: float | None = None) -> HandRows:
@@ -169,11 +168,11 @@ class Hand:
 
     def calibration(self, finger: FingerPlan) -> Calibration | None:
         """Return the calibration for the uncertainties: the file's, else the node's own; None if it is unknown."""
-        found = self.file.calibration(finger)
-        if found is None:
+        calibration = self.file.calibration(finger)
+        if calibration is None:
             with suppress(TipforceError):  # a finger that does not respond now
-                found = self._link.connection.finger(finger.node_id).calibration()
-        return found
+                calibration = self._link.connection.finger(finger.node_id).calibration()
+        return calibration
 
     def blocks(self, timeout_s: float | None = None) -> RowStream:
         """Return blocks of rows as arrays, as they come; for ``for`` and ``async for``. They end as ``rows``."""
@@ -249,18 +248,8 @@ class Hand:
     def __enter__(self) -> Hand:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-    def _prepare(self) -> None:
-        """While no SYNC comes: number it where all nodes can take the numbers; learn what each finger's values mean."""
-        self._each(self._recovery.prepare)
-        states = self._supervisor.states
-        for node_id, state in states.items():
-            if state >= 0 and (state != OPERATIONAL or node_id not in self._recovery.meaning):
-                self._queue.need([node_id])
 
     def _each(self, act: Callable[[int], None]) -> None:
         """Do something with every finger that responds, in parallel; a failure is an event."""

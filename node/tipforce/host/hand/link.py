@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from typing import Any
 
-from tipforce.device.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
+from canopen_device.core.codes import FUNCTION_MASK, HEARTBEAT_BASE, SDO_RESPONSE_BASE, SYNC_COB_ID
 from tipforce.errors import EnvironmentLackError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.hand.sync_producer import ThreadSync, kernel_sync
+from tipforce.host.hand.sync import ThreadSync, kernel_sync
 from tipforce.host.live.receive import open_receiver
 from tipforce.host.live.receiver import Receiver
 from tipforce.host.network.bus import Bus
@@ -26,7 +26,7 @@ SERVICE_FILTERS = (
 )
 """Frames for a connection beside a receiver: SDO responses, heartbeats, LSS. PDOs would cost 15 us each twice."""
 
-_KEPT_FRAMES = 20_000  # in the connection's own buffer, which only the search for nodes reads
+KEPT_FRAMES = 20_000  # in the connection's buffer: a hand runs for days, and only the search for nodes reads it
 
 
 class Link:
@@ -34,7 +34,7 @@ class Link:
 
     def __init__(self, connection: Bus) -> None:
         self.connection = connection
-        keep_few(self.connection)
+        connection.buffer.limit = KEPT_FRAMES
         self._frames = FrameBuffer()
         assert self.connection.network.notifier is not None  # a Bus is connected
         self.connection.network.notifier.add_listener(self._frames)
@@ -89,7 +89,7 @@ class SocketLink(Link):
             raise
         self._bus.set_filters(SERVICE_FILTERS)  # type: ignore[arg-type]
         self.connection = Bus(self._bus)
-        keep_few(self.connection)
+        self.connection.buffer.limit = KEPT_FRAMES
 
     def receive(self, timeout_s: float) -> FrameArray:
         """See Link."""
@@ -108,11 +108,6 @@ class SocketLink(Link):
         """See Link."""
         self._receiver.close()
         super().close()
-
-
-def keep_few(connection: Bus) -> None:
-    """Limit the connection's buffer: a hand runs for days, and the buffer is not read."""
-    connection.buffer.limit = _KEPT_FRAMES
 
 
 def open_link(options: Mapping[str, Any]) -> Link:

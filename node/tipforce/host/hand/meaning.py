@@ -10,11 +10,12 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
 
-from tipforce.device import codes, communication
-from tipforce.dictionary import indices, objects, table, types
-from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.rows import rows
-from tipforce.dictionary.types import Value
+from canopen_device import types
+from canopen_device.core import codes, communication
+from canopen_device.types import Value
+from tipforce.dictionary import indices, objects, table
+from tipforce.dictionary.entries import Entry, entries
+from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
 from tipforce.host.configuration.configuration_file import Configuration, apply_differences
@@ -50,11 +51,17 @@ class Meaning:
 
 @lru_cache
 def watched(gauges: int) -> dict[Place, Entry[Value]]:
-    """Return what decides whether and what a finger sends: every setting, what commands change, and its serial."""
-    settings = [setting.entry for setting in FingertipObjects(0, gauges).settings.values()]
-    entries: list[Entry[Any]] = [entry for entry in settings if entry.index not in _NO_EFFECT]
-    entries += [*COMMANDED, objects.IDENTITY_SERIAL]
-    return {(entry.index, entry.sub): entry for entry in entries}
+    """Return what decides whether and what a finger sends: every setting, what commands change, and its serial.
+
+    A setting with one allowed value is none.
+    """
+    watched_entries: list[Entry[Any]] = [
+        entry
+        for entry in FingertipObjects(0, gauges).settings.values()
+        if entry.index not in _NO_EFFECT and (entry.low is None or entry.low != entry.high)
+    ]
+    watched_entries += [*COMMANDED, objects.IDENTITY_SERIAL]
+    return {(entry.index, entry.sub): entry for entry in watched_entries}
 
 
 @lru_cache
@@ -62,8 +69,8 @@ def of_values(gauges: int) -> frozenset[Place]:
     """Return what decides, besides the settings of a hand file, which values a finger sends and what they mean."""
     profile = {
         place
-        for place, row in rows(gauges).items()
-        if row.flags & table.COUNTED and row.index >= indices.FIELD_VALUE and row.index & 0xFFF not in _INTERRUPTS
+        for place, entry in entries(gauges).items()
+        if entry.flags & table.COUNTED and entry.index >= indices.FIELD_VALUE and entry.index & 0xFFF not in _INTERRUPTS
     }
     cob_ids = {place for place in watched(gauges) if place[1] == 1 and communication.RPDO <= place[0] <= _LAST_PDO}
     read = (*COMMANDED, objects.IDENTITY_SERIAL)
@@ -77,9 +84,12 @@ def read_meaning(sdo: SdoChannel, gauges: int, places: Collection[Place] | None 
     """
     for _ in range(_TRIES):
         counter = sdo.read(objects.CONFIGURATION_COUNTER)
-        values = {}
+        values: dict[Place, tuple[Entry[Value], bytes]] = {}
         for place, entry in watched(gauges).items():
-            if places is not None and place not in places:
+            index, sub = place
+            # The number of mapped objects of a PDO comes before its mapping: the rest of it is not used.
+            unused = is_mapping(index) and sub > 0 and (index, 0) in values and sub > values[index, 0][1][0]
+            if unused or (places is not None and place not in places):
                 continue
             try:
                 values[place] = entry, sdo.upload(*place)

@@ -7,15 +7,14 @@ from collections import Counter
 from collections.abc import Callable, Collection
 from contextlib import suppress
 
-from tipforce.device import communication
-from tipforce.device.codes import OPERATIONAL, STOPPED
+from canopen_device.core import communication
+from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.dbc import NMT_STATES
 from tipforce.dictionary.signals import is_mapping
 from tipforce.errors import NoResponseError, RefusedError, TipforceError
 from tipforce.host.configuration.device_objects import Place
 from tipforce.host.hand.bring_up import FingerReport, assign, select, set_up, wanted_settings
-from tipforce.host.hand.collector import Collector
 from tipforce.host.hand.events import Event, Kind, Supervisor
 from tipforce.host.hand.file import FingerPlan, HandFile
 from tipforce.host.hand.meaning import (
@@ -31,6 +30,7 @@ from tipforce.host.hand.meaning import (
     set_overflow,
     write_back,
 )
+from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import key_of
 from tipforce.host.network.bus import Bus
 from tipforce.host.network.finger import FingertipClient

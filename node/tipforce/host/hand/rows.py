@@ -1,88 +1,244 @@
-"""Rows of a hand: one row for each SYNC, with every finger's answer to it, and counts of the faults."""
+"""Rows of a hand: made of its frames, delivered to consumers without waiting for them, and read one by one by name."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+import asyncio
+import threading
+import time
+import weakref
+from collections import deque
+from collections.abc import AsyncIterator, Callable, Iterator, Mapping, Sequence
+from itertools import islice
+from typing import TypeVar
 
-import numpy as np
-import numpy.typing as npt
-
-BoolArray = npt.NDArray[np.bool_]
-
-PRESENT, NO_ANSWER, DOUBTFUL, MIXED, CHANGED = range(5)
-"""Values of ``Rows.reason``."""
-
-REASONS = ("", "no response", "two values for one SYNC", "PDOs of two samples", "changed by another, not verified")
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.hand.events import Event
+from tipforce.host.hand.trust import Trust
+from tipforce.samples.record import Contact, Rows
+from tipforce.samples.rows import RowAssembler
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """m rows of k fingers, in the order of the SYNCs and of the hand's node-ids.
+class Collector(RowAssembler):
+    """See RowAssembler; ``trust`` sees every frame that is neither an answer nor a SYNC, in the order of the bus."""
 
-    ``columns`` has every signal of the PDOs that the hand reads, each (m, k): measurements as float64 in the signal's
-    unit, NaN if the node marks them unknown or the finger is missing; flags as bool, False if missing.
+    def __init__(
+        self, node_ids: Sequence[int], messages: Sequence[str] = ("Contact",), gauges: int = 3,
+        wait_s: float = 0.02, own_sync: bool = False,
+    ) -> None:  # fmt: skip
+        super().__init__(node_ids, messages, gauges, wait_s, own_sync)
+        health = next(message for message in tpdo_messages(gauges) if message.name == "Health")
+        self.trust = Trust(self.node_ids, {can_id: k for can_id, (_, k, *_) in self._answers.items()}, health, gauges)
+        self.lock, self.shown = self.trust.lock, self.trust.shown
+
+    def _other(self, can_id: int, length: int, word: int, now_s: float) -> None:
+        if can_id in self.trust.ids:
+            self.trust.note(can_id, length, word, now_s)
+
+
+class HandRow(Mapping[str, Contact]):
+    """The contacts of all fingers at one SYNC: ``row["thumb"]``, or by node-id ``row[1]``.
+
+    A finger without an answer is included: its ``status`` is NO_ANSWER and its values are NaN.
     """
 
-    first: int
-    """Number of the first row since the start of the collector; 0 in a block without rows."""
-    sync_ns: npt.NDArray[np.int64]
-    """(m,) receive time of each SYNC; interpolated for one that was not received."""
-    numbered: BoolArray
-    """(m,) the SYNC carried a number, and each answer repeats it; False: the pairing is assumed from the order."""
-    counter: npt.NDArray[np.int64]
-    """(m, k) 2121h: the SYNC's number, or a sample counter 0..255; -1 where missing."""
-    reason: npt.NDArray[np.uint8]
-    """(m, k) why the finger is missing, as an index of REASONS; PRESENT where it is not."""
-    columns: dict[str, npt.NDArray[Any]]
+    def __init__(self, number: int, t_s: float, contacts: Sequence[Contact], pairing: str = "numbered") -> None:
+        self.number = number
+        """Number of the row since the start of the hand."""
+        self.t_s = t_s
+        """Time of the SYNC, seconds of the epoch."""
+        self.pairing = pairing
+        """"numbered": each contact carries the number of this SYNC; "assumed": it came after this SYNC."""
+        self.contacts = tuple(contacts)
+        """In the order of the hand file."""
+        self._by_name = {contact.name: contact for contact in contacts}
+        self._by_id = {contact.node_id: contact for contact in contacts}
 
-    @property
-    def missing(self) -> BoolArray:
-        """(m, k) no certain, complete answer of this finger."""
-        missing: BoolArray = self.reason != PRESENT
-        return missing
+    def __getitem__(self, finger: str | int) -> Contact:
+        """Return the contact of a finger, by name or node-id. Raises KeyError, whose text names the fingers."""
+        contact = self._by_id.get(finger) if isinstance(finger, int) else self._by_name.get(finger)
+        if contact is None:
+            known = ", ".join(f"{contact.name} ({contact.node_id})" for contact in self.contacts)
+            raise KeyError(f"{finger!r}: the hand has {known}")
+        return contact
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
 
     def __len__(self) -> int:
-        return len(self.sync_ns)
+        return len(self.contacts)
+
+    def __str__(self) -> str:
+        return " | ".join(f"{contact.name}: {contact}" for contact in self.contacts)
 
 
-def joined(rows: list[Rows]) -> Rows:
-    """Return consecutive blocks of rows as one."""
-    if len(rows) == 1:
-        return rows[0]
+class HandRows(Iterator[HandRow], AsyncIterator[HandRow]):
+    """Rows from its creation on; see ``Hand.rows``."""
 
-    def together(name: str) -> npt.NDArray[Any]:
-        return np.concatenate([getattr(one, name) for one in rows])
+    def __init__(
+        self, blocks: RowStream, node_ids: Sequence[int], names: Sequence[str],
+        calibrations: Sequence[Calibration | None],
+    ) -> None:  # fmt: skip
+        self._blocks, self._fingers = blocks, (node_ids, names, calibrations)
+        self._waiting: deque[HandRow] = deque()
 
-    columns = {name: np.concatenate([one.columns[name] for one in rows]) for name in rows[0].columns}
-    return Rows(
-        rows[0].first, together("sync_ns"), together("numbered"), together("counter"), together("reason"), columns
-    )
+    def __next__(self) -> HandRow:
+        """Return the next row. Raises StopIteration when the hand has stopped, or the error that ended it."""
+        while not self._waiting:
+            self._waiting += rows_one_by_one(next(self._blocks), *self._fingers)
+        return self._waiting.popleft()
+
+    async def __anext__(self) -> HandRow:
+        """Return the next row; the event loop runs meanwhile."""
+        while not self._waiting:
+            self._waiting += rows_one_by_one(await anext(self._blocks), *self._fingers)
+        return self._waiting.popleft()
 
 
-@dataclass(slots=True)
-class Tally:
-    """Counts since the start of the collector; arrays have one element per finger."""
+def rows_one_by_one(
+    rows: Rows, node_ids: Sequence[int], names: Sequence[str], calibrations: Sequence[Calibration | None] = ()
+) -> list[HandRow]:
+    """Return each row of a block; ``names`` and ``calibrations``, for the uncertainties, as ``node_ids``."""
+    named = {node_id: name or f"finger {node_id}" for name, node_id in zip(names, node_ids, strict=True)}
+    contacts = rows.samples(calibrations or [None] * len(named)).contacts(named)
+    return [
+        HandRow(number, t_ns * 1e-9, list(islice(contacts, len(named))), "numbered" if numbered else "assumed")
+        for number, (t_ns, numbered) in enumerate(
+            zip(rows.sync_ns.tolist(), rows.numbered.tolist(), strict=True), rows.first
+        )
+    ]
 
-    node_ids: tuple[int, ...]
-    rows: int = 0
-    unreceived: int = 0
-    """SYNCs that were not received: their numbers were left out. Each has a row, up to a bound; see ``Collector``."""
-    missing: npt.NDArray[np.int64] = field(init=False)
-    """Rows without a certain, complete answer."""
-    delayed: npt.NDArray[np.int64] = field(init=False)
-    """Answers that arrived after the next SYNC, and were assigned to their own row by its number."""
-    late: npt.NDArray[np.int64] = field(init=False)
-    """Answers that arrived after their row was emitted."""
-    mixed: npt.NDArray[np.int64] = field(init=False)
-    """Rows whose PDOs are from two samples; not possible where rows are numbered."""
-    repeated: npt.NDArray[np.int64] = field(init=False)
-    """Rows whose sample the node marks stale: the SYNC is faster than its converter."""
-    doubtful: npt.NDArray[np.int64] = field(init=False)
-    """Values discarded because another one has the same number, or because their number is that of no SYNC."""
-    changed: npt.NDArray[np.int64] = field(init=False)
-    """Rows whose value is not shown, because its meaning was changed and not verified since."""
 
-    def __post_init__(self) -> None:
-        zeros = np.zeros((7, len(self.node_ids)), dtype=np.int64)
-        self.missing, self.delayed, self.late, self.mixed, self.repeated, self.doubtful, self.changed = zeros
+T = TypeVar("T")
+
+MAX_ROWS, MAX_EVENTS = 100_000, 10_000
+_STEP_S = 0.2  # a wait without end could not be interrupted on Windows
+
+
+class RowStream(Iterator[Rows], AsyncIterator[Rows]):
+    """Blocks of rows for one consumer, from its creation on; the oldest are dropped beyond MAX_ROWS.
+
+    It ends with the delivery, or after ``timeout_s`` without rows (None: never; not with ``async for``).
+    """
+
+    def __init__(self, delivery: Delivery, timeout_s: float | None) -> None:
+        self._delivery, self._timeout_s = delivery, timeout_s
+        self._blocks: deque[Rows] = deque()
+        self._waiting = 0
+        self.wake: Callable[[], object] = lambda: None
+        """Called after each change, with the lock of the delivery."""
+
+    def put(self, rows: Rows) -> int:
+        """Add a block; return how many rows were dropped."""
+        dropped = 0
+        self._blocks.append(rows)
+        self._waiting += len(rows)
+        while self._waiting > MAX_ROWS:
+            dropped += len(self._take())
+        return dropped
+
+    def _take(self) -> Rows:
+        rows = self._blocks.popleft()
+        self._waiting -= len(rows)
+        return rows
+
+    def __next__(self) -> Rows:
+        """Return the next block. Raises StopIteration, or the error that ended the delivery."""
+        end_s = None if self._timeout_s is None else time.monotonic() + self._timeout_s
+        with self._delivery.changed:
+            while not self._blocks and not self._delivery.closed:
+                left_s = _STEP_S if end_s is None else end_s - time.monotonic()
+                if left_s <= 0:
+                    break
+                self._delivery.changed.wait(min(left_s, _STEP_S))
+            if self._blocks:
+                return self._take()
+        raise self._delivery.end(self) or StopIteration
+
+    async def __anext__(self) -> Rows:
+        """Return the next block; the event loop runs meanwhile."""
+        loop, ready = asyncio.get_running_loop(), asyncio.Event()
+        self.wake = lambda: loop.is_closed() or loop.call_soon_threadsafe(ready.set)
+        while True:
+            ready.clear()
+            with self._delivery.changed:
+                if self._blocks:
+                    return self._take()
+                if self._delivery.closed:
+                    raise self._delivery.end(self) or StopAsyncIteration
+            await ready.wait()
+
+
+class Delivery:
+    """One producer, any number of consumers. A consumer gets all rows from its request on."""
+
+    def __init__(self) -> None:
+        self.row_callbacks: list[Callable[[Rows], None]] = []
+        self.event_callbacks: list[Callable[[Event], None]] = []
+        self.changed = threading.Condition()
+        self.closed = False
+        self.error: BaseException | None = None
+        """The error that ended the delivery."""
+        self.overrun = 0
+        """Rows dropped because consumers were too slow."""
+        self._streams: weakref.WeakSet[RowStream] = weakref.WeakSet()
+        self._events: deque[Event] = deque(maxlen=MAX_EVENTS)
+        self._failed: list[Callable[..., None]] = []
+
+    def rows(self, timeout_s: float | None = None) -> RowStream:
+        """Return blocks of rows from now on."""
+        stream = RowStream(self, timeout_s)
+        with self.changed:
+            self._streams.add(stream)
+        return stream
+
+    def end(self, stream: RowStream) -> BaseException | None:
+        """Deliver no more to a stream; return the error that ended the delivery."""
+        with self.changed:
+            self._streams.discard(stream)
+        return self.error
+
+    def put(self, rows: Rows) -> None:
+        """Deliver a block of rows."""
+        for callback in self.row_callbacks:
+            self._call(callback, rows)
+        with self.changed:
+            self.overrun += sum(stream.put(rows) for stream in self._streams)
+            self._wake()
+
+    def close(self, error: BaseException | None = None) -> None:
+        """End the delivery; an error is raised by every consumer."""
+        with self.changed:
+            self.closed, self.error = True, self.error or error
+            self._wake()
+
+    def _wake(self) -> None:
+        self.changed.notify_all()
+        for stream in self._streams:
+            stream.wake()
+
+    def event(self, event: Event) -> None:
+        """Deliver an event."""
+        with self.changed:
+            self._events.append(event)
+        for callback in self.event_callbacks:
+            self._call(callback, event)
+
+    def _call(self, callback: Callable[[T], None], argument: T) -> None:
+        """Call a callback; one that raises is reported once, and called again: reception goes on."""
+        try:
+            callback(argument)
+        except Exception as error:
+            if callback in self._failed:
+                return
+            self._failed.append(callback)
+            name = getattr(callback, "__qualname__", repr(callback))
+            text = f"{name} raised {type(error).__name__}: {error}; further errors of it are not reported"
+            self.event(Event(time.monotonic(), 0, "callback_failed", text))
+
+    def take_events(self) -> list[Event]:
+        """Return the events since the last call."""
+        with self.changed:
+            events = list(self._events)
+            self._events.clear()
+        return events

@@ -5,15 +5,14 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 
-from tipforce.device import emcy
-from tipforce.device.codes import OPERATIONAL
+from canopen_device.core import emcy
+from canopen_device.core.codes import OPERATIONAL
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.hand.babbling import BabbleWatch
 from tipforce.host.hand.bring_up import HEALTH_MS
-from tipforce.host.hand.collector import Collector
-from tipforce.host.hand.events import Event, Supervisor, waited_s
+from tipforce.host.hand.events import BabbleWatch, Event, Supervisor, waited_s
 from tipforce.host.hand.recovery import LOST, Recovery
 from tipforce.host.hand.recovery_queue import RecoveryQueue
+from tipforce.host.hand.rows import Collector
 from tipforce.host.hand.trust import COUNTER
 
 _RECOVERED_BY_HAND = (emcy.BUS_OFF_RECOVERED, emcy.SYNC_LENGTH)
@@ -52,7 +51,11 @@ class Supervision:
         due = trust.due(now_s, _HEALTH_SILENT_S)
         self._queue.need([n for n in due if states[n] == OPERATIONAL or trust.changed(n)])  # starts what waits, too
         self._queue.need(trust.take_asked(now_s), quiet=True)
-        self._probe(now_s)
+        # Search by LSS: a finger that lost its node-id at power-off sends no boot-up message.
+        if now_s >= self._probe_s:
+            self._probe_s = now_s + _LOST_PROBE_S
+            if any(state < 0 for state in states.values()):
+                self._queue.need([LOST])
 
     def _react(self, event: Event) -> None:
         """Request the recovery that an event calls for."""
@@ -73,11 +76,3 @@ class Supervision:
         elif event.kind == "emcy" and event.code in _RECOVERED_BY_HAND:
             self._collector.trust.suspect([node_id], (COUNTER,))
             self._queue.need([node_id])
-
-    def _probe(self, now_s: float) -> None:
-        """Search by LSS: a finger that lost its node-id at power-off sends no boot-up message."""
-        if now_s < self._probe_s:
-            return
-        self._probe_s = now_s + _LOST_PROBE_S
-        if any(state < 0 for state in self._supervisor.states.values()):
-            self._queue.need([LOST])

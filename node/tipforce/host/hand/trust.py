@@ -16,12 +16,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device import codes, communication, emcy
+from canopen_device.core import codes, communication, emcy
 from tipforce.dictionary import indices, objects, table
-from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.rows import rows
+from tipforce.dictionary.entries import Entry, entries
 from tipforce.dictionary.signals import Message
-from tipforce.host.hand.rows import NO_ANSWER, PRESENT
+from tipforce.samples.reasons import NO_RESPONSE, PRESENT
 
 VERIFY_S = 0.02  # from the last request of another to the reading: a node has one SDO server, which both would use
 DECIDE_S = 0.25  # the same where something was changed, a long transfer is open, or the node restarts
@@ -90,7 +89,7 @@ class Trust:
         self._node_ids = tuple(node_ids)
         self._fingers = [Finger() for _ in node_ids]
         self._answers = {health.cob_id_base + n: k for k, n in enumerate(node_ids)} | dict(answers)
-        self._rows, self._real_rows = rows(gauges, True), rows(gauges)
+        self._rows, self._real_rows = entries(gauges, True), entries(gauges)
         self._shift = next(s.start_bit for s in health.signals if s.index == indices.CONFIGURATION_COUNTER)
         commanded: list[Entry[Any]] = [*COMMANDED, *objects.PROCESS_OFFSET.entries(gauges)]
         self._commanded = frozenset((COUNTER, *map(key_of, commanded)))
@@ -223,7 +222,7 @@ class Trust:
             for k, finger in enumerate(self._fingers):
                 if (reasons[:, k] == PRESENT).any():
                     finger.shown_row = self._row
-                if (reasons[:, k] != NO_ANSWER).any() or not self.shown[k]:
+                if (reasons[:, k] != NO_RESPONSE).any() or not self.shown[k]:
                     finger.answered_row, finger.answered_s, finger.unanswered = self._row, now_s, False
 
     def take_unanswered(self, now_s: float, limit_s: float) -> list[int]:

@@ -20,12 +20,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 from tipforce.host.live import recvmmsg
-from tipforce.host.live.can_filter import Selection
-from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver, ShortSwitchInterval
+from tipforce.host.live.receiver import TICK_S, InterfaceDownError, Receiver, Selection, ShortSwitchInterval
 from tipforce.host.live.recvmmsg import CLASSIC_BYTES, FD_BYTES, DatagramBatch
 
 ANY = "any"
@@ -57,7 +55,7 @@ def open_receiver(
     if options.get("interface") == "socketcan" and recvmmsg.AVAILABLE and options.get("channel") is not None:
         channel = str(options["channel"])
         return SocketReceiver(open_socket(channel, chosen), channel, tick_s=tick_s)
-    from tipforce.host.live.receive_python_can import PythonCanReceiver
+    from tipforce.host.live.python_can import PythonCanReceiver
     from tipforce.host.network.open_bus import open_bus
 
     return PythonCanReceiver(open_bus(**options), chosen, str(options.get("channel") or ""))
@@ -66,46 +64,46 @@ def open_receiver(
 def open_socket(channel: str, selection: Selection) -> socket.socket:
     """Return a raw CAN socket on ``channel`` (``any`` or empty: all) with filters, time stamps and CAN FD frames."""
     try:
-        one = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
+        can_socket = socket.socket(socket.AF_CAN, socket.SOCK_RAW, socket.CAN_RAW)
     except (OSError, AttributeError) as error:
         raise _not_opened(channel, error) from error
     try:
         # All options before bind: a frame that the filters exclude is never received.
-        one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("=I", selection.error_mask))
+        can_socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_ERR_FILTER, struct.pack("=I", selection.error_mask))
         words = [word for rule in selection.filters for word in rule.kernel_words()] or [0, 0]
-        one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, struct.pack(f"={len(words)}I", *words))
+        can_socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FILTER, struct.pack(f"={len(words)}I", *words))
         if selection.join:
-            one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
+            can_socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
         with suppress(OSError):  # the kernel has no CAN FD
-            one.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
-        prepare_socket(one)
-        one.bind(("" if channel == ANY else channel,))
+            can_socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_FD_FRAMES, 1)
+        prepare_socket(can_socket)
+        can_socket.bind(("" if channel == ANY else channel,))
     except OSError as error:
-        one.close()
+        can_socket.close()
         raise _not_opened(channel, error) from error
-    return one
+    return can_socket
 
 
-def prepare_socket(one: socket.socket) -> None:
+def prepare_socket(can_socket: socket.socket) -> None:
     """Set the socket options that a SocketReceiver needs: time stamps, the drop count, a large buffer."""
-    one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_TIMESTAMPNS, 1)
-    one.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_RXQ_OVFL, 1)
+    can_socket.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_TIMESTAMPNS, 1)
+    can_socket.setsockopt(socket.SOL_SOCKET, recvmmsg.SO_RXQ_OVFL, 1)
     try:
-        one.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
+        can_socket.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, _BUFFER_BYTES)
     except OSError:  # needs CAP_NET_ADMIN; without it the kernel limits the buffer to net.core.rmem_max
-        one.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
+        can_socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, _BUFFER_BYTES)
 
 
 class SocketReceiver(Receiver):
     """Receiver on a datagram socket that carries ``struct can_frame``: a raw CAN socket, or a substitute."""
 
-    def __init__(self, one: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
+    def __init__(self, can_socket: socket.socket, channel: str, *, tick_s: float = TICK_S, capacity: int = 256) -> None:
         """Take ownership of the socket. ``tick_s`` 0: every receive returns at the first frame."""
-        self._socket = one
+        self._socket = can_socket
         self._switch_interval = ShortSwitchInterval()
         self._channel = channel
         self._any = channel in {ANY, ""}
-        self._batch = DatagramBatch(one, capacity, addresses=self._any)
+        self._batch = DatagramBatch(can_socket, capacity, addresses=self._any)
         self._names: dict[str, int] = {} if self._any else {channel: 0}
         self._name_of_index: dict[int, int] = {}
         self._tick_s = tick_s
@@ -115,7 +113,7 @@ class SocketReceiver(Receiver):
         self._one_interface: Interfaces = np.zeros(capacity, dtype=np.uint16)
         self._one_interface.flags.writeable = False
         self._poll = select.poll()
-        self._poll.register(one, select.POLLIN)
+        self._poll.register(can_socket, select.POLLIN)
 
     @property
     def dropped(self) -> int:
@@ -137,7 +135,7 @@ class SocketReceiver(Receiver):
         plain = self._batch.plain(count)
         frames, _ = self._frames(count, plain)
         if not plain:
-            frames = frames[self._batch.lengths(count) == CLASSIC_BYTES]
+            frames = frames[self._batch.lengths[:count] == CLASSIC_BYTES]
         self._batch.release(count)
         return frames
 
@@ -149,7 +147,7 @@ class SocketReceiver(Receiver):
         sent = self._batch.sent(count)
         fd: tuple[FdFrame, ...] = ()
         if not plain:
-            lengths = self._batch.lengths(count)
+            lengths = self._batch.lengths[:count]
             classic = lengths == CLASSIC_BYTES
             fd = self._fd_frames(frames, np.flatnonzero(lengths == FD_BYTES), interface, np.cumsum(classic))
             frames, interface, sent = frames[classic], interface[classic], sent[classic]
@@ -178,7 +176,7 @@ class SocketReceiver(Receiver):
         batch = self._batch
         words = self._words[:count]
         words[:, 0] = batch.times_ns(count).view(np.uint64)
-        words[:, 1:] = batch.words(count)
+        words[:, 1:] = batch.words[:count]
         head = words[:, 1]
         head &= _ID_AND_LENGTH
         if self._any:
@@ -196,11 +194,14 @@ class SocketReceiver(Receiver):
         return self._frame_memory[:count].copy(), interface
 
     def _interfaces(self, count: int) -> Interfaces:
-        index = self._batch.interfaces(count).tolist()
-        for one in set(index) - self._name_of_index.keys():
-            name = _interface_name(one)
-            self._name_of_index[one] = self._names.setdefault(name, len(self._names))
-        return np.array([self._name_of_index[one] for one in index], dtype=np.uint16)
+        index = self._batch.interfaces[:count].tolist()
+        for number in set(index) - self._name_of_index.keys():
+            try:
+                name = socket.if_indextoname(number)
+            except OSError:  # the interface was removed in the meantime
+                name = f"if{number}"
+            self._name_of_index[number] = self._names.setdefault(name, len(self._names))
+        return np.array([self._name_of_index[number] for number in index], dtype=np.uint16)
 
     def _fd_frames(
         self,
@@ -209,26 +210,19 @@ class SocketReceiver(Receiver):
         interface: Interfaces,
         classic_before: npt.NDArray[np.intp],
     ) -> tuple[FdFrame, ...]:
-        found = []
+        fd = []
         for row in rows.tolist():
             datagram = self._batch.datagram(row)
             can_id, length, flags = _FD_HEADER.unpack_from(datagram)
             data = datagram[8 : 8 + min(length, 64)]
             t_ns, sent = int(frames["t_ns"][row]), bool(frames["flags"][row] & SENT)
-            found.append(FdFrame(int(classic_before[row]), t_ns, can_id, flags, data, int(interface[row]), sent))
-        return tuple(found)
+            fd.append(FdFrame(int(classic_before[row]), t_ns, can_id, flags, data, int(interface[row]), sent))
+        return tuple(fd)
 
     def _failed(self, error: OSError) -> EnvironmentLackError:
         if error.errno == errno.ENETDOWN:
             return InterfaceDownError(f"{self._channel}: interface down; `ip link set {self._channel} up` sets it up")
         return EnvironmentLackError(f"{self._channel}: {error.strerror}; `ip -details link` shows its state")
-
-
-def _interface_name(index: int) -> str:
-    try:
-        return socket.if_indextoname(index)
-    except OSError:  # the interface was removed in the meantime
-        return f"if{index}"
 
 
 def _not_opened(channel: str, error: Exception) -> EnvironmentLackError:

@@ -29,8 +29,8 @@ class ReceiverGroup(Receiver):
         self._tick_s = tick_s
         self._next_s = 0.0
         self._closing = ExitStack()
-        for one in self._receivers:
-            self._closing.callback(one.close)
+        for receiver in self._receivers:
+            self._closing.callback(receiver.close)
         self._poll: select.poll | None = None
         self._arrived: queue.Queue[CandumpBlock | Exception] = queue.Queue(_WAITING_BLOCKS)
         self._failure: Exception | None = None
@@ -38,15 +38,15 @@ class ReceiverGroup(Receiver):
             self._prepare()
 
     def _prepare(self) -> None:
-        if all(one.fileno() >= 0 for one in self._receivers):
+        if all(receiver.fileno() >= 0 for receiver in self._receivers):
             self._poll = select.poll()
-            for one in self._receivers:
-                self._poll.register(one.fileno(), select.POLLIN)
+            for receiver in self._receivers:
+                self._poll.register(receiver.fileno(), select.POLLIN)
             return
         # One thread per bus: not every python-can bus has a file descriptor to wait for.
         stop = threading.Event()
-        for one in self._receivers:
-            thread = threading.Thread(target=_receive, args=(one, self._arrived, stop), daemon=True)
+        for receiver in self._receivers:
+            thread = threading.Thread(target=_receive, args=(receiver, self._arrived, stop), daemon=True)
             thread.start()
             self._closing.callback(thread.join)
         self._closing.callback(stop.set)  # called first
@@ -54,7 +54,7 @@ class ReceiverGroup(Receiver):
     @property
     def dropped(self) -> int:
         """Frames that the kernel dropped so far, on all buses."""
-        return sum(one.dropped for one in self._receivers)
+        return sum(receiver.dropped for receiver in self._receivers)
 
     def fileno(self) -> int:
         """Return the file descriptor of a single receiver; -1 for several."""
@@ -88,25 +88,25 @@ class ReceiverGroup(Receiver):
             time.sleep(self._next_s - now if timeout_s is None else min(self._next_s - now, timeout_s))
         ready = {fd for fd, _ in self._poll.poll(None if timeout_s is None else timeout_s * 1000)}
         self._next_s = time.monotonic() + self._tick_s if ready else 0.0
-        found: list[CandumpBlock | Exception] = []
+        items: list[CandumpBlock | Exception] = []
         failures: list[CandumpBlock | Exception] = []
-        for one in self._receivers:
-            if one.fileno() in ready:
+        for receiver in self._receivers:
+            if receiver.fileno() in ready:
                 try:
-                    found.append(one.receive_block(0))
+                    items.append(receiver.receive_block(0))
                 except EnvironmentLackError as error:
                     failures.append(error)
-        return found + failures
+        return items + failures
 
     def _queued_blocks(self, timeout_s: float | None) -> list[CandumpBlock | Exception]:
-        found: list[CandumpBlock | Exception] = []
+        items: list[CandumpBlock | Exception] = []
         try:
-            found.append(self._arrived.get(timeout=timeout_s))
-            while isinstance(found[-1], CandumpBlock):
-                found.append(self._arrived.get_nowait())
+            items.append(self._arrived.get(timeout=timeout_s))
+            while isinstance(items[-1], CandumpBlock):
+                items.append(self._arrived.get_nowait())
         except queue.Empty:
             pass
-        return found
+        return items
 
 
 def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBlock:
@@ -122,22 +122,22 @@ def merged(blocks: Sequence[CandumpBlock], names: dict[str, int]) -> CandumpBloc
     frames = frames[order]
     frames["channel"] = interface
     fd = [
-        one._replace(interface=int(table[one.interface]))
+        frame._replace(interface=int(table[frame.interface]))
         for table, block in zip(number, blocks, strict=True)
-        for one in block.fd
+        for frame in block.fd
     ]
-    fd.sort(key=lambda one: one.t_ns)
-    rows = np.searchsorted(frames["t_ns"], [one.t_ns for one in fd]).tolist()
-    placed = tuple(one._replace(row=row) for one, row in zip(fd, rows, strict=True))
+    fd.sort(key=lambda frame: frame.t_ns)
+    rows = np.searchsorted(frames["t_ns"], [frame.t_ns for frame in fd]).tolist()
+    placed = tuple(frame._replace(row=row) for frame, row in zip(fd, rows, strict=True))
     return CandumpBlock(frames, interface, tuple(names), sent, fd=placed)
 
 
-def _receive(one: Receiver, arrived: queue.Queue[CandumpBlock | Exception], stop: threading.Event) -> None:
+def _receive(receiver: Receiver, arrived: queue.Queue[CandumpBlock | Exception], stop: threading.Event) -> None:
     """Pass on the blocks of one receiver until the stop event; runs in its own thread."""
     item: CandumpBlock | Exception
     while not stop.is_set():
         try:
-            item = one.receive_block(_POLL_S)
+            item = receiver.receive_block(_POLL_S)
         except EnvironmentLackError as error:
             item = error
         if isinstance(item, Exception) or len(item):

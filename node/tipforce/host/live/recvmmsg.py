@@ -52,12 +52,12 @@ def _function() -> ctypes._NamedFuncPointer | None:
     if sys.platform != "linux" or sys.byteorder != "little" or ctypes.sizeof(ctypes.c_void_p) != 8:
         return None
     try:
-        found = ctypes.PyDLL(None, use_errno=True).recvmmsg
+        function = ctypes.PyDLL(None, use_errno=True).recvmmsg
     except (OSError, AttributeError):
         return None
-    found.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
-    found.restype = ctypes.c_int
-    return found
+    function.argtypes = (ctypes.c_int, ctypes.c_void_p, ctypes.c_uint, ctypes.c_int, ctypes.c_void_p)
+    function.restype = ctypes.c_int
+    return function
 
 
 _recvmmsg = _function()
@@ -71,10 +71,11 @@ class DatagramBatch:
     The caller keeps ownership of the socket. Time stamps and drop count need SO_TIMESTAMPNS and SO_RXQ_OVFL.
     """
 
-    def __init__(self, one: socket.socket, capacity: int = 256, *, addresses: bool = False) -> None:
+    def __init__(self, datagram_socket: socket.socket, capacity: int = 256, *, addresses: bool = False) -> None:
         """``addresses``: store the interface of each CAN frame."""
-        self._fd = one.fileno()
-        self._capacity = capacity
+        self._fd = datagram_socket.fileno()
+        self.capacity = capacity
+        """The maximum number of datagrams per read."""
         self._data = np.zeros((capacity, FD_BYTES), dtype=np.uint8)
         self._control = np.zeros(capacity, dtype=_CONTROL)
         self._addresses = np.zeros(capacity, dtype=_CAN_ADDRESS)
@@ -90,8 +91,12 @@ class DatagramBatch:
             self._headers["name"] = _rows(self._addresses)
         self._pointer = self._headers.ctypes.data
         # Views are created once: creating one takes as long as copying a hundred numbers.
-        self._words = self._data.view(np.uint64)[:, :2]
-        self._lengths = self._headers["received_bytes"]
+        self.words: npt.NDArray[np.uint64] = self._data.view(np.uint64)[:, :2]
+        """The first 16 bytes of each datagram, (capacity, 2): all of a classic frame."""
+        self.lengths: npt.NDArray[np.uint32] = self._headers["received_bytes"]
+        """The number of bytes of each datagram, (capacity,)."""
+        self.interfaces: npt.NDArray[np.int32] = self._addresses["interface"]
+        """The index of the interface of each datagram, (capacity,)."""
         self._flags = self._headers["flags"]
         self._kinds = self._headers.view(np.uint64).reshape(capacity, -1)[:, _KIND_WORDS]
         self._control_bytes = self._headers["control_bytes"]
@@ -101,15 +106,10 @@ class DatagramBatch:
         self.dropped = 0
         self.release(capacity)
 
-    @property
-    def capacity(self) -> int:
-        """The maximum number of datagrams per read."""
-        return self._capacity
-
     def read(self) -> int:
         """Read the waiting datagrams; return their number. Raises OSError, for instance ENETDOWN."""
         assert _recvmmsg is not None, "recvmmsg is not available here"
-        count: int = _recvmmsg(self._fd, self._pointer, self._capacity, _DONTWAIT, None)
+        count: int = _recvmmsg(self._fd, self._pointer, self.capacity, _DONTWAIT, None)
         if count >= 0:
             return count
         number = ctypes.get_errno()
@@ -123,50 +123,36 @@ class DatagramBatch:
         if self._name_bytes:
             self._headers["name_bytes"][:count] = self._name_bytes
 
-    def words(self, count: int) -> npt.NDArray[np.uint64]:
-        """Return the first 16 bytes of each datagram, (count, 2): all of a classic frame. A view."""
-        return self._words[:count]
-
     def datagram(self, row: int) -> bytes:
         """Return all bytes of one datagram."""
-        return self._data[row, : int(self._lengths[row])].tobytes()
+        return self._data[row, : int(self.lengths[row])].tobytes()
 
     def plain(self, count: int) -> bool:
         """Return whether all are classic frames from other machines."""
         return not np.count_nonzero(self._kinds[:count] != _PLAIN)
 
-    def lengths(self, count: int) -> npt.NDArray[np.uint32]:
-        """Return the number of bytes of each datagram, (count,). A view."""
-        found: npt.NDArray[np.uint32] = self._lengths[:count]
-        return found
-
     def sent(self, count: int) -> npt.NDArray[np.bool_]:
         """Return which datagrams a process of this machine sent, (count,)."""
-        found: npt.NDArray[np.bool_] = (self._flags[:count] & _DONTROUTE).astype(np.bool_)
-        return found
-
-    def interfaces(self, count: int) -> npt.NDArray[np.int32]:
-        """Return the index of the interface of each datagram, (count,). A view."""
-        found: npt.NDArray[np.int32] = self._addresses["interface"][:count]
-        return found
+        sent: npt.NDArray[np.bool_] = (self._flags[:count] & _DONTROUTE).astype(np.bool_)
+        return sent
 
     def times_ns(self, count: int) -> npt.NDArray[np.int64]:
         """Return the kernel's receive time of each, (count,), in nanoseconds since 1970; else the present time.
 
         Also updates the number of frames that the kernel dropped, which comes with the time.
         """
-        found: npt.NDArray[np.int64] = self._seconds[:count] * 1_000_000_000 + self._nanoseconds[:count]
+        times_ns: npt.NDArray[np.int64] = self._seconds[:count] * 1_000_000_000 + self._nanoseconds[:count]
         if not count:
-            return found
+            return times_ns
         last = count - 1
         # A socket with the option stamps every datagram, so checking one is enough.
         if self._control_bytes[last] < _STAMP_BYTES or self._kind_1[last] != SO_TIMESTAMPNS:
-            found[:] = time.time_ns()
+            times_ns[:] = time.time_ns()
         elif self._control_bytes[last] > _STAMP_BYTES and self._kind_2[last] == SO_RXQ_OVFL:
             drops = int(self._control["drops"][last])
             self.dropped += (drops - self._drops) % _DROP_MODULUS
             self._drops = drops
-        return found
+        return times_ns
 
 
 def _rows(array: npt.NDArray[np.generic]) -> npt.NDArray[np.uint64]:

@@ -9,9 +9,9 @@ import time
 from collections.abc import Mapping
 from typing import Any, Protocol, Self
 
+from canopen_device.can_frame import CAN_FRAME
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.fd_frame import FdFrame
-from tipforce.socketcan import CAN_FRAME
+from tipforce.host.frames.frame_block import FdFrame
 
 _FD_FRAME = struct.Struct("=IBB2x64s")  # struct canfd_frame
 _SOL_CAN_RAW, _CAN_RAW_FILTER, _CAN_RAW_FD_FRAMES = 101, 1, 5  # linux/can/raw.h
@@ -127,7 +127,7 @@ class PythonCanSender:
         """See Sender."""
         import can
 
-        from tipforce.host.live.messages import message
+        from tipforce.host.live.python_can import message
 
         try:
             self._bus.send(message(0, can_id, length, data, "", False))
@@ -138,7 +138,7 @@ class PythonCanSender:
         """See Sender."""
         import can
 
-        from tipforce.host.live.messages import fd_message
+        from tipforce.host.live.python_can import fd_message
 
         try:
             self._bus.send(fd_message(frame, ""))

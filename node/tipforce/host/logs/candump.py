@@ -9,21 +9,27 @@ from __future__ import annotations
 import re
 import struct
 import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 
 import numpy as np
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
-from tipforce.host.frames import fd_frame
-from tipforce.host.frames.fd_frame import FdFrame
 from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, SENT, FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
+from tipforce.host.frames.frame_block import (
+    BIT_RATE_SWITCH,
+    ERROR_STATE,
+    CandumpBlock,
+    FdFrame,
+    log_payload,
+    screen_payload,
+)
 
 __all__ = [
     "BLOCK_LINES", "EXPECTED", "BadLine", "BadLineError", "CandumpBlock", "CandumpParser", "read_candump",
+    "text_blocks",
 ]  # fmt: skip
 
 EXPECTED = {
@@ -37,6 +43,7 @@ EXPECTED = {
 """Reasons for bad lines, and the expected text."""
 
 BLOCK_LINES = 8192
+_CHUNK_BYTES = 1 << 18
 _LAST_NS = (1 << 63) - 1  # in the year 2262
 _MAX_KEPT = 100
 _SHOWN_CHARACTERS = 80
@@ -176,10 +183,10 @@ class CandumpParser:
     def _fd_frame(self, match: re.Match[str], t_ns: int, can_id: int) -> FdFrame:
         parts = match.groupdict()
         if "length" in parts:
-            flags = (parts["switch"] == "B") * fd_frame.BIT_RATE_SWITCH + (parts["state"] == "E") * fd_frame.ERROR_STATE
-            data = fd_frame.screen_payload(int(parts["length"]), parts["rest"])
+            flags = (parts["switch"] == "B") * BIT_RATE_SWITCH + (parts["state"] == "E") * ERROR_STATE
+            data = screen_payload(int(parts["length"]), parts["rest"])
         else:
-            flags, data = fd_frame.log_payload(parts["rest"])
+            flags, data = log_payload(parts["rest"])
         return FdFrame(0, t_ns, can_id, flags, data, self.interface_number(parts["name"]), parts["way"] == "T")
 
     def _no_frame(self, line: str) -> None:
@@ -238,6 +245,25 @@ def read_candump(
     iterator = iter(lines)
     while chunk := list(islice(iterator, block_lines)):
         yield parser.parse(chunk)
+
+
+def text_blocks(read: Callable[[int], bytes], parser: CandumpParser) -> Iterator[CandumpBlock]:
+    """Yield blocks of frames from what ``read(bytes)`` returns, until that is nothing, in bounded memory.
+
+    Raises BadLineError at a bad line if ``parser`` is strict, after the frames before it.
+    """
+    rest, ended = b"", False
+    while not ended:
+        chunk = read(_CHUNK_BYTES)
+        ended = not chunk
+        *lines, rest = (rest + chunk).split(b"\n")
+        if rest and (ended or len(rest) > _CHUNK_BYTES):  # the last line, or no text
+            lines, rest = [*lines, rest], b""
+        try:
+            yield parser.parse([line.decode("utf-8", "replace") for line in lines])
+        except BadLineError as error:
+            yield error.block
+            raise
 
 
 def _block(frames: bytearray, names: tuple[str, ...], timed: bool, fd: tuple[FdFrame, ...]) -> CandumpBlock:

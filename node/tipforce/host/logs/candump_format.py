@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG, STANDARD_MASK
 from tipforce.errors import InputError
-from tipforce.host.frames.fd_frame import FdFrame
-from tipforce.host.frames.frame_block import CandumpBlock
-from tipforce.host.logs.candump_errors import error_text
+from tipforce.host.frames.frame_block import CandumpBlock, FdFrame
 
 TIMESTAMPS = ("", "a", "z", "d", "A")
 """None, absolute, from zero, since the previous frame, absolute with the local date."""
@@ -54,24 +52,13 @@ class CandumpFormat:
     def lines(self, block: CandumpBlock) -> list[str]:
         """Return the text of each frame of a block, CAN FD included, in order (error frames with -e: several lines)."""
         line = self._log_line if self._log else self._screen_line
-        frames = block.frames
-        names = block.names
-        found = []
-        data = frames["data"].tobytes()
-        fd = iter(block.fd)
-        next_fd = next(fd, None)
-        numbers = zip(
-            frames["t_ns"].tolist(), frames["can_id"].tolist(), frames["length"].tolist(),
-            block.interface.tolist(), block.sent.tolist(), strict=True,
-        )  # fmt: skip
-        for row, (t_ns, can_id, length, interface, sent) in enumerate(numbers):
-            while next_fd is not None and next_fd.row <= row:
-                found.append(self._fd_line(next_fd, names))
-                next_fd = next(fd, None)
-            payload = data[8 * row : 8 * row + length]
-            found.append(line(t_ns // 1000, can_id, length, payload, self._name(names[interface]), sent))
-        if next_fd is not None:
-            found += [self._fd_line(one, names) for one in (next_fd, *fd)]
+        names, found = block.names, []
+        for frame in block.in_order():
+            if isinstance(frame, FdFrame):
+                found.append(self._fd_line(frame, names))
+            else:
+                t_ns, can_id, length, data, interface, sent = frame
+                found.append(line(t_ns // 1000, can_id, length, data, self._name(names[interface]), sent))
         return found
 
     def _name(self, name: str) -> str:
@@ -154,3 +141,95 @@ def identifier_text(can_id: int) -> str:
 
 def _seconds(t_us: int, digits: int) -> str:
     return f"{t_us // 1_000_000:0{digits}d}.{t_us % 1_000_000:06d}"
+
+
+ERROR_CLASSES = (
+    "tx-timeout",
+    "lost-arbitration",
+    "controller-problem",
+    "protocol-violation",
+    "transceiver-status",
+    "no-acknowledgement-on-tx",
+    "bus-off",
+    "bus-error",
+    "restarted-after-bus-off",
+)
+"""Meaning of the bits of an error frame's identifier, from bit 0."""
+
+CONTROLLER = (
+    "rx-overflow",
+    "tx-overflow",
+    "rx-error-warning",
+    "tx-error-warning",
+    "rx-error-passive",
+    "tx-error-passive",
+    "back-to-error-active",
+)
+PROTOCOL = (
+    "single-bit-error",
+    "frame-format-error",
+    "bit-stuffing-error",
+    "tx-dominant-bit-error",
+    "tx-recessive-bit-error",
+    "bus-overload",
+    "active-error",
+    "error-on-tx",
+)
+LOCATIONS = {
+    0x02: "id.28-to-id.21",
+    0x03: "start-of-frame",
+    0x04: "bit-srtr",
+    0x05: "bit-ide",
+    0x06: "id.20-to-id.18",
+    0x07: "id.17-to-id.13",
+    0x08: "crc-sequence",
+    0x09: "reserved-bit-0",
+    0x0A: "data-field",
+    0x0B: "data-length-code",
+    0x0C: "bit-rtr",
+    0x0D: "reserved-bit-1",
+    0x0E: "id.4-to-id.0",
+    0x0F: "id.12-to-id.5",
+    0x11: "active-error-flag",
+    0x12: "intermission",
+    0x13: "tolerate-dominant-bits",
+    0x16: "passive-error-flag",
+    0x17: "error-delimiter",
+    0x18: "crc-delimiter",
+    0x19: "acknowledge-slot",
+    0x1A: "end-of-frame",
+    0x1B: "acknowledge-delimiter",
+    0x1C: "overload-flag",
+}
+_LAST_LOCATION = 0x1F
+
+
+def error_text(can_id: int, data: bytes) -> str:
+    """Return the text of an error frame, one class a line, the counters last; ``data`` may be shorter than 8 bytes.
+
+    A class that candump does not know is given by its number (candump repeats the previous line instead).
+    """
+    data = data.ljust(8, b"\0")
+    error_class = can_id & EXTENDED_MASK
+    if error_class > 1 << len(ERROR_CLASSES):
+        return f"error class 0x{error_class:X} is unknown"
+    parts = [name + _details(name, data) for name in _set(error_class, ERROR_CLASSES)]
+    text = "\n".join(parts)
+    if data[6] or data[7]:
+        text += f"\nerror-counter-tx-rx{{{{{data[6]}}}{{{data[7]}}}}}"
+    return text
+
+
+def _details(name: str, data: bytes) -> str:
+    if name == "lost-arbitration":
+        return f"{{at bit {data[0]}}}"
+    if name == "controller-problem":
+        return f"{{{','.join(_set(data[1], CONTROLLER))}}}"
+    if name == "protocol-violation":
+        place = LOCATIONS.get(data[3], "unspecified") if 0 < data[3] <= _LAST_LOCATION else ""
+        return f"{{{{{','.join(_set(data[2], PROTOCOL))}}}{{{place}}}}}"
+    return ""
+
+
+def _set(bits: int, names: Iterable[str]) -> list[str]:
+    return [name for position, name in enumerate(names) if bits >> position & 1]

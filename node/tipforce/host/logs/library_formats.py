@@ -7,23 +7,19 @@ import sqlite3
 import struct
 from collections.abc import Generator, Iterator
 from contextlib import closing
+from functools import partial
 from io import BufferedReader, TextIOWrapper
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import can
-import numpy as np
 
+from canopen_device.can_frame import raw_can_id
 from tipforce.errors import EnvironmentLackError, LogError, TipforceError
-from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
-from tipforce.host.logs.lines import open_file
-from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
+from tipforce.host.frames.frame_array import PACK_FRAME, SENT, FrameArray
+from tipforce.host.logs.lines import FD, UNREADABLE, LogNotes, open_file, row_blocks
 from tipforce.host.logs.unpacking import BoundedLines, Expansion, decompressed, unpacked_chunk
-from tipforce.socketcan import raw_can_id
 
-BLOCK_MESSAGES = 8192
-_PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 _OBJECT = struct.Struct("<4sHHII")  # of BLF: signature, length of the header, version, length, type
 _CONTAINER, _CONTAINER_HEAD = 10, 16
 _LONGEST_OBJECT = 1 << 20
@@ -31,7 +27,7 @@ _COMPUTED = re.compile(r"\bAS\s*\(|\bVIRTUAL\b", re.IGNORECASE)
 
 
 def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
-    """Yield blocks of at most BLOCK_MESSAGES frames. A truncated log is noted as bad.
+    """Yield blocks of at most BLOCK_ROWS frames. A truncated log is noted as bad.
 
     Raises LogError for a file that is not of the format in its name, EnvironmentLackError for a missing package.
     """
@@ -49,9 +45,9 @@ def message_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
     messages = iter(reader)
     empty = True
     try:
-        while packed := _packed(path, messages, notes):
+        for block in row_blocks(path, map(partial(_row, path, notes), messages), notes):
             empty = False
-            yield np.frombuffer(bytearray(packed), dtype=FRAME)
+            yield block
         if empty and not notes.bad and not notes.skipped:
             notes.note_bad(UNREADABLE, f"{path}: no message in it, or damaged")
     finally:
@@ -122,26 +118,7 @@ class _BlfReader(can.BLFReader):
             place += size
 
 
-def _packed(path: Path, messages: Iterator[can.Message], notes: LogNotes) -> bytes:
-    """Return the next frames, as bytes. Empty at the end."""
-    rows = bytearray()
-    while not rows:
-        count = 0
-        try:
-            for message in islice(messages, BLOCK_MESSAGES):
-                count += 1
-                rows += _row(path, message, notes)
-        except TipforceError:
-            raise
-        except Exception as error:  # as above
-            notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
-            break
-        if not count:
-            break
-    return bytes(rows)
-
-
-def _row(path: Path, message: can.Message, notes: LogNotes) -> bytes:
+def _row(path: Path, notes: LogNotes, message: can.Message) -> bytes:
     if message.is_fd:
         notes.skip(FD)
         return b""
@@ -154,4 +131,4 @@ def _row(path: Path, message: can.Message, notes: LogNotes) -> bytes:
     t_ns = round(message.timestamp * 1e6) * 1000
     length = message.dlc if message.is_remote_frame else len(message.data)
     data = b"" if message.is_remote_frame else bytes(message.data[:8])
-    return _PACK(t_ns, raw_can_id(message), min(length, 8), channel, 0 if message.is_rx else SENT, data)
+    return PACK_FRAME(t_ns, raw_can_id(message), min(length, 8), channel, 0 if message.is_rx else SENT, data)

@@ -8,16 +8,77 @@ import time
 import zlib
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import dataclass, field
 from io import FileIO
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.errors import InputError
-from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from canopen_device.visible_text import visible
+from tipforce.errors import InputError, TipforceError
+from tipforce.host.frames.frame_array import FRAME, MAX_CHANNELS, FrameArray
 from tipforce.host.logs.unpacking import PACKED, decompressed, first_bytes
 
+FD, ERROR, REMOTE, DROPPED = "CAN FD frame", "error frame", "remote frame", "frame dropped by candump"
+UNREADABLE = "unreadable"
+
+
+@dataclass(slots=True)
+class LogNotes:
+    """Notes on a log: its ``channels`` by number, and counts of everything that is not a data frame.
+
+    ``bad`` counts unusable lines or records by reason, ``first_bad`` gives the first one and the expected
+    text. ``skipped`` counts frames without data for a decoder: CAN FD frames (left out), error and remote frames
+    (delivered, with their flags), frames that candump itself dropped. ``timed`` is False after a frame without
+    timestamp; its ``t_ns`` is 0.
+    """
+
+    strict: bool = False
+    channels: list[str] = field(default_factory=list)
+    bad: dict[str, int] = field(default_factory=dict)
+    first_bad: str | None = None
+    skipped: dict[str, int] = field(default_factory=dict)
+    timed: bool = True
+    extended: int = 0
+    """Frames with a 29-bit identifier, which CANopen does not use."""
+
+    def skip(self, what: str, count: int = 1) -> None:
+        """Count a frame without data for a decoder."""
+        if count:
+            self.skipped[what] = self.skipped.get(what, 0) + count
+
+    def note_bad(self, reason: str, text: str) -> None:
+        """Count an unusable line. Raises InputError with ``text`` if the log is read strictly."""
+        if self.strict:
+            raise InputError(text)
+        self.bad[reason] = self.bad.get(reason, 0) + 1
+        if self.first_bad is None:
+            self.first_bad = text
+
+    def channel(self, name: str) -> int | None:
+        """Return the number of an interface; None if there are already too many."""
+        name = visible(name)
+        if name in self.channels:
+            return self.channels.index(name)
+        if len(self.channels) >= MAX_CHANNELS:
+            return None
+        self.channels.append(name)
+        return len(self.channels) - 1
+
+    def count_special(self, frames: FrameArray) -> None:
+        """Count the error and remote frames of a block, and those with 29-bit identifiers."""
+        self.extended += int(np.count_nonzero(frames["can_id"] & np.uint32(EXTENDED_FLAG)))
+        special = frames["can_id"] & np.uint32(ERROR_FLAG | REMOTE_FLAG)
+        if special.any():
+            error: npt.NDArray[np.bool_] = special & np.uint32(ERROR_FLAG) != 0
+            self.skip(ERROR, int(error.sum()))
+            self.skip(REMOTE, int((special[~error] != 0).sum()))
+
+
+BLOCK_ROWS = 8192
 BLOCK_BYTES = 1 << 19
 """Small enough that a block and its results stay in the processor's cache; also the longest line."""
 
@@ -30,6 +91,24 @@ _BOM = b"\xef\xbb\xbf"
 _KEPT_BYTES = 1 << 24
 
 Text = npt.NDArray[np.uint8]
+
+
+def row_blocks(path: Path, rows: Iterator[bytes], notes: LogNotes) -> Iterator[FrameArray]:
+    """Yield the frames that ``rows`` packs, in blocks. Any error of a library at a damaged file is noted as bad."""
+    ended = False
+    while not ended:
+        packed, ended = bytearray(), True
+        try:
+            for row in islice(rows, BLOCK_ROWS):
+                ended = False
+                packed += row
+        except TipforceError:
+            raise
+        except Exception as error:  # each library raises various ones
+            notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
+            ended = not packed
+        if packed:
+            yield np.frombuffer(packed, dtype=FRAME)
 
 
 def open_file(path: Path) -> FileIO:
@@ -59,7 +138,10 @@ class LineBlocks:
         self._place = "stdin" if source is None else str(source)
         self._file = FileIO(sys.stdin.fileno(), closefd=False) if source is None else open_file(source)
         if source is None:
-            _widen(self._file)
+            with suppress(ImportError, AttributeError, OSError):  # Linux: a pipe's buffer of a whole block
+                import fcntl
+
+                fcntl.fcntl(self._file.fileno(), fcntl.F_SETPIPE_SZ, BLOCK_BYTES)
         try:
             self._readable = decompressed(self._file, self._place)
         except BaseException:
@@ -73,13 +155,23 @@ class LineBlocks:
         if self._start:
             self._file.seek(self._start)
         self.left_out = 0
-        _keep_freed_memory()
+        # Allocated and freed once, so that the C library keeps memory freed later, up to twice as much. Otherwise each
+        # block's arrays are returned to the system and mapped again, which doubles the time. It is never written.
+        np.empty(_KEPT_BYTES, dtype=np.uint8)
         self._storage = bytearray(PADDING_BYTES + BLOCK_BYTES + PADDING_BYTES)
         self._text: Text = np.frombuffer(self._storage, dtype=np.uint8)
 
     def close(self) -> None:
         """Close the file."""
         self._file.close()
+
+    @property
+    def position(self) -> int:
+        """Bytes of the file that have been read; 0 of a pipe, and after ``close``."""
+        try:
+            return self._file.tell()
+        except (OSError, ValueError):
+            return 0
 
     def __iter__(self) -> Iterator[tuple[Text, int, int]]:
         storage = self._storage
@@ -161,19 +253,3 @@ def is_plain(path: Path) -> bool:
         return False
     with open_file(path) as file:
         return not first_bytes(file).startswith(PACKED)
-
-
-def _widen(file: FileIO) -> None:
-    """Enlarge a pipe's buffer to a whole block, if the system supports it (Linux): fewer and larger reads."""
-    with suppress(ImportError, AttributeError, OSError):
-        import fcntl
-
-        fcntl.fcntl(file.fileno(), fcntl.F_SETPIPE_SZ, BLOCK_BYTES)
-
-
-def _keep_freed_memory() -> None:
-    """Allocate and free a large array once, so that the C library keeps memory freed later, up to twice as much.
-
-    Without it, each block's arrays are returned to the system and mapped again, which doubles the time.
-    """
-    np.empty(_KEPT_BYTES, dtype=np.uint8)  # never written, so no memory is used

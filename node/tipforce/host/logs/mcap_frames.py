@@ -5,21 +5,16 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
-from itertools import islice
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
-from tipforce.errors import EnvironmentLackError, LogError, TipforceError
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.logs.log_statistics import UNREADABLE, LogNotes
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG
+from tipforce.errors import EnvironmentLackError, LogError
+from tipforce.host.frames.frame_array import PACK_FRAME, FrameArray
+from tipforce.host.logs.lines import LogNotes, row_blocks
 from tipforce.host.logs.unpacking import MOST_CHUNK_BYTES, Expansion, unpacked_chunk
 
 SCHEMA = "can_msgs/msg/Frame"
-_BLOCK_MESSAGES = 8192
-_PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 _HEAD = {0: struct.Struct(">iII"), 1: struct.Struct("<iII")}  # stamp, length of frame_id; by the byte order of CDR
 _REST = {0: struct.Struct(">I???B8s"), 1: struct.Struct("<I???B8s")}
 _CDR_HEADER = 4
@@ -34,27 +29,14 @@ def mcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
         from mcap.stream_reader import StreamReader
     except ImportError:
         raise EnvironmentLackError(f"{path} is MCAP: `pip install 'tipforce[mcap]'`") from None
-    found = False
+    empty = True
     with path.open("rb") as stream:
         reader = StreamReader(stream, emit_chunks=True, record_size_limit=MOST_CHUNK_BYTES)
         messages = _messages(reader.records, path)
-        while True:
-            rows, count = bytearray(), 0
-            try:
-                for channel, log_time_ns, data in islice(messages, _BLOCK_MESSAGES):
-                    count += 1
-                    rows += _row(path, notes, channel, log_time_ns, data)
-            except TipforceError:
-                raise
-            except Exception as error:  # the reader raises various exceptions for a damaged file
-                notes.note_bad(UNREADABLE, f"{path}: truncated: {error or type(error).__name__}")
-                count = 0
-            found = found or bool(rows)
-            if rows:
-                yield np.frombuffer(rows, dtype=FRAME)
-            if not count:
-                break
-    if not found and not notes.bad:
+        for block in row_blocks(path, (_row(path, notes, *message) for message in messages), notes):
+            empty = False
+            yield block
+    if empty and not notes.bad:
         raise LogError(f"{path}: no CAN frames ({SCHEMA}) in it; `tipforce decode run.log -o run.mcap` writes them")
 
 
@@ -106,4 +88,4 @@ def _row(path: Path, notes: LogNotes, topic: str, log_time_ns: int, data: bytes)
         return b""
     can_id |= (EXTENDED_FLAG if extended else 0) | (REMOTE_FLAG if remote else 0) | (ERROR_FLAG if error else 0)
     t_ns = sec * 1_000_000_000 + nanosec
-    return _PACK(t_ns or log_time_ns, can_id, min(length, 8), channel, 0, payload)
+    return PACK_FRAME(t_ns or log_time_ns, can_id, min(length, 8), channel, 0, payload)

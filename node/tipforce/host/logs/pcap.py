@@ -16,11 +16,10 @@ from typing import TypeAlias
 
 import numpy as np
 
-from tipforce.device.codes import REMOTE_FLAG
+from canopen_device.core.codes import REMOTE_FLAG
 from tipforce.errors import InputError
-from tipforce.host.frames.frame_array import FRAME, FrameArray
-from tipforce.host.logs.lines import open_file
-from tipforce.host.logs.log_statistics import FD, UNREADABLE, LogNotes
+from tipforce.host.frames.frame_array import FRAME, PACK_FRAME, FrameArray
+from tipforce.host.logs.lines import FD, UNREADABLE, LogNotes, open_file
 
 SOCKETCAN, COOKED, COOKED_2 = 227, 113, 276
 BLOCK_FRAMES = 8192
@@ -31,7 +30,6 @@ _SECTION, _INTERFACE, _SIMPLE, _ENHANCED = 0x0A0D0D0A, 1, 3, 6
 _BYTE_ORDER_MAGIC = 0x1A2B3C4D
 _NAME_OPTION, _RESOLUTION_OPTION = 2, 9
 _LONGEST_BLOCK = 1 << 20
-_PACK = struct.Struct("<qIBBBx8s").pack  # one FRAME
 _HEAD = struct.Struct(">IBB")
 _UNIT_OF_MAGIC = {0xA1B2C3D4: 1000, 0xA1B23C4D: 1}  # ns per unit of the fraction
 
@@ -60,7 +58,9 @@ def pcap_blocks(path: Path, notes: LogNotes) -> Iterator[FrameArray]:
     """
     rows = bytearray()
     with BufferedReader(open_file(path)) as file:
-        packets = _packets(file, path, notes)
+        magic = int.from_bytes(file.peek(4)[:4], "little")
+        order = "<" if magic in _UNIT_OF_MAGIC else ">"
+        packets = _pcapng(file, path, notes) if magic == _SECTION else _pcap(file, order, path, notes)
         while True:
             try:
                 packet = next(packets, None)
@@ -108,15 +108,7 @@ def _row(packet: _Packet, notes: LogNotes) -> bytes | None:
     if length > 8 or not 0 <= t_ns < 1 << 63:
         return None
     payload = b"" if can_id & REMOTE_FLAG else data[8 : 8 + length]
-    return _PACK(t_ns, can_id, length, interface.channel, 0, payload)
-
-
-def _packets(file: _File, path: Path, notes: LogNotes) -> Iterator[_Packet]:
-    magic = file.peek(4)[:4]
-    if int.from_bytes(magic, "little") == _SECTION:
-        return _pcapng(file, path, notes)
-    order = "<" if int.from_bytes(magic, "little") in _UNIT_OF_MAGIC else ">"
-    return _pcap(file, order, path, notes)
+    return PACK_FRAME(t_ns, can_id, length, interface.channel, 0, payload)
 
 
 def _pcap(file: _File, order: str, path: Path, notes: LogNotes) -> Iterator[_Packet]:

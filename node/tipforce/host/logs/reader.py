@@ -4,16 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
 
 import numpy as np
 
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FRAME, FrameArray
 from tipforce.host.logs.candump import BadLine, BadLineError, CandumpParser
-from tipforce.host.logs.candump_bulk import CandumpBulk
-from tipforce.host.logs.lines import LineBlocks, open_file
-from tipforce.host.logs.log_statistics import DROPPED, FD, LogNotes
+from tipforce.host.logs.candump_rows import CandumpBulk
+from tipforce.host.logs.lines import DROPPED, FD, LineBlocks, LogNotes, open_file
 from tipforce.host.logs.unpacking import first_bytes
 
 STDIN = "-"
@@ -34,7 +32,7 @@ class LogReader(LogNotes):
 
     def __init__(
         self,
-        source: Path | None,
+        source: Path | str,
         *,
         strict: bool = False,
         follow: bool = False,
@@ -43,31 +41,42 @@ class LogReader(LogNotes):
         end_ns: int | None = None,
         part: tuple[int, int | None] = (0, None),
     ) -> None:
-        """See ``open_log``. ``first_bad_line`` and the number of ``lines`` apply to text logs."""
+        """Open a log by its name and its first bytes; "-" is candump text on stdin.
+
+        ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
+        more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` excludes earlier frames, ``end_ns``
+        frames at that time or later. ``part``: the bytes of a plain text to read, split by ``line_borders``; its
+        lines are numbered from 1. ``first_bad_line`` and the number of ``lines`` apply to text logs.
+
+        Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library
+        that is not installed; while iterating, InputError for a bad line (strict), and for a time selection without
+        timestamps.
+        """
         super().__init__(strict)
+        path = None if str(source) == STDIN else Path(source)
         self.first_bad_line: BadLine | None = None
         self.lines = 0
         self._limits = start_ns, end_ns
         self._lines: LineBlocks | None = None
-        kind = "text" if source is None else log_kind(source)
-        if source is None or kind == "text":
-            self._lines = LineBlocks(source, self, follow, part)
+        kind = "text" if path is None else log_kind(path)
+        if path is None or kind == "text":
+            self._lines = LineBlocks(path, self, follow, part)
             self._blocks = self._text_blocks(self._lines, deltas)
         elif kind == "mcap":
             from tipforce.host.logs.mcap_frames import mcap_blocks
 
-            self._blocks = mcap_blocks(source, self)
+            self._blocks = mcap_blocks(path, self)
         elif kind == "pcap":
             from tipforce.host.logs.pcap import pcap_blocks
 
-            self._blocks = pcap_blocks(source, self)
+            self._blocks = pcap_blocks(path, self)
         else:
             from tipforce.host.logs.library_formats import message_blocks
 
-            self._blocks = message_blocks(source, self)
+            self._blocks = message_blocks(path, self)
 
     def __iter__(self) -> Iterator[FrameArray]:
-        """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``open_log`` does."""
+        """Yield blocks of frames with start_ns <= t_ns < end_ns, none empty. Raises InputError as ``__init__`` says."""
         try:
             for block in self._blocks:
                 frames = self._within_limits(block)
@@ -81,14 +90,11 @@ class LogReader(LogNotes):
         start, end = self._limits
         if start is None and end is None:
             return frames
-        self._check_timed()
+        if not self.timed:
+            raise InputError("the log has no timestamps, so frames cannot be selected by time")
         t_ns = frames["t_ns"]
         wanted = np.ones(len(t_ns), dtype=np.bool_) if start is None else t_ns >= start
         return frames[wanted if end is None else wanted & (t_ns < end)]
-
-    def _check_timed(self) -> None:
-        if not self.timed:
-            raise InputError("the log has no timestamps, so frames cannot be selected by time")
 
     def _text_blocks(self, lines: LineBlocks, deltas: bool) -> Iterator[FrameArray]:
         parser = CandumpParser(strict=self.strict, deltas=deltas)
@@ -129,6 +135,11 @@ class LogReader(LogNotes):
             self.first_bad_line = parser.bad_lines[0]
             self.first_bad = str(self.first_bad_line)
 
+    @property
+    def position(self) -> int:
+        """Bytes of a text log that have been read, compressed as the file is; 0 of a pipe and of other formats."""
+        return 0 if self._lines is None else self._lines.position
+
     def close(self) -> None:
         """Close the file; the end of the iteration also closes it."""
         if self._lines is not None:
@@ -137,9 +148,7 @@ class LogReader(LogNotes):
     def __enter__(self) -> LogReader:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
 
 
@@ -172,27 +181,7 @@ class _Gathered:
         return frames
 
 
-def open_log(
-    source: Path | str,
-    *,
-    strict: bool = False,
-    follow: bool = False,
-    deltas: bool = False,
-    start_ns: int | None = None,
-    end_ns: int | None = None,
-    part: tuple[int, int | None] = (0, None),
-) -> LogReader:
-    """Open a log by its name and its first bytes; "-" is candump text on stdin.
-
-    ``strict`` raises at the first bad line, after the frames before it. ``follow`` waits at the end of a text for
-    more. ``deltas``: the timestamps are those of candump -td. ``start_ns`` excludes earlier frames, ``end_ns``
-    frames at that time or later. ``part``: the bytes of a plain text to read, split by ``line_borders``; its
-    lines are numbered from 1.
-    Raises InputError for a file that can't be opened or read, EnvironmentLackError for one that needs a library that
-    is not installed; while iterating, InputError for a bad line (strict), and for a time selection without timestamps.
-    """
-    path = None if str(source) == STDIN else Path(source)
-    return LogReader(path, strict=strict, follow=follow, deltas=deltas, start_ns=start_ns, end_ns=end_ns, part=part)
+open_log = LogReader
 
 
 def log_kind(path: Path) -> str:

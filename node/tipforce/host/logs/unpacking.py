@@ -98,17 +98,30 @@ def _unpacker(place: str, kind: str) -> Any:
     raise LogError(f"{place}: a chunk is packed with {kind!r}: allowed are zstd and lz4")
 
 
-class BoundedLines(RawIOBase):
-    """A text whose lines are no longer than LONGEST_LINE: a reader of lines keeps a whole one in memory."""
+class _Source(RawIOBase):
+    """Bytes made of those of ``file``, which it closes."""
 
-    def __init__(self, source: Readable, file: FileIO, place: str) -> None:
+    def __init__(self, file: FileIO) -> None:
         super().__init__()
-        self._source, self._file, self._place = source, file, place
-        self._line_bytes = 0
+        self._file = file
 
     def readable(self) -> bool:
         """As of every source."""
         return True
+
+    def close(self) -> None:
+        """Close the file."""
+        self._file.close()
+        super().close()
+
+
+class BoundedLines(_Source):
+    """A text whose lines are no longer than LONGEST_LINE: a reader of lines keeps a whole one in memory."""
+
+    def __init__(self, source: Readable, file: FileIO, place: str) -> None:
+        super().__init__(file)
+        self._source, self._place = source, place
+        self._line_bytes = 0
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill the start of ``buffer``. Raises LogError for a line that is too long, else as the source."""
@@ -119,39 +132,25 @@ class BoundedLines(RawIOBase):
             raise LogError(f"{self._place}: a line of more than {LONGEST_LINE} bytes is not a line of a log")
         return count
 
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-        super().close()
 
-
-class _Gzip(RawIOBase):
+class _Gzip(_Source):
     """Unpack gzip; of a truncated file return all data before the end."""
 
     def __init__(self, file: FileIO, place: str) -> None:
         import gzip
 
-        super().__init__()
-        self._packed, self._expansion = file, Expansion(place)
-        self._file = gzip.GzipFile(fileobj=file)
-
-    def readable(self) -> bool:
-        """As of every source."""
-        return True
-
-    def close(self) -> None:
-        """Close the file."""
-        self._packed.close()
-        super().close()
+        super().__init__(file)
+        self._expansion = Expansion(place)
+        self._content = gzip.GzipFile(fileobj=file)
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill the start of ``buffer``. Raises EOFError, OSError or zlib.error at the end of a truncated file."""
-        count = self._file.readinto1(buffer)
-        self._expansion.take(self._packed.tell(), count)
+        count = self._content.readinto1(buffer)
+        self._expansion.take(self._file.tell(), count)
         return count
 
 
-class _Zstd(RawIOBase):
+class _Zstd(_Source):
     """Unpack zstd in steps of bounded size. zstandard's own stream reader does not detect a truncated file."""
 
     def __init__(self, file: FileIO, place: str) -> None:
@@ -159,22 +158,12 @@ class _Zstd(RawIOBase):
             import zstandard
         except ImportError:
             raise EnvironmentLackError(f"{place} is zstd: `pip install 'tipforce[zstd]'`, or unpack it first") from None
-        super().__init__()
-        self._file = file
+        super().__init__(file)
         self._expansion = Expansion(place)
         self._library = zstandard
         self._frame: Any = None
         self._packed = b""
         self._unpacked = memoryview(b"")
-
-    def readable(self) -> bool:
-        """As of every source."""
-        return True
-
-    def close(self) -> None:
-        """Close the file."""
-        self._file.close()
-        super().close()
 
     def readinto(self, buffer: Any, /) -> int:
         """Fill the start of ``buffer``. Raises EOFError for a truncated file, OSError for data that is not zstd."""

@@ -9,16 +9,15 @@ import threading
 import time
 from collections.abc import Iterable
 from contextlib import suppress
-from types import TracebackType
 from typing import TYPE_CHECKING, Any
 
 import can
 import canopen
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.errors import EnvironmentLackError, InputError, NoResponseError
 from tipforce.host.frames.frame_array import FrameArray, FrameBuffer
-from tipforce.host.network.heartbeats import Heartbeats
+from tipforce.host.network.nmt import Heartbeats
 from tipforce.host.network.open_bus import open_bus
 from tipforce.host.network.sdo import DEFAULT_RETRIES, DEFAULT_TIMEOUT_S, SdoChannel, checked_time
 
@@ -114,8 +113,9 @@ class Bus:
         """
         if isinstance(channel, can.BusABC | canopen.Network):
             return cls(channel, timeout_s, retries, owned=False)
-        if channel is not None and interface is None and sys.platform == "linux" and not _configured_interface():
-            interface = "socketcan"
+        if channel is not None and interface is None and sys.platform == "linux":
+            own = can.rc.get("interface") or os.environ.get("CAN_INTERFACE")  # python-can's configuration
+            interface = None if own or can.util.load_file_config().get("interface") else "socketcan"
         opened = open_bus(channel=channel, interface=interface, **bus_options)
         try:
             return cls(opened, timeout_s, retries)
@@ -134,10 +134,10 @@ class Bus:
 
         sdo = self.sdo(node_id)
         with self._lock:
-            found = self._fingers.get(node_id)
-            if found is None or (found.passive, found.default_gauges) != (passive, gauges):
-                found = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
-            return found
+            finger = self._fingers.get(node_id)
+            if finger is None or (finger.passive, finger.default_gauges) != (passive, gauges):
+                finger = self._fingers[node_id] = Finger(self, sdo, passive=passive, default_gauges=gauges)
+            return finger
 
     def scan(self, node_ids: Iterable[int] = range(1, 128), wait_s: float = 1.2) -> list[FoundNode]:
         """Return the nodes on the bus. See ``find_nodes``."""
@@ -247,15 +247,8 @@ class Bus:
     def __enter__(self) -> Bus:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.close()
-
-
-def _configured_interface() -> str | None:
-    """Return the interface in python-can's own configuration."""
-    return can.rc.get("interface") or os.environ.get("CAN_INTERFACE") or can.util.load_file_config().get("interface")
 
 
 open_connection = Bus.open

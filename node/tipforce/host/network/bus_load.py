@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tipforce.device.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
+from canopen_device.can_frame import AFTER_CRC, least_bits, most_bits
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, REMOTE_FLAG, STANDARD_MASK
 from tipforce.dictionary.signals import tpdo_messages
 from tipforce.errors import InputError
 from tipforce.host.frames.frame_array import FrameArray
@@ -18,24 +19,7 @@ DEFAULT_BIT_RATE = 1_000_000
 LIMIT = 0.8
 """Share of the bit rate with worst-case stuffing: above it the lowest priority may miss a SYNC period."""
 
-_AFTER_CRC = 1 + 2 + 7 + 3  # CRC delimiter, acknowledge slot and delimiter, end of frame, intermission: never stuffed
 _CRC_POLYNOMIAL = 0x4599
-
-
-def least_bits(data_bytes: int, extended: bool = False) -> int:
-    """Return the bits of a frame without stuff bits, intermission included: 47 + 8 n, or 67 + 8 n (29-bit ID)."""
-    return _stuffable(data_bytes, extended) + _AFTER_CRC
-
-
-def most_bits(data_bytes: int, extended: bool = False) -> int:
-    """Return the same with the maximum of stuff bits: one after the first five bits, then one for every four."""
-    stuffable = _stuffable(data_bytes, extended)
-    return stuffable + _AFTER_CRC + (stuffable - 1) // 4
-
-
-def _stuffable(data_bytes: int, extended: bool) -> int:
-    """Return the bits from start of frame to the end of the CRC sequence."""
-    return (54 if extended else 34) + 8 * data_bytes
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,20 +98,26 @@ def highest_rate_hz(
 
 
 _KINDS = [(length, extended) for extended in (False, True) for length in range(9)]
-_LEAST = np.array([least_bits(*kind) for kind in _KINDS])
-_MOST = np.array([most_bits(*kind) for kind in _KINDS])
+LEAST_BITS = np.array([least_bits(*kind) for kind in _KINDS])
+MOST_BITS = np.array([most_bits(*kind) for kind in _KINDS])
+
+
+def kinds(frames: FrameArray) -> npt.NDArray[np.int64]:
+    """Return the kind of each of FRAME (n,) but the error frames: an index of LEAST_BITS and of MOST_BITS."""
+    flags = frames["can_id"] >> 29
+    kind: npt.NDArray[np.int64] = np.minimum(frames["length"], 8).astype(np.int64)
+    if flags.any():
+        kind[(flags & REMOTE_FLAG >> 29) != 0] = 0
+        kind[(flags & EXTENDED_FLAG >> 29) != 0] += 9
+        on_the_wire: npt.NDArray[np.int64] = kind[(flags & ERROR_FLAG >> 29) == 0]
+        return on_the_wire
+    return kind
 
 
 def range_of_bits(frames: FrameArray) -> tuple[int, int]:
     """Return the bits of all of FRAME (n,) together, without stuff bits and with their maximum; fast."""
-    flags = frames["can_id"] >> 29
-    length = np.minimum(frames["length"], 8).astype(np.int64)
-    if flags.any():
-        length[(flags & REMOTE_FLAG >> 29) != 0] = 0
-        length[(flags & EXTENDED_FLAG >> 29) != 0] += 9
-        length = length[(flags & ERROR_FLAG >> 29) == 0]
-    counts = np.bincount(length, minlength=len(_KINDS))
-    return int(counts @ _LEAST), int(counts @ _MOST)
+    counts = np.bincount(kinds(frames), minlength=len(_KINDS))
+    return int(counts @ LEAST_BITS), int(counts @ MOST_BITS)
 
 
 class LoadMeter:
@@ -158,7 +148,7 @@ def exact_bits(frames: FrameArray) -> npt.NDArray[np.int64]:
     A SocketCAN error frame reports an error and was not on the wire.
     """
     bits, length = _bit_matrix(frames)
-    count = length + _AFTER_CRC + _stuff_bits(bits, length)
+    count = length + AFTER_CRC + _stuff_bits(bits, length)
     count[(frames["can_id"] & ERROR_FLAG) != 0] = 0
     return count
 
@@ -215,3 +205,28 @@ def _stuff_bits(bits: npt.NDArray[np.uint8], length: npt.NDArray[np.int64]) -> n
         last = np.where(full, 1 - last, last).astype(np.uint8)
         run = np.where(full, 1, run)
     return stuffed
+
+
+def budget_lines(budget: Budget) -> list[str]:
+    """Return a line per kind of frame, and the sum."""
+    lines = [f"  {'frame':12} {'each s':>10} {'bytes':>6} {'no stuffing':>12} {'worst case':>11}"]
+    for t in budget.traffic:
+        least, most = (100 * bits / budget.bit_rate for bits in (t.least_bits_per_second, t.most_bits_per_second))
+        lines.append(f"  {t.name:12} {t.per_second:10g} {t.data_bytes:6} {least:10.1f} % {most:9.1f} %")
+    lines.append(f"  {'together':12} {'':10} {'':6} {100 * budget.least_load:10.1f} % {100 * budget.most_load:9.1f} %")
+    return lines
+
+
+def what_fits(nodes: int, rate_hz: float, pdos: list[str], gauges: int, bit_rate: int, limit: float) -> list[str]:
+    """Return lines with the rate and the number of nodes that fit, for all PDOs requested and for each of them."""
+    lines = []
+    choices = [pdos] + ([[name] for name in pdos] if len(pdos) > 1 else [])
+    for choice in choices:
+        rate = highest_rate_hz(nodes, choice, gauges, bit_rate, limit)
+        most = max(
+            (n for n in range(1, 128) if hand_budget(n, rate_hz, choice, gauges, bit_rate).most_load <= limit),
+            default=0,
+        )
+        names = " + ".join(name.lower() for name in choice)
+        lines.append(f"  {names:24} {nodes} nodes up to {rate:.0f} Hz; at {rate_hz:g} Hz up to {most} nodes")
+    return lines

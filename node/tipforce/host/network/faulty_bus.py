@@ -19,9 +19,10 @@ from typing import Any
 
 import can
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.errors import InputError
 
+_KEPT_MESSAGES = 10_000  # a duplicate needs its message too
 RawFrame = tuple[int, bytes]  # can_id with SocketCAN's flags, data
 
 
@@ -152,28 +153,20 @@ class FaultyBus(can.BusABC):
             now_s = time.monotonic()
             frame = self._injector.take(now_s)
             if frame is not None:
-                return self._message(frame), False
+                message = self._messages[frame[0] >> 32 << 32].__copy__()
+                message.data, message.timestamp = bytearray(frame[1]), time.time()
+                return message, False
             waits_s = [t - now_s for t in (deadline_s, self._injector.next_due_s()) if t is not None]
-            message = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
-            if message is not None:
+            received = self.bus.recv(max(0.0, min(waits_s)) if waits_s else 0.05)
+            if received is not None:
                 number = next(self._numbers) << 32
-                self._messages[number] = message
-                self._injector.put((number | message.arbitration_id & codes.STANDARD_MASK, bytes(message.data)), now_s)
-                self._forget()
+                self._messages[number] = received
+                can_id = number | received.arbitration_id & codes.STANDARD_MASK
+                self._injector.put((can_id, bytes(received.data)), now_s)
+                while len(self._messages) > _KEPT_MESSAGES:
+                    del self._messages[next(iter(self._messages))]
             elif deadline_s is not None and time.monotonic() >= deadline_s:
                 return None, False
-
-    def _message(self, frame: RawFrame) -> can.Message:
-        number = frame[0] >> 32 << 32
-        message = self._messages[number].__copy__()
-        message.data = bytearray(frame[1])
-        message.timestamp = time.time()
-        return message
-
-    def _forget(self) -> None:
-        """Delete old messages; they are kept for a time because a duplicate needs its message too."""
-        while len(self._messages) > 10_000:
-            del self._messages[next(iter(self._messages))]
 
     def _check(self) -> None:
         if self.bus_off:

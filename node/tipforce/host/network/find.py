@@ -5,17 +5,20 @@ from __future__ import annotations
 import time
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.dictionary import objects as od
-from tipforce.dictionary.dbc import NMT_STATES
+from tipforce.dictionary.service_texts import state_text
 from tipforce.dictionary.table import REVISION
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError
-from tipforce.host.decoding import status_words
 from tipforce.host.frames.frame_array import FrameArray
-from tipforce.host.network.bus import Bus
-from tipforce.host.network.finger import FingertipClient, Identity
+from tipforce.host.network.finger import FingertipClient
 from tipforce.host.network.sdo import checked_time
+from tipforce.samples import reasons
+
+if TYPE_CHECKING:
+    from tipforce.host.network.bus import Bus
 
 DEVICE_TYPE = (0x00, 0x10, 0x00)
 """1000h:00 in bytes 1 to 3 of a request, and of its response or abort."""
@@ -88,7 +91,7 @@ def _request_device_types(connection: Bus, node_ids: Collection[int]) -> None:
 
 
 def _describe(connection: Bus, node_id: int, state: int | None, answers: bool) -> FoundNode:
-    state_name = "no heartbeat" if state is None else NMT_STATES.get(state, f"state {state}")
+    state_name = "no heartbeat" if state is None else state_text(state)
     if not answers:
         seen = connection.duplicates.found.get(node_id)
         text = "" if seen is None else str(seen)
@@ -116,16 +119,9 @@ def _identified(client: FingertipClient, state_name: str) -> FoundNode:
     crc = client.sdo.read(od.CALIBRATION_ACTIVE_CRC)
     generation = client.sdo.read(od.CALIBRATION_GENERATION)
     calibration = f"0x{crc:08X} generation {generation}" if crc else "not calibrated"
-    faults = ", ".join(status_words.of_faults(client.sdo.read(od.FAULTS)))
-    eds = _eds_match(identity)
-    return FoundNode(client.node_id, state_name, _device(identity), identity.serial, calibration, eds, faults)
-
-
-def _device(identity: Identity) -> str:
-    return f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
-
-
-def _eds_match(identity: Identity) -> str:
+    faults = ", ".join(reasons.of_faults(client.sdo.read(od.FAULTS)))
+    eds = "match"
     if identity.revision >> 16 != REVISION >> 16:
-        return f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
-    return "match"
+        eds = f"no: revision 0x{identity.revision:08X}, expected 0x{REVISION:08X}"
+    device = f"{'simulated ' if identity.simulated else ''}fingertip, {identity.gauges} gauges"
+    return FoundNode(client.node_id, state_name, device, identity.serial, calibration, eds, faults)

@@ -10,20 +10,19 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, TypeVar
 
-from tipforce.device import codes
+from canopen_device.core import codes
+from canopen_device.types import Value
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.rows import gauges_of
-from tipforce.dictionary.types import Value
+from tipforce.dictionary.entries import Entry, gauges_of
 from tipforce.errors import InputError, RefusedError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration, difference
 from tipforce.host.network.sdo import SdoChannel, checked_time
 
 if TYPE_CHECKING:
-    from tipforce.host.decoding.contacts import Contact
     from tipforce.host.network.bus import Bus
     from tipforce.host.network.finger_samples import ContactReader, ContactStream
+    from tipforce.samples.record import Contact
 
 T = TypeVar("T", bound=Value)
 
@@ -39,10 +38,6 @@ _REFUSALS = {
     codes.TOO_HIGH: "the condition number of C exceeds the limit 2105h:1, or its 2-norm exceeds 1e7 N per unit strain",
     codes.TOO_LOW: "the 2-norm of C is below 10 N per unit strain; check whether it is in newtons per microstrain",
 }
-
-
-def _silent(_step: str) -> None:
-    """Ignore a progress message."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,12 +82,8 @@ class FingertipClient:
 
     def identity(self) -> Identity:
         """Return the identity of the node."""
-        return Identity(
-            self.sdo.read(od.IDENTITY_VENDOR),
-            self.sdo.read(od.IDENTITY_PRODUCT),
-            self.sdo.read(od.IDENTITY_REVISION),
-            self.sdo.read(od.IDENTITY_SERIAL),
-        )
+        parts = (od.IDENTITY_VENDOR, od.IDENTITY_PRODUCT, od.IDENTITY_REVISION, od.IDENTITY_SERIAL)
+        return Identity(*(self.sdo.read(part) for part in parts))
 
     def calibration(self) -> Calibration | None:
         """Return the active calibration, read back over SDO; None if the node has none.
@@ -115,7 +106,7 @@ class FingertipClient:
             raise RefusedError(f"node {self.node_id}: {error}") from None
 
     def apply_calibration(
-        self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = _silent
+        self, calibration: Calibration, store: bool = True, on_step: Callable[[str], None] = lambda _step: None
     ) -> int:
         """Stage, commit, read back and compare, store; returns the generation (2103h:4).
 
@@ -149,11 +140,11 @@ class FingertipClient:
 
     def verify_calibration(self, calibration: Calibration) -> list[str]:
         """Return the differences between a calibration and the node's active one, a line per field; empty if equal."""
-        found = self.sdo.read(od.CALIBRATION_ACTIVE_RECORD)
+        record = self.sdo.read(od.CALIBRATION_ACTIVE_RECORD)
         active_crc, expected = self.sdo.read(od.CALIBRATION_ACTIVE_CRC), calibration.crc32()
         if not active_crc:
             return ["the node has no active calibration"]
-        lines = difference(calibration.record(), found)
+        lines = difference(calibration.record(), record)
         if active_crc != expected and not lines:
             lines.append(f"active CRC-32 is 0x{active_crc:08X}, expected 0x{expected:08X}")
         return lines
@@ -253,7 +244,6 @@ class Finger(FingertipClient):
             self._reader = None
 
     def _opened(self) -> ContactReader:
-        from tipforce.device.codes import OPERATIONAL, STOPPED
         from tipforce.host.network.finger_samples import open_reader, passive_reader
 
         with self._lock:
@@ -262,7 +252,8 @@ class Finger(FingertipClient):
             elif self._reader is None:
                 self._reader = open_reader(self._connection, self.node_id, self.calibration())
             state, now_s = self._connection.heartbeats.state(self.node_id), time.monotonic()
-            if not self.passive and state not in (OPERATIONAL, STOPPED) and now_s - self._started_s > _START_AGAIN_S:
+            to_start = not self.passive and state not in (codes.OPERATIONAL, codes.STOPPED)
+            if to_start and now_s - self._started_s > _START_AGAIN_S:
                 self._started_s = now_s
                 self._connection.nmt("start", self.node_id)
             return self._reader

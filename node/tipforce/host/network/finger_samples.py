@@ -11,19 +11,18 @@ from collections.abc import AsyncIterator, Iterator
 from contextlib import suppress
 from typing import TYPE_CHECKING
 
-import numpy as np
-
-from tipforce.device import codes
-from tipforce.device.codes import OPERATIONAL, STOPPED
+from canopen_device.core import codes
+from canopen_device.core.codes import OPERATIONAL, STOPPED
 from tipforce.dictionary import objects
 from tipforce.dictionary.signals import Message, tpdo_messages
 from tipforce.errors import DuplicateNodeError, InputError, NoNewSampleError, SdoAbortError
 from tipforce.host.configuration.calibration import Calibration
-from tipforce.host.decoding.columns import columns_of
-from tipforce.host.decoding.contacts import Contact, Status, contact_values, status_of, uncertainties
-from tipforce.host.decoding.health import NAMES, Health, packed
 from tipforce.host.decoding.pdo_layout import layout_decoder, node_layout
 from tipforce.host.decoding.sync_modulus import SAMPLES
+from tipforce.host.frames.frame_array import RawFrame, frame_array
+from tipforce.samples.assembler import Assembler
+from tipforce.samples.reasons import Status
+from tipforce.samples.record import Contact
 
 if TYPE_CHECKING:
     from tipforce.host.network.bus import Bus
@@ -34,8 +33,6 @@ _FRESH_S = 0.1  # an older unread sample is stale, unless the SYNC period is lon
 _MOST_WAITING = 10_000
 _STEP_S = 0.2  # the longest wait for a frame: the delay until a close() is noticed
 _SETS = (("P", "phi", "theta"), ("F1", "F2", "F3"))
-
-Raw = tuple[float, Message, bytes]  # receive time, PDO, its data
 
 
 class ContactReader:
@@ -55,31 +52,24 @@ class ContactReader:
         passive: bool = False,
     ) -> None:
         self._passive = passive
-        self._connection, self._node_id, self._gauges = connection, node_id, gauges
-        self._calibration = calibration
-        self._needed = _needed(node_id, gauges, pdos)
-        self._pdos = pdos
+        self._connection, self._node_id = connection, node_id
+        needed = _needed(node_id, gauges, pdos)
+        layouts = {can_id: (node_id, message) for can_id, message in pdos.items()}
+        self._assembler = Assembler(layouts, needed, gauges, {node_id: calibration})
         self._arrived = threading.Condition()
-        self._waiting: deque[Raw] = deque(maxlen=_MOST_WAITING)
-        self._last: dict[str, dict[str, float]] = {}
-        self._received = self._repeated = 0
-        self._last_status = Status(0)
+        self._waiting: deque[RawFrame] = deque(maxlen=_MOST_WAITING)
+        self._joined: deque[Contact] = deque()
+        self._received = self._repeated = False
+        self._last: Contact | None = None
         self._since_s = time.monotonic()
-        self._health = Health()
-        self._services = (codes.EMCY_BASE + node_id, codes.HEARTBEAT_BASE + node_id)
-        for can_id in pdos:
+        for can_id in (*self._assembler.pdos, *self._assembler.services):
             connection.network.subscribe(can_id, self._on_frame)
-        for can_id in self._services:
-            connection.network.subscribe(can_id, self._on_service)
 
     def close(self) -> None:
         """Stop receiving."""
-        for can_id in self._pdos:
+        for can_id in (*self._assembler.pdos, *self._assembler.services):
             with suppress(KeyError, ValueError):
                 self._connection.network.unsubscribe(can_id, self._on_frame)
-        for can_id in self._services:
-            with suppress(KeyError, ValueError):
-                self._connection.network.unsubscribe(can_id, self._on_service)
 
     def next(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the next new sample. ``period_s``: of own SYNCs if no other node sends them; None: send none.
@@ -107,11 +97,11 @@ class ContactReader:
 
     def newest(self, deadline_s: float, period_s: float | None) -> Contact:
         """Return the newest sample that was not returned yet, if it is fresh; else the next one. Raises as ``next``."""
-        found = None
+        newest = None
         while (contact := self._take()) is not None:
-            found = contact
-        if found is not None and time.time() - found.t_s <= _FRESH_S:
-            return found
+            newest = contact
+        if newest is not None and time.time() - newest.t_s <= _FRESH_S:
+            return newest
         return self.next(deadline_s, period_s)
 
     def _check_duplicates(self) -> None:
@@ -123,73 +113,43 @@ class ContactReader:
 
     def _on_frame(self, can_id: int, data: bytearray, t_s: float) -> None:
         """Store a frame; called by the receiving thread."""
+        frame = int(1e9 * (t_s or time.time())), can_id, bytes(data[:8])
+        if can_id in self._assembler.services:  # at once: samples that wait too long are dropped
+            self._assembler.service(can_id, frame[0], frame[2])
+            return
         with self._arrived:
-            self._waiting.append((t_s or time.time(), self._pdos[can_id], bytes(data)))
+            self._waiting.append(frame)
             self._arrived.notify_all()
 
-    def _on_service(self, can_id: int, data: bytearray, t_s: float) -> None:
-        """An EMCY or a heartbeat; called by the receiving thread."""
-        time_ns = int(1e9 * t_s)
-        if can_id == self._services[0]:
-            self._health.emcy(self._node_id, time_ns, bytes(data))
-        elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
-            self._health.boot(self._node_id, time_ns)
-
     def _take(self) -> Contact | None:
-        while self._waiting:
-            t_s, message, data = self._waiting.popleft()
-            if len(data) < message.length_bytes:
+        """Return the next sample that is not a repeat of the one before; None if no more has arrived."""
+        while self._waiting or self._joined:
+            if self._joined:
+                self._last = contact = self._joined.popleft()
+                if Status.STALE not in contact.status:
+                    return contact
+                self._repeated = True
                 continue
-            words = np.frombuffer(data.ljust(8, b"\0")[:8], dtype="<u8")
-            columns = columns_of(words, message.signals)
-            self._last[message.name] = values = {name: column[0] for name, column in columns.items()}
-            if "counter" in values and not values.get("stale"):
-                overflow = self._connection.sync_overflow
-                self._connection.duplicates.sample(
-                    self._node_id,
-                    message.name,
-                    int(values["counter"]),
-                    data,
-                    overflow if overflow > 1 else SAMPLES,
-                    int(1e9 * t_s),
-                )
-            faults = packed(columns)
-            if faults is not None:
-                self._health.pdo(self._node_id, int(1e9 * t_s), int(faults[0]))
-            self._received += 1
-            if message.name == self._needed[-1]:
-                found = self._joined(t_s)
-                if found is not None:
-                    return found
+            frames = [self._waiting.popleft() for _ in range(len(self._waiting))]
+            for frame in frames:
+                self._watch(*frame)
+            self._joined += self._assembler.feed(frame_array(frames)).contacts()
         return None
 
-    def _joined(self, t_s: float) -> Contact | None:
-        """Return the sample that this PDO completes; None if a PDO of it is missing, or if it is a repeat."""
-        counter = self._last[self._needed[-1]]["counter"]
-        same = [values for values in self._last.values() if values.get("counter") == counter]
-        if any(self._last.get(name, {}).get("counter") != counter for name in self._needed):
-            return None
-        columns = {name: np.array([value]) for values in same for name, value in values.items()}
-        faults, _ = self._health.now(self._node_id)
-        columns |= {name: np.array([faults >> bit & 1]) for name, bit in NAMES.items()}
-        status = status_of(columns, (1,))
-        self._last_status = Status(int(status[0]))
-        if Status.STALE in self._last_status:
-            self._repeated += 1
-            return None
-        names = [f"SG{k + 1}" for k in range(self._gauges)]
-        gauges = np.array([[float(columns[name][0]) if name in columns else math.nan for name in names]])
-        values = contact_values(columns, gauges * 1e-6, status, self._calibration)
-        P, phi, theta = values[0].tolist()
-        u_P, u_phi, u_theta = uncertainties(values[:, np.newaxis], [self._calibration])[0, 0].tolist()
-        microstrain = tuple(gauges[0].tolist()) if set(names) & set(columns) else ()
-        return Contact(
-            self._node_id, t_s, int(counter), P, phi, theta, u_P, u_phi, u_theta, self._last_status, microstrain
-        )
+    def _watch(self, t_ns: int, can_id: int, data: bytes) -> None:
+        """Look for samples of two nodes."""
+        _, pdo = self._assembler.pdos.get(can_id, (0, None))
+        if pdo is None or len(data) < pdo.message.length_bytes:
+            return
+        self._received, word = True, int.from_bytes(data, "little")
+        if pdo.counter_shift >= 0 and not word & pdo.stale_mask:
+            overflow, counter = self._connection.sync_overflow, word >> pdo.counter_shift & 0xFF
+            modulus = overflow if overflow > 1 else SAMPLES
+            self._connection.duplicates.sample(self._node_id, pdo.message.name, counter, data, modulus, t_ns)
 
     def _why(self) -> str:
-        if Status.STALE in self._last_status and self._repeated:
-            return f": it repeats sample {int(self._last[self._needed[-1]]['counter'])}: its converter has no new one"
+        if self._repeated and self._last is not None and Status.STALE in self._last.status:
+            return f": it repeats sample {self._last.counter}: its converter has no new one"
         if self._received:
             return ""
         state = self._connection.heartbeats.state(self._node_id)
@@ -197,7 +157,7 @@ class ContactReader:
             return f": it is STOPPED (NMT); start it: bus.nmt('start', {self._node_id})"
         if state not in (None, OPERATIONAL):
             return f": it is not operational (NMT); start it: bus.nmt('start', {self._node_id})"
-        identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._pdos)
+        identifiers = ", ".join(f"0x{can_id:03X}" for can_id in self._assembler.pdos)
         return f": no frame with identifier {identifiers}; check that it receives a SYNC"
 
 
@@ -231,7 +191,7 @@ def open_reader(connection: Bus, node_id: int, calibration: Calibration | None) 
 
 def passive_reader(connection: Bus, node_id: int, gauges: int) -> ContactReader:
     """Return a reader of the default PDOs of a node with ``gauges`` gauges; it sends nothing."""
-    pdos = {one.cob_id_base + node_id: one for one in tpdo_messages(gauges) if one.cob_id_base}
+    pdos = {message.cob_id_base + node_id: message for message in tpdo_messages(gauges) if message.cob_id_base}
     return ContactReader(connection, node_id, gauges, pdos, None, passive=True)
 
 

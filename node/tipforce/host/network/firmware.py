@@ -8,7 +8,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
-from tipforce.device import codes, program
+from canopen_device.core import codes, program
 from tipforce.dictionary import objects as od
 from tipforce.errors import InputError, NoResponseError, RefusedError, SdoAbortError
 from tipforce.host.network.bus import Bus
@@ -110,7 +110,8 @@ def install(
     _check(place, before, firmware, allow_downgrade)
     command_and_wait(bus, "preop", [node_id], timeout_s=5.0)
     try:
-        _transfer(sdo, firmware.content, progress)
+        entry, deadline_s = od.PROGRAM_DATA[1], 20.0 + len(firmware.content) / _BYTES_PER_S
+        sdo.download(entry.index, entry.sub, firmware.content, progress=progress, deadline_s=deadline_s)
         sdo.write(od.PROGRAM_CONTROL[1], program.START)
     except SdoAbortError as error:
         if error.code == codes.DEVICE_STATE:
@@ -139,12 +140,6 @@ def _check(place: str, before: NodeProgram, firmware: Firmware, allow_downgrade:
             f"{place}: {header.version_text()} is older than the installed {before.version}; "
             "add --allow-downgrade to install it"
         )
-
-
-def _transfer(sdo: SdoChannel, content: bytes, progress: Callable[[int], None]) -> None:
-    deadline_s = 20.0 + len(content) / _BYTES_PER_S
-    entry = od.PROGRAM_DATA[1]
-    sdo.download(entry.index, entry.sub, content, progress=progress, deadline_s=deadline_s)
 
 
 def _confirmed(sdo: SdoChannel, place: str, trial_s: float) -> NodeProgram:

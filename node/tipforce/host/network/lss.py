@@ -10,9 +10,8 @@ import struct
 from collections.abc import Sequence
 from concurrent.futures import Future
 from dataclasses import dataclass
-from types import TracebackType
 
-from tipforce.device import codes
+from canopen_device.core import codes
 from tipforce.errors import InputError, NoResponseError, RefusedError
 from tipforce.host.network.bus import Bus
 
@@ -49,9 +48,7 @@ class LssMaster:
     def __enter__(self) -> LssMaster:
         return self
 
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_: object) -> None:
         self.release()
         self._connection.network.unsubscribe(codes.LSS_RESPONSE_COB_ID, self._on_answer)
 

@@ -1,14 +1,75 @@
-"""Send NMT commands and wait for their effect in the heartbeats (CiA 301, 7.3.2.2)."""
+"""NMT states of the nodes from their heartbeats (CiA 301, 7.2.8.3.2), and commands that wait for them (7.3.2.2)."""
 
 from __future__ import annotations
 
+import threading
 import time
 from collections.abc import Collection
+from typing import TYPE_CHECKING
 
-from tipforce.device.codes import INITIALISING, OPERATIONAL, PRE_OPERATIONAL, STOPPED
+import can
+
+from canopen_device.can_frame import raw_can_id
+from canopen_device.core.codes import HEARTBEAT_BASE, INITIALISING, NODE_ID_MASK, OPERATIONAL, PRE_OPERATIONAL, STOPPED
 from tipforce.dictionary.dbc import NMT_STATES
+from tipforce.dictionary.service_texts import state_text
 from tipforce.errors import NoResponseError
-from tipforce.host.network.bus import Bus
+from tipforce.host.decoding.duplicates import DuplicateNodes
+
+if TYPE_CHECKING:
+    from tipforce.host.network.bus import Bus
+
+_AFTER_ERROR_S = 0.05
+
+
+class Heartbeats(can.Listener):
+    """Store each node's last heartbeat; any number of threads may wait for one. ``duplicates`` gets every frame."""
+
+    def __init__(self) -> None:
+        self._last: dict[int, tuple[float, int]] = {}
+        self._arrived = threading.Condition()
+        self.duplicates = DuplicateNodes()
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Store a heartbeat; called by the Notifier's thread."""
+        if not msg.is_fd:
+            self.duplicates.frame(raw_can_id(msg), bytes(msg.data), round(1e9 * msg.timestamp))
+        if not 0 < msg.arbitration_id - HEARTBEAT_BASE <= NODE_ID_MASK or len(msg.data) != 1:
+            return
+        if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame:
+            return
+        with self._arrived:
+            self._last[msg.arbitration_id & NODE_ID_MASK] = time.monotonic(), msg.data[0] & 0x7F
+            self._arrived.notify_all()
+
+    def on_error(self, exc: Exception) -> None:
+        """Continue to listen after a bus error, which the Notifier keeps for waiting threads; called by the Notifier.
+
+        Without this its thread would end with a traceback. A bus that fails repeatedly must not keep a core busy.
+        """
+        del exc
+        time.sleep(_AFTER_ERROR_S)
+
+    def stop(self) -> None:
+        """Do nothing; called by the Notifier at its end."""
+
+    def state(self, node_id: int) -> int | None:
+        """Return the NMT state of the last heartbeat, None for a node without one."""
+        with self._arrived:
+            return self._last[node_id][1] if node_id in self._last else None
+
+    def wait(self, node_id: int, states: Collection[int], since_s: float, timeout_s: float) -> bool:
+        """Wait for a heartbeat with one of ``states`` after ``since_s`` (monotonic); return False if there is none."""
+        deadline_s = time.monotonic() + timeout_s
+        with self._arrived:
+            while True:
+                heard_s, state = self._last.get(node_id, (-1.0, -1))
+                if heard_s >= since_s and state in states:
+                    return True
+                left_s = deadline_s - time.monotonic()
+                if left_s <= 0 or not self._arrived.wait(left_s):
+                    return False
+
 
 _REACHED = {
     "start": (OPERATIONAL,),
@@ -41,7 +102,7 @@ def command_and_wait(
     not report it in time: they are off, or their heartbeat (1017h) is slower or 0.
     """
     since_s = time.monotonic()
-    wanted, found = _REACHED[command], dict[int, str]()
+    wanted, reached = _REACHED[command], dict[int, str]()
     again_s = timeout_s if command.startswith("reset") else _AGAIN_S
     waiting = sorted(node_ids)
     while waiting:
@@ -53,18 +114,14 @@ def command_and_wait(
         until_s = min(now_s + again_s, since_s + timeout_s)
         for node_id in waiting:
             if connection.heartbeats.wait(node_id, wanted, since_s, max(0.0, until_s - time.monotonic())):
-                found[node_id] = NMT_STATES[wanted[0]]
-        waiting = [node_id for node_id in waiting if node_id not in found]
-    missing = [f"{node_id} ({_last(connection, node_id)})" for node_id in waiting]
-    if missing:
+                reached[node_id] = NMT_STATES[wanted[0]]
+        waiting = [node_id for node_id in waiting if node_id not in reached]
+    if waiting:
+        last = ((node_id, connection.heartbeats.state(node_id)) for node_id in waiting)
+        shown = [f"{n} ({'silent' if s is None else f'last reported {state_text(s)}'})" for n, s in last]
         raise NotReachedError(
-            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(missing)}; "
+            f"nmt {command}: no heartbeat with the new state within {timeout_s:g} s from node {', '.join(shown)}; "
             "check that its heartbeat (1017h) is on and faster than this",
-            found,
+            reached,
         )
-    return found
-
-
-def _last(connection: Bus, node_id: int) -> str:
-    state = connection.heartbeats.state(node_id)
-    return "silent" if state is None else f"last reported {NMT_STATES.get(state, f'state {state}')}"
+    return reached

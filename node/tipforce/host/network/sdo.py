@@ -1,6 +1,6 @@
 """The SDO client of the host: one channel to each node, for threads and for asyncio, with retries and a deadline.
 
-``tipforce.device.sdo_client`` does the transfer; the thread that receives a response processes it.
+``canopen_device.core.sdo_client`` does the transfer; the thread that receives a response processes it.
 """
 
 from __future__ import annotations
@@ -10,18 +10,17 @@ import time
 from collections.abc import Callable, Generator
 from contextlib import suppress
 from dataclasses import dataclass
+from inspect import iscoroutine
 from typing import Any, TypeAlias, TypeVar
 
 import canopen
 
-from tipforce.device import codes
-from tipforce.device.sdo_client import Download, Transfer, Upload
-from tipforce.device.sdo_client_block import SWITCH_BYTES, BlockDownload, BlockUpload
+from canopen_device.core import codes
+from canopen_device.core.sdo_client import SWITCH_BYTES, BlockDownload, BlockUpload, Download, Transfer, Upload
+from canopen_device.types import Value
 from tipforce.dictionary import objects as od
 from tipforce.dictionary import table
-from tipforce.dictionary.entries import Entry
-from tipforce.dictionary.names import resolve
-from tipforce.dictionary.types import Value
+from tipforce.dictionary.entries import Entry, resolve
 from tipforce.errors import DuplicateNodeError, InputError, NoResponseError, SdoAbortError, TipforceError
 from tipforce.host.decoding.duplicates import PRODUCT, SERIAL, DuplicateNodes
 from tipforce.host.network.sdo_exchange import Exchange, Turns
@@ -135,41 +134,16 @@ class SdoChannel:
 
     def run(self, steps: Steps[R]) -> R:
         """Do the transfers of ``steps`` and return its value. Raises what it raises."""
+
         try:
-            step = next(steps)
-            while True:
-                try:
-                    value = None
-                    if isinstance(step, Read):
-                        value = self.read(step.entry)
-                    else:
-                        self.write(step.entry, step.value)
-                except TipforceError as error:
-                    step = steps.throw(error)
-                else:
-                    step = steps.send(value)
+            _each(steps, self.read, self.write).send(None)  # it never waits
         except StopIteration as end:
             result: R = end.value
-            return result
+        return result
 
     async def run_async(self, steps: Steps[R]) -> R:
         """Run for asyncio: the steps of one channel in sequence, those of several channels at once."""
-        try:
-            step = next(steps)
-            while True:
-                try:
-                    value = None
-                    if isinstance(step, Read):
-                        value = await self.read_async(step.entry)
-                    else:
-                        await self.write_async(step.entry, step.value)
-                except TipforceError as error:
-                    step = steps.throw(error)
-                else:
-                    step = steps.send(value)
-        except StopIteration as end:
-            result: R = end.value
-            return result
+        return await _each(steps, self.read_async, self.write_async)
 
     def upload(self, index: int, sub: int, long: bool = False) -> bytes:
         """Return the bytes of an entry (an SDO upload). ``long``: in blocks, except data too short for them."""
@@ -342,3 +316,20 @@ class SdoChannel:
         exchange = self._exchange
         if exchange is not None:
             exchange.step(bytes(data))
+
+
+async def _each(steps: Steps[R], read: Callable[[Entry[Any]], Any], write: Callable[[Entry[Any], Any], Any]) -> R:
+    """Do each transfer of ``steps``; an error of one is raised there."""
+    try:
+        step = next(steps)
+        while True:
+            try:
+                answer = read(step.entry) if isinstance(step, Read) else write(step.entry, step.value)
+                value = await answer if iscoroutine(answer) else answer
+            except TipforceError as error:
+                step = steps.throw(error)
+            else:
+                step = steps.send(value)
+    except StopIteration as end:
+        result: R = end.value
+        return result

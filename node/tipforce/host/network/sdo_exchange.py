@@ -11,10 +11,8 @@ from typing import TYPE_CHECKING
 
 import can
 
-from tipforce.device import codes
-from tipforce.device.sdo_client import Transfer
-from tipforce.device.sdo_client_block import BlockDownload, BlockUpload
-from tipforce.dictionary.service_texts import abort_text
+from canopen_device.core import codes
+from canopen_device.core.sdo_client import BlockDownload, BlockUpload, Transfer
 from tipforce.errors import EnvironmentLackError, NoResponseError, SdoAbortError
 
 if TYPE_CHECKING:
@@ -145,6 +143,8 @@ class Exchange:
             self._attempts -= 1
             self._step(None)
             return
+        from tipforce.dictionary.service_texts import abort_text
+
         raise SdoAbortError(f"{self._place}: abort 0x{code:08X}, {abort_text(code)}", code)
 
     def _no_response(self, transfer: Transfer) -> Exception:

@@ -1,13 +1,28 @@
-"""A seeded part of `python -m bench.soak`, and that its check can fail."""
+"""Short parts of `bench.hand` and `bench.soak`. How many rows come late on a busy machine is not asserted."""
 
 from __future__ import annotations
 
 import pytest
-from bench.soak import Soak
-from bench.soak_fingers import stored_fingers
+from bench.hand import HEADER, JITTER_HEADER, jitter_row, measure, row
+from bench.soak import Soak, stored_fingers
 
-from tipforce.host.hand.collector import Collector
+from tipforce.host.hand.rows import Collector
 from tipforce.host.network.faulty_bus import Faults
+
+
+@pytest.mark.parametrize("sync", ["process", "thread"])
+def test_rows_over_loopback_sockets(sync: str) -> None:
+    found = measure(3, 50.0, 1.5, sync)
+    tally = found.statistics.tally
+    assert tally.rows > 10
+    assert tally.mixed.sum() == 0
+    assert found.statistics.dropped == 0
+    assert tally.missing.sum() < tally.rows * 3
+    assert found.statistics.sync.periods >= tally.rows - 2
+    assert 0.0 < found.latency_us[0] <= found.latency_us[1] <= found.latency_us[2]
+    assert found.fingers_cpu > 0.0
+    assert len(row(found)) == len(HEADER)
+    assert len(jitter_row(found)) == len(JITTER_HEADER)
 
 
 def test_a_minute_of_trouble_breaks_nothing() -> None:

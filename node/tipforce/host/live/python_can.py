@@ -1,19 +1,18 @@
-"""Live reception through python-can, for every interface except SocketCAN: the same methods, the same blocks."""
+"""Frames and python-can's messages: reception on every interface except SocketCAN, and messages to send and to log."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 
 import can
 import numpy as np
 
+from canopen_device.can_frame import raw_can_id
+from canopen_device.core.codes import ERROR_FLAG, EXTENDED_FLAG, EXTENDED_MASK, REMOTE_FLAG
 from tipforce.errors import EnvironmentLackError
-from tipforce.host.frames.fd_frame import BIT_RATE_SWITCH, ERROR_STATE, FdFrame
 from tipforce.host.frames.frame_array import FRAME, SENT, FrameArray
-from tipforce.host.frames.frame_block import CandumpBlock
-from tipforce.host.live.can_filter import Selection
-from tipforce.host.live.receiver import Receiver, ShortSwitchInterval
-from tipforce.socketcan import raw_can_id
+from tipforce.host.frames.frame_block import BIT_RATE_SWITCH, ERROR_STATE, CandumpBlock, FdFrame
+from tipforce.host.live.receiver import Receiver, Selection, ShortSwitchInterval
 
 BURST = 512
 """The maximum number of frames per receive."""
@@ -62,7 +61,7 @@ class PythonCanReceiver(Receiver):
         block = message_block(messages, self._names, self._channel)
         if self._selection.everything and not any(message.is_error_frame for message in messages):
             return block
-        fd_id = np.array([one.can_id for one in block.fd], dtype=np.uint32)
+        fd_id = np.array([frame.can_id for frame in block.fd], dtype=np.uint32)
         return block.take(self._selection.passes(block.frames["can_id"]), self._selection.passes(fd_id))
 
 
@@ -100,3 +99,40 @@ def message_frames(messages: list[can.Message]) -> FrameArray:
     data = b"".join(bytes(message.data)[:8].ljust(8, b"\0") for message in messages)
     frames["data"] = np.frombuffer(data, dtype=np.uint8).reshape(-1, 8)
     return frames
+
+
+def message(t_ns: int, can_id: int, length: int, data: bytes, channel: str, sent: bool, **flags: bool) -> can.Message:
+    """Return a classic frame, ``can_id`` with SocketCAN's flags, as a message; ``flags``: those of CAN FD."""
+    error = bool(can_id & ERROR_FLAG)
+    remote = bool(can_id & REMOTE_FLAG) and not error
+    return can.Message(
+        timestamp=t_ns / 1_000_000_000,
+        arbitration_id=can_id & EXTENDED_MASK,
+        is_extended_id=bool(can_id & EXTENDED_FLAG),
+        is_remote_frame=remote,
+        is_error_frame=error,
+        dlc=length,
+        data=None if remote else data,
+        channel=channel,
+        is_rx=not sent,
+        **flags,
+    )
+
+
+def fd_message(frame: FdFrame, channel: str) -> can.Message:
+    """Return a CAN FD frame as a message."""
+    switch, state = bool(frame.flags & BIT_RATE_SWITCH), bool(frame.flags & ERROR_STATE)
+    return message(
+        frame.t_ns, frame.can_id & ~REMOTE_FLAG, len(frame.data), frame.data, channel, frame.sent,
+        is_fd=True, bitrate_switch=switch, error_state_indicator=state,
+    )  # fmt: skip
+
+
+def block_messages(block: CandumpBlock) -> Iterator[can.Message]:
+    """Return all frames of a block as messages, CAN FD frames in their order."""
+    for frame in block.in_order():
+        if isinstance(frame, FdFrame):
+            yield fd_message(frame, block.names[frame.interface])
+        else:
+            t_ns, can_id, length, data, interface, sent = frame
+            yield message(t_ns, can_id, length, data, block.names[interface], sent)

@@ -1,0 +1,166 @@
+"""The PDOs of one latch become a sample of their node: the one rule for a finger, a page and a log.
+
+A node sends the PDOs of one SYNC in their order and with the counter of one latched sample. So a PDO that follows SYNC
+continues the node's sample if the counter is the same, the PDO a later one and the gap small. An event-driven PDO
+carries the counter of the last latch: it joins the node's last sample if that has the same counter, and no PDO of its
+kind yet. Every other PDO is a sample of its own. The rule uses only pairs of frames, so the samples do not depend on
+how frames are cut into calls.
+"""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from canopen_device.core import codes
+from tipforce.dictionary.signals import Message
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.host.decoding.counters import LAST_CYCLIC_TYPE
+from tipforce.host.decoding.health import NAMES, Health
+from tipforce.host.decoding.sample_merger import GAP_FRAMES, GAP_NS
+from tipforce.samples.record import Column, Pdo, Samples
+
+_FIELDS = struct.Struct("<qIB3xQ")  # of FRAME: t_ns, can_id, length, data
+
+
+class _Sample:
+    """The PDOs of a sample so far, as raw words."""
+
+    __slots__ = ("counter", "ended", "faults", "frame", "node_id", "number", "t_ns", "time_ns", "words")
+
+    def __init__(self, node_id: int, t_ns: int, counter: int) -> None:
+        self.node_id, self.time_ns, self.counter = node_id, t_ns, counter
+        self.words: dict[Pdo, int] = {}
+        self.t_ns, self.frame, self.number = t_ns, 0, 0  # of its last PDO that follows SYNC
+        self.faults = 0
+        self.ended = False
+
+
+class Assembler:
+    """Samples of the nodes whose PDOs are ``pdos``: by identifier the node-id and the layout.
+
+    ``needed``: the names of the PDOs with which a sample is complete, at once, with the time of the last one; samples
+    without them are dropped. Empty: a sample is complete when no PDO can join it any more, with the time of its first.
+    Faults (2124h) are held as TPDO4 and EMCY tell them.
+    """
+
+    def __init__(
+        self, pdos: Mapping[int, tuple[int, Message]], needed: Sequence[str] = (), gauges: int = 0,
+        calibrations: Mapping[int, Calibration | None] | None = None,
+    ) -> None:  # fmt: skip
+        self.pdos = {can_id: (node_id, Pdo(message)) for can_id, (node_id, message) in pdos.items()}
+        self._needed, self._gauges, self._calibrations = frozenset(needed), gauges, calibrations
+        self._latest: dict[int, _Sample] = {}  # by node-id, of PDOs that follow SYNC
+        self._complete: list[_Sample] = []
+        self._frames = 0
+        self._health = Health()
+        self.services = {
+            base + node_id: (node_id, base)
+            for base in (codes.EMCY_BASE, codes.HEARTBEAT_BASE)
+            for node_id in {node_id for node_id, _ in self.pdos.values()}
+        }
+        """By identifier of an EMCY or a heartbeat: the node-id and the base."""
+
+    def feed(self, frames: npt.NDArray[np.void], now_ns: int | None = None) -> Samples:
+        """Process frames, FRAME (n,), in the order of the bus; return the samples that are complete, often none.
+
+        ``now_ns``: the time on their clock, after which an incomplete sample is old; None: that of the last frame.
+        """
+        last_ns = None
+        for t_ns, can_id, length, word in _FIELDS.iter_unpack(frames.tobytes()):
+            last_ns = t_ns
+            place = self.pdos.get(can_id)
+            if place is not None:
+                if length >= place[1].message.length_bytes:
+                    self._pdo(*place, t_ns, word)
+            elif can_id in self.services:
+                self.service(can_id, t_ns, word.to_bytes(8, "little")[:length])
+        now_ns = last_ns if now_ns is None else now_ns
+        if now_ns is not None and not self._needed:
+            for sample in self._latest.values():
+                if now_ns - sample.t_ns > GAP_NS or self._frames - sample.frame >= GAP_FRAMES:
+                    self._end(sample)
+        return self._take()
+
+    def finish(self) -> Samples:
+        """Return the samples that more PDOs could have joined."""
+        for sample in self._latest.values():
+            self._end(sample)
+        return self._take()
+
+    def _pdo(self, node_id: int, pdo: Pdo, t_ns: int, word: int) -> None:
+        self._frames += 1
+        if pdo.fault_mask:
+            self._health.pdo(node_id, t_ns, word >> pdo.fault_shift & pdo.fault_mask)
+        counter = word >> pdo.counter_shift & 0xFF if pdo.counter_shift >= 0 else -1
+        cyclic = counter >= 0 and 1 <= pdo.message.transmission_type <= LAST_CYCLIC_TYPE
+        last = self._latest.get(node_id)
+        sample = last if last is not None and self._joins(last, pdo, counter, cyclic, t_ns) else None
+        if sample is None:
+            sample = _Sample(node_id, t_ns, counter)
+            if cyclic:
+                if last is not None:
+                    self._end(last)
+                self._latest[node_id] = sample
+        if not sample.ended:
+            sample.words[pdo], sample.faults = word, self._health.now(node_id)[0]
+        if cyclic:
+            sample.t_ns, sample.frame, sample.number = t_ns, self._frames, pdo.message.number
+        if self._needed and not sample.ended and self._has_needed(sample):
+            sample.time_ns = t_ns
+            self._end(sample)
+        elif not cyclic and sample is not last:
+            self._end(sample)
+
+    def _joins(self, last: _Sample, pdo: Pdo, counter: int, cyclic: bool, t_ns: int) -> bool:
+        """Return whether a PDO is of the node's last sample."""
+        near = abs(t_ns - last.t_ns) <= GAP_NS and self._frames - last.frame <= GAP_FRAMES
+        later = pdo.message.number > last.number if cyclic else pdo not in last.words
+        return counter == last.counter and near and later
+
+    def _has_needed(self, sample: _Sample) -> bool:
+        return self._needed <= {pdo.message.name for pdo in sample.words}
+
+    def _end(self, sample: _Sample) -> None:
+        if not sample.ended and self._has_needed(sample):
+            self._complete.append(sample)
+        sample.ended = True
+
+    def service(self, can_id: int, t_ns: int, data: bytes) -> None:
+        """Process an EMCY or a heartbeat, whose identifier is one of ``services``."""
+        node_id, base = self.services[can_id]
+        if base == codes.EMCY_BASE:
+            self._health.emcy(node_id, t_ns, data)
+        elif data and data[0] & codes.NODE_ID_MASK == codes.INITIALISING:
+            self._health.boot(node_id, t_ns)
+
+    def _take(self) -> Samples:
+        """Return the complete samples."""
+        samples, self._complete = self._complete, []
+        columns = _columns(samples)
+        faults = np.array([sample.faults for sample in samples], dtype=np.int64)
+        columns |= {name: faults >> bit & 1 for name, bit in NAMES.items()}
+        return Samples(
+            np.array([sample.time_ns for sample in samples], dtype=np.int64),
+            np.array([sample.node_id for sample in samples], dtype=np.uint8),
+            np.array([sample.counter for sample in samples], dtype=np.int64),
+            columns, gauges=self._gauges, calibrations=self._calibrations,
+        )  # fmt: skip
+
+
+def _columns(samples: Sequence[_Sample]) -> dict[str, Column]:
+    """Return every signal (n,) of samples; the first PDO that has it counts: all are of one latch."""
+    columns: dict[str, Column] = {}
+    for pdo in dict.fromkeys(pdo for sample in samples for pdo in sample.words):
+        places = [at for at, sample in enumerate(samples) if pdo in sample.words]
+        of_pdo = pdo.columns([samples[at].words[pdo] for at in places])
+        for name in pdo.names:
+            values = of_pdo[name]
+            if name not in columns:
+                missing = np.nan if values.dtype.kind == "f" else 0
+                columns[name] = np.full(len(samples), missing, dtype=values.dtype)
+            columns[name][places] = values
+    return columns

@@ -1,0 +1,147 @@
+"""What columns of signals say of samples: status, contact and uncertainty, the same for a page, a log and a message."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tipforce.arrays import FloatArray
+from tipforce.dictionary import table
+from tipforce.host.configuration.calibration import Calibration
+from tipforce.samples import reasons
+from tipforce.samples.reasons import Status
+from tipforce.sensor.contact import estimate, scalar
+from tipforce.sensor.contact.estimate import force_vector
+
+RealArray = npt.NDArray[np.floating[Any]]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """m rows of k fingers with n gauges, or, without the axis of the fingers, m samples of one finger.
+
+    The history of a page keeps them as float32.
+    """
+
+    t_ns: npt.NDArray[np.int64]
+    """(m,) time of each SYNC, or of reception."""
+    contact: RealArray
+    """(m, k, 3) P in newtons, phi and theta in degrees; NaN where unknown."""
+    u: RealArray
+    """(m, k, 3) standard uncertainty of each, in the same units; NaN where unknown."""
+    gauges: RealArray
+    """(m, k, n) strain in microstrain; NaN where unknown or not sent."""
+    status: npt.NDArray[np.uint16]
+    """(m, k) bits of ``Status``."""
+
+    def __len__(self) -> int:
+        return len(self.t_ns)
+
+    @property
+    def columns(self) -> tuple[npt.NDArray[Any], ...]:
+        """All arrays, in order."""
+        return self.t_ns, self.contact, self.u, self.gauges, self.status
+
+    def part(self, rows: slice) -> Block:
+        """Return some rows as views."""
+        return Block(*(column[rows] for column in self.columns))
+
+    @classmethod
+    def zeros(cls, rows: int, fingers: int, gauges: int) -> Block:
+        """Return rows of float32 to be filled."""
+        contact, u, strains = (np.zeros((rows, fingers, q), dtype=np.float32) for q in (3, 3, gauges))
+        return cls(np.zeros(rows, dtype=np.int64), contact, u, strains, np.zeros((rows, fingers), dtype=np.uint16))
+
+
+def status_of(columns: Mapping[str, npt.NDArray[Any]], shape: tuple[int, ...]) -> npt.NDArray[np.uint16]:
+    """Bits of ``Status`` from the columns of flags, sent or computed; ``shape`` is that of each column."""
+    status = np.zeros(shape, dtype=np.uint16)
+    for name, bit in reasons.BITS.items():
+        if name in columns:
+            status |= (columns[name] == 1).astype(np.uint16) * np.uint16(bit)
+    return status
+
+
+def contact_values(
+    columns: Mapping[str, npt.NDArray[Any]],
+    strain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    calibration: Calibration | None,
+) -> FloatArray:
+    """P in newtons, phi and theta in degrees, (k, 3), of k samples of one finger; NaN where unknown.
+
+    As the node sent them where ``columns`` has P, phi and theta; else from F1, F2, F3; else from ``strain`` (k, n),
+    strain, and the calibration, without the gauges that the node left out. What ``status`` (k,) makes unknown is NaN as
+    on the node (scalar.unknown).
+    """
+    if columns.keys() >= {"P", "phi", "theta"}:
+        return np.stack([columns[name] for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
+    pull = calibration is not None and calibration.pull
+    if columns.keys() >= {"F1", "F2", "F3"}:
+        F = np.stack([columns[name] for name in ("F1", "F2", "F3")], axis=-1)
+        contact = estimate.contacts(F, pull=pull)
+    elif calibration is not None and calibration.gauges == strain.shape[-1] > table.MIN_GAUGES:
+        return _redundant(columns, strain, status, calibration)
+    elif calibration is not None and calibration.gauges == strain.shape[-1]:
+        _, contact = estimate.estimate(calibration.C, strain, calibration.offset_strain, pull=pull)
+    else:  # a mapping may have P alone
+        unknown = np.full(len(status), np.nan)
+        return np.stack([columns.get(name, unknown) for name in ("P", "phi", "theta")], axis=-1).astype(np.float64)
+    values = np.stack([contact.P_newtons, np.degrees(contact.phi_rad), np.degrees(contact.theta_rad)], axis=-1)
+    for value in np.unique(status).tolist():
+        lost = 0xFF if value & Status.NO_ANSWER else scalar.unknown(value & 0xFF, columns.keys() >= {"F1", "F2", "F3"})
+        at = status == value
+        for k, bit in enumerate((scalar.UNKNOWN_FORCE, scalar.UNKNOWN_PHI, scalar.UNKNOWN_THETA)):
+            if lost & bit:
+                values[at, k] = np.nan
+    return values
+
+
+def _redundant(
+    columns: Mapping[str, npt.NDArray[Any]],
+    strain: FloatArray,
+    status: npt.NDArray[np.uint16],
+    calibration: Calibration,
+) -> FloatArray:
+    """The values of more than three gauges, judged here: one that is left out must not count."""
+    from tipforce.host.decoding.estimates import of_samples  # its import costs time
+
+    values = np.full((len(status), 3), np.nan)
+    hidden = np.uint16(Status.NO_ANSWER | Status.STALE | Status.FAULT)
+    rows = np.flatnonzero((status & hidden == 0) & (status & np.uint16(Status.CALIBRATED) != 0))
+    if len(rows):
+        present = bool(status[rows[0]] & Status.CONTACT)
+        contacts, holds = of_samples(calibration, columns, 1e6 * strain, status, rows, was_present=present)
+        values[rows[holds]] = contacts.values[holds, :3]
+    return values
+
+
+def uncertainties(contact: FloatArray, calibrations: Sequence[Calibration | None]) -> FloatArray:
+    """Standard uncertainties (m, k, 3) of contacts (m, k, 3) of k fingers, in newtons and degrees, from gauge noise.
+
+    NaN for a finger without a calibration, and for what is unknown itself.
+    """
+    u = np.full(contact.shape, np.nan)
+    for pull in (False, True):
+        finger_of = {k: c for k, c in enumerate(calibrations) if c is not None and c.pull == pull}
+        if not finger_of:
+            continue
+        chosen = list(finger_of)
+        P, phi, theta = np.moveaxis(contact[:, chosen], -1, 0)
+        # F2 has no effect on u(P) and u(phi): where theta is unknown any contact point on the line will do.
+        phi_rad = np.radians(phi)
+        F = force_vector(P, phi_rad, np.where(np.isnan(theta), phi_rad, np.radians(theta)))
+        covariances = np.stack([calibration.covariance_F for calibration in finger_of.values()])
+        uncertainty = estimate.standard_uncertainties(F, np.broadcast_to(covariances, (*F.shape, 3)), pull=pull)
+        uncertainty[..., 1:] *= 180.0 / np.pi
+        # Without contact there is no direction: take the worst one.
+        in_plane = covariances[:, ::2, ::2]
+        worst = np.sqrt(np.maximum(np.linalg.eigvalsh(in_plane)[:, -1], 0.0))
+        uncertainty[..., 0] = np.where(np.isnan(phi) & ~np.isnan(P), worst, uncertainty[..., 0])
+        u[:, chosen] = uncertainty
+    u[np.isnan(contact)] = np.nan
+    return u

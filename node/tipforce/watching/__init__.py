@@ -1,0 +1,1 @@
+"""All fingers that a bus, a hand or a log shows, as blocks of contacts and events; nothing is sent."""

@@ -1,0 +1,182 @@
+"""Convert frames of a bus or log to blocks of contacts and events, for all fingers found. Uses no clock."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from canopen_device.core.codes import EMCY_BASE, HEARTBEAT_BASE, NMT_COB_ID, NODE_ID_MASK, SYNC_COB_ID, TPDO_BASES
+from tipforce.dictionary.signals import tpdo_messages
+from tipforce.host.decoding.decoder import Decoder
+from tipforce.host.decoding.health import Health
+from tipforce.host.frames.frame_array import FRAME, FrameArray
+from tipforce.host.hand.events import Event, Supervisor
+from tipforce.host.hand.rows import Collector
+from tipforce.samples.columns import Block
+from tipforce.samples.record import Rows
+from tipforce.watching.fingers import Finger, FingerMaker
+
+FloatArray = npt.NDArray[np.float64]
+
+HEARTBEAT_TIMEOUT_S = 2.5
+ROW_TIMEOUT_S = 0.05
+HEALTH_YOUNG_NS = 3_000_000_000
+_SERVICE, _NODE = ~np.uint32(NODE_ID_MASK), np.uint32(NODE_ID_MASK)
+_SERVICES = (NMT_COB_ID, EMCY_BASE, HEARTBEAT_BASE)
+_UNPACED_FRAMES = 50  # PDOs without a SYNC, after which a PDO begins the rows
+
+
+class Watcher:
+    """Find fingers by their PDOs, collect rows, monitor heartbeats and EMCY.
+
+    ``make_finger`` returns the finger of a node-id found on the bus, None to hide it. ``fingers`` are shown from the
+    start.
+    """
+
+    def __init__(
+        self, make_finger: FingerMaker, gauges: int = 3, fingers: Sequence[Finger] = ()
+    ) -> None:  # fmt: skip
+        self._make_finger, self._gauges = make_finger, gauges
+        self.fingers: tuple[Finger, ...] = tuple(fingers)
+        self._bases = {
+            m.cob_id_base: (m.name, m.length_bytes)
+            for m in tpdo_messages(gauges)
+            if m.cob_id_base and m.name != "Health"
+        }
+        self._heard: dict[int, set[str]] = {finger.node_id: set() for finger in fingers}
+        self._messages: tuple[str, ...] = ()
+        self._collector: Collector | None = None
+        self._past: Counter[tuple[str, int]] = Counter()
+        self._supervisor = Supervisor([f.node_id for f in fingers], HEARTBEAT_TIMEOUT_S)
+        self._health = Decoder(gauges)
+        self._health_u: dict[int, tuple[int, float]] = {}
+        self._faults = Health()
+        self._synced = False
+        self._unsynced_pdos = 0
+        self._pacer = 0
+
+    def add(self, frames: FrameArray, now_s: float) -> tuple[list[Block], list[Event]]:
+        """Process frames, FRAME (n,), at the monotonic time ``now_s``; call it also without frames."""
+        events: list[Event] = []
+        if len(frames):
+            self._discover(frames)
+        events += self._watch(frames, now_s)
+        if self._collector is None:
+            return [], events
+        rows = self._collector.add(self._paced(frames), now_s)
+        if len(frames):
+            self._take_health(frames)
+        if not len(rows):
+            return [], events
+        faults = np.stack([self._faults.at(finger.node_id, rows.sync_ns)[0] for finger in self.fingers], axis=-1)
+        calibrations = [finger.calibration for finger in self.fingers]
+        return [rows.block(calibrations, self._gauges, self._health_of(rows), faults)], events
+
+    def discover(self, frames: FrameArray) -> None:
+        """Only find the fingers: the first pass over a log."""
+        if len(frames):
+            self._discover(frames)
+
+    def nmt(self) -> dict[int, str]:
+        """Return the NMT state of each finger by its heartbeat; none without one."""
+        supervisor = self._supervisor
+        return {f.node_id: supervisor.state_name(f.node_id) for f in self.fingers if supervisor.states[f.node_id] >= 0}
+
+    def tally(self) -> dict[str, list[int]]:
+        """Return missing, late, mixed and doubtful responses of each finger, over all collectors so far."""
+        sums = {}
+        for what in ("missing", "late", "mixed", "doubtful"):
+            now = dict.fromkeys((f.node_id for f in self.fingers), 0)
+            if self._collector is not None:
+                values = getattr(self._collector.tally, what).tolist()
+                now |= dict(zip(self._collector.node_ids, values, strict=True))
+            sums[what] = [now[f.node_id] + self._past[what, f.node_id] for f in self.fingers]
+        return sums
+
+    def _discover(self, frames: FrameArray) -> None:
+        ids = frames["can_id"]
+        if not self._synced:
+            self._find_pace(frames)
+        changed = False
+        for can_id in np.unique(ids).tolist():
+            base, node_id = can_id & ~NODE_ID_MASK, can_id & NODE_ID_MASK
+            name, length = self._bases.get(base, ("", 0))
+            if not name or not node_id or name in self._heard.get(node_id, ()):
+                continue
+            if int(frames["length"][ids == can_id].max()) < length:
+                continue
+            if node_id not in self._heard:
+                finger = self._make_finger(node_id)
+                if finger is None:
+                    continue
+                self.fingers = tuple(sorted((*self.fingers, finger), key=lambda one: one.node_id))
+                self._heard[node_id] = set()
+                self._supervisor.states.setdefault(node_id, -1)
+            self._heard[node_id].add(name)
+            changed = True
+        if changed:
+            self._new_collector()
+
+    def _new_collector(self) -> None:
+        """Collect the PDOs that all fingers send; if there are none, the one that most fingers send."""
+        sets = [names for names in self._heard.values() if names]
+        count = Counter(name for names in sets for name in names)
+        messages = [name for name, number in count.items() if number == len(sets)] or [count.most_common(1)[0][0]]
+        for what, values in self.tally().items():
+            for finger, value in zip(self.fingers, values, strict=True):
+                self._past[what, finger.node_id] = value
+        # TPDO2 first: it names the columns of the contact.
+        self._messages = tuple(sorted(messages, key=("Contact", "Force", "Gauges").index))
+        node_ids = [finger.node_id for finger in self.fingers]
+        self._collector = Collector(node_ids, self._messages, self._gauges, ROW_TIMEOUT_S)
+
+    def _watch(self, frames: FrameArray, now_s: float) -> list[Event]:
+        """Process services one by one: they are few, and in a log each has its own time."""
+        if not len(frames):
+            return self._supervisor.add(frames, now_s)
+        service = frames["can_id"] & _SERVICE
+        few = frames[np.isin(service, _SERVICES) & (frames["can_id"] != SYNC_COB_ID)]
+        events: list[Event] = []
+        for k in range(len(few)):
+            events += self._supervisor.add(few[k : k + 1], float(few["t_ns"][k]) * 1e-9)
+        return events
+
+    def _find_pace(self, frames: FrameArray) -> None:
+        """Let the most frequent PDO begin each row if no SYNC is found."""
+        ids = frames["can_id"]
+        self._synced = bool((ids == SYNC_COB_ID).any())
+        pdos = ids[np.isin(ids & _SERVICE, list(self._bases))]
+        self._unsynced_pdos += len(pdos)
+        if not self._pacer and not self._synced and self._unsynced_pdos >= _UNPACED_FRAMES and len(pdos):
+            values, counts = np.unique(pdos, return_counts=True)
+            self._pacer = int(values[counts.argmax()])
+        if self._synced:
+            self._pacer = 0
+
+    def _paced(self, frames: FrameArray) -> FrameArray:
+        if not self._pacer or not len(frames):
+            return frames
+        places = np.flatnonzero(frames["can_id"] == self._pacer)
+        syncs = np.zeros(len(places), dtype=FRAME)
+        syncs["t_ns"], syncs["can_id"] = frames["t_ns"][places], SYNC_COB_ID
+        return np.insert(frames, places, syncs)
+
+    def _take_health(self, frames: FrameArray) -> None:
+        service = frames["can_id"] & _SERVICE
+        chosen = frames[(service == TPDO_BASES[3]) | (service == HEARTBEAT_BASE) | (service == EMCY_BASE)]
+        decoded = self._health.decode(chosen)
+        self._faults.take(chosen, decoded.values())
+        for (node_id, _), samples in decoded.items():
+            self._health_u[node_id] = int(samples.t_ns[-1]), float(samples.columns["u_P"][-1])
+
+    def _health_of(self, rows: Rows) -> FloatArray | None:
+        if not self._health_u:
+            return None
+        u_of_rows = np.full(rows.counter.shape, np.nan)
+        for k, finger in enumerate(self.fingers):
+            t_ns, u_P = self._health_u.get(finger.node_id, (0, np.nan))
+            u_of_rows[:, k] = np.where(np.abs(rows.sync_ns - t_ns) < HEALTH_YOUNG_NS, u_P, np.nan)
+        return u_of_rows
